@@ -1,0 +1,1 @@
+"""Worlds: they hold the truth, draw it and score the agent."""

@@ -1,0 +1,28 @@
+"""Every environment id in one table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+
+ENVIRONMENTS: dict[str, dict[str, Any]] = {
+    "UncalibServo-v0": {
+        "entry_point": "servotrack.envs.servo.env:UncalibServoEnv",
+        "vector_entry_point": "servotrack.envs.servo.vector:UncalibServoVectorEnv",
+    },
+    "UncalibServoReach-v0": {
+        "entry_point": "servotrack.envs.servo.env:UncalibServoReachEnv",
+        "vector_entry_point": "servotrack.envs.servo.vector:UncalibServoReachVectorEnv",
+    },
+    "UncalibServoPixels-v0": {
+        "entry_point": "servotrack.envs.servo.pixels:UncalibServoPixelsEnv",
+    },
+}
+
+
+def register_all() -> None:
+    """Register every id of `ENVIRONMENTS` with Gymnasium; entry points stay strings until `make` needs them."""
+    for env_id, entry in ENVIRONMENTS.items():
+        if env_id not in gym.registry:
+            gym.register(id=env_id, **entry)

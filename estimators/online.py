@@ -1,0 +1,51 @@
+"""Estimators are values and functions; this holds their state for people who want a loop."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+State = TypeVar("State")
+
+
+def select_rows(mask: NDArray[np.bool_], chosen: State, otherwise: State) -> State:
+    """Rows of `chosen` where `mask` is true, else of `otherwise`.
+
+    Args:
+        mask: Shape (*batch,), bool.
+        chosen: An array with leading axes `batch`, or nested tuples and NamedTuples of such arrays.
+        otherwise: The same structure.
+
+    Returns:
+        The same structure, new arrays.
+    """
+    if isinstance(chosen, tuple):
+        parts = [select_rows(mask, a, b) for a, b in zip(chosen, otherwise, strict=True)]  # type: ignore[call-overload]
+        return type(chosen)(*parts) if hasattr(chosen, "_fields") else type(chosen)(parts)  # type: ignore[return-value]
+    a, b = np.asarray(chosen), np.asarray(otherwise)
+    return np.where(mask.reshape(mask.shape + (1,) * (a.ndim - mask.ndim)), a, b)  # type: ignore[return-value]
+
+
+class Online:
+    """An estimator with its state: `Online(estimator).step(measurement) -> estimate`.
+
+    Args:
+        estimator: Anything with `initial(measurement)` and `step(state, measurement)`.
+    """
+
+    def __init__(self, estimator: Any) -> None:
+        self.estimator = estimator
+        self.state: Any = None
+
+    def step(self, measurement: Any) -> Any:
+        """Fold one measurement in and return the estimate; the first call also makes the initial state."""
+        if self.state is None:
+            self.state = self.estimator.initial(measurement)
+        self.state, estimate = self.estimator.step(self.state, measurement)
+        return estimate
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.state = None
