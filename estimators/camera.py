@@ -1,0 +1,241 @@
+"""A camera that rides on a planar two-link arm and looks down on the plane of its targets (paper 002, section 3.1).
+
+The camera sits at the tool, `depth` above the plane. Its x axis runs along the second link turned by the mounting angle psi,
+y and z are flipped, so that with phi = theta1 + theta2 + psi a ground point p appears, before tilt, at
+
+    q = (F R(phi)^T (p - p_tool), depth),  F = diag(1, -1).
+
+A small rotation Rx(tilt_x) Ry(tilt_y) tilts the optical axis; then comes the pinhole with focal lengths (f, f (1 + aspect))
+and radial distortion d (1 + k1 |d|^2 / half_width^2) of the pixel offset d from the principal point. With k1 < 0 the image
+folds over where 1 + 3 k1 rho^2 <= 0; points out there are never visible.
+
+The scalar kernels are compiled, so that one arm and a thousand get the same bits.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+CAMERA_SIZE = 18
+"""Columns of a packed camera: fx, fy, cu, cv, depth, cos psi, sin psi, the 9 entries of the tilt rotation, k1, 1/half_width."""
+
+
+def pack_camera(
+    focal: ArrayLike,
+    depth: ArrayLike,
+    mounting: ArrayLike = 0.0,
+    center: ArrayLike = (240.0, 240.0),
+    tilt: ArrayLike = (0.0, 0.0),
+    aspect: ArrayLike = 0.0,
+    distortion: ArrayLike = 0.0,
+    half_width: float = 240.0,
+) -> Array:
+    """Pack camera parameters into the rows that the kernels read.
+
+    Args:
+        focal: Focal length over pixel pitch, f. Shape (*batch,), px.
+        depth: Height of the camera over the plane. Shape (*batch,), m.
+        mounting: Angle psi between the camera's x axis and the second link. Shape (*batch,), rad.
+        center: Principal point. Shape (*batch, 2), px.
+        tilt: Rotations about the camera's x and y axes. Shape (*batch, 2), rad.
+        aspect: Excess of the vertical over the horizontal focal length, as a fraction. Shape (*batch,).
+        distortion: Radial coefficient k1 at one half width from the principal point. Shape (*batch,).
+        half_width: Half the image's width, the unit of the distortion's radius, px.
+
+    Returns:
+        Shape (*batch, CAMERA_SIZE).
+    """
+    focal, depth, mounting, aspect, distortion = np.broadcast_arrays(
+        *(np.asarray(a, dtype=np.float64) for a in (focal, depth, mounting, aspect, distortion))
+    )
+    center, tilt = np.asarray(center, dtype=np.float64), np.asarray(tilt, dtype=np.float64)
+    packed = np.zeros((*focal.shape, CAMERA_SIZE))
+    packed[..., 0], packed[..., 1] = focal, focal * (1.0 + aspect)
+    packed[..., 2], packed[..., 3] = center[..., 0], center[..., 1]
+    packed[..., 4] = depth
+    packed[..., 5], packed[..., 6] = np.cos(mounting), np.sin(mounting)
+    cx, sx = np.cos(tilt[..., 0]), np.sin(tilt[..., 0])
+    cy, sy = np.cos(tilt[..., 1]), np.sin(tilt[..., 1])
+    packed[..., 7], packed[..., 8], packed[..., 9] = cy, 0.0, sy
+    packed[..., 10], packed[..., 11], packed[..., 12] = sx * sy, cx, -sx * cy
+    packed[..., 13], packed[..., 14], packed[..., 15] = -cx * sy, sx, cx * cy
+    packed[..., 16], packed[..., 17] = distortion, 1.0 / half_width
+    return packed
+
+
+@njit(cache=True, nogil=True)
+def project_ground(cam, gx, gy):  # type: ignore[no-untyped-def]
+    """Pixel (u, v) of a ground point given in the camera's untilted frame, and whether it lies in front and before the fold.
+
+    Args:
+        cam: One packed camera, shape (CAMERA_SIZE,).
+        gx: First coordinate of F R(phi)^T (p - p_tool), m.
+        gy: Second coordinate, m.
+    """
+    d = cam[4]
+    qx = cam[7] * gx + cam[8] * gy + cam[9] * d
+    qy = cam[10] * gx + cam[11] * gy + cam[12] * d
+    qz = cam[13] * gx + cam[14] * gy + cam[15] * d
+    if qz < 1e-6 * d:
+        return cam[2], cam[3], False
+    du = cam[0] * qx / qz
+    dv = cam[1] * qy / qz
+    rho2 = (du * du + dv * dv) * cam[17] * cam[17]
+    k = cam[16]
+    stretch = 1.0 + k * rho2
+    return cam[2] + du * stretch, cam[3] + dv * stretch, 1.0 + 3.0 * k * rho2 > 0.0
+
+
+@njit(cache=True, nogil=True)
+def project(cam, l1, l2, theta1, theta2, px, py):  # type: ignore[no-untyped-def]
+    """Pixel (u, v) of the ground point (px, py) m seen from the arm's tool, and whether it can be seen at all."""
+    phi = theta1 + theta2
+    c2, s2 = math.cos(phi), math.sin(phi)
+    wx = px - l1 * math.cos(theta1) - l2 * c2
+    wy = py - l1 * math.sin(theta1) - l2 * s2
+    c = c2 * cam[5] - s2 * cam[6]
+    s = s2 * cam[5] + c2 * cam[6]
+    return project_ground(cam, c * wx + s * wy, s * wx - c * wy)
+
+
+@njit(cache=True, nogil=True)
+def total_jacobian(cam, l1, l2, theta1, theta2, px, py, vx, vy, out):  # type: ignore[no-untyped-def]
+    """Write the analytic total image Jacobian [J_theta J_t] of the ground point (px, py) moving at (vx, vy) into `out` (2, 3)."""
+    phi = theta1 + theta2
+    c1, s1 = math.cos(theta1), math.sin(theta1)
+    c2, s2 = math.cos(phi), math.sin(phi)
+    wx = px - l1 * c1 - l2 * c2
+    wy = py - l1 * s1 - l2 * s2
+    c = c2 * cam[5] - s2 * cam[6]
+    s = s2 * cam[5] + c2 * cam[6]
+    gx = c * wx + s * wy
+    gy = s * wx - c * wy
+    d = cam[4]
+    qx = cam[7] * gx + cam[8] * gy + cam[9] * d
+    qy = cam[10] * gx + cam[11] * gy + cam[12] * d
+    qz = max(cam[13] * gx + cam[14] * gy + cam[15] * d, 1e-6 * d)
+    du = cam[0] * qx / qz
+    dv = cam[1] * qy / qz
+    k = cam[16] * cam[17] * cam[17]
+    stretch = 1.0 + k * (du * du + dv * dv)
+    for j in range(3):
+        # Motion of w = p - p_tool under joint 1, joint 2 and time, and of the frame itself (phi) under the joints.
+        if j == 0:
+            ax, ay, turn = l1 * s1 + l2 * s2, -l1 * c1 - l2 * c2, 1.0
+        elif j == 1:
+            ax, ay, turn = l2 * s2, -l2 * c2, 1.0
+        else:
+            ax, ay, turn = vx, vy, 0.0
+        dgx = c * ax + s * ay - turn * gy
+        dgy = s * ax - c * ay + turn * gx
+        dqx = cam[7] * dgx + cam[8] * dgy
+        dqy = cam[10] * dgx + cam[11] * dgy
+        dqz = cam[13] * dgx + cam[14] * dgy
+        ddu = (cam[0] * dqx - du * dqz) / qz
+        ddv = (cam[1] * dqy - dv * dqz) / qz
+        radial = 2.0 * k * (du * ddu + dv * ddv)
+        out[0, j] = ddu * stretch + du * radial
+        out[1, j] = ddv * stretch + dv * radial
+
+
+@njit(cache=True, nogil=True)
+def ground_point(cam, u, v):  # type: ignore[no-untyped-def]
+    """Ground point (gx, gy) m, in the camera's untilted frame, that pixel (u, v) sees; the inverse of `project_ground`.
+
+    Pixels beyond the fold, or that look above the horizon, get a far point in their direction.
+    """
+    du, dv = u - cam[2], v - cam[3]
+    rho_d = math.hypot(du, dv) * cam[17]
+    k = cam[16]
+    rho = rho_d
+    if k < 0.0:
+        rho_fold = math.sqrt(-1.0 / (3.0 * k))
+        rho = min(rho, 0.999 * rho_fold)
+    for _ in range(8):
+        slope = 1.0 + 3.0 * k * rho * rho
+        rho = rho - (rho * (1.0 + k * rho * rho) - rho_d) / slope
+        if k < 0.0 and rho > 0.999 * rho_fold:
+            rho = 0.999 * rho_fold
+    scale = rho / rho_d if rho_d > 1e-12 else 1.0
+    x = du * scale / cam[0]
+    y = dv * scale / cam[1]
+    # The tilt rotation's transpose turns the ray back into the untilted frame.
+    rx = cam[7] * x + cam[10] * y + cam[13]
+    ry = cam[8] * x + cam[11] * y + cam[14]
+    rz = max(cam[9] * x + cam[12] * y + cam[15], 1e-3)
+    return rx * cam[4] / rz, ry * cam[4] / rz
+
+
+@njit(cache=True, nogil=True)
+def _project_rows(cam, links, joints, points, out, seen):  # type: ignore[no-untyped-def]
+    for i in range(cam.shape[0]):
+        u, v, ok = project(cam[i], links[i, 0], links[i, 1], joints[i, 0], joints[i, 1], points[i, 0], points[i, 1])
+        out[i, 0] = u
+        out[i, 1] = v
+        seen[i] = ok
+
+
+@njit(cache=True, nogil=True)
+def _jacobian_rows(cam, links, joints, points, velocities, out):  # type: ignore[no-untyped-def]
+    for i in range(cam.shape[0]):
+        total_jacobian(
+            cam[i], links[i, 0], links[i, 1], joints[i, 0], joints[i, 1],
+            points[i, 0], points[i, 1], velocities[i, 0], velocities[i, 1], out[i],
+        )  # fmt: skip
+
+
+def _rows(*arrays: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
+    """Common batch shape of arrays of row vectors, and each as contiguous (rows, columns)."""
+    values = [np.asarray(a, dtype=np.float64) for a in arrays]
+    batch = np.broadcast_shapes(*(a.shape[:-1] for a in values))
+    return batch, [
+        np.ascontiguousarray(np.broadcast_to(a, (*batch, a.shape[-1]))).reshape(-1, a.shape[-1]) for a in values
+    ]
+
+
+def project_points(
+    camera: ArrayLike, links: ArrayLike, joint_angles: ArrayLike, points: ArrayLike
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Image points of ground points.
+
+    Args:
+        camera: Packed cameras (`pack_camera`). Shape (*batch, CAMERA_SIZE).
+        links: Link lengths. Shape (*batch, 2), m.
+        joint_angles: Shape (*batch, 2), rad.
+        points: Ground points in the base frame. Shape (*batch, 2), m.
+
+    Returns:
+        Pixels, shape (*batch, 2), and whether each lies in front of the camera and before the fold, shape (*batch,); the image's
+        borders are not considered.
+    """
+    batch, (cam, link, joint, point) = _rows(camera, links, joint_angles, points)
+    out, seen = np.empty((len(cam), 2)), np.empty(len(cam), dtype=np.bool_)
+    _project_rows(cam, link, joint, point, out, seen)
+    return out.reshape(*batch, 2), seen.reshape(batch)
+
+
+def image_jacobian(
+    camera: ArrayLike, links: ArrayLike, joint_angles: ArrayLike, points: ArrayLike, velocities: ArrayLike
+) -> Array:
+    """Analytic total image Jacobian [J_theta J_t] of moving ground points (paper 002, eqs 3 to 6).
+
+    Args:
+        camera: Packed cameras. Shape (*batch, CAMERA_SIZE).
+        links: Link lengths. Shape (*batch, 2), m.
+        joint_angles: Shape (*batch, 2), rad.
+        points: Shape (*batch, 2), m.
+        velocities: Shape (*batch, 2), m/s.
+
+    Returns:
+        Shape (*batch, 2, 3): px/rad, px/rad, px/s.
+    """
+    batch, (cam, link, joint, point, velocity) = _rows(camera, links, joint_angles, points, velocities)
+    out = np.empty((len(cam), 2, 3))
+    _jacobian_rows(cam, link, joint, point, velocity, out)
+    return out.reshape(*batch, 2, 3)
