@@ -1,0 +1,1 @@
+"""The arm servos: one physical world behind features, pixels, single and vector environments."""

@@ -1,0 +1,234 @@
+"""What fate deals an episode: everything random, drawn before the first step, each quantity from its own stream."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.servo.levels import Range, ServoConfig
+from servotrack.envs.servo.targets import PERIOD, START, draw_path, solvable
+from servotrack.estimators.camera import pack_camera, project_ground, project_points
+
+Array = NDArray[np.float64]
+
+LEAD = 6
+"""Samples that the tables hold before the reset, for frames that were on their way."""
+_MAX_DRAWS = 2000
+
+
+class Stream(IntEnum):
+    """Child streams of an episode's seed. Appending one shifts no other; the numbers must never change."""
+
+    LINKS = 0
+    FOCAL = 1
+    DEPTH = 2
+    MOUNTING = 3
+    PRINCIPAL_POINT = 4
+    DISTORTION = 5
+    TILT = 6
+    ASPECT = 7
+    TARGET = 8
+    PIXEL_NOISE = 9
+    OUTLIER = 10
+    OUTLIER_OFFSET = 11
+    DROPOUT = 12
+    LATENCY = 13
+    ACTUATION_NOISE = 14
+    ACTUATION_GAIN = 15
+    ENCODER_NOISE = 16
+    DISTRACTOR = 17
+    IMAGE_NOISE = 18
+    FLOOR = 19
+
+
+class Streams:
+    """The random streams of one episode, each made when it is first used.
+
+    Args:
+        seed: The episode's seed, a non-negative integer.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self.seed = seed
+        self._made: dict[Stream, np.random.Generator] = {}
+
+    def __getitem__(self, stream: Stream) -> np.random.Generator:
+        if stream not in self._made:
+            sequence = np.random.SeedSequence(self.seed, spawn_key=(int(stream),))
+            self._made[stream] = np.random.Generator(np.random.PCG64(sequence))
+        return self._made[stream]
+
+    def uniform(self, stream: Stream, bounds: Range, size: int | None = None) -> float | Array:
+        """Uniform draws; a range of no width uses no stream. Returns a float, or shape (size,)."""
+        low, high = bounds
+        if low == high:
+            return float(low) if size is None else np.full(size, float(low))
+        return self[stream].uniform(low, high, size)
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One episode's hidden constants and tables; K = LEAD + warmup + horizon + 1 samples, the reset at index LEAD.
+
+    Attributes:
+        streams: The streams that it came from; images draw more from them.
+        links: Shape (2,), m.
+        camera: Packed, shape (CAMERA_SIZE,).
+        goal: Taught goal features: where the point under the tool appears. Shape (2,), px.
+        path: Target positions and velocities, shape (K, 4), m and m/s.
+        feature_noise: Noise and outliers added to each frame's features, shape (K, 2), px, or (0, 2) where there is none.
+        dropped: Whether a frame is lost, shape (K,), or (0,).
+        latency: Age of frames at arrival, periods.
+        gain: Factor on each joint's rate, shape (2,).
+        rate_noise: Shape (K, 2), rad/s, or (0, 2).
+        encoder_noise: Shape (K, 2), rad, or (0, 2).
+        noise_levels: Standard deviations of encoder noise (rad) and rate noise (rad/s) of this episode, shape (2,).
+    """
+
+    streams: Streams
+    links: Array
+    camera: Array
+    goal: Array
+    path: Array
+    feature_noise: Array
+    dropped: NDArray[np.bool_]
+    latency: int
+    gain: Array
+    rate_noise: Array
+    encoder_noise: Array
+    noise_levels: Array
+
+
+def samples(config: ServoConfig) -> int:
+    """Length K of an episode's tables."""
+    return LEAD + config.warmup + config.horizon + 1
+
+
+def sample_times(config: ServoConfig) -> Array:
+    """Instants of the tables' rows, shape (K,), s; time 0 is where scoring starts."""
+    return (np.arange(samples(config)) - LEAD - config.warmup) * PERIOD
+
+
+def draw_episode(config: ServoConfig, seed: int) -> Episode:
+    """Draw all of an episode.
+
+    A layout that cannot be solved (see `solvable`), or in which the target starts out of view, is drawn again.
+
+    Args:
+        config: The world.
+        seed: Non-negative integer.
+
+    Raises:
+        ValueError: No solvable layout among many draws: the ranges contradict each other.
+    """
+    streams = Streams(seed)
+    links, camera, path = _draw_layout(config, streams)
+    count = samples(config)
+    u, v, _ = project_ground(camera, 0.0, 0.0)
+    encoder_noise, encoder_level = _gaussian_block(streams, Stream.ENCODER_NOISE, config.encoder_noise, count)
+    rate_noise, rate_level = _gaussian_block(streams, Stream.ACTUATION_NOISE, config.actuation_noise, count)
+    low, high = config.latency
+    return Episode(
+        streams=streams,
+        links=links,
+        camera=camera,
+        goal=np.array([u, v]),
+        path=path,
+        feature_noise=_feature_noise(config, streams, count),
+        dropped=streams[Stream.DROPOUT].random(count) < config.dropout if config.dropout else _NEVER,
+        latency=int(low) if low == high else int(streams[Stream.LATENCY].integers(int(low), int(high) + 1)),
+        gain=1.0 + np.asarray(streams.uniform(Stream.ACTUATION_GAIN, (-config.actuation_gain, config.actuation_gain), 2)),
+        rate_noise=rate_noise,
+        encoder_noise=encoder_noise,
+        noise_levels=np.array([encoder_level, rate_level]),
+    )
+
+
+_NEVER = np.zeros(0, dtype=np.bool_)
+_NONE = np.zeros((0, 2))
+
+
+def _draw_layout(config: ServoConfig, streams: Streams) -> tuple[Array, Array, Array]:
+    if _is_fixed(config):
+        return _fixed_layout(config)
+    times = sample_times(config)
+    for _ in range(_MAX_DRAWS):
+        links = np.asarray(streams.uniform(Stream.LINKS, config.links, 2))
+        camera = _draw_camera(config, streams)
+        rng = None if config.target == "paper" else streams[Stream.TARGET]
+        path = draw_path(config, rng, links, times)
+        if not solvable(path[LEAD + config.warmup :], links[0], links[1], config.max_joint_rate):
+            continue
+        pixel, seen = project_points(camera, links, START, path[LEAD, :2])
+        if seen and 0.0 <= pixel.min() and pixel.max() < config.camera_size:
+            return links, camera, path
+    raise ValueError(
+        f"no solvable layout among {_MAX_DRAWS} draws: the arm cannot follow a {config.target!r} target with "
+        f"links={config.links} at max_joint_rate={config.max_joint_rate}, or the camera (focal={config.focal}, depth={config.depth}) "
+        "never sees it at the start; widen the ranges"
+    )
+
+
+def _is_fixed(config: ServoConfig) -> bool:
+    """Whether layout and target are the paper's own, given and not to be rejected."""
+    ranges = (config.links, config.focal, config.depth, config.distortion)
+    offsets = (config.mounting, config.principal_offset, config.tilt, config.aspect)
+    still = config.target == "paper" or (config.target == "static" and config.pixel_noise == 0.0)
+    return still and all(low == high for low, high in ranges) and not any(offsets)
+
+
+@lru_cache(maxsize=32)
+def _fixed_layout(config: ServoConfig) -> tuple[Array, Array, Array]:
+    links = np.full(2, config.links[0])
+    camera = _draw_camera(config, Streams(0))
+    path = draw_path(config, None, links, sample_times(config))
+    for table in (links, camera, path):
+        table.setflags(write=False)
+    return links, camera, path
+
+
+def _draw_camera(config: ServoConfig, streams: Streams) -> Array:
+    middle = config.camera_size / 2.0
+
+    def around(stream: Stream, half: float, size: int | None = None) -> float | Array:
+        return streams.uniform(stream, (-half, half), size)
+
+    return pack_camera(
+        focal=streams.uniform(Stream.FOCAL, config.focal),
+        depth=streams.uniform(Stream.DEPTH, config.depth),
+        mounting=around(Stream.MOUNTING, config.mounting),
+        center=middle + np.asarray(around(Stream.PRINCIPAL_POINT, config.principal_offset, 2)),
+        tilt=around(Stream.TILT, config.tilt, 2),
+        aspect=around(Stream.ASPECT, config.aspect),
+        distortion=streams.uniform(Stream.DISTORTION, config.distortion),
+        half_width=middle,
+    )
+
+
+def _gaussian_block(streams: Streams, stream: Stream, level: Range, count: int) -> tuple[Array, float]:
+    """White noise for both joints at every sample, of a level drawn for the episode: (count, 2), and the level."""
+    if level == (0.0, 0.0):
+        return _NONE, 0.0
+    sigma = float(streams.uniform(stream, level))
+    return sigma * streams[stream].standard_normal((count, 2)), sigma
+
+
+def _feature_noise(config: ServoConfig, streams: Streams, count: int) -> Array:
+    noise = _NONE
+    if config.pixel_noise > 0:
+        rng, sigma = streams[Stream.PIXEL_NOISE], config.pixel_noise
+        if config.noise_kind == "uniform":
+            noise = rng.uniform(-np.sqrt(3.0) * sigma, np.sqrt(3.0) * sigma, (count, 2))
+        elif config.noise_kind == "laplace":
+            noise = rng.laplace(0.0, sigma / np.sqrt(2.0), (count, 2))
+        else:
+            noise = sigma * rng.standard_normal((count, 2))
+    if config.outlier_rate > 0:
+        hit = streams[Stream.OUTLIER].random((count, 1)) < config.outlier_rate
+        offset = config.outlier_size * streams[Stream.OUTLIER_OFFSET].standard_normal((count, 2))
+        noise = np.where(hit, offset, 0.0) + (noise if len(noise) else 0.0)
+    return noise

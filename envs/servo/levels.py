@@ -1,0 +1,201 @@
+"""Every parameter of the servo world, and the ladder of levels that sets them."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+Range = tuple[float, float]
+
+TARGETS = ("paper", "static", "ellipse", "two_sine", "waypoints")
+NOISE_KINDS = ("gaussian", "uniform", "laplace", "quantized")
+
+
+@dataclass(frozen=True)
+class ServoConfig:
+    """All that defines a servo world. A range (low, high) is drawn anew, uniformly, for every episode.
+
+    Attributes:
+        target: Motion of the target: `paper` (paper 002, eq. 32, scaled with the arm), `static`, `ellipse`, `two_sine`, `waypoints`.
+        links: Length of each link, drawn separately, m.
+        focal: Focal length over pixel pitch, px.
+        depth: Height of the camera over the plane, m.
+        mounting: Camera turned about its axis by up to this angle either way, rad.
+        principal_offset: Principal point off the image's center by up to this much along each axis, px.
+        distortion: Radial distortion k1, at one half width from the principal point.
+        tilt: Optical axis tilted by up to this angle about each image axis, rad.
+        aspect: Vertical focal length larger or smaller by up to this fraction.
+        pixel_noise: Standard deviation of the features' noise, px.
+        noise_kind: `gaussian`, `uniform`, `laplace`, or `quantized` (gaussian, then rounded to whole pixels).
+        outlier_rate: Probability that a frame's features are an outlier.
+        outlier_size: Standard deviation of an outlier along each axis, px.
+        dropout: Probability that a frame is lost.
+        latency: Age of a frame when it arrives, whole control periods, (lowest, highest).
+        stamped: Whether `frame_time` tells the truth; otherwise it is the time of arrival.
+        rolling_shutter: Time from the first to the last image row, s.
+        actuation_noise: Standard deviation of the noise on joint rates, rad/s.
+        actuation_gain: Each joint's rate is off by up to this fraction.
+        encoder_noise: Standard deviation of the noise on observed joint angles, rad.
+        warmup: Unscored steps before time 0, with the target at rest.
+        horizon: Scored steps of an episode.
+        max_joint_rate: Joint rate at action 1, rad/s.
+        max_motor_torque: Torque limit of the joint motors, N m; 2 to 10 makes a sluggish arm.
+        substeps: Physics steps per control period.
+        solver_iterations: Constraint solver iterations per physics step.
+        camera_size: Width and height of the camera's image, px.
+    """
+
+    target: str = "paper"
+    links: Range = (0.5, 0.5)
+    focal: Range = (160.0, 160.0)
+    depth: Range = (0.35, 0.35)
+    mounting: float = 0.0
+    principal_offset: float = 0.0
+    distortion: Range = (0.0, 0.0)
+    tilt: float = 0.0
+    aspect: float = 0.0
+    pixel_noise: float = 0.0
+    noise_kind: str = "gaussian"
+    outlier_rate: float = 0.0
+    outlier_size: float = 30.0
+    dropout: float = 0.0
+    latency: Range = (0, 0)
+    stamped: bool = True
+    rolling_shutter: float = 0.0
+    actuation_noise: Range = (0.0, 0.0)
+    actuation_gain: float = 0.0
+    encoder_noise: Range = (0.0, 0.0)
+    warmup: int = 8
+    horizon: int = 252
+    max_joint_rate: float = 2.0
+    max_motor_torque: float = 60.0
+    substeps: int = 5
+    solver_iterations: int = 20
+    camera_size: int = 480
+
+    def __post_init__(self) -> None:
+        """Check every field; raises ValueError that names the argument, the value and what would be right."""
+        for name in ("links", "focal", "depth", "distortion", "actuation_noise", "encoder_noise", "latency"):
+            object.__setattr__(self, name, _as_range(name, getattr(self, name)))
+        for name, options in (("target", TARGETS), ("noise_kind", NOISE_KINDS)):
+            if getattr(self, name) not in options:
+                raise ValueError(f"{name} must be one of {', '.join(options)}, got {getattr(self, name)!r}")
+        for name, low, high in _BOUNDS:
+            value = getattr(self, name)
+            ends = value if isinstance(value, tuple) else (value,)
+            for end in ends:
+                if not (_is_number(end) and low <= end <= high):
+                    raise ValueError(f"{name} must lie in [{low}, {high}], got {value!r}")
+        for name in ("warmup", "horizon", "substeps", "solver_iterations", "camera_size"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or int(value) != value:
+                raise ValueError(f"{name} must be a whole number, got {value!r}")
+            object.__setattr__(self, name, int(value))
+        if any(int(end) != end for end in self.latency):
+            raise ValueError(f"latency counts whole control periods, got {self.latency!r}")
+        if self.outlier_rate > 0 and self.outlier_size == 0:
+            raise ValueError("outlier_rate > 0 contradicts outlier_size = 0; give outlier_size in px")
+        if not isinstance(self.stamped, bool):
+            raise ValueError(f"stamped must be True or False, got {self.stamped!r}")
+        if not self.stamped and self.latency == (0, 0):
+            raise ValueError("stamped=False with latency 0 hides nothing; give latency=(low, high) or stamped=True")
+
+
+_BOUNDS: tuple[tuple[str, float, float], ...] = (
+    ("links", 0.1, 2.0),
+    ("focal", 10.0, 2000.0),
+    ("depth", 0.05, 5.0),
+    ("mounting", 0.0, math.pi),
+    ("principal_offset", 0.0, 200.0),
+    ("distortion", -0.33, 0.33),
+    ("tilt", 0.0, 0.6),
+    ("aspect", 0.0, 0.5),
+    ("pixel_noise", 0.0, 50.0),
+    ("outlier_rate", 0.0, 1.0),
+    ("outlier_size", 0.0, 500.0),
+    ("dropout", 0.0, 0.95),
+    ("latency", 0, 4),
+    ("rolling_shutter", 0.0, 0.05),
+    ("actuation_noise", 0.0, 1.0),
+    ("actuation_gain", 0.0, 0.5),
+    ("encoder_noise", 0.0, 0.1),
+    ("warmup", 0, 1000),
+    ("horizon", 1, 100_000),
+    ("max_joint_rate", 0.1, 20.0),
+    ("max_motor_torque", 0.1, 1000.0),
+    ("substeps", 1, 50),
+    ("solver_iterations", 1, 100),
+    ("camera_size", 32, 4096),
+)
+
+_LADDER: tuple[dict[str, Any], ...] = (
+    {},
+    {"pixel_noise": 0.5, "target": "ellipse"},
+    {
+        "links": (0.35, 0.65),
+        "focal": (120.0, 240.0),
+        "depth": (0.25, 0.60),
+        "mounting": math.radians(30),
+        "pixel_noise": 1.0,
+        "warmup": 0,
+    },
+    {
+        "mounting": math.pi,
+        "principal_offset": 40.0,
+        "distortion": (-0.25, 0.1),
+        "tilt": math.radians(15),
+        "aspect": 0.1,
+    },
+    {
+        "target": "two_sine",
+        "actuation_noise": (0.03, 0.05),
+        "actuation_gain": 0.1,
+        "encoder_noise": (0.0005, 0.003),
+        "dropout": 0.05,
+    },
+    {"latency": (1, 1), "rolling_shutter": 0.020},
+    {"target": "waypoints", "outlier_rate": 0.05, "outlier_size": 30.0, "dropout": 0.10, "latency": (0, 2), "stamped": False},
+)
+
+LEVEL_NAMES = ("paper", "noise", "geometry", "optics", "dynamics", "timing", "heavy")
+AXES = tuple(f.name for f in fields(ServoConfig))
+
+
+def servo_config(level: int = 3, **axes: Any) -> ServoConfig:
+    """The configuration of a level of the ladder, with single axes overridden.
+
+    Args:
+        level: 0 `paper`, 1 `noise`, 2 `geometry`, 3 `optics`, 4 `dynamics`, 5 `timing`, 6 `heavy`; each adds to those before it.
+        **axes: Fields of `ServoConfig`; a number where a range is expected means that number always.
+
+    Raises:
+        ValueError: A level outside 0 to 6, or a value outside its bounds.
+        TypeError: An unknown axis; the message suggests the nearest known one.
+    """
+    if isinstance(level, bool) or level not in range(len(_LADDER)):
+        raise ValueError(f"level must be a whole number from 0 to {len(_LADDER) - 1}, got {level!r}")
+    for name in axes:
+        if name not in AXES:
+            near = difflib.get_close_matches(name, AXES, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(AXES)}"
+            raise TypeError(f"unknown keyword {name!r}{hint}")
+    settings: dict[str, Any] = {}
+    for step in _LADDER[: int(level) + 1]:
+        settings.update(step)
+    return replace(ServoConfig(**settings), **axes)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _as_range(name: str, value: Any) -> Range:
+    if _is_number(value):
+        return (value, value)
+    if isinstance(value, (tuple, list)) and len(value) == 2 and all(_is_number(v) for v in value):
+        low, high = value
+        if low <= high:
+            return (low, high)
+    raise ValueError(f"{name} must be a number or (low, high) with low <= high, got {value!r}")

@@ -1,0 +1,148 @@
+"""Motions of the target over the plane: positions and velocities at the sample instants of an episode."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servotrack.envs.servo.levels import ServoConfig
+
+Array = NDArray[np.float64]
+
+PERIOD = 0.05
+"""Control and sampling period (paper 002, section 3.2), s."""
+JOINT_LOW = np.array([-math.pi / 2, 0.0])
+"""Lower joint stops (paper 002, section 3.1), rad."""
+JOINT_HIGH = np.array([math.pi / 2, math.pi])
+"""Upper joint stops, rad."""
+START = np.array([0.0, math.pi / 2])
+"""Joint angles at reset, rad."""
+
+JOINT_MARGIN = 0.05
+RATE_FRACTION = 0.8
+SINGULAR_SINE = 0.1
+
+
+@njit(cache=True, nogil=True)
+def solvable(path, l1, l2, max_joint_rate):  # type: ignore[no-untyped-def]
+    """Whether the arm can stay over every sample of a path with something to spare (spec of the ladder).
+
+    The inverse kinematics in closed form must keep `JOINT_MARGIN` from the stops, need at most `RATE_FRACTION` of the joint rate
+    limit, and stay off the eye-in-hand singularity, the target on the line of link 1, by a sine of `SINGULAR_SINE`.
+
+    Args:
+        path: Positions at sample instants, shape (samples, >= 2), m.
+        l1: First link, m.
+        l2: Second link, m.
+        max_joint_rate: rad/s.
+    """
+    limit = RATE_FRACTION * max_joint_rate * PERIOD
+    before1, before2 = 0.0, 0.0
+    for k in range(path.shape[0]):
+        x, y = path[k, 0], path[k, 1]
+        r2 = x * x + y * y
+        cosine = (r2 - l1 * l1 - l2 * l2) / (2.0 * l1 * l2)
+        if not -1.0 < cosine < 1.0:
+            return False
+        theta2 = math.acos(cosine)
+        theta1 = math.atan2(y, x) - math.atan2(l2 * math.sin(theta2), l1 + l2 * cosine)
+        if theta2 < JOINT_MARGIN or theta2 > math.pi - JOINT_MARGIN or abs(theta1) > math.pi / 2 - JOINT_MARGIN:
+            return False
+        if l2 * math.sin(theta2) < SINGULAR_SINE * math.sqrt(r2):
+            return False
+        if k > 0 and (abs(theta1 - before1) > limit or abs(theta2 - before2) > limit):
+            return False
+        before1, before2 = theta1, theta2
+    return True
+
+
+def draw_path(config: ServoConfig, rng: np.random.Generator | None, links: Array, times: Array) -> Array:
+    """Draw one motion of the target.
+
+    Args:
+        config: The kind of motion is `config.target`; lengths scale with the arm's reach.
+        rng: The target's own stream; None where the motion is fixed.
+        links: Link lengths, shape (2,), m.
+        times: Sample instants, shape (samples,), s; negative times of a world with warm-up are at rest at time 0's position.
+
+    Returns:
+        Positions and velocities, shape (samples, 4): m, m, m/s, m/s.
+    """
+    resting = times < 0 if config.warmup > 0 else np.zeros(len(times), dtype=bool)
+    clock = np.where(resting, 0.0, times)
+    reach = float(links.sum())
+    if config.target == "waypoints":
+        assert rng is not None
+        path = _waypoints(rng, links, clock, config.max_joint_rate)
+    else:
+        path = np.empty((len(times), 4))
+        for axis, (center, waves) in enumerate(_waves(config.target, rng, links)):
+            path[:, axis], path[:, 2 + axis] = reach * center, 0.0
+            for amplitude, rate, phase in waves:
+                angle = rate * clock + phase
+                path[:, axis] += reach * amplitude * np.cos(angle)
+                path[:, 2 + axis] -= reach * amplitude * rate * np.sin(angle)
+    path[resting, 2:] = 0.0
+    return path
+
+
+Wave = tuple[float, float, float]
+
+
+def _waves(kind: str, rng: np.random.Generator | None, links: Array) -> list[tuple[float, list[Wave]]]:
+    """Center and (amplitude, angular rate, phase) of the cosines along x and y, lengths as fractions of the reach."""
+    if kind == "paper":
+        return [(0.5, [(0.3, 1.0, 0.0)]), (0.5, [(0.2, 1.0, -math.pi / 2)])]
+    if kind == "static" and rng is None:
+        return [(0.6, []), (0.6, [])]
+    assert rng is not None
+    if kind == "static":
+        x, y = _reachable_point(rng, links) / links.sum()
+        return [(x, []), (y, [])]
+    cx, cy = rng.uniform(0.4, 0.6, 2)
+    if kind == "ellipse":
+        ax, ay = rng.uniform(0.1, 0.3, 2)
+        rate, phase = rng.uniform(0.5, 1.5), rng.uniform(0.0, 2.0 * math.pi)
+        turn = math.copysign(math.pi / 2, rng.random() - 0.5)
+        return [(cx, [(ax, rate, phase)]), (cy, [(ay, rate, phase + turn)])]
+    axes = []
+    for center in (cx, cy):
+        slow = (rng.uniform(0.08, 0.20), rng.uniform(0.4, 1.0), rng.uniform(0.0, 2.0 * math.pi))
+        fast = (rng.uniform(0.03, 0.10), rng.uniform(1.0, 2.0), rng.uniform(0.0, 2.0 * math.pi))
+        axes.append((center, [slow, fast]))
+    return axes
+
+
+def _reachable_point(rng: np.random.Generator, links: Array) -> Array:
+    """A point over which the arm can stand well inside its joint range."""
+    theta1, theta2 = rng.uniform(-1.3, 1.3), rng.uniform(0.4, 2.4)
+    elbow = links[0] * np.array([math.cos(theta1), math.sin(theta1)])
+    return elbow + links[1] * np.array([math.cos(theta1 + theta2), math.sin(theta1 + theta2)])
+
+
+def _waypoints(rng: np.random.Generator, links: Array, clock: Array, max_joint_rate: float) -> Array:
+    """Straight runs at constant speed between random points, each run one that the arm can follow."""
+    points, instants = [_reachable_point(rng, links)], [0.0]
+    while instants[-1] < clock[-1]:
+        here = points[-1]
+        there, speed = here, 1.0
+        for _ in range(50):
+            candidate, speed = _reachable_point(rng, links), rng.uniform(0.1, 0.35) * links.sum()
+            samples = max(3, int(np.hypot(*(candidate - here)) / (speed * PERIOD)))
+            if solvable(np.linspace(here, candidate, samples), links[0], links[1], max_joint_rate):
+                there = candidate
+                break
+        length = float(np.hypot(*(there - here)))
+        points.append(there)
+        instants.append(instants[-1] + (length / speed if length > 0 else 1.0))
+    corners, at = np.array(points), np.array(instants)
+    velocities = np.diff(corners, axis=0) / np.diff(at)[:, None]
+    run = np.clip(np.searchsorted(at, clock, side="right") - 1, 0, len(velocities) - 1)
+    since = np.maximum(clock, 0.0) - at[run]
+    path = np.empty((len(clock), 4))
+    path[:, 2:] = np.where(clock[:, None] < 0, 0.0, velocities[run])
+    path[:, :2] = corners[run] + velocities[run] * since[:, None]
+    return path
