@@ -4,8 +4,8 @@ Everything is batched: one world holds `rows` independent arms. The image of the
 
     y = c + alpha F R(theta1 + theta2 + psi)^T (p_target - p_tool),    F = diag(1, -1)
 
-and the timing faults (latency, dropped frames, rolling shutter) and sensor faults (pixel noise, outliers, encoder noise) are those
-of the ladder, so that estimators can be driven in closed loop without a physics engine.
+and the faults of timing (latency, dropped frames, rolling shutter) and sensors (pixel noise, outliers, encoder noise)
+are those of the ladder, so that estimators can be driven in closed loop without a physics engine.
 """
 
 from __future__ import annotations
@@ -88,8 +88,8 @@ class KinematicWorld:
         links: Lengths. Shape (2,) or (rows, 2), m.
         alpha: Pixels per meter on the plane. Shape () or (rows,).
         mounting: Angle psi of the camera about its axis. Shape () or (rows,), rad.
-        center, goal: Principal point and wanted features. Shape (2,) or (rows, 2), px. The tool is over the target where the
-            feature lies on `center`; a goal elsewhere is an offset, as in positioning.
+        center, goal: Principal point and wanted features. Shape (2,) or (rows, 2), px. The tool is over the
+            target where the feature lies on `center`; a goal elsewhere is an offset, as in positioning.
         pixel_noise, encoder_noise: Standard deviations, px and rad.
         latency: Age of a frame when it arrives, in periods. Shape () or (rows,), integers.
         stamped: Whether `frame_time` tells the capture; if not it tells the arrival.
@@ -197,7 +197,7 @@ class KinematicWorld:
         return self._center + np.einsum("rij,rj->ri", self._turn(joints), self.target(time) - self._tool(joints))
 
     def _joints_at(self, time: Array) -> Array:
-        """Joint angles at past times (linear within a period, as they were commanded); the last known ones for later times."""
+        """Joint angles at past times: linear within a period, as commanded; the last known ones for later times."""
         history = np.stack(self._joint_history[-8:])
         newest = len(history) - 1
         place = np.clip(newest + (time - self.time) / self.period, 0, newest)
@@ -234,8 +234,8 @@ def closed_loop(controller: Any, world: KinematicWorld, steps: int = 252) -> Arr
     """Drive `world` and return the tracking errors, (warmup + steps, rows) m.
 
     Args:
-        controller: An object with `initial(measurement)` and `step(state, measurement) -> (state, joint_rate)`, or a callable
-            from a measurement to joint rates (rows, 2) rad/s.
+        controller: An object with `initial(measurement)` and `step(state, measurement) -> (state, joint_rate)`, or a
+            callable from a measurement to joint rates (rows, 2) rad/s.
         world: The arms; reset here.
         steps: Scored control periods, after the warm-up.
     """
