@@ -1,0 +1,231 @@
+"""The lifted Kalman filter: a planar two-link arm's image as a linear system that needs no camera and no link lengths.
+
+With T = alpha F R(theta1 + theta2 + psi)^T, the quantities a = T p_target, b = T p_elbow, d = T (p_tool - p_elbow), tau = T v obey
+
+    y - y_goal = a - b - d,    J_theta = [S a, S (a - b)],    J_t = tau,    S = [[0, -1], [1, 0]]
+
+whatever the links, the focal length, the depth and the mounting angle are. With a plane vector read as a complex number u + iv,
+S is i, and a and b are constants of the world that only turn with the joints:
+
+    a = exp(i (theta1 + theta2)) A,    tau = exp(i (theta1 + theta2)) V,    b = exp(i theta2) B,    d = D.
+
+So the filter's state is [A, V, G, B, D] with G the target's acceleration, it moves by plain kinematics, and joint motion enters
+the measurement alone: neither a dropped frame nor a late one costs anything but the target's own surprise, and encoder noise
+does not pile up. Offsets of principal point and goal are part of D.
+
+Assumes one image point, known handedness (F), and an optical axis and pixels from which the image differs by a mild shear: that
+is covered by a noise in proportion to the error, which vanishes where the target is on its goal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
+from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
+from servotrack.estimators.jacobian.lifted_kernel import lifted_update
+
+ComplexArray = NDArray[np.complex128]
+
+
+class LiftedState(NamedTuple):
+    """State of `LiftedKalman`, at the newest frame's instant; M models of the target, L levels of noise.
+
+    Attributes:
+        alignment: Encoder history and newest frame.
+        mean: [A, V, G, B, D] of each model, u + iv. Shape (*batch, M, 5), px, px/s, px/s^2, px, px.
+        covariance: E[x x^H] of each, Hermitian. Shape (*batch, M, 5, 5).
+        model_weight: Probability of each model. Shape (*batch, M).
+        noise_weight: Probability of each noise level. Shape (*batch, L).
+    """
+
+    alignment: AlignmentState
+    mean: ComplexArray
+    covariance: ComplexArray
+    model_weight: Array
+    noise_weight: Array
+
+
+@dataclass(frozen=True)
+class LiftedEstimate:
+    """A `ServoEstimate` that predicts exactly: it turns the arm's vectors instead of following their tangent.
+
+    Attributes:
+        target, velocity, acceleration: a, tau and T times the acceleration, u + iv. Shape (*batch,), px, px/s, px/s^2.
+        elbow, forearm: b and d. Shape (*batch,), px.
+        log_likelihood, surprise: As in `ServoEstimate`. Shape (*batch,).
+    """
+
+    target: ComplexArray
+    velocity: ComplexArray
+    acceleration: ComplexArray
+    elbow: ComplexArray
+    forearm: ComplexArray
+    log_likelihood: Array
+    surprise: Array
+
+    @property
+    def error(self) -> Array:
+        """Features minus goal, now. Shape (*batch, 2), px."""
+        return _plane(self.target - self.elbow - self.forearm)
+
+    @property
+    def jacobian(self) -> Array:
+        """Total image Jacobian [S a, S (a - b), tau], now. Shape (*batch, 2, 3), px/rad, px/rad, px/s."""
+        columns = (1j * self.target, 1j * (self.target - self.elbow), self.velocity)
+        return np.stack([_plane(column) for column in columns], axis=-1)
+
+    def predict_error(self, joint_motion: Array, duration: Array | float) -> Array:
+        """Error after the joints have moved by `joint_motion` (*batch, 2) rad within `duration` s. Shape (*batch, 2), px."""
+        dt = np.asarray(duration, dtype=np.float64)
+        motion = np.asarray(joint_motion, dtype=np.float64)
+        target = self.target + dt * self.velocity + 0.5 * dt * dt * self.acceleration
+        turn = np.exp(1j * (motion[..., 0] + motion[..., 1]))
+        return _plane(turn * target - np.exp(1j * motion[..., 1]) * self.elbow - self.forearm)
+
+
+@dataclass(frozen=True)
+class LiftedKalman:
+    """Lifted Kalman filter with interacting models of the target and noise that it learns.
+
+    A quiet and an agile model of the target run side by side (interacting multiple models), so that an abrupt manoeuvre is
+    followed; a single frame far off is an outlier, the second in a row is a manoeuvre. Set one model, one noise level and
+    `outlier_rate=0` for the plain Kalman filter.
+
+    Args:
+        jerk: Root spectral density of each model's white jerk, px/s^2.5.
+        jump: Root spectral density of each model's white acceleration, px/s^1.5. As long as `jerk`.
+        model_stay: Probability that the target keeps its model from frame to frame.
+        noise: Levels of the standard deviation of a feature along each axis, px. Their probabilities are learned.
+        noise_stay: Probability that a camera keeps its noise level from frame to frame.
+        encoder_noise: Standard deviation of a joint angle, rad.
+        optics_error: Relative error of the features' distance from the goal, for lens, tilt and pixels that are not square.
+        outlier_rate: Probability that a frame's features are an outlier.
+        outlier_noise: Standard deviation of an outlier along each axis, px.
+        drift: Root spectral density of the random walk of A, B and D, px/s^0.5: what residual optics makes of constants.
+        arm_spread: Standard deviation of A, B and D along each axis before the first frame, px.
+        velocity_spread: The same of V, px/s.
+        acceleration_spread: The same of G, px/s^2.
+        alignment: Interpolates the encoders at the frames' instants.
+    """
+
+    jerk: tuple[float, ...] = (100.0, 400.0)
+    jump: tuple[float, ...] = (0.0, 400.0)
+    model_stay: float = 0.98
+    noise: tuple[float, ...] = (0.3, 0.7, 1.5, 3.0)
+    noise_stay: float = 0.99
+    encoder_noise: float = 0.0005
+    optics_error: float = 0.05
+    outlier_rate: float = 0.01
+    outlier_noise: float = 30.0
+    drift: float = 0.3
+    arm_spread: float = 300.0
+    velocity_spread: float = 150.0
+    acceleration_spread: float = 150.0
+    alignment: Alignment = field(default_factory=Alignment)
+
+    def __post_init__(self) -> None:
+        if not self.jerk or len(self.jerk) != len(self.jump):
+            raise ValueError(f"jerk and jump need one value per model each, got {self.jerk} and {self.jump}")
+        if not self.noise:
+            raise ValueError("noise needs at least one level, px, got none")
+        for name in ("noise", "arm_spread", "velocity_spread", "acceleration_spread", "outlier_noise"):
+            if not all(0.0 < value < np.inf for value in np.atleast_1d(getattr(self, name))):
+                raise ValueError(f"{name} must be finite and > 0, got {getattr(self, name)}")
+        for name in ("jerk", "jump", "encoder_noise", "optics_error", "drift"):
+            if not all(0.0 <= value < np.inf for value in np.atleast_1d(getattr(self, name))):
+                raise ValueError(f"{name} must be finite and >= 0, got {getattr(self, name)}")
+        for name in ("model_stay", "noise_stay"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} is a probability in (0, 1], got {getattr(self, name)}")
+        if not 0.0 <= self.outlier_rate < 1.0:
+            raise ValueError(f"outlier_rate is a probability in [0, 1), got {self.outlier_rate}")
+
+    def initial(self, measurement: ServoMeasurement) -> LiftedState:
+        """State before the first frame. Raises ValueError as `checked` does, and for other than 2 joints and 2 features."""
+        alignment = self.alignment.initial(measurement)
+        joints, features = alignment.frame_joints.shape[-1], alignment.frame_features.shape[-1]
+        if (joints, features) != (2, 2):
+            raise ValueError(
+                f"LiftedKalman serves a planar arm of 2 joints and one image point (2 features), got joint_angles with {joints} "
+                f"and features with {features}; use KalmanJacobian"
+            )
+        batch, models, levels = alignment.seen.shape, len(self.jerk), len(self.noise)
+        return LiftedState(
+            alignment,
+            np.zeros((*batch, models, 5), dtype=np.complex128),
+            np.tile(self._prior_covariance(), (*batch, models, 1, 1)),
+            np.full((*batch, models), 1.0 / models),
+            np.full((*batch, levels), 1.0 / levels),
+        )
+
+    def step(self, state: LiftedState, measurement: ServoMeasurement) -> tuple[LiftedState, LiftedEstimate]:
+        """Fold one measurement in. Raises ValueError as `Alignment.step` does."""
+        alignment, increment = self.alignment.step(state.alignment, measurement)
+        fresh = increment.fresh | (alignment.seen & ~state.alignment.seen)
+        goal = np.asarray(measurement.goal, dtype=np.float64)
+        new = LiftedState(alignment, *(part.copy() for part in state[1:]))
+        log_likelihood, surprise = np.zeros(fresh.shape), np.zeros(fresh.shape)
+        offset = alignment.frame_features - goal
+        lifted_update(
+            new.mean.reshape(-1, *new.mean.shape[-2:]),
+            new.covariance.reshape(-1, *new.covariance.shape[-3:]),
+            new.model_weight.reshape(-1, len(self.jerk)),
+            new.noise_weight.reshape(-1, len(self.noise)),
+            fresh.reshape(-1),
+            increment.time.reshape(-1),
+            alignment.frame_joints.reshape(-1, 2),
+            (offset[..., 0] + 1j * offset[..., 1]).reshape(-1),
+            *self._variances(),
+            log_likelihood.reshape(-1),
+            surprise.reshape(-1),
+        )
+        return new, self._present(new, increment.pending_joints, increment.pending_time, log_likelihood, surprise)
+
+    def forget(self, state: LiftedState) -> LiftedState:
+        """Keep the mean, trust it no more: the covariance goes back to the prior's."""
+        return state._replace(covariance=np.broadcast_to(self._prior_covariance(), state.covariance.shape).copy())
+
+    def _present(
+        self, state: LiftedState, pending_joints: Array, pending_time: Array, log_likelihood: Array, surprise: Array
+    ) -> LiftedEstimate:
+        mean = np.einsum("...m,...ms->...s", state.model_weight, state.mean)
+        joints = state.alignment.frame_joints + pending_joints
+        turn, swing = np.exp(1j * joints.sum(axis=-1)), np.exp(1j * joints[..., 1])
+        velocity = mean[..., 1] + pending_time * mean[..., 2]
+        target = mean[..., 0] + pending_time * (mean[..., 1] + 0.5 * pending_time * mean[..., 2])
+        return LiftedEstimate(
+            turn * target,
+            turn * velocity,
+            turn * mean[..., 2],
+            swing * mean[..., 3],
+            mean[..., 4],
+            log_likelihood,
+            surprise,
+        )
+
+    def _prior_covariance(self) -> ComplexArray:
+        spread = (self.arm_spread, self.velocity_spread, self.acceleration_spread, self.arm_spread, self.arm_spread)
+        return np.diag(2.0 * np.square(spread)).astype(np.complex128)
+
+    def _variances(self) -> tuple[Array | float, ...]:
+        """The kernel's parameters. A complex variance is that of both axes together, hence the factors of two."""
+        return (
+            2.0 * np.square(self.jerk),
+            2.0 * np.square(self.jump),
+            2.0 * self.drift**2,
+            self.model_stay,
+            2.0 * np.square(self.noise),
+            self.noise_stay,
+            np.array([self.encoder_noise**2, self.optics_error**2]),
+            self.outlier_rate,
+            2.0 * self.outlier_noise**2,
+        )
+
+
+def _plane(vector: ComplexArray) -> Array:
+    return np.stack([vector.real, vector.imag], axis=-1)

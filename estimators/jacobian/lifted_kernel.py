@@ -1,0 +1,192 @@
+"""Compiled recursion of the lifted Kalman filter: interacting multiple models over a five-dimensional complex state.
+
+Plane vectors are complex numbers u + iv here: every quantity of the filter turns and scales but never shears, so its mean is a
+complex vector, its covariance Hermitian, and half the work of the real form is gone.
+
+A row of the batch holds M models of the target (they differ in process noise only). Within each, the noise of a feature is a
+mixture over L standard deviations, whose weights are learned, and an outlier of fixed probability. All branches of one model
+share the direction of the gain, so that collapsing them to their exact mean and covariance costs nothing.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+STATE_SIZE = 5
+"""Target A, its velocity V and acceleration G, elbow B, tool minus elbow D; px, px/s, px/s^2, px, px."""
+
+
+@njit(cache=True, nogil=True)
+def _mix(mean, cov, weight, stay, mixed_mean, mixed_cov, predicted):  # type: ignore[no-untyped-def]
+    """Interaction step (Blom and Bar-Shalom 1988, eqs 5 to 8): what each model believes after the others' probable switch to it."""
+    models = weight.shape[0]
+    leave = (1.0 - stay) / max(models - 1, 1)
+    for j in range(models):
+        total = 0.0
+        for i in range(models):
+            total += (stay if i == j else leave) * weight[i]
+        predicted[j] = total
+        for s in range(STATE_SIZE):
+            mixed_mean[j, s] = 0.0
+            for i in range(models):
+                mixed_mean[j, s] += (stay if i == j else leave) * weight[i] / total * mean[i, s]
+        for r in range(STATE_SIZE):
+            for c in range(r + 1):
+                value = 0.0 + 0.0j
+                for i in range(models):
+                    share = (stay if i == j else leave) * weight[i] / total
+                    spread = (mean[i, r] - mixed_mean[j, r]) * np.conj(mean[i, c] - mixed_mean[j, c])
+                    value += share * (cov[i, r, c] + spread)
+                mixed_cov[j, r, c] = value
+                mixed_cov[j, c, r] = np.conj(value)
+
+
+@njit(cache=True, nogil=True)
+def _predict(mean, cov, dt, jerk, jump, drift):  # type: ignore[no-untyped-def]
+    """Constant acceleration for `dt`, with white jerk and white acceleration; the parameters drift."""
+    half = 0.5 * dt * dt
+    mean[0] += dt * mean[1] + half * mean[2]
+    mean[1] += dt * mean[2]
+    for c in range(STATE_SIZE):
+        cov[0, c] += dt * cov[1, c] + half * cov[2, c]
+        cov[1, c] += dt * cov[2, c]
+    for r in range(STATE_SIZE):
+        cov[r, 0] += dt * cov[r, 1] + half * cov[r, 2]
+        cov[r, 1] += dt * cov[r, 2]
+    dt2 = dt * dt
+    cov[0, 0] += dt * dt2 * (jerk * dt2 / 20.0 + jump / 3.0) + drift * dt
+    position_velocity = dt2 * (jerk * dt2 / 8.0 + jump / 2.0)
+    cov[0, 1] += position_velocity
+    cov[1, 0] += position_velocity
+    cov[0, 2] += jerk * dt * dt2 / 6.0
+    cov[2, 0] += jerk * dt * dt2 / 6.0
+    cov[1, 1] += dt * (jerk * dt2 / 3.0 + jump)
+    cov[1, 2] += jerk * dt2 / 2.0
+    cov[2, 1] += jerk * dt2 / 2.0
+    cov[2, 2] += jerk * dt
+    cov[3, 3] += drift * dt
+    cov[4, 4] += drift * dt
+
+
+@njit(cache=True, nogil=True)
+def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate, outlier_variance, branch):  # type: ignore[no-untyped-def]
+    """Fold z = turn A - swing B - D + noise into one model; exact moments over all noise branches.
+
+    `branch` (L + 1,) receives the joint density of the measurement and each branch. Returns the density of the measurement and
+    the normalized squared innovation under the inliers' expected noise.
+    """
+    g = np.empty(STATE_SIZE, dtype=np.complex128)
+    turn_c, swing_c = np.conj(turn), np.conj(swing)
+    for s in range(STATE_SIZE):
+        g[s] = cov[s, 0] * turn_c - cov[s, 3] * swing_c - cov[s, 4]
+    innovation = z - (turn * mean[0] - swing * mean[3] - mean[4])
+    spread = max((turn * g[0] - swing * g[3] - g[4]).real, 0.0)
+    nu2 = innovation.real * innovation.real + innovation.imag * innovation.imag
+    # Joint uncertainty turns arm vectors, residual optics scales the error: both grow with what they act on.
+    a, b = turn * mean[0], swing * mean[3]
+    error = a - b - mean[4]
+    arms = a.real * a.real + a.imag * a.imag + (a - b).real ** 2 + (a - b).imag ** 2
+    base = extra[0] * arms + extra[1] * (error.real * error.real + error.imag * error.imag)
+    levels = noise.shape[0]
+    density, expected = 0.0, 0.0
+    for k in range(levels):
+        variance = spread + base + noise[k]
+        branch[k] = (
+            (1.0 - outlier_rate) * noise_weight[k] * math.exp(-min(nu2 / variance, 600.0)) / (math.pi * variance)
+        )
+        density += branch[k]
+        expected += noise_weight[k] * noise[k]
+    variance = spread + base + expected + outlier_variance
+    branch[levels] = outlier_rate * math.exp(-min(nu2 / variance, 600.0)) / (math.pi * variance)
+    density = max(density + branch[levels], 1e-300)
+    first, second = 0.0, 0.0
+    for k in range(levels + 1):
+        variance = spread + base + (noise[k] if k < levels else expected + outlier_variance)
+        first += branch[k] / density / variance
+        second += branch[k] / density / (variance * variance)
+    shrink = nu2 * max(second - first * first, 0.0) - first
+    for r in range(STATE_SIZE):
+        mean[r] += g[r] * innovation * first
+        for c in range(r + 1):
+            cov[r, c] += shrink * g[r] * np.conj(g[c])
+            cov[c, r] = np.conj(cov[r, c])
+        cov[r, r] = complex(max(cov[r, r].real, 1e-12), 0.0)
+    return density, nu2 / (spread + base + expected)
+
+
+@njit(cache=True, nogil=True)
+def lifted_update(
+    mean, cov, weight, noise_weight, fresh, dt, joints, z,
+    jerk, jump, drift, stay, noise, noise_stay, extra, outlier_rate, outlier_variance,
+    log_likelihood, surprise,
+):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Advance every fresh row by `dt` and fold its measurement in; all arrays are changed in place.
+
+    Args:
+        mean, cov: Shape (rows, M, 5) and (rows, M, 5, 5), complex.
+        weight, noise_weight: Probabilities of the models and of the noise levels. Shape (rows, M) and (rows, L).
+        fresh: Rows with a new frame. Shape (rows,), bool.
+        dt: Time since the state's instant. Shape (rows,), s.
+        joints: Joint angles at the frame. Shape (rows, 2), rad.
+        z: Features minus goal, u + iv. Shape (rows,), px.
+        jerk, jump: Spectral densities of the models' white jerk and acceleration. Shape (M,), px^2/s^5 and px^2/s^3.
+        drift: Random walk of A, B and D, px^2/s.
+        stay, noise_stay: Probability to keep the model, the noise level, from frame to frame.
+        noise: Variances of the noise levels. Shape (L,), px^2.
+        extra: Encoder variance, rad^2, and squared relative error of the optics. Shape (2,).
+        outlier_rate, outlier_variance: Probability of an outlier and its added variance, px^2.
+        log_likelihood, surprise: Results. Shape (rows,).
+    """
+    rows, models = weight.shape
+    levels = noise.shape[0]
+    mixed_mean, mixed_cov = np.empty_like(mean[0]), np.empty_like(cov[0])
+    predicted, noise_prior, noise_post = np.empty(models), np.empty(levels), np.empty(levels)
+    branch = np.empty(levels + 1)
+    for n in range(rows):
+        log_likelihood[n], surprise[n] = 0.0, 0.0
+        if not fresh[n]:
+            continue
+        swing = complex(math.cos(joints[n, 1]), math.sin(joints[n, 1]))
+        angle = joints[n, 0] + joints[n, 1]
+        turn = complex(math.cos(angle), math.sin(angle))
+        _mix(mean[n], cov[n], weight[n], stay, mixed_mean, mixed_cov, predicted)
+        for k in range(levels):
+            noise_prior[k] = noise_stay * noise_weight[n, k] + (1.0 - noise_stay) / levels
+            noise_post[k] = 0.0
+        total = 0.0
+        for j in range(models):
+            _predict(mixed_mean[j], mixed_cov[j], dt[n], jerk[j], jump[j], drift)
+            density, ratio = _correct(
+                mixed_mean[j],
+                mixed_cov[j],
+                turn,
+                swing,
+                z[n],
+                extra,
+                noise,
+                noise_prior,
+                outlier_rate,
+                outlier_variance,
+                branch,
+            )
+            surprise[n] += predicted[j] * ratio
+            weight[n, j] = predicted[j] * density
+            total += weight[n, j]
+            for k in range(levels):
+                noise_post[k] += predicted[j] * (branch[k] + branch[levels] * noise_prior[k])
+        kept = 0.0
+        for k in range(levels):
+            kept += noise_post[k]
+        for k in range(levels):
+            noise_weight[n, k] = noise_post[k] / kept if kept > 1e-290 else noise_prior[k]
+        for j in range(models):
+            weight[n, j] = weight[n, j] / total if total > 1e-290 else predicted[j]
+        log_likelihood[n] = math.log(max(total, 1e-300))
+        for j in range(models):
+            for r in range(STATE_SIZE):
+                mean[n, j, r] = mixed_mean[j, r]
+                for c in range(STATE_SIZE):
+                    cov[n, j, r, c] = mixed_cov[j, r, c]
