@@ -1,0 +1,231 @@
+"""Pairing of joint motion and feature motion by time stamps.
+
+An increment dy is only explained by the dtheta of the same interval: one frame of latency that is not accounted for
+breaks every Jacobian estimator. So the encoder readings are kept for a while and interpolated at the frames'
+instants.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.estimators.jacobian.contract import Array, Increment, LinearEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.measurement import checked
+
+
+class AlignmentState(NamedTuple):
+    """Encoder history and the newest usable frame.
+
+    Attributes:
+        history_time: Instants of the readings, oldest first, -inf before the first one. Shape (*batch, H), s.
+        history_angles: The readings. Shape (*batch, H, n), rad.
+        seen: Whether there has been a usable frame. Shape (*batch,), bool.
+        frame_time: Instant of the newest one, latency already taken off. Shape (*batch,), s.
+        frame_joints: Joint angles at that instant. Shape (*batch, n), rad.
+        frame_features: Its features; the goal before the first usable frame. Shape (*batch, m), px.
+    """
+
+    history_time: Array
+    history_angles: Array
+    seen: NDArray[np.bool_]
+    frame_time: Array
+    frame_joints: Array
+    frame_features: Array
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Turns measurements into increments whose joint and feature parts belong to the same interval.
+
+    A repeated frame, one without the target, one that goes back in time and one older than the history are not
+    fresh. Across dropped frames the next increment spans the gap. Before the first reading the arm is taken to have
+    been at rest.
+
+    Args:
+        history: Number H of encoder readings kept, at least 2; it must cover the latency.
+        latency: Age of a frame at its stamp, s: taken off `frame_time`, for cameras that stamp frames on arrival.
+    """
+
+    history: int = 16
+    latency: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.history < 2:
+            raise ValueError(f"history must be at least 2 readings, got {self.history}")
+        if not 0.0 <= self.latency < np.inf:
+            raise ValueError(f"latency must be finite and >= 0 s, got {self.latency}")
+
+    def initial(self, measurement: ServoMeasurement) -> AlignmentState:
+        """State before the first `step`, which is to be given this same measurement.
+
+        Raises:
+            ValueError: As `checked` does.
+        """
+        measurement = checked(measurement)
+        batch, n = measurement.joint_angles.shape[:-1], measurement.joint_angles.shape[-1]
+        return AlignmentState(
+            history_time=np.full((*batch, self.history), -np.inf),
+            history_angles=np.repeat(measurement.joint_angles[..., None, :], self.history, axis=-2).reshape(
+                *batch, self.history, n
+            ),
+            seen=np.zeros(batch, dtype=np.bool_),
+            frame_time=measurement.time.copy(),
+            frame_joints=measurement.joint_angles.copy(),
+            frame_features=measurement.goal.copy(),
+        )
+
+    def step(self, state: AlignmentState, measurement: ServoMeasurement) -> tuple[AlignmentState, Increment]:
+        """Fold one measurement in.
+
+        Returns:
+            The new state, and the increment since the last usable frame.
+
+        Raises:
+            ValueError: As `checked` does; when the shapes are not those of the state; when time goes backwards.
+        """
+        measurement = checked(measurement)
+        self._check_against(state, measurement)
+        batch = measurement.time.shape
+        rows = int(np.prod(batch, dtype=np.int64))
+        results = _align(
+            state.history_time.reshape(rows, -1),
+            state.history_angles.reshape(rows, self.history, -1),
+            state.seen.reshape(rows),
+            state.frame_time.reshape(rows),
+            state.frame_joints.reshape(rows, -1),
+            state.frame_features.reshape(rows, -1),
+            measurement.joint_angles.reshape(rows, -1),
+            measurement.features.reshape(rows, -1),
+            measurement.visible.reshape(rows),
+            measurement.frame_time.reshape(rows) - self.latency,
+            measurement.time.reshape(rows),
+        )
+        shaped = [result.reshape(*batch, *result.shape[1:]) for result in results]
+        return AlignmentState(*shaped[:6]), Increment(*shaped[6:])
+
+    def _check_against(self, state: AlignmentState, measurement: ServoMeasurement) -> None:
+        for name, value, known in (
+            ("joint_angles", measurement.joint_angles, state.frame_joints),
+            ("features", measurement.features, state.frame_features),
+        ):
+            if value.shape != known.shape:
+                raise ValueError(
+                    f"{name} must have the shape {known.shape} that the state was made for, got {value.shape}; "
+                    "make a new state with initial(measurement)"
+                )
+        newest = state.history_time[..., -1]
+        if state.history_time.shape[-1] != self.history:
+            raise ValueError(
+                f"the state holds {state.history_time.shape[-1]} readings, this alignment keeps history={self.history}"
+                "; make a new state with initial(measurement)"
+            )
+        if (measurement.time < newest).any():
+            raise ValueError(
+                f"time must not go backwards, got {measurement.time} after {newest}; "
+                "start a new episode with initial(measurement)"
+            )
+
+
+def present_estimate(
+    features: Array,
+    jacobian: Array,
+    increment: Increment,
+    goal: Array,
+    log_likelihood: Array,
+    surprise: Array,
+) -> LinearEstimate:
+    """Carry features from the newest frame's instant to the present: e = y - y_goal + J_theta dtheta + J_t dt.
+
+    Args:
+        features: Features at the newest frame's instant. Shape (*batch, m), px.
+        jacobian: Total image Jacobian. Shape (*batch, m, n + 1), px/rad and px/s.
+        increment: Its pending parts are the motion since that instant.
+        goal: Wanted features. Shape (*batch, m), px.
+        log_likelihood: Shape (*batch,).
+        surprise: Shape (*batch,).
+
+    Returns:
+        The estimate at the present.
+    """
+    at_frame = LinearEstimate(features - np.asarray(goal), jacobian, log_likelihood, surprise)
+    now = at_frame.predict_error(increment.pending_joints, increment.pending_time)
+    return LinearEstimate(now, jacobian, log_likelihood, surprise)
+
+
+@numba.njit(cache=True, nogil=True)
+def _align(  # type: ignore[no-untyped-def]
+    history_time, history_angles, seen, frame_time, frame_joints, frame_features, angles, features, visible, stamp, time
+):
+    """`Alignment.step` over rows: the fields of an AlignmentState, then those of an Increment."""
+    rows, length, n = history_angles.shape
+    m = features.shape[1]
+    new_history_time = history_time.copy()
+    new_history_angles = history_angles.copy()
+    new_seen = seen.copy()
+    new_frame_time = frame_time.copy()
+    new_frame_joints = frame_joints.copy()
+    new_frame_features = frame_features.copy()
+    joints = np.zeros((rows, n))
+    duration = np.zeros(rows)
+    change = np.zeros((rows, m))
+    fresh = np.zeros(rows, dtype=np.bool_)
+    pending_joints = np.zeros((rows, n))
+    pending_time = np.zeros(rows)
+    at_frame = np.empty(n)
+
+    for row in range(rows):
+        times = new_history_time[row]
+        readings = new_history_angles[row]
+        if time[row] > times[length - 1]:
+            for k in range(length - 1):
+                times[k] = times[k + 1]
+                readings[k] = readings[k + 1]
+        times[length - 1] = time[row]
+        readings[length - 1] = angles[row]
+
+        instant = stamp[row]
+        if visible[row] and instant >= times[0] and (not seen[row] or instant > frame_time[row]):
+            k = length - 1
+            while times[k] > instant:
+                k -= 1
+            weight = 0.0
+            if k < length - 1 and times[k] > -np.inf:
+                weight = (instant - times[k]) / (times[k + 1] - times[k])
+            for i in range(n):
+                at_frame[i] = readings[k, i]
+                if weight > 0.0:
+                    at_frame[i] += weight * (readings[k + 1, i] - readings[k, i])
+            if seen[row]:
+                fresh[row] = True
+                duration[row] = instant - frame_time[row]
+                for i in range(n):
+                    joints[row, i] = at_frame[i] - frame_joints[row, i]
+                for i in range(m):
+                    change[row, i] = features[row, i] - frame_features[row, i]
+            new_seen[row] = True
+            new_frame_time[row] = instant
+            new_frame_joints[row] = at_frame
+            new_frame_features[row] = features[row]
+        if new_seen[row]:
+            pending_time[row] = time[row] - new_frame_time[row]
+            for i in range(n):
+                pending_joints[row, i] = angles[row, i] - new_frame_joints[row, i]
+    return (
+        new_history_time,
+        new_history_angles,
+        new_seen,
+        new_frame_time,
+        new_frame_joints,
+        new_frame_features,
+        joints,
+        duration,
+        change,
+        fresh,
+        pending_joints,
+        pending_time,
+    )

@@ -1,0 +1,243 @@
+"""Control laws: from what an estimator believes to joint rates.
+
+A law is a frozen dataclass with `initial(measurement) -> law_state` and `rate(law_state, estimate) -> (law_state,
+joint_rate)`. None of them yields NaN at a singular Jacobian: motion along directions that the Jacobian does not show
+is damped out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.estimators.jacobian.contract import Array, ServoEstimate, ServoMeasurement
+
+
+class ControlLaw(Protocol):
+    """The interface of every law here."""
+
+    @property
+    def period(self) -> float:
+        """Control period, s."""
+
+    def initial(self, measurement: ServoMeasurement) -> Any:
+        """State before the first command: arrays with the measurement's batch axes."""
+
+    def rate(self, state: Any, estimate: ServoEstimate) -> tuple[Any, Array]:
+        """The new state and the joint rates to hold for one period. Shape (*batch, n), rad/s."""
+
+
+class NoLawState(NamedTuple):
+    """The state of a law that remembers nothing."""
+
+
+class IntegralState(NamedTuple):
+    """The state of `ProportionalIntegral`.
+
+    Attributes:
+        integral: Time integral of the error. Shape (*batch, m), px s.
+    """
+
+    integral: Array
+
+
+def finite_or_zero(matrices: Array) -> Array:
+    """The matrices (*batch, m, n), with every one that has a non-finite entry replaced by zeros."""
+    finite: NDArray[np.bool_] = np.isfinite(matrices).all(axis=(-2, -1), keepdims=True)
+    return np.where(finite, matrices, 0.0)
+
+
+def damped_inverse(jacobian: Array, threshold: float) -> Array:
+    """Pseudo-inverse that stays bounded at a singularity.
+
+    Singular values of at least `threshold` times the largest are inverted exactly; below, they are damped after
+    Nakamura and Hanafusa (1986) so that the inverse falls to zero with the singular value. A zero or non-finite
+    matrix gives zero.
+
+    Args:
+        jacobian: Shape (*batch, m, n).
+        threshold: Relative singular value at which damping sets in, in [0, 1).
+
+    Returns:
+        Shape (*batch, n, m).
+    """
+    left, values, right = np.linalg.svd(finite_or_zero(jacobian), full_matrices=False)
+    limit = threshold * values[..., :1]
+    damping = np.maximum(limit**2 - values**2, 0.0)
+    denominator = values**2 + damping
+    inverted = np.divide(values, denominator, out=np.zeros_like(values), where=denominator > 0.0)
+    return np.einsum("...ki,...k,...jk->...ij", right, inverted, left)
+
+
+def _checked_tuning(gain: float, period: float, damping: float) -> None:
+    if not 0.0 < gain <= 1.0:
+        raise ValueError(f"gain must be in (0, 1], the fraction of the error removed in one period, got {gain}")
+    if not 0.0 < period < np.inf:
+        raise ValueError(f"period must be finite and > 0 s, got {period}")
+    if not 0.0 <= damping < np.inf:
+        raise ValueError(f"damping must be finite and >= 0, got {damping}")
+
+
+@dataclass(frozen=True)
+class Proportional:
+    """dtheta = J_theta^+ (-lambda e - J_t dt) (paper 002's servo with the target's motion fed forward).
+
+    Args:
+        gain: lambda, the fraction of the error to remove in one period.
+        period: Control period dt, s.
+        damping: Relative singular value below which the inverse is damped.
+    """
+
+    gain: float = 0.6
+    period: float = 0.05
+    damping: float = 0.03
+
+    def __post_init__(self) -> None:
+        _checked_tuning(self.gain, self.period, self.damping)
+
+    def initial(self, measurement: ServoMeasurement) -> NoLawState:
+        """Nothing to remember."""
+        return NoLawState()
+
+    def rate(self, state: NoLawState, estimate: ServoEstimate) -> tuple[NoLawState, Array]:
+        """Joint rates. Shape (*batch, n), rad/s."""
+        jacobian = estimate.jacobian
+        wanted = -self.gain * estimate.error - jacobian[..., -1] * self.period
+        motion = np.einsum("...ij,...j->...i", damped_inverse(jacobian[..., :-1], self.damping), wanted)
+        return state, motion / self.period
+
+
+@dataclass(frozen=True)
+class ProportionalIntegral:
+    """dtheta = J_theta^+ (-lambda e - k_i int e dt - J_t dt): also removes what a biased J_t leaves.
+
+    Args:
+        gain: lambda, the fraction of the error to remove in one period.
+        integral_gain: k_i, 1/s.
+        integral_limit: Bound of each component of the integral, px s; keeps it from winding up while the rate is
+            limited.
+        period: Control period dt, s.
+        damping: Relative singular value below which the inverse is damped.
+    """
+
+    gain: float = 0.6
+    integral_gain: float = 0.5
+    integral_limit: float = 5.0
+    period: float = 0.05
+    damping: float = 0.03
+
+    def __post_init__(self) -> None:
+        _checked_tuning(self.gain, self.period, self.damping)
+        for name, value in (("integral_gain", self.integral_gain), ("integral_limit", self.integral_limit)):
+            if not 0.0 <= value < np.inf:
+                raise ValueError(f"{name} must be finite and >= 0, got {value}")
+
+    def initial(self, measurement: ServoMeasurement) -> IntegralState:
+        """A zero integral."""
+        return IntegralState(np.zeros(np.shape(measurement.goal)))
+
+    def rate(self, state: IntegralState, estimate: ServoEstimate) -> tuple[IntegralState, Array]:
+        """Joint rates. Shape (*batch, n), rad/s."""
+        jacobian = estimate.jacobian
+        error = np.where(np.isfinite(estimate.error), estimate.error, 0.0)
+        integral = np.clip(state.integral + error * self.period, -self.integral_limit, self.integral_limit)
+        wanted = -self.gain * estimate.error - self.integral_gain * integral - jacobian[..., -1] * self.period
+        motion = np.einsum("...ij,...j->...i", damped_inverse(jacobian[..., :-1], self.damping), wanted)
+        return IntegralState(integral), motion / self.period
+
+
+@dataclass(frozen=True)
+class DampedLeastSquares:
+    """dtheta = J' (J J' + mu^2 I)^-1 (-lambda e - J_t dt) with J = J_theta.
+
+    Slower than `Proportional`, calmer near singularities.
+
+    Args:
+        gain: lambda, the fraction of the error to remove in one period.
+        period: Control period dt, s.
+        damping: mu, px/rad, everywhere and not only near a singularity.
+    """
+
+    gain: float = 0.6
+    period: float = 0.05
+    damping: float = 20.0
+
+    def __post_init__(self) -> None:
+        _checked_tuning(self.gain, self.period, self.damping)
+        if self.damping == 0.0:
+            raise ValueError("damping must be > 0 px/rad, got 0.0; use Proportional for an undamped law")
+
+    def initial(self, measurement: ServoMeasurement) -> NoLawState:
+        """Nothing to remember."""
+        return NoLawState()
+
+    def rate(self, state: NoLawState, estimate: ServoEstimate) -> tuple[NoLawState, Array]:
+        """Joint rates. Shape (*batch, n), rad/s."""
+        jacobian = finite_or_zero(estimate.jacobian)
+        wanted = -self.gain * estimate.error - jacobian[..., -1] * self.period
+        by_joints = jacobian[..., :-1]
+        gram = np.einsum("...ik,...jk->...ij", by_joints, by_joints) + self.damping**2 * np.eye(by_joints.shape[-2])
+        motion = np.einsum("...ij,...i->...j", by_joints, np.linalg.solve(gram, wanted[..., None])[..., 0])
+        return state, motion / self.period
+
+
+@dataclass(frozen=True)
+class OneStepExact:
+    """Solve predict_error(dtheta, dt) = (1 - lambda) e for dtheta, by chord steps with the present Jacobian.
+
+    With an estimate that predicts by its Jacobian alone this is `Proportional`; with one that knows how features
+    turn with the arm it removes exactly the fraction lambda, however large the motion.
+
+    Args:
+        gain: lambda, the fraction of the error to remove in one period.
+        period: Control period dt, s.
+        damping: Relative singular value below which the inverse is damped.
+        iterations: Chord steps.
+        max_step: Largest motion of one joint in one period, rad. A goal that is farther is approached along the
+            straight line in the image that leads to it, so that the linearization is never used far from where it
+            holds.
+    """
+
+    gain: float = 0.6
+    period: float = 0.05
+    damping: float = 0.03
+    iterations: int = 4
+    max_step: float = 0.1
+
+    def __post_init__(self) -> None:
+        _checked_tuning(self.gain, self.period, self.damping)
+        if self.iterations < 1:
+            raise ValueError(f"iterations must be at least 1, got {self.iterations}")
+        if not 0.0 < self.max_step < np.inf:
+            raise ValueError(f"max_step must be finite and > 0 rad, got {self.max_step}")
+
+    def initial(self, measurement: ServoMeasurement) -> NoLawState:
+        """Nothing to remember."""
+        return NoLawState()
+
+    def rate(self, state: NoLawState, estimate: ServoEstimate) -> tuple[NoLawState, Array]:
+        """Joint rates. Shape (*batch, n), rad/s."""
+        inverse = damped_inverse(estimate.jacobian[..., :-1], self.damping)
+        drifted = estimate.predict_error(np.zeros(inverse.shape[:-1]), self.period)
+        motion = np.einsum("...ij,...j->...i", inverse, (1.0 - self.gain) * estimate.error - drifted)
+        share = limiting_factor(motion, self.max_step)
+        target = drifted + share * ((1.0 - self.gain) * estimate.error - drifted)
+        motion = share * motion
+        for _ in range(self.iterations - 1):
+            left = target - estimate.predict_error(motion, self.period)
+            motion = motion + np.einsum("...ij,...j->...i", inverse, left)
+            motion = limiting_factor(motion, self.max_step) * motion
+        return state, motion / self.period
+
+
+def limiting_factor(motion: Array, limit: float) -> Array:
+    """The number at most 1 that brings the largest |component| of each vector down to `limit`. Shape (*batch, 1).
+
+    Scaling the whole vector keeps its direction; clipping each joint by itself turns the tool towards the
+    singularity.
+    """
+    largest = np.abs(motion).max(axis=-1, keepdims=True)
+    return np.divide(limit, largest, out=np.ones_like(largest), where=largest > limit)

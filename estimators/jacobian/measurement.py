@@ -1,0 +1,69 @@
+"""The one place where a measurement is checked before any estimator believes it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from servotrack.estimators.jacobian.contract import ServoMeasurement
+
+CLOCK_TOLERANCE = 1e-6
+"""How far a frame's stamp may lie after the present before it counts as a frame from the future, s."""
+
+
+def checked(measurement: ServoMeasurement) -> ServoMeasurement:
+    """The measurement as float64 and bool arrays of agreeing shapes.
+
+    Features of a frame in which the target was not seen may be anything, NaN included: nothing reads them.
+
+    Args:
+        measurement: Array-likes with the shapes that `ServoMeasurement` documents.
+
+    Returns:
+        The same values as arrays.
+
+    Raises:
+        ValueError: A shape disagrees, a value that will be used is not finite, or a frame is from the future; the
+        message
+            names the field, the value and the remedy.
+    """
+    joint_angles = np.asarray(measurement.joint_angles, dtype=np.float64)
+    features = np.asarray(measurement.features, dtype=np.float64)
+    goal = np.asarray(measurement.goal, dtype=np.float64)
+    visible = np.asarray(measurement.visible, dtype=np.bool_)
+    frame_time = np.asarray(measurement.frame_time, dtype=np.float64)
+    time = np.asarray(measurement.time, dtype=np.float64)
+
+    if joint_angles.ndim == 0:
+        raise ValueError(
+            f"joint_angles must have shape (*batch, n), got the scalar {joint_angles}; pass one angle per joint"
+        )
+    if features.ndim == 0:
+        raise ValueError(f"features must have shape (*batch, m), got the scalar {features}; pass one value per feature")
+    batch = joint_angles.shape[:-1]
+    wanted = {
+        "features": (features, (*batch, features.shape[-1])),
+        "goal": (goal, (*batch, features.shape[-1])),
+        "visible": (visible, batch),
+        "frame_time": (frame_time, batch),
+        "time": (time, batch),
+    }
+    for name, (value, shape) in wanted.items():
+        if value.shape != shape:
+            raise ValueError(
+                f"{name} must have shape {shape} beside joint_angles of shape {joint_angles.shape} and features of "
+                f"shape {features.shape}, got {value.shape}; give every field the same leading batch axes"
+            )
+    for name, value in (("joint_angles", joint_angles), ("goal", goal), ("time", time)):
+        if not np.isfinite(value).all():
+            raise ValueError(f"{name} must be finite, got {value}; repeat the last good reading instead")
+    for name, value, seen in (("features", features, visible[..., None]), ("frame_time", frame_time, visible)):
+        if not (np.isfinite(value) | ~seen).all():
+            raise ValueError(
+                f"{name} must be finite where visible is true, got {value}; set visible to false for a lost frame"
+            )
+    if (visible & (frame_time > time + CLOCK_TOLERANCE)).any():
+        raise ValueError(
+            f"frame_time must not lie after time, got frame_time {frame_time} at time {time}; "
+            "stamp frames with the clock of the encoders"
+        )
+    return ServoMeasurement(joint_angles, features, goal, visible, frame_time, time)

@@ -1,0 +1,93 @@
+"""What is believed of a total image Jacobian before data, and how fast it may change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from servotrack.estimators.jacobian.alignment import AlignmentState
+from servotrack.estimators.jacobian.contract import Array
+
+
+@dataclass(frozen=True)
+class JacobianPrior:
+    """Mean and spread of the total image Jacobian before the first increment.
+
+    Args:
+        joint_spread: Standard deviation of an entry of J_theta, px/rad.
+        time_spread: Standard deviation of an entry of J_t, px/s.
+        mean: Initial Jacobian as nested tuples or an array, shape (m, n + 1); None is zero, a cold start.
+    """
+
+    joint_spread: float = 300.0
+    time_spread: float = 100.0
+    mean: tuple[tuple[float, ...], ...] | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("joint_spread", self.joint_spread), ("time_spread", self.time_spread)):
+            if not 0.0 < value < np.inf:
+                raise ValueError(f"{name} must be finite and > 0, got {value}")
+        if self.mean is not None and not np.isfinite(np.asarray(self.mean, dtype=np.float64)).all():
+            raise ValueError(f"mean must be finite, got {self.mean}; pass None for a cold start")
+
+    def deviations(self, joints: int) -> Array:
+        """Standard deviation of each column. Shape (n + 1,)."""
+        return np.append(np.full(joints, self.joint_spread), self.time_spread)
+
+    def moments(self, alignment: AlignmentState) -> tuple[Array, Array]:
+        """Mean, shape (*batch, m, n + 1), and the covariance of each of its rows, shape (*batch, n + 1, n + 1).
+
+        Raises:
+            ValueError: `mean` does not have the measurement's m and n.
+        """
+        *batch, n = alignment.frame_joints.shape
+        m = alignment.frame_features.shape[-1]
+        mean = np.zeros((m, n + 1)) if self.mean is None else np.asarray(self.mean, dtype=np.float64)
+        if mean.shape != (m, n + 1):
+            raise ValueError(
+                f"mean must have shape (m, n + 1) = {(m, n + 1)} for {n} joints and {m} features, got {mean.shape}"
+            )
+        covariance = np.diag(self.deviations(n) ** 2)
+        return np.tile(mean, (*batch, 1, 1)), np.tile(covariance, (*batch, 1, 1))
+
+
+@dataclass(frozen=True)
+class RandomWalk:
+    """Process noise of the Jacobian: x' = x + w (paper 002, eq. 9), independent entries.
+
+    The variance of w grows with the time between frames, so that a dropped frame costs as much certainty as it
+    should.
+
+    Args:
+        joint_noise: Standard deviation of the change of an entry of J_theta within `period`, px/rad.
+        time_noise: The same of J_t, px/s. It carries the target's acceleration and the turning of the camera, so it
+            is larger.
+        period: Interval that the two refer to, s.
+    """
+
+    joint_noise: float = 10.0
+    time_noise: float = 20.0
+    period: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name, value in (("joint_noise", self.joint_noise), ("time_noise", self.time_noise)):
+            if not 0.0 <= value < np.inf:
+                raise ValueError(f"{name} must be finite and >= 0, got {value}")
+        if not 0.0 < self.period < np.inf:
+            raise ValueError(f"period must be finite and > 0 s, got {self.period}")
+
+    def variances(self, joints: int) -> Array:
+        """Variance of the change of each column within `period`. Shape (n + 1,)."""
+        return np.append(np.full(joints, self.joint_noise**2), self.time_noise**2)
+
+    def deviations(self, joints: int, duration: Array) -> Array:
+        """Standard deviation of the change of each column within `duration` (*batch,) s. Shape (*batch, n + 1)."""
+        return np.sqrt(self.variances(joints) * (duration / self.period)[..., None])
+
+    def widened(self, covariance: Array, duration: Array) -> Array:
+        """Covariance (*batch, n + 1, n + 1) after `duration` (*batch,) s without a measurement."""
+        wider = covariance.copy()
+        diagonal = np.einsum("...ii->...i", wider)
+        diagonal += self.variances(covariance.shape[-1] - 1) * (duration / self.period)[..., None]
+        return wider

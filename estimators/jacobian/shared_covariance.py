@@ -1,0 +1,133 @@
+"""Kalman update of a matrix whose rows share one covariance.
+
+With isotropic noise the rows of the total image Jacobian are independent, see the same ds and so keep the same
+covariance: instead of one m (n + 1) dimensional filter there is one (n + 1) dimensional covariance. The Kalman
+    filter, its outlier-robust variants, RLS
+and the level filter differ only in how they predict that covariance and in the measurement variance they ask for.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.estimators.jacobian.contract import Array, Increment
+
+
+class SharedUpdate(NamedTuple):
+    """Result of `shared_update`.
+
+    Attributes:
+        mean: Shape (*batch, m, d).
+        covariance: Symmetric positive definite, of every row of `mean`. Shape (*batch, d, d).
+        log_likelihood: Log density of the measurement; 0 where none was used. Shape (*batch,).
+        surprise: Squared innovation over its variance, divided by m; 0 where no measurement was used. Shape
+            (*batch,).
+    """
+
+    mean: Array
+    covariance: Array
+    log_likelihood: Array
+    surprise: Array
+
+
+def interval(increment: Increment) -> Array:
+    """The interval vector ds = [dtheta; dt] (paper 002, eq. 6). Shape (*batch, n + 1), rad and s."""
+    return np.concatenate([increment.joints, increment.time[..., None]], axis=-1)
+
+
+def innovation_power(mean: Array, covariance: Array, direction: Array, measured: Array) -> tuple[Array, Array]:
+    """What an outlier-robust gain looks at before the update.
+
+    Returns:
+        Mean square of the m innovations, shape (*batch,), px^2; variance that the state's uncertainty gives each,
+        same shape.
+    """
+    innovation = measured - np.einsum("...ij,...j->...i", mean, direction)
+    spread = np.einsum("...i,...ij,...j->...", direction, covariance, direction)
+    return np.mean(innovation * innovation, axis=-1), spread
+
+
+def shared_update(
+    mean: Array, covariance: Array, direction: Array, measured: Array, variance: Array | float, used: NDArray[np.bool_]
+) -> SharedUpdate:
+    """Measurement z = mean h + noise, in Joseph form, which keeps the covariance symmetric positive definite.
+
+    Args:
+        mean: Predicted mean. Shape (*batch, m, d).
+        covariance: Predicted covariance shared by the rows of `mean`. Shape (*batch, d, d).
+        direction: h. Shape (*batch, d).
+        measured: z. Shape (*batch, m).
+        variance: Variance of each component of the noise, > 0. Shape (*batch,) or a number.
+        used: Rows of the batch with a measurement; the others are passed through. Shape (*batch,), bool.
+
+    Returns:
+        Mean and covariance after the measurement, its log likelihood and surprise.
+    """
+    batch = mean.shape[:-2]
+    rows = int(np.prod(batch, dtype=np.int64))
+    m, d = mean.shape[-2:]
+    new_mean, new_covariance, log_likelihood, surprise = _shared_update(
+        mean.reshape(rows, m, d),
+        covariance.reshape(rows, d, d),
+        direction.reshape(rows, d),
+        measured.reshape(rows, m),
+        np.full(rows, variance) if np.ndim(variance) == 0 else np.reshape(variance, rows),
+        used.reshape(rows),
+    )
+    return SharedUpdate(
+        new_mean.reshape(mean.shape),
+        new_covariance.reshape(covariance.shape),
+        log_likelihood.reshape(batch),
+        surprise.reshape(batch),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _shared_update(mean, covariance, direction, measured, variance, used):  # type: ignore[no-untyped-def]
+    rows, m, d = mean.shape
+    new_mean = mean.copy()
+    new_covariance = covariance.copy()
+    log_likelihood = np.zeros(rows)
+    surprise = np.zeros(rows)
+    spread = np.empty(d)
+    gain = np.empty(d)
+    half = np.empty((d, d))
+    for row in range(rows):
+        if not used[row]:
+            continue
+        h = direction[row]
+        total = variance[row]
+        for i in range(d):
+            spread[i] = 0.0
+            for j in range(d):
+                spread[i] += covariance[row, i, j] * h[j]
+            total += h[i] * spread[i]
+        for i in range(d):
+            gain[i] = spread[i] / total
+        squares = 0.0
+        for i in range(m):
+            innovation = measured[row, i]
+            for j in range(d):
+                innovation -= mean[row, i, j] * h[j]
+            squares += innovation * innovation
+            for j in range(d):
+                new_mean[row, i, j] += innovation * gain[j]
+        # Joseph form: (I - K h') P (I - K h')' + r K K'.
+        for i in range(d):
+            for j in range(d):
+                half[i, j] = covariance[row, i, j] - gain[i] * spread[j]
+        for i in range(d):
+            projected = 0.0
+            for j in range(d):
+                projected += half[i, j] * h[j]
+            for j in range(i + 1):
+                value = half[i, j] - projected * gain[j] + variance[row] * gain[i] * gain[j]
+                new_covariance[row, i, j] = value
+                new_covariance[row, j, i] = value
+        surprise[row] = squares / (total * m)
+        log_likelihood[row] = -0.5 * (squares / total + m * np.log(2.0 * np.pi * total))
+    return new_mean, new_covariance, log_likelihood, surprise
