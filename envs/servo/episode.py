@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 LEAD = 6
 """Samples that the tables hold before the reset, for frames that were on their way."""
 _MAX_DRAWS = 2000
+_PAPER_TARGETS = ("paper", "paper_point")
 
 
 class Stream(IntEnum):
@@ -159,7 +160,7 @@ def _draw_layout(config: ServoConfig, streams: Streams) -> tuple[Array, Array, A
     for _ in range(_MAX_DRAWS):
         links = np.asarray(streams.uniform(Stream.LINKS, config.links, 2))
         camera = _draw_camera(config, streams)
-        rng = None if config.target == "paper" else streams[Stream.TARGET]
+        rng = None if config.target in _PAPER_TARGETS else streams[Stream.TARGET]
         path = draw_path(config, rng, links, times)
         if not solvable(path[LEAD + config.warmup :], links[0], links[1], config.max_joint_rate):
             continue
@@ -177,8 +178,7 @@ def _is_fixed(config: ServoConfig) -> bool:
     """Whether layout and target are the paper's own, given and not to be rejected."""
     ranges = (config.links, config.focal, config.depth, config.distortion)
     offsets = (config.mounting, config.principal_offset, config.tilt, config.aspect)
-    still = config.target == "paper" or (config.target == "static" and config.pixel_noise == 0.0)
-    return still and all(low == high for low, high in ranges) and not any(offsets)
+    return config.target in _PAPER_TARGETS and all(low == high for low, high in ranges) and not any(offsets)
 
 
 @lru_cache(maxsize=32)

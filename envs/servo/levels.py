@@ -9,7 +9,7 @@ from typing import Any
 
 Range = tuple[float, float]
 
-TARGETS = ("paper", "static", "ellipse", "two_sine", "waypoints")
+TARGETS = ("paper", "paper_point", "point", "ellipse", "two_sine", "waypoints")
 NOISE_KINDS = ("gaussian", "uniform", "laplace", "quantized")
 
 
@@ -18,7 +18,8 @@ class ServoConfig:
     """All that defines a servo world. A range (low, high) is drawn anew, uniformly, for every episode.
 
     Attributes:
-        target: Motion of the target: `paper` (paper 002, eq. 32, scaled with the arm), `static`, `ellipse`, `two_sine`, `waypoints`.
+        target: Motion of the target: `paper` (paper 002, eq. 32, scaled with the arm), `paper_point` (its section 3.2, at rest),
+            `point` (at rest anywhere in reach), `ellipse`, `two_sine`, `waypoints`.
         links: Length of each link, drawn separately, m.
         focal: Focal length over pixel pitch, px.
         depth: Height of the camera over the plane, m.
@@ -185,6 +186,15 @@ def servo_config(level: int = 3, **axes: Any) -> ServoConfig:
     for step in _LADDER[: int(level) + 1]:
         settings.update(step)
     return replace(ServoConfig(**settings), **axes)
+
+
+def reach_config(level: int = 3, **axes: Any) -> ServoConfig:
+    """The configuration of the positioning task: as `servo_config`, but the target rests and 5 s have to do.
+
+    Level 0 is the paper's point (0.6, 0.6) m (paper 002, section 3.2), higher levels draw one within reach.
+    """
+    target = "paper_point" if level == 0 else "point"
+    return servo_config(level, **({"target": target, "horizon": 100} | axes))
 
 
 def _is_number(value: Any) -> bool:

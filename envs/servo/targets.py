@@ -64,7 +64,7 @@ def draw_path(config: ServoConfig, rng: np.random.Generator | None, links: Array
 
     Args:
         config: The kind of motion is `config.target`; lengths scale with the arm's reach.
-        rng: The target's own stream; None where the motion is fixed.
+        rng: The target's own stream; None where the motion is the paper's.
         links: Link lengths, shape (2,), m.
         times: Sample instants, shape (samples,), s; negative times of a world with warm-up are at rest at time 0's position.
 
@@ -96,10 +96,10 @@ def _waves(kind: str, rng: np.random.Generator | None, links: Array) -> list[tup
     """Center and (amplitude, angular rate, phase) of the cosines along x and y, lengths as fractions of the reach."""
     if kind == "paper":
         return [(0.5, [(0.3, 1.0, 0.0)]), (0.5, [(0.2, 1.0, -math.pi / 2)])]
-    if kind == "static" and rng is None:
+    if kind == "paper_point":
         return [(0.6, []), (0.6, [])]
     assert rng is not None
-    if kind == "static":
+    if kind == "point":
         x, y = _reachable_point(rng, links) / links.sum()
         return [(x, []), (y, [])]
     cx, cy = rng.uniform(0.4, 0.6, 2)

@@ -1,0 +1,129 @@
+"""Planar two-link arms in one pymunk Space.
+
+Two dynamic rods, the camera's 0.2 kg folded into the second; pivots, joint stops and motors as constraints, no gravity.
+Arms share the Space but nothing else, and constraints are solved in the order in which they were added: motors, stops,
+pivots last, so that what a motor asks for never tears a joint apart.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pymunk
+from numpy.typing import NDArray
+
+from servotrack.envs.servo.levels import ServoConfig
+from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
+
+Array = NDArray[np.float64]
+
+LINK_MASS = 1.0
+CAMERA_MASS = 0.2
+_PIVOT_BIAS = 0.01**60
+
+
+class _Arm:
+    """One arm's bodies and constraints in a Space, and the order in which to add and remove them."""
+
+    def __init__(self, space: pymunk.Space, links: Array, max_motor_torque: float) -> None:
+        l1, l2 = float(links[0]), float(links[1])
+        ground = space.static_body
+        # The camera sits at the far end of link 2: center of gravity and moment of inertia move with it.
+        mass = LINK_MASS + CAMERA_MASS
+        center = (LINK_MASS * l2 / 2 + CAMERA_MASS * l2) / mass
+        moment = LINK_MASS * (l2 * l2 / 12 + (center - l2 / 2) ** 2) + CAMERA_MASS * (l2 - center) ** 2
+        theta1, theta2 = float(START[0]), float(START[1])
+        upper = pymunk.Body(LINK_MASS, LINK_MASS * l1 * l1 / 12)
+        upper.angle = theta1
+        upper.position = (l1 / 2 * np.cos(theta1), l1 / 2 * np.sin(theta1))
+        lower = pymunk.Body(mass, moment)
+        lower.angle = theta1 + theta2
+        lower.position = (
+            l1 * np.cos(theta1) + center * np.cos(theta1 + theta2),
+            l1 * np.sin(theta1) + center * np.sin(theta1 + theta2),
+        )
+        self.bodies = (upper, lower)
+        self.motors = (pymunk.SimpleMotor(ground, upper, 0.0), pymunk.SimpleMotor(upper, lower, 0.0))
+        for motor in self.motors:
+            motor.max_force = max_motor_torque
+        stops = (
+            pymunk.RotaryLimitJoint(ground, upper, JOINT_LOW[0], JOINT_HIGH[0]),
+            pymunk.RotaryLimitJoint(upper, lower, JOINT_LOW[1], JOINT_HIGH[1]),
+        )
+        pivots = (
+            pymunk.PivotJoint(ground, upper, (0.0, 0.0), (-l1 / 2, 0.0)),
+            pymunk.PivotJoint(upper, lower, (l1 / 2, 0.0), (-center, 0.0)),
+        )
+        for pivot in pivots:
+            pivot.error_bias = _PIVOT_BIAS
+        self.constraints = (*self.motors, *stops, *pivots)
+
+    def add_to(self, space: pymunk.Space) -> None:
+        space.add(*self.bodies)
+        for constraint in self.constraints:
+            space.add(constraint)
+
+    def remove_from(self, space: pymunk.Space) -> None:
+        # Removing a constraint moves the Space's last one into its slot; in reverse order a whole arm moves, in order.
+        for constraint in reversed(self.constraints):
+            space.remove(constraint)
+        for body in reversed(self.bodies):
+            space.remove(body)
+
+
+class ArmSpace:
+    """N arms in one Space, driven by joint rates for one control period at a time.
+
+    Args:
+        config: Torque limit, substeps and solver iterations.
+        count: Number of arms N.
+    """
+
+    def __init__(self, config: ServoConfig, count: int) -> None:
+        self._config = config
+        self._space = pymunk.Space()
+        self._space.gravity = (0.0, 0.0)
+        self._space.iterations = config.solver_iterations
+        self._substep = PERIOD / config.substeps
+        self._arms: list[_Arm | None] = [None] * count
+        self.angles = np.tile(START, (count, 1))
+        """Joint angles, shape (N, 2), rad; the solver's truth, written by every `step`."""
+
+    def reset(self, row: int, links: Array) -> None:
+        """Replace one arm by a fresh one of the given links (2,) m at the start pose; the others keep their bits."""
+        old = self._arms[row]
+        if old is not None:
+            old.remove_from(self._space)
+        arm = _Arm(self._space, links, self._config.max_motor_torque)
+        arm.add_to(self._space)
+        self._arms[row] = arm
+        self.angles[row] = START
+
+    def step(self, rates: Array) -> None:
+        """Drive all joints at `rates` (N, 2) rad/s for one control period and read the angles."""
+        arms = self._present()
+        # Chipmunk's motors turn the second body against the sign of their rate.
+        for arm, (rate1, rate2) in zip(arms, (-rates).tolist(), strict=True):
+            first, second = arm.motors
+            first.rate = rate1
+            second.rate = rate2
+        for _ in range(self._config.substeps):
+            self._space.step(self._substep)
+        angles = np.array([body.angle for arm in arms for body in arm.bodies]).reshape(-1, 2)
+        self.angles[:, 0] = angles[:, 0]
+        self.angles[:, 1] = angles[:, 1] - angles[:, 0]
+
+    def _present(self) -> list[_Arm]:
+        missing = [row for row, arm in enumerate(self._arms) if arm is None]
+        if missing:
+            raise RuntimeError(f"arms {missing} were never reset")
+        return self._arms  # type: ignore[return-value]
+
+    def tool_gap(self) -> float:
+        """Largest distance between two ends that a pivot holds together, m: how far the solver let a joint open."""
+        worst = 0.0
+        for arm in self._present():
+            for pivot in arm.constraints[4:]:
+                assert isinstance(pivot, pymunk.PivotJoint)
+                gap = pivot.a.local_to_world(pivot.anchor_a) - pivot.b.local_to_world(pivot.anchor_b)
+                worst = max(worst, gap.length)
+        return worst

@@ -1,0 +1,284 @@
+"""The arm servo as a Gymnasium environment: tracking and positioning."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+
+from servotrack.envs.servo.episode import LEAD
+from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
+from servotrack.envs.servo.targets import PERIOD
+from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld, check_actions, episode_seed
+
+Observation = dict[str, NDArray[Any]]
+
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": round(1 / PERIOD)}
+
+
+def action_space() -> gym.spaces.Box:
+    """Joint rates as fractions of `max_joint_rate`."""
+    return gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+
+def feature_space(config: ServoConfig) -> gym.spaces.Dict:
+    """Observation space of the feature worlds; every bound is finite."""
+
+    def box(low: float, high: float, size: int) -> gym.spaces.Box:
+        return gym.spaces.Box(low, high, (size,), np.float64)
+
+    first, last = -(LEAD + config.warmup + 1) * PERIOD, config.horizon * PERIOD
+    return gym.spaces.Dict(
+        {
+            "joint_angles": box(-2 * np.pi, 2 * np.pi, 2),
+            "features": box(0.0, config.camera_size, 2),
+            "goal": box(-config.camera_size, 2.0 * config.camera_size, 2),
+            "visible": box(0.0, 1.0, 1),
+            "frame_time": box(first, last, 1),
+            "time": box(first, last, 1),
+        }
+    )
+
+
+def feature_observations(world: ServoWorld) -> Observation:
+    """The newest sample of all rows, fresh arrays with a leading axis of N."""
+    return {
+        "joint_angles": world.joint_angles.copy(),
+        "features": world.features.copy(),
+        "goal": world.goal.copy(),
+        "visible": world.visible[:, None].copy(),
+        "frame_time": world.frame_time[:, None].copy(),
+        "time": world.time[:, None].copy(),
+    }
+
+
+class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
+    """An arm with a camera that nobody calibrated follows a moving target.
+
+    ## Description
+
+    A planar two-link arm carries a camera at its tool, looking down on a plane. A target moves over the plane. The agent
+    commands joint rates and has to keep the target under the tool, that is, at the pixel where the tool was taught to appear.
+    Nobody tells it the links' lengths, the focal length, the height, how the camera is mounted, or how the target moves; from
+    level to level the optics get worse, and noise, lost frames and latency join in. The physics is pymunk's, at five substeps
+    per control period of 50 ms.
+
+    | level | adds |
+    |---|---|
+    | 0 `paper` | paper 002, eq. 32: an ellipse, known start, no noise, 8 unscored steps to get started |
+    | 1 `noise` | 0.5 px of noise, a random ellipse |
+    | 2 `geometry` | random links, focal length, height; mounting within 30 degrees; 1 px; no unscored steps |
+    | 3 `optics` | any mounting angle, principal point, distortion, tilt, aspect |
+    | 4 `dynamics` | a target of two sines, noisy joint rates and encoders, lost frames |
+    | 5 `timing` | one frame of latency, rolling shutter |
+    | 6 `heavy` | abrupt waypoints, outliers, more lost frames, latency of 0 to 2 frames that no stamp tells |
+
+    ## Action Space
+
+    `Box(-1, 1, (2,), float32)`: the joint rates as fractions of `max_joint_rate` (2 rad/s). Each is clipped by itself, as
+    hardware does; scale the whole vector if you want to keep its direction. A joint stops before its stop.
+
+    ## Observation Space
+
+    A `Dict` of float64 arrays:
+
+    | key | shape | unit | meaning |
+    |---|---|---|---|
+    | `joint_angles` | (2,) | rad | encoder readings at `time` |
+    | `features` | (2,) | px | image point of the target in the newest frame in which it was seen |
+    | `goal` | (2,) | px | where it is wanted: where the point under the tool appears |
+    | `visible` | (1,) | 0 or 1 | 1: a new frame with the target in it arrived; 0: `features` and `frame_time` are old |
+    | `frame_time` | (1,) | s | when that frame was taken (its middle row), or when it arrived if `stamped` is false |
+    | `time` | (1,) | s | now; the warm-up lies before 0, scoring starts after 0 |
+
+    ## Rewards
+
+    `clip(1 - ln(1 + d / 2 mm) / ln(1 + 2 m / 2 mm), 0, 1)` with d the distance between tool and target in the plane: a slope
+    from metres down to millimetres. 0 during the warm-up and at termination, so that ending early never pays.
+
+    `info` holds, for evaluation and not for agents: `tracking_error` (d in m), `feature_error` (px, true and present),
+    `success` (d below 10 mm now) and `truth` (`joint_angles`, `tool`, `target`, `target_velocity`).
+
+    ## Starting State
+
+    Joints at (0, 90) degrees. Links, camera, target, noise and so on are drawn from the seed, each from a stream of its own. A
+    layout that no controller could solve is drawn again: joint limits with a margin, at most 0.8 of the joint rate limit, away from the
+    eye-in-hand singularity, target in view at the start.
+
+    ## Episode End
+
+    Termination: the target was out of view for 20 samples. Truncation: after `warmup` + `horizon` steps.
+
+    ## Arguments
+
+    `level` (0 to 6, default 3) and every field of `ServoConfig` as a keyword that overrides the level's value, for example
+    `gym.make("UncalibServo-v0", level=5, pixel_noise=2.0, latency=(0, 2))`. `render_mode`: `rgb_array` or `human`.
+
+    ## References
+
+    Zhang Ying-bo, "Unscented Kalman filter for on-line estimation of Jacobian matrix", Journal of Computer Applications 31(6),
+    2011, pp. 1699-1702, section 3.
+
+    ## Version History
+
+    * v0: initial version
+    """
+
+    metadata: ClassVar[dict[str, Any]] = METADATA  # type: ignore[misc]
+
+    def __init__(self, level: int = 3, *, render_mode: str | None = None, **axes: Any) -> None:
+        self.config = self._configure(level, axes)
+        self.level = level
+        self.render_mode = check_render_mode(render_mode)
+        self.world = ServoWorld(self.config, 1)
+        self.action_space = action_space()
+        self.observation_space = self._observation_space()
+        self.max_joint_rate = self.config.max_joint_rate
+        self._running = False
+        self._renderer: Any = None
+
+    def _configure(self, level: int, axes: dict[str, Any]) -> ServoConfig:
+        return servo_config(level, **axes)
+
+    def _observation_space(self) -> gym.spaces.Dict:
+        return feature_space(self.config)
+
+    def _observe(self) -> Observation:
+        world = self.world
+        return {
+            "joint_angles": world.joint_angles[0].copy(),
+            "features": world.features[0].copy(),
+            "goal": world.goal[0].copy(),
+            "visible": world.visible[:1].copy(),
+            "frame_time": world.frame_time[:1].copy(),
+            "time": world.time[:1].copy(),
+        }
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start a new episode.
+
+        Args:
+            seed: Decides this episode and, without further seeds, all later ones.
+            options: None are known.
+
+        Returns:
+            Observation and info.
+
+        Raises:
+            ValueError: `options` holds anything.
+        """
+        if seed is not None or self._np_random is None:
+            self._np_random, self._np_random_seed = seeding.np_random(seed)
+        check_options(options)
+        self.world.reset([0], [episode_seed(self.np_random)])
+        self._running = True
+        if self.render_mode == "human":
+            self.render()
+        return self._observe(), self._info()
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Command joint rates for one control period of 50 ms.
+
+        Args:
+            action: Shape (2,), fractions of `max_joint_rate`.
+
+        Returns:
+            Observation, reward, terminated, truncated, info.
+
+        Raises:
+            ValueError: An action of another shape, or not finite.
+            gymnasium.error.ResetNeeded: No episode is running.
+        """
+        values = check_actions(action, (2,))
+        if not self._running:
+            raise ResetNeeded("no episode is running: call reset() before the first step and after an episode's end")
+        world = self.world
+        world.step(values[None])
+        terminated, truncated = bool(world.terminated[0]), bool(world.truncated[0])
+        self._running = not (terminated or truncated)
+        if self.render_mode == "human":
+            self.render()
+        return self._observe(), float(world.reward[0]), terminated, truncated, self._info()
+
+    def _info(self) -> dict[str, Any]:
+        world = self.world
+        error = float(world.tracking_error[0])
+        return {
+            "tracking_error": error,
+            "feature_error": float(world.feature_error[0]),
+            "success": error < SUCCESS_DISTANCE,
+            "truth": {
+                "joint_angles": world.joints[0].copy(),
+                "tool": world.tool[0].copy(),
+                "target": world.target[0, :2].copy(),
+                "target_velocity": world.target[0, 2:].copy(),
+            },
+        }
+
+    def privileged(self) -> Observation:
+        """What `PrivilegedObservation` adds to the observation; see `ServoWorld.privileged`, here without the leading axis."""
+        return {key: value[0] for key, value in self.world.privileged().items()}
+
+
+class UncalibServoReachEnv(UncalibServoEnv):
+    """An arm with a camera that nobody calibrated moves over a target at rest.
+
+    ## Description
+
+    As `UncalibServo-v0`, but the target rests: at (0.6, 0.6) m at level 0 (paper 002, section 3.2), anywhere within reach above.
+
+    ## Action Space
+
+    As `UncalibServo-v0`.
+
+    ## Observation Space
+
+    As `UncalibServo-v0`.
+
+    ## Rewards
+
+    As `UncalibServo-v0`.
+
+    ## Starting State
+
+    As `UncalibServo-v0`.
+
+    ## Episode End
+
+    As `UncalibServo-v0`, with a default `horizon` of 100 steps (5 s).
+
+    ## Arguments
+
+    As `UncalibServo-v0`.
+
+    ## References
+
+    Zhang Ying-bo, "Unscented Kalman filter for on-line estimation of Jacobian matrix", Journal of Computer Applications 31(6),
+    2011, pp. 1699-1702, section 3.2.
+
+    ## Version History
+
+    * v0: initial version
+    """
+
+    def _configure(self, level: int, axes: dict[str, Any]) -> ServoConfig:
+        return reach_config(level, **axes)
+
+
+def check_render_mode(render_mode: str | None) -> str | None:
+    """The render mode, if it is one; raises ValueError naming the known ones otherwise."""
+    if render_mode is not None and render_mode not in METADATA["render_modes"]:
+        raise ValueError(f"render_mode must be None or one of {METADATA['render_modes']}, got {render_mode!r}")
+    return render_mode
+
+
+def check_options(options: dict[str, Any] | None) -> None:
+    """Raises ValueError where reset options are given that do not exist."""
+    if options:
+        raise ValueError(f"reset options {sorted(options)} are not known; parameters are keywords of gym.make")

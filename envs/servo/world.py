@@ -1,0 +1,293 @@
+"""N servo worlds at once: the one piece of dynamics behind the single and the vector environments."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servotrack.envs.servo.arm import ArmSpace
+from servotrack.envs.servo.episode import LEAD, Episode, draw_episode, samples
+from servotrack.envs.servo.levels import ServoConfig
+from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
+from servotrack.estimators.camera import CAMERA_SIZE, image_jacobian, project
+
+Array = NDArray[np.float64]
+
+LOST_AFTER = 20
+"""Consecutive samples out of view that end an episode."""
+SUCCESS_DISTANCE = 0.010
+"""Tracking error that counts as success, m."""
+_REWARD_NEAR = 0.002
+_REWARD_FAR = 2.0
+_RING = 8
+
+
+@njit(cache=True, nogil=True)
+def tracking_reward(distance):  # type: ignore[no-untyped-def]
+    """Reward of a distance (m) between tool and target: 1 at 0, 0 from 2 m on, logarithmic in between."""
+    near = 1.0 - math.log1p(distance / _REWARD_NEAR) / math.log1p(_REWARD_FAR / _REWARD_NEAR)
+    return min(max(near, 0.0), 1.0)
+
+
+class ServoWorld:
+    """N arms, their cameras and targets, stepped together; arrays carry a leading axis of N.
+
+    After `reset` and `step` the newest sample lies in the public arrays below, which the next call overwrites: copy what you keep.
+
+    Args:
+        config: The world's parameters.
+        count: Number of arms N.
+
+    Attributes:
+        joint_angles: What the encoders say, (N, 2) rad.
+        features: Features of the newest frame, (N, 2) px.
+        visible: 1.0 where a new frame with the target in it arrived, (N,).
+        frame_time: Time stamp of that frame, (N,) s.
+        time: Present time, (N,) s; scoring starts at 0.
+        goal: Taught goal features, (N, 2) px.
+        reward: (N,).
+        terminated: Target out of view for `LOST_AFTER` samples, (N,) bool.
+        truncated: Horizon reached, (N,) bool.
+        tracking_error: Distance between tool and target in the plane, (N,) m.
+        feature_error: Distance between the true present features and the goal, (N,) px.
+        joints: True joint angles, (N, 2) rad.
+        tool: True tool position, (N, 2) m.
+        target: True target position and velocity, (N, 4) m, m/s.
+        captured: Index into the episode's tables of the newest frame that arrived with an image, (N,) int.
+    """
+
+    def __init__(self, config: ServoConfig, count: int) -> None:
+        self.config = config
+        self.count = count
+        length = samples(config)
+        self.arms = ArmSpace(config, count)
+        self.joints = self.arms.angles
+        self.episodes: list[Episode | None] = [None] * count
+        self.links, self.cameras = np.ones((count, 2)), np.zeros((count, CAMERA_SIZE))
+        self.goal, self.gain, self.noise_levels = np.zeros((count, 2)), np.ones((count, 2)), np.zeros((count, 2))
+        self.latency, self.steps = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        self._path = np.zeros((count, length, 4))
+        self._feature_noise = np.zeros((count, length if config.pixel_noise or config.outlier_rate else 0, 2))
+        self._rate_noise = np.zeros((count, length if any(config.actuation_noise) else 0, 2))
+        self._encoder_noise = np.zeros((count, length if any(config.encoder_noise) else 0, 2))
+        self._dropped = np.zeros((count, length if config.dropout else 0), np.bool_)
+        self.history = np.zeros((count, _RING, 2))
+        """True joint angles of the last samples, a ring indexed by table index modulo its length, (N, 8, 2) rad."""
+        self._out_of_view = np.zeros(count, np.int64)
+        self.joint_angles, self.features = np.zeros((count, 2)), np.zeros((count, 2))
+        self.visible, self.frame_time, self.time = np.zeros(count), np.zeros(count), np.zeros(count)
+        self.reward = np.zeros(count)
+        self.terminated, self.truncated = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+        self.tracking_error, self.feature_error = np.zeros(count), np.zeros(count)
+        self.tool, self.target = np.zeros((count, 2)), np.zeros((count, 4))
+        self.captured = np.zeros(count, np.int64)
+        self._rates = np.zeros((count, 2))
+
+    def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
+        """Start new episodes in some rows; the others are left as they are, to the bit.
+
+        Args:
+            rows: Which of the N.
+            seeds: One episode seed for each, non-negative integers.
+        """
+        moved = np.zeros(self.count, np.bool_)
+        for row, seed in zip(rows, seeds, strict=True):
+            episode = draw_episode(self.config, seed)
+            self.episodes[row] = episode
+            self.arms.reset(row, episode.links)
+            self.links[row], self.cameras[row], self.goal[row] = episode.links, episode.camera, episode.goal
+            self.gain[row], self.latency[row], self.noise_levels[row] = episode.gain, episode.latency, episode.noise_levels
+            self._path[row] = episode.path
+            for table, values in (
+                (self._feature_noise, episode.feature_noise),
+                (self._rate_noise, episode.rate_noise),
+                (self._encoder_noise, episode.encoder_noise),
+                (self._dropped, episode.dropped),
+            ):
+                if table.shape[1]:
+                    table[row] = values
+            self.steps[row] = 0
+            self.history[row] = START
+            self._out_of_view[row] = 0
+            self.features[row] = self.config.camera_size / 2.0
+            self.frame_time[row] = -(LEAD + self.config.warmup) * PERIOD
+            self.captured[row] = 0
+            moved[row] = True
+        self._observe(moved)
+
+    def step(self, actions: Array) -> None:
+        """Advance every row by one control period.
+
+        Args:
+            actions: Fractions of `max_joint_rate`, clipped to [-1, 1] joint by joint as hardware does, (N, 2).
+        """
+        _command(
+            actions, self.steps, self.joints, JOINT_LOW, JOINT_HIGH, self.config.max_joint_rate, self.gain,
+            self._rate_noise, self._rates,
+        )  # fmt: skip
+        self.arms.step(self._rates)
+        self.steps += 1
+        self._observe(np.ones(self.count, np.bool_))
+
+    def _observe(self, rows: NDArray[np.bool_]) -> None:
+        config = self.config
+        _sense(
+            rows, self.steps, config.warmup, config.horizon, float(config.camera_size), config.rolling_shutter, config.stamped,
+            config.noise_kind == "quantized", self.links, self.cameras, self.goal, self.latency, self._path,
+            self._feature_noise, self._encoder_noise, self._dropped, self.joints, self.history, self._out_of_view,
+            self.joint_angles, self.features, self.visible, self.frame_time, self.time, self.reward, self.terminated,
+            self.truncated, self.tracking_error, self.feature_error, self.tool, self.target, self.captured,
+        )  # fmt: skip
+
+    def privileged(self) -> dict[str, Array]:
+        """What an oracle or the informed bound may know, besides the observation; arrays of N rows.
+
+        Returns:
+            `true_jacobian` (N, 2, 3) px/rad and px/s at the present instant; `true_camera` (N, CAMERA_SIZE), packed as in
+            `servotrack.estimators.camera.pack_camera`; `true_links` (N, 2) m; `true_latency` (N, 1) s, the age of a frame
+            beyond what its stamp says; `true_noise` (N, 2), standard deviations of encoders (rad) and joint rates (rad/s);
+            `true_gain` (N, 2), factors on the joint rates.
+        """
+        hidden = self.latency * PERIOD if not self.config.stamped else np.zeros(self.count)
+        return {
+            "true_jacobian": image_jacobian(self.cameras, self.links, self.joints, self.target[:, :2], self.target[:, 2:]),
+            "true_camera": self.cameras.copy(),
+            "true_links": self.links.copy(),
+            "true_latency": hidden[:, None] + 0.0,
+            "true_noise": self.noise_levels.copy(),
+            "true_gain": self.gain.copy(),
+        }
+
+    def path(self, row: int) -> Array:
+        """Positions and velocities of one row's target at all samples, a view of shape (K, 4)."""
+        return self._path[row]
+
+    def debug_view(self, row: int = 0) -> str:
+        """One row's state as text, for debugging."""
+        degrees = np.degrees(self.joints[row])
+        return (
+            f"t={self.time[row]:+.2f} s  joints=({degrees[0]:+.1f}, {degrees[1]:+.1f}) deg  tool={self.tool[row].round(4)} m  "
+            f"target={self.target[row, :2].round(4)} m  error={1e3 * self.tracking_error[row]:.2f} mm  "
+            f"features={self.features[row].round(2)} px  goal={self.goal[row].round(2)} px  visible={bool(self.visible[row])}"
+        )
+
+
+def episode_seed(rng: np.random.Generator) -> int:
+    """The seed of the next episode, drawn from an environment's own generator."""
+    return int(rng.integers(0, 2**63))
+
+
+def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
+    """Actions as float64 of the right shape.
+
+    Raises:
+        ValueError: Another shape, or a value that is not finite.
+    """
+    values = np.asarray(actions, dtype=np.float64)
+    if values.shape != shape:
+        raise ValueError(f"action must have shape {shape}, got {values.shape}: one fraction of max_joint_rate for each joint")
+    if not math.isfinite(values.sum()):
+        raise ValueError(f"action must be finite, got {values.tolist()}; check the policy for NaN or overflow")
+    return values
+
+
+@njit(cache=True, nogil=True)
+def _command(actions, steps, joints, low, high, max_joint_rate, gain, rate_noise, rates):  # type: ignore[no-untyped-def]
+    """Joint rates that the motors are asked for: clipped, off by gain and noise, and stopped before the joints' stops."""
+    for i in range(actions.shape[0]):
+        for j in range(2):
+            rate = min(max(actions[i, j], -1.0), 1.0) * max_joint_rate * gain[i, j]
+            if rate_noise.shape[1] > 0:
+                rate += rate_noise[i, steps[i] + LEAD, j]
+            # The stops alone let a joint overshoot by more than a degree.
+            rates[i, j] = min(max(rate, (low[j] - joints[i, j]) / PERIOD), (high[j] - joints[i, j]) / PERIOD)
+
+
+@njit(cache=True, nogil=True)
+def _between(before, after, fraction):  # type: ignore[no-untyped-def]
+    """Position a `fraction` of a period after row `before` of a path: the cubic through both positions and velocities."""
+    f, g = fraction, 1.0 - fraction
+    hermite = np.empty(2)
+    for j in range(2):
+        hermite[j] = (
+            g * g * (1.0 + 2.0 * f) * before[j] + f * f * (3.0 - 2.0 * f) * after[j]
+            + PERIOD * f * g * (g * before[2 + j] - f * after[2 + j])
+        )  # fmt: skip
+    return hermite[0], hermite[1]
+
+
+@njit(cache=True, nogil=True)
+def _capture(camera, links, path, history, frame, size, shutter):  # type: ignore[no-untyped-def]
+    """Noise-free features of the frame whose readout ends at sample `frame`, each image row seen at its own instant."""
+    now = history[frame % _RING]
+    u, v, seen = project(camera, links[0], links[1], now[0], now[1], path[frame, 0], path[frame, 1])
+    if shutter > 0.0:
+        before = history[(frame - 1) % _RING]
+        for _ in range(3):
+            f = 1.0 - shutter * (1.0 - min(max(v / size, 0.0), 1.0)) / PERIOD
+            theta1 = before[0] + f * (now[0] - before[0])
+            theta2 = before[1] + f * (now[1] - before[1])
+            x, y = _between(path[frame - 1], path[frame], f)
+            u, v, seen = project(camera, links[0], links[1], theta1, theta2, x, y)
+    return u, v, seen and 0.0 <= u < size and 0.0 <= v < size
+
+
+@njit(cache=True, nogil=True)
+def _sense(
+    rows, steps, warmup, horizon, size, shutter, stamped, quantized, links, cameras, goal, latency, path, feature_noise,
+    encoder_noise, dropped, joints, history, out_of_view, joint_angles, features, visible, frame_time, time, reward,
+    terminated, truncated, tracking_error, feature_error, tool, target, captured,
+):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Take the sample of every chosen row: truth, score, and what the sensors deliver."""
+    for i in range(rows.shape[0]):
+        if not rows[i]:
+            continue
+        now = steps[i] + LEAD
+        theta1, theta2 = joints[i, 0], joints[i, 1]
+        history[i, now % _RING, 0] = theta1
+        history[i, now % _RING, 1] = theta2
+        time[i] = (steps[i] - warmup) * PERIOD
+        for j in range(4):
+            target[i, j] = path[i, now, j]
+
+        tool[i, 0] = links[i, 0] * math.cos(theta1) + links[i, 1] * math.cos(theta1 + theta2)
+        tool[i, 1] = links[i, 0] * math.sin(theta1) + links[i, 1] * math.sin(theta1 + theta2)
+        distance = math.hypot(tool[i, 0] - target[i, 0], tool[i, 1] - target[i, 1])
+        tracking_error[i] = distance
+        u, v, seen = project(cameras[i], links[i, 0], links[i, 1], theta1, theta2, target[i, 0], target[i, 1])
+        feature_error[i] = math.hypot(u - goal[i, 0], v - goal[i, 1])
+        in_view = seen and 0.0 <= u < size and 0.0 <= v < size
+        out_of_view[i] = 0 if in_view else out_of_view[i] + 1
+        terminated[i] = out_of_view[i] >= LOST_AFTER
+        truncated[i] = steps[i] >= warmup + horizon
+        scored = steps[i] > warmup and not terminated[i]
+        reward[i] = tracking_reward(distance) if scored else 0.0
+
+        for j in range(2):
+            joint_angles[i, j] = joints[i, j]
+            if encoder_noise.shape[1] > 0:
+                joint_angles[i, j] += encoder_noise[i, now, j]
+
+        frame = now - latency[i]
+        visible[i] = 0.0
+        if dropped.shape[1] > 0 and dropped[i, frame]:
+            continue
+        captured[i] = frame
+        u, v, in_view = _capture(cameras[i], links[i], path[i], history[i], frame, size, shutter)
+        if not in_view:
+            continue
+        if feature_noise.shape[1] > 0:
+            u += feature_noise[i, frame, 0]
+            v += feature_noise[i, frame, 1]
+        if quantized:
+            u, v = math.floor(u) + 0.5, math.floor(v) + 0.5
+        features[i, 0] = min(max(u, 0.0), size)
+        features[i, 1] = min(max(v, 0.0), size)
+        visible[i] = 1.0
+        # A rolling shutter's frame is stamped with the instant of its middle row.
+        frame_time[i] = (frame - LEAD - warmup) * PERIOD - 0.5 * shutter if stamped else time[i]
