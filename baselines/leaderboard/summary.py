@@ -1,0 +1,196 @@
+"""From rows to what a leaderboard says: computed here each time, stored nowhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.baselines import statistics
+from servotrack.baselines.results import CellResults
+from servotrack.baselines.statistics import Interval, PairedDifference
+
+REFERENCE = "ukf"
+LOWER_ANCHOR, UPPER_ANCHOR = "random", "oracle"
+
+
+@dataclass(frozen=True)
+class AgentSummary:
+    """One row of a task's table; None where a number is not defined for the environment or was not measured.
+
+    Attributes:
+        agent: Name.
+        information: What it was told.
+        privileged: Whether it saw the truth.
+        episodes: How many episodes the row stands on.
+        mean_return: Over episodes.
+        success: Rate with Wilson's interval.
+        steady: Mean steady error, m.
+        worst_error: Mean of the worst tenth of the steady errors, m.
+        score: Mean score; 0 is random, 1 the oracle.
+        worst_score: Mean of the worst tenth of the scores.
+        scores: Of all episodes, in the order of the rows.
+        difference: Steady error minus the reference's, paired by seed, m.
+        adjusted_p: Its p-value after Holm's correction over the task's table.
+        step_seconds: Median compute time of one step, s.
+        tuning_steps: Environment steps spent on tuning or training.
+    """
+
+    agent: str
+    information: str
+    privileged: bool
+    episodes: int
+    mean_return: Interval
+    success: Interval | None
+    steady: Interval | None
+    worst_error: float | None
+    score: Interval | None
+    worst_score: float | None
+    scores: NDArray[np.float64] | None
+    difference: PairedDifference | None
+    adjusted_p: float | None
+    step_seconds: float | None
+    tuning_steps: int
+
+
+@dataclass(frozen=True)
+class TaskSummary:
+    """One environment with its arguments, and its agents from best to worst.
+
+    Attributes:
+        environment: Id and arguments in one line.
+        env_id: Gymnasium id.
+        level: The argument `level` where it is the only one, else None.
+        rows: Best first.
+    """
+
+    environment: str
+    env_id: str
+    level: int | None
+    rows: tuple[AgentSummary, ...]
+
+    def row(self, agent: str) -> AgentSummary | None:
+        """The row of an agent, if it has one."""
+        return next((row for row in self.rows if row.agent == agent), None)
+
+
+@dataclass(frozen=True)
+class OverallSummary:
+    """An agent over all tasks: interquartile mean of its scores, and in how many episodes of all it succeeded."""
+
+    agent: str
+    information: str
+    privileged: bool
+    score: Interval
+    success: Interval
+
+
+def summarize(cells: Iterable[CellResults]) -> list[TaskSummary]:
+    """One summary per environment, in the order of their names.
+
+    Compute time is that of the agent in any environment of the same id where it was measured: it does not depend on the
+    arguments, and is measured where nothing else runs.
+    """
+    tasks: dict[str, list[CellResults]] = {}
+    step_seconds: dict[tuple[str, str], float] = {}
+    for cell in cells:
+        if cell.rows:
+            tasks.setdefault(cell.environment, []).append(cell)
+        if cell.step_seconds:
+            step_seconds[cell.env_id, cell.agent] = float(np.median(cell.step_seconds))
+    return [_summarize_task(name, tasks[name], step_seconds) for name in sorted(tasks)]
+
+
+def overall(tasks: Sequence[TaskSummary]) -> list[OverallSummary]:
+    """Agents that have a score in every task that has scores, best first."""
+    scored = [task for task in tasks if any(row.scores is not None for row in task.rows)]
+    if not scored:
+        return []
+    summaries = []
+    for first in scored[0].rows:
+        rows = [row for task in scored if (row := task.row(first.agent)) is not None and row.scores is not None]
+        if len(rows) < len(scored):
+            continue
+        scores = [row.scores for row in rows if row.scores is not None]
+        successes = sum(round(row.success.value * row.episodes) for row in rows if row.success)
+        summaries.append(
+            OverallSummary(
+                first.agent,
+                first.information,
+                first.privileged,
+                statistics.stratified_interquartile_mean(scores),
+                statistics.wilson_interval(successes, sum(row.episodes for row in rows)),
+            )
+        )
+    return sorted(summaries, key=lambda summary: -summary.score.value)
+
+
+def _summarize_task(name: str, cells: list[CellResults], step_seconds: dict[tuple[str, str], float]) -> TaskSummary:
+    by_agent = {cell.agent: cell for cell in cells}
+    rows = [_summarize_cell(cell, by_agent, step_seconds) for cell in cells]
+    compared = [row for row in rows if row.difference is not None]
+    adjusted = statistics.holm([row.difference.p_value for row in compared if row.difference is not None])
+    p_of = {row.agent: p for row, p in zip(compared, adjusted, strict=True)}
+    rows = [replace(row, adjusted_p=p_of.get(row.agent)) for row in rows]
+    kwargs = cells[0].env_kwargs
+    level = kwargs["level"] if set(kwargs) == {"level"} else None
+    return TaskSummary(name, cells[0].env_id, level, tuple(sorted(rows, key=_rank)))
+
+
+def _rank(row: AgentSummary) -> float:
+    if row.score is not None:
+        return -row.score.value
+    return row.steady.value if row.steady is not None else -row.mean_return.value
+
+
+def _summarize_cell(
+    cell: CellResults,
+    by_agent: dict[str, CellResults],
+    step_seconds: dict[tuple[str, str], float],
+) -> AgentSummary:
+    has_success = all("success" in row for row in cell.rows)
+    errors = _errors(cell)
+    scores = None
+    if errors is not None and LOWER_ANCHOR in by_agent and UPPER_ANCHOR in by_agent:
+        anchors = [_errors(by_agent[anchor]) for anchor in (LOWER_ANCHOR, UPPER_ANCHOR)]
+        if anchors[0] is not None and anchors[1] is not None:
+            scores = statistics.score(errors, anchors[0], anchors[1])
+    return AgentSummary(
+        agent=cell.agent,
+        information=cell.card["information"],
+        privileged="truth" in cell.card["requires"],
+        episodes=len(cell.rows),
+        mean_return=statistics.bootstrap_mean([row["return"] for row in cell.rows]),
+        success=statistics.wilson_interval(sum(row["success"] for row in cell.rows), len(cell.rows))
+        if has_success
+        else None,
+        steady=None if errors is None else statistics.bootstrap_mean(errors),
+        worst_error=None if errors is None else statistics.worst_tenth(errors, high_is_bad=True),
+        score=None if scores is None else statistics.bootstrap_mean(scores),
+        worst_score=None if scores is None else statistics.worst_tenth(scores, high_is_bad=False),
+        scores=scores,
+        difference=_difference(cell, by_agent.get(REFERENCE)),
+        adjusted_p=None,
+        step_seconds=step_seconds.get((cell.env_id, cell.agent)),
+        tuning_steps=cell.card["tuning_steps"],
+    )
+
+
+def _errors(cell: CellResults) -> NDArray[np.float64] | None:
+    if any("steady" not in row for row in cell.rows):
+        return None
+    return np.array([row["steady"] for row in cell.rows])
+
+
+def _difference(cell: CellResults, reference: CellResults | None) -> PairedDifference | None:
+    if reference is None or reference.agent == cell.agent or _errors(cell) is None or _errors(reference) is None:
+        return None
+    known = set(reference.seeds)
+    common = [seed for seed in cell.seeds if seed in known]
+    if not common:
+        return None
+    return statistics.paired_difference(
+        [row["steady"] for row in cell.select(common)], [row["steady"] for row in reference.select(common)]
+    )

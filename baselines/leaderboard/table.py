@@ -1,0 +1,110 @@
+"""The leaderboard in words: tables for the terminal (Rich) and for documents (Markdown), from the same cells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.table import Table
+
+from servotrack.baselines.leaderboard.summary import REFERENCE, AgentSummary, OverallSummary, TaskSummary, overall
+
+SIGNIFICANCE = 0.05
+PRIVILEGED_MARK = "†"
+NOTE = (
+    "Score: ln(e_random/e) / ln(e_random/e_oracle), 0 is random, 1 the analytic Jacobian, more is possible. "
+    f"{PRIVILEGED_MARK} sees the truth. Brackets: 95 % intervals. "
+    f"Differences are paired by seed against {REFERENCE}; * marks those below p = 0.05 after Holm's correction."
+)
+
+Grid = tuple[list[str], list[list[str]]]
+"""Headings and rows."""
+
+
+def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
+    """Agents against tasks: mean score and success rate in every cell, last the interquartile mean over tasks."""
+    scored = [task for task in tasks if any(row.score for row in task.rows)]
+    headings = ["agent", "told", *(_short_name(task) for task in scored), "all (IQM)"]
+    rows = []
+    for summary in overall(tasks):
+        cells = [_score_and_success(task.row(summary.agent)) for task in scored]
+        rows.append([_agent(summary), summary.information, *cells, _interval(summary.score.value, summary.score, 2)])
+    return headings, rows
+
+
+def task_grid(task: TaskSummary) -> Grid:
+    """One task in full."""
+    servo = any(row.steady for row in task.rows)
+    headings = ["agent", "told", "n", "success %"]
+    headings += ["score", "worst tenth", "steady mm", f"− {REFERENCE} mm"] if servo else ["return"]
+    headings += ["µs/step", "tuning steps"]
+    rows = []
+    for row in task.rows:
+        cells = [_agent(row), row.information, str(row.episodes)]
+        cells.append(_interval(row.success.value, row.success, 0, 100.0) if row.success else "")
+        if servo:
+            cells.append(_interval(row.score.value, row.score, 2) if row.score else "")
+            cells.append("" if row.worst_score is None else f"{row.worst_score:.2f}")
+            cells.append(_interval(row.steady.value, row.steady, 1, 1e3) if row.steady else "")
+            cells.append(_difference(row))
+        else:
+            cells.append(_interval(row.mean_return.value, row.mean_return, 2))
+        cells.append("" if row.step_seconds is None else f"{row.step_seconds * 1e6:.0f}")
+        cells.append(f"{row.tuning_steps:,}")
+        rows.append(cells)
+    return headings, rows
+
+
+def as_rich(grid: Grid, title: str) -> Table:
+    """A grid for the terminal."""
+    headings, rows = grid
+    table = Table(title=title, title_justify="left", header_style="bold", row_styles=["", "dim"], pad_edge=False)
+    for i, heading in enumerate(headings):
+        table.add_column(heading, justify="left" if i < 2 else "right", no_wrap=i == 0)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def as_markdown(grid: Grid) -> str:
+    """A grid as a Markdown table."""
+    headings, rows = grid
+    alignment = [":--" if i < 2 else "--:" for i in range(len(headings))]
+    lines = [headings, alignment, *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
+
+
+def markdown_report(tasks: Sequence[TaskSummary], command: str) -> str:
+    """The whole leaderboard: the overview where there are scores, then every task."""
+    parts = ["# Leaderboard\n", f"Written by `{command}`. {NOTE}\n"]
+    overview = overview_grid(tasks)
+    if overview[1]:
+        parts.append("## Overview\n\nMean score, and success in percent.\n\n" + as_markdown(overview))
+    parts += [f"## {task.environment}\n\n{as_markdown(task_grid(task))}" for task in tasks]
+    return "\n".join(parts)
+
+
+def _agent(row: AgentSummary | OverallSummary) -> str:
+    return f"{row.agent} {PRIVILEGED_MARK}" if row.privileged else row.agent
+
+
+def _short_name(task: TaskSummary) -> str:
+    return task.environment if task.level is None else f"level {task.level}"
+
+
+def _score_and_success(row: AgentSummary | None) -> str:
+    if row is None or row.score is None:
+        return ""
+    return f"{row.score.value:.2f}" + (f" · {100 * row.success.value:.0f}" if row.success else "")
+
+
+def _interval(value: float, interval: tuple[float, ...], digits: int, factor: float = 1.0) -> str:
+    low, high = interval[1] * factor, interval[2] * factor
+    return f"{value * factor:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def _difference(row: AgentSummary) -> str:
+    if row.difference is None or row.adjusted_p is None:
+        return ""
+    mark = "*" if row.adjusted_p < SIGNIFICANCE else ""
+    d = row.difference
+    return f"{d.value * 1e3:+.1f} [{d.low * 1e3:+.1f}, {d.high * 1e3:+.1f}]{mark}"

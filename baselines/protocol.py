@@ -1,0 +1,78 @@
+"""What every agent is: something that speaks Stable-Baselines3's `predict`, and a card that says what it was told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Observation: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
+
+Information = Literal["model-free", "structure", "prior", "calibrated", "privileged", "undeclared"]
+"""What an agent was told: nothing; the model's structure; the randomization's ranges; this very system; the truth."""
+
+
+@runtime_checkable
+class Agent(Protocol):
+    """Policies, observers and learned agents alike; `stable_baselines3.common.evaluation.evaluate_policy` runs them."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[Any], Any]:
+        """Choose an action.
+
+        Args:
+            observation: One observation, or a batch with a leading axis (vector environments).
+            state: What the last call returned; None forgets everything.
+            episode_start: Rows whose episode begins with this observation; only these forget. Shape (N,), bool.
+            deterministic: Whether a stochastic policy returns its mode.
+
+        Returns:
+            The action (with the observation's leading axis) and the new state.
+        """
+
+
+@dataclass(frozen=True)
+class AgentCard:
+    """One row of the table of agents.
+
+    Attributes:
+        name: Lower case, words joined by hyphens.
+        factory: "module:callable"; called with the environment and `parameters`, it returns an `Agent`.
+        parameters: Keyword arguments of the factory.
+        information: What the agent was told.
+        requires: Names of what the evaluator must add to the observation; only "truth" exists.
+        tuning_steps: Environment steps that its hyper-parameters or weights were tuned or trained with.
+        summary: One line for people.
+        laws: Whether a control law can be chosen ("name+law").
+    """
+
+    name: str
+    factory: str
+    information: Information
+    summary: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    requires: frozenset[str] = frozenset()
+    tuning_steps: int = 0
+    laws: bool = False
+
+    def as_record(self) -> dict[str, Any]:
+        """What results keep of it."""
+        return {
+            "summary": self.summary,
+            "information": self.information,
+            "requires": sorted(self.requires),
+            "tuning_steps": self.tuning_steps,
+        }
+
+    @property
+    def privileged(self) -> bool:
+        """Whether the agent sees what no real robot could give."""
+        return "truth" in self.requires

@@ -1,0 +1,61 @@
+"""The agent without skill: uniform actions, the lower anchor of every score."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+
+class RandomAgent:
+    """Uniform actions that are a function of (seed, step, row), whatever else happens and however many rows there are.
+
+    Args:
+        env: A Gymnasium environment or vector environment; only its spaces are read.
+        seed: Of the actions.
+
+    Raises:
+        ValueError: An action space that is neither a bounded `Box` nor `Discrete`.
+    """
+
+    def __init__(self, env: Any, seed: int = 0) -> None:
+        self.seed = seed
+        self.action_space: gym.Space[Any] = getattr(env, "single_action_space", env.action_space)
+        self.observation_space: gym.Space[Any] = getattr(env, "single_observation_space", env.observation_space)
+        space = self.action_space
+        if not isinstance(space, gym.spaces.Discrete) and not (
+            isinstance(space, gym.spaces.Box) and space.is_bounded()
+        ):
+            raise ValueError(
+                f"action_space must be a bounded Box or Discrete for the random agent, got {space}; "
+                "wrap the environment"
+            )
+
+    def predict(
+        self,
+        observation: Any,
+        state: int | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[Any], int]:
+        """Draw an action; `state` counts the steps so far, and episodes run on in the same stream."""
+        step = 0 if state is None else state
+        batch = _batch_shape(observation, self.observation_space)
+        draws = np.random.Generator(np.random.Philox(key=self.seed, counter=[0, 0, 0, step]))
+        space = self.action_space
+        if isinstance(space, gym.spaces.Discrete):
+            return (space.start + draws.integers(space.n, size=batch)).astype(space.dtype), step + 1
+        assert isinstance(space, gym.spaces.Box)
+        uniform = draws.random((*batch, *space.shape))
+        return (space.low + uniform * (space.high - space.low)).astype(space.dtype), step + 1
+
+
+def _batch_shape(observation: Any, space: gym.Space[Any]) -> tuple[int, ...]:
+    """Leading axes that an observation has beyond its space."""
+    while isinstance(space, gym.spaces.Dict):
+        key = next(iter(space.spaces))
+        observation, space = observation[key], space[key]
+    shape = np.shape(observation)
+    return shape[: len(shape) - len(space.shape or ())]

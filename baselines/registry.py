@@ -1,0 +1,128 @@
+"""Every agent by name, in one table; nothing heavy is imported before an agent is created."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from servotrack.baselines.protocol import Agent, AgentCard, Information
+
+DEFAULT_LAW = "proportional"
+LAWS = (DEFAULT_LAW, "pi", "damped", "one-step")
+
+
+def _servo(name: str, information: Information, summary: str, **fields: Any) -> AgentCard:
+    return AgentCard(
+        name,
+        "servotrack.baselines.servo:create_servo_agent",
+        information,
+        summary,
+        parameters={"estimator": name},
+        laws=True,
+        **fields,
+    )
+
+
+_TRUTH = frozenset({"truth"})
+
+_CARDS = (
+    AgentCard("random", "servotrack.baselines.random_agent:RandomAgent", "model-free", "uniform actions: no skill"),
+    _servo("fixed-jacobian", "model-free", "the Jacobian found by probing at the start, never updated"),
+    _servo("broyden", "model-free", "Broyden's rank-one update"),
+    _servo("rls", "model-free", "recursive least squares with forgetting"),
+    _servo("kf", "model-free", "Kalman filter of the total Jacobian"),
+    _servo("ukf", "model-free", "unscented Kalman filter (paper 002, noise blocks as its text defines them)"),
+    _servo("ukf-as-printed", "model-free", "unscented Kalman filter with the noise blocks as eq. (21) prints them"),
+    _servo("pf", "model-free", "particle filter"),
+    _servo("level-kf", "model-free", "Kalman filter that measures the features themselves, not their differences"),
+    _servo("student-t-kf", "model-free", "Kalman filter with a Student-t gain"),
+    _servo("correntropy-kf", "model-free", "maximum-correntropy Kalman filter"),
+    _servo("parametric-ekf", "structure", "extended Kalman filter of the arm's and camera's parameters, mounting bank"),
+    _servo("parametric-ukf", "structure", "unscented Kalman filter of the same parameters, mounting bank"),
+    _servo("lifted-kf", "structure", "linear Kalman filter of the lifted planar arm"),
+    _servo("latency-bank-kf", "model-free", "Kalman filters, one per hypothesis on the unstamped latency"),
+    _servo("latency-bank-lifted-kf", "structure", "lifted Kalman filters, one per hypothesis on the unstamped latency"),
+    _servo("oracle", "privileged", "the analytic Jacobian: the upper anchor of every score", requires=_TRUTH),
+    _servo("informed-bound", "privileged", "true geometry, latency and noise, but not the future", requires=_TRUTH),
+)
+
+AGENTS: dict[str, AgentCard] = {card.name: card for card in _CARDS}
+
+
+def agent_card(name: str) -> AgentCard:
+    """The card of an agent.
+
+    Args:
+        name: A registered name, one with a control law ("kf+pi"), or "module:callable" for an agent of your own.
+            The callable gets the environment and returns an `Agent`; it may carry the attributes `information`,
+            `requires` and `tuning_steps`.
+
+    Raises:
+        ValueError: Nothing has that name; the message suggests the nearest one.
+    """
+    if ":" in name:
+        return _foreign_card(name)
+    base, plus, law = name.partition("+")
+    if base not in AGENTS:
+        raise ValueError(f"no agent is called {base!r}{_suggestion(base, tuple(AGENTS))}")
+    card = AGENTS[base]
+    if not plus:
+        return card
+    if not card.laws:
+        raise ValueError(f"agent {base!r} has no control law to choose, got {name!r}; use {base!r}")
+    if law not in LAWS:
+        raise ValueError(f"no control law is called {law!r}{_suggestion(law, LAWS)}")
+    if law == DEFAULT_LAW:
+        return card
+    return replace(card, name=name, summary=f"{card.summary}; {law} law", parameters={**card.parameters, "law": law})
+
+
+def create_agent(agent: str | AgentCard, env: Any) -> Agent:
+    """Make an agent for an environment; it reads the environment's spaces and public attributes, nothing else.
+
+    Args:
+        agent: What `agent_card` takes, or a card.
+        env: A Gymnasium environment or vector environment.
+
+    Raises:
+        ValueError: An unknown name, or an agent that does not fit the environment.
+    """
+    card = agent if isinstance(agent, AgentCard) else agent_card(agent)
+    made = _load(card.factory)(env, **card.parameters)
+    if not callable(getattr(made, "predict", None)):
+        raise ValueError(
+            f"agent {card.name!r} must have predict(observation, state, episode_start, deterministic), "
+            f"got {type(made).__name__}; return an object that has it"
+        )
+    return made
+
+
+def _foreign_card(name: str) -> AgentCard:
+    factory = _load(name)
+    return AgentCard(
+        name=name,
+        factory=name,
+        information=getattr(factory, "information", "undeclared"),
+        summary=(factory.__doc__ or name).strip().splitlines()[0],
+        requires=frozenset(getattr(factory, "requires", ())),
+        tuning_steps=int(getattr(factory, "tuning_steps", 0)),
+    )
+
+
+def _load(path: str) -> Callable[..., Any]:
+    module_name, _, attribute = path.partition(":")
+    try:
+        found = getattr(importlib.import_module(module_name), attribute)
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"agent {path!r} cannot be imported ({error}); give module:callable") from error
+    if not callable(found):
+        raise ValueError(f"agent {path!r} must be callable with the environment, got {type(found).__name__}")
+    return found
+
+
+def _suggestion(name: str, known: tuple[str, ...]) -> str:
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"

@@ -1,0 +1,127 @@
+"""Agents that servo by an online estimate of the image Jacobian."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.baselines.servo_estimators import servo_controller
+from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
+from servotrack.estimators.jacobian.controller import ControllerState, ServoController
+from servotrack.estimators.online import select_rows
+
+OBSERVATION_KEYS = ("joint_angles", "features", "goal", "visible", "frame_time", "time")
+
+
+class PrivilegedMeasurement(NamedTuple):
+    """A `ServoMeasurement` with the truth beside it, for anchors.
+
+    Attributes:
+        joint_angles, features, goal, visible, frame_time, time: As in `ServoMeasurement`.
+        true_jacobian: Analytic total Jacobian of the present. Shape (*batch, m, n + 1), px/rad and px/s.
+        true_camera: Packed camera, as `servotrack.estimators.camera.pack_camera` makes it. Shape (*batch, CAMERA_SIZE).
+        true_links: Shape (*batch, n), m.
+        true_latency: Age of a frame beyond what its stamp says. Shape (*batch, 1), s.
+        true_noise: Standard deviations of encoders (rad) and joint rates (rad/s). Shape (*batch, 2).
+        true_gain: Factors on the joint rates. Shape (*batch, n).
+    """
+
+    joint_angles: Array
+    features: Array
+    goal: Array
+    visible: NDArray[np.bool_]
+    frame_time: Array
+    time: Array
+    true_jacobian: Array
+    true_camera: Array
+    true_links: Array
+    true_latency: Array
+    true_noise: Array
+    true_gain: Array
+
+
+def servo_measurement(observation: Mapping[str, Any]) -> ServoMeasurement | PrivilegedMeasurement:
+    """The measurement in a servo observation, single or batched; with the truth where the observation holds it.
+
+    Raises:
+        ValueError: A key is missing.
+    """
+    missing = [key for key in OBSERVATION_KEYS if not isinstance(observation, Mapping) or key not in observation]
+    if missing:
+        raise ValueError(
+            f"observation must be a servo's dictionary with {', '.join(OBSERVATION_KEYS)}; {', '.join(missing)} missing"
+        )
+    fields: dict[str, Any] = {key: observation[key] for key in OBSERVATION_KEYS}
+    for key in ("frame_time", "time"):
+        fields[key] = np.asarray(fields[key])[..., 0]
+    fields["visible"] = np.asarray(fields["visible"])[..., 0] > 0.5
+    if "true_jacobian" not in observation:
+        return ServoMeasurement(**fields)
+    return PrivilegedMeasurement(**fields, **{key: observation[key] for key in PrivilegedMeasurement._fields[6:]})
+
+
+class JacobianServo:
+    """A `ServoController` behind `predict`: observation in, fractions of the joint rate limit out.
+
+    Args:
+        controller: Estimator, law, exploratory moves and supervisor.
+    """
+
+    def __init__(self, controller: ServoController) -> None:
+        self.controller = controller
+
+    def predict(
+        self,
+        observation: Mapping[str, Any],
+        state: ControllerState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], ControllerState]:
+        """Choose joint rates; `state` is the controller's.
+
+        Args:
+            observation: As `UncalibServo-v0` gives it, single or with a leading axis.
+            state: What the last call returned; None starts anew.
+            episode_start: Rows that start anew. Shape (N,), or a scalar for a single observation.
+            deterministic: These agents always are.
+
+        Returns:
+            Shape (*batch, n), in [-1, 1]; and the new state.
+
+        Raises:
+            ValueError: A key is missing or a measurement is bad.
+        """
+        measurement: Any = servo_measurement(observation)
+        if state is None:
+            state = self.controller.initial(measurement)
+        elif episode_start is not None and np.any(episode_start):
+            starts = np.broadcast_to(np.asarray(episode_start, dtype=np.bool_), np.shape(measurement.time))
+            state = select_rows(starts, self.controller.initial(measurement), state)
+        state, rate = self.controller.step(state, measurement)
+        return (rate / self.controller.max_joint_rate).astype(np.float32), state
+
+
+def create_servo_agent(env: Any, estimator: str, law: str = "proportional") -> JacobianServo:
+    """A servo agent for an environment, of which only `max_joint_rate` and the observation space are read.
+
+    Args:
+        env: A servo environment or vector environment.
+        estimator: A name from `servotrack.baselines.servo_estimators`.
+        law: "proportional", "pi", "damped" or "one-step".
+
+    Raises:
+        ValueError: The environment is no servo.
+    """
+    space = getattr(env, "single_observation_space", env.observation_space)
+    max_joint_rate = getattr(env.unwrapped, "max_joint_rate", None)
+    keys = set(getattr(space, "spaces", ()))
+    if max_joint_rate is None or not keys.issuperset(OBSERVATION_KEYS):
+        name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
+        raise ValueError(
+            f"agent {estimator!r} needs a servo with max_joint_rate and the observations {', '.join(OBSERVATION_KEYS)}; "
+            f"{name} is none: choose UncalibServo-v0, or another agent"
+        )
+    return JacobianServo(servo_controller(estimator, law, float(max_joint_rate)))

@@ -1,0 +1,172 @@
+"""Estimates with intervals: what the leaderboard says about a cell, a pair of agents, and a set of tasks.
+
+Resampling uses a generator with a fixed seed of its own, so that the same rows always give the same intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+Array = NDArray[np.float64]
+
+RESAMPLES = 2000
+RESAMPLING_SEED = 0
+
+
+class Interval(NamedTuple):
+    """A point estimate with the ends of its interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class PairedDifference(NamedTuple):
+    """Mean of paired differences, its bootstrap interval, and the p-value of a sign-flip permutation test."""
+
+    value: float
+    low: float
+    high: float
+    p_value: float
+
+
+def _sample(values: ArrayLike, name: str) -> Array:
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim != 1 or array.size == 0:
+        raise ValueError(f"{name} must be a non-empty vector, got shape {array.shape}; give one number per episode")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got {array[~np.isfinite(array)][0]}; drop or repair that episode")
+    return array
+
+
+def _percentiles(estimates: Array, value: float, confidence: float) -> Interval:
+    tail = 50.0 * (1.0 - confidence)
+    low, high = np.percentile(estimates, [tail, 100.0 - tail])
+    return Interval(value, float(low), float(high))
+
+
+def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> Interval:
+    """Success rate with Wilson's score interval (E. B. Wilson, 1927).
+
+    Raises:
+        ValueError: No trials, or successes outside 0..trials.
+    """
+    if trials < 1 or not 0 <= successes <= trials:
+        raise ValueError(f"successes must lie in 0..trials with trials >= 1, got {successes} of {trials}")
+    interval = stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+    return Interval(successes / trials, float(interval.low), float(interval.high))
+
+
+def worst_tenth(values: ArrayLike, *, high_is_bad: bool) -> float:
+    """Mean of the worst tenth of the episodes (at least one), which an average over all of them hides."""
+    ordered = np.sort(_sample(values, "values"))
+    count = max(1, -(-ordered.size // 10))
+    return float((ordered[-count:] if high_is_bad else ordered[:count]).mean())
+
+
+def bootstrap_mean(values: ArrayLike, confidence: float = 0.95, resamples: int = RESAMPLES) -> Interval:
+    """Mean with a percentile bootstrap interval over episodes."""
+    sample = _sample(values, "values")
+    rng = np.random.default_rng(RESAMPLING_SEED)
+    indices = rng.integers(sample.size, size=(resamples, sample.size))
+    return _percentiles(sample[indices].mean(axis=1), float(sample.mean()), confidence)
+
+
+def paired_difference(
+    values: ArrayLike, reference: ArrayLike, confidence: float = 0.95, resamples: int = RESAMPLES
+) -> PairedDifference:
+    """Mean of `values - reference`, paired by seed.
+
+    Args:
+        values: One number per episode. Shape (k,).
+        reference: The reference agent's numbers on the same seeds in the same order. Shape (k,).
+        confidence: Of the percentile bootstrap interval.
+        resamples: Of the bootstrap and of the permutation test.
+
+    Returns:
+        The mean difference, its interval, and the two-sided p-value of the sign-flip test for a mean of zero.
+
+    Raises:
+        ValueError: Different lengths, empty or not finite.
+    """
+    a, b = _sample(values, "values"), _sample(reference, "reference")
+    if a.shape != b.shape:
+        raise ValueError(f"values and reference must be paired by seed, got {a.size} and {b.size} episodes")
+    difference = a - b
+    value, low, high = bootstrap_mean(difference, confidence, resamples)
+    signs = np.random.default_rng(RESAMPLING_SEED).choice([-1.0, 1.0], size=(resamples, difference.size))
+    flipped = np.abs((signs * difference).mean(axis=1))
+    as_extreme = np.count_nonzero(flipped >= abs(value) * (1.0 - 1e-12))
+    return PairedDifference(value, low, high, (1 + as_extreme) / (1 + resamples))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """P-values adjusted for several comparisons by Holm's step-down method (S. Holm, 1979), in the order given."""
+    p = np.asarray(p_values, dtype=np.float64)
+    order = np.argsort(p, kind="stable")
+    adjusted = np.empty_like(p)
+    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(p[order] * np.arange(p.size, 0, -1)))
+    return adjusted.tolist()
+
+
+def interquartile_mean(values: ArrayLike) -> float:
+    """Mean of the middle half of the values."""
+    return float(stats.trim_mean(_sample(np.ravel(values), "values"), 0.25))
+
+
+def stratified_interquartile_mean(
+    tasks: Sequence[ArrayLike], confidence: float = 0.95, resamples: int = RESAMPLES
+) -> Interval:
+    """Interquartile mean over all episodes of several tasks; the bootstrap resamples episodes inside each task.
+
+    Source: R. Agarwal et al., Deep reinforcement learning at the edge of the statistical precipice, NeurIPS 2021.
+
+    Args:
+        tasks: For every task the scores of its episodes.
+        confidence: Of the percentile interval.
+        resamples: Of the bootstrap.
+    """
+    samples = [_sample(task, f"tasks[{i}]") for i, task in enumerate(tasks)]
+    if not samples:
+        raise ValueError("tasks must hold at least one task, got none")
+    rng = np.random.default_rng(RESAMPLING_SEED)
+    drawn = [sample[rng.integers(sample.size, size=(resamples, sample.size))] for sample in samples]
+    estimates = stats.trim_mean(np.concatenate(drawn, axis=1), 0.25, axis=1)
+    return _percentiles(np.asarray(estimates), interquartile_mean(np.concatenate(samples)), confidence)
+
+
+def score(error: ArrayLike, random_error: ArrayLike, oracle_error: ArrayLike) -> Array:
+    """Skill of each episode between two anchors: ln(e_random / e) / ln(e_random / e_oracle), unclipped.
+
+    The anchors' errors are the geometric means of their episodes, so that the anchors' own mean scores are exactly 0
+    and 1. The oracle is no upper bound: an agent with a model may exceed 1.
+
+    Args:
+        error: Steady error of each episode of the agent. Shape (k,), m.
+        random_error: The same for the agent without skill. Shape (r,), m.
+        oracle_error: The same for the agent with the analytic Jacobian. Shape (o,), m.
+
+    Returns:
+        Shape (k,).
+
+    Raises:
+        ValueError: An error that is not positive and finite, or anchors that do not differ.
+    """
+    logs = []
+    for name, values in (("error", error), ("random_error", random_error), ("oracle_error", oracle_error)):
+        sample = _sample(values, name)
+        if (sample <= 0.0).any():
+            raise ValueError(f"{name} must be positive, got {sample.min()}; a tracking error of zero has no logarithm")
+        logs.append(np.log(sample))
+    log_error, log_random, log_oracle = logs[0], logs[1].mean(), logs[2].mean()
+    if np.isclose(log_random, log_oracle):
+        raise ValueError(
+            f"random_error and oracle_error must differ, both are {np.exp(log_random)} m; "
+            "the task does not separate skill"
+        )
+    return (log_random - log_error) / (log_random - log_oracle)
