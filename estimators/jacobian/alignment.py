@@ -105,7 +105,7 @@ class Alignment:
             measurement.frame_time.reshape(rows) - self.latency,
             measurement.time.reshape(rows),
         )
-        shaped = [result.reshape(*batch, *result.shape[1:]) for result in results]
+        shaped = [result.reshape((*batch, *result.shape[1:])) for result in results]
         return AlignmentState(*shaped[:6]), Increment(*shaped[6:])
 
     def _check_against(self, state: AlignmentState, measurement: ServoMeasurement) -> None:
