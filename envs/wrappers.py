@@ -13,7 +13,7 @@ Observation = dict[str, NDArray[Any]]
 
 
 def _widened(space: gym.Space[Any], extra: Observation) -> gym.spaces.Dict:
-    """The observation space with one Box for each privileged array; truth has no useful bounds but has to have finite ones."""
+    """The observation space with one Box for each privileged array; the bounds are wide, but finite."""
     if not isinstance(space, gym.spaces.Dict):
         raise TypeError(f"PrivilegedObservation needs a Dict observation space, got {space}")
     boxes = {key: gym.spaces.Box(-1e9, 1e9, value.shape, np.float64) for key, value in extra.items()}

@@ -1,13 +1,13 @@
 """A camera that rides on a planar two-link arm and looks down on the plane of its targets (paper 002, section 3.1).
 
-The camera sits at the tool, `depth` above the plane. Its x axis runs along the second link turned by the mounting angle psi,
-y and z are flipped, so that with phi = theta1 + theta2 + psi a ground point p appears, before tilt, at
+The camera sits at the tool, `depth` above the plane. Its x axis runs along the second link turned by the mounting
+angle psi, y and z are flipped, so that with phi = theta1 + theta2 + psi a ground point p appears, before tilt, at
 
     q = (F R(phi)^T (p - p_tool), depth),  F = diag(1, -1).
 
-A small rotation Rx(tilt_x) Ry(tilt_y) tilts the optical axis; then comes the pinhole with focal lengths (f, f (1 + aspect))
-and radial distortion d (1 + k1 |d|^2 / half_width^2) of the pixel offset d from the principal point. With k1 < 0 the image
-folds over where 1 + 3 k1 rho^2 <= 0; points out there are never visible.
+A small rotation Rx(tilt_x) Ry(tilt_y) tilts the optical axis; then comes the pinhole with focal lengths (f, f (1 +
+aspect)) and radial distortion d (1 + k1 |d|^2 / half_width^2) of the pixel offset d from the principal point. With k1
+< 0 the image folds over where 1 + 3 k1 rho^2 <= 0; points out there are never visible.
 
 The scalar kernels are compiled, so that one arm and a thousand get the same bits.
 """
@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 CAMERA_SIZE = 18
-"""Columns of a packed camera: fx, fy, cu, cv, depth, cos psi, sin psi, the 9 entries of the tilt rotation, k1, 1/half_width."""
+"""Columns of a packed camera: fx, fy, cu, cv, depth, cos psi, sin psi, tilt rotation (9), k1, 1/half_width."""
 
 
 def pack_camera(
@@ -71,7 +71,7 @@ def pack_camera(
 
 @njit(cache=True, nogil=True)
 def project_ground(cam, gx, gy):  # type: ignore[no-untyped-def]
-    """Pixel (u, v) of a ground point given in the camera's untilted frame, and whether it lies in front and before the fold.
+    """Pixel (u, v) of a ground point in the camera's untilted frame, and whether it lies in front and before the fold.
 
     Args:
         cam: One packed camera, shape (CAMERA_SIZE,).
@@ -106,7 +106,7 @@ def project(cam, l1, l2, theta1, theta2, px, py):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True)
 def total_jacobian(cam, l1, l2, theta1, theta2, px, py, vx, vy, out):  # type: ignore[no-untyped-def]
-    """Write the analytic total image Jacobian [J_theta J_t] of the ground point (px, py) moving at (vx, vy) into `out` (2, 3)."""
+    """Write the total image Jacobian [J_theta J_t] of the ground point (px, py) moving at (vx, vy) to `out` (2, 3)."""
     phi = theta1 + theta2
     c1, s1 = math.cos(theta1), math.sin(theta1)
     c2, s2 = math.cos(phi), math.sin(phi)
@@ -211,8 +211,8 @@ def project_points(
         points: Ground points in the base frame. Shape (*batch, 2), m.
 
     Returns:
-        Pixels, shape (*batch, 2), and whether each lies in front of the camera and before the fold, shape (*batch,); the image's
-        borders are not considered.
+        Pixels, shape (*batch, 2), and whether each lies in front of the camera and before the fold, shape (*batch,);
+        the image's borders are not considered.
     """
     batch, (cam, link, joint, point) = _rows(camera, links, joint_angles, points)
     out, seen = np.empty((len(cam), 2)), np.empty(len(cam), dtype=np.bool_)

@@ -61,11 +61,11 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     ## Description
 
-    A planar two-link arm carries a camera at its tool, looking down on a plane. A target moves over the plane. The agent
-    commands joint rates and has to keep the target under the tool, that is, at the pixel where the tool was taught to appear.
-    Nobody tells it the links' lengths, the focal length, the height, how the camera is mounted, or how the target moves; from
-    level to level the optics get worse, and noise, lost frames and latency join in. The physics is pymunk's, at five substeps
-    per control period of 50 ms.
+    A planar two-link arm carries a camera at its tool, looking down on a plane. A target moves over the plane. The
+    agent commands joint rates and has to keep the target under the tool, that is, at the pixel where the tool was
+    taught to appear. Nobody tells it the links' lengths, the focal length, the height, how the camera is mounted, or
+    how the target moves; from level to level the optics get worse, and noise, lost frames and latency join in. The
+    physics is pymunk's, at five substeps per control period of 50 ms.
 
     | level | adds |
     |---|---|
@@ -79,8 +79,8 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     ## Action Space
 
-    `Box(-1, 1, (2,), float32)`: the joint rates as fractions of `max_joint_rate` (2 rad/s). Each is clipped by itself, as
-    hardware does; scale the whole vector if you want to keep its direction. A joint stops before its stop.
+    `Box(-1, 1, (2,), float32)`: the joint rates as fractions of `max_joint_rate` (2 rad/s). Each is clipped by
+    itself, as hardware does; scale the whole vector if you want to keep its direction. A joint stops before its stop.
 
     ## Observation Space
 
@@ -97,17 +97,17 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     ## Rewards
 
-    `clip(1 - ln(1 + d / 2 mm) / ln(1 + 2 m / 2 mm), 0, 1)` with d the distance between tool and target in the plane: a slope
-    from metres down to millimetres. 0 during the warm-up and at termination, so that ending early never pays.
+    `clip(1 - ln(1 + d / 2 mm) / ln(1 + 2 m / 2 mm), 0, 1)` with d the distance between tool and target in the plane:
+    a slope from metres down to millimetres. 0 during the warm-up and at termination, so that ending early never pays.
 
     `info` holds, for evaluation and not for agents: `tracking_error` (d in m), `feature_error` (px, true and present),
     `success` (d below 10 mm now) and `truth` (`joint_angles`, `tool`, `target`, `target_velocity`).
 
     ## Starting State
 
-    Joints at (0, 90) degrees. Links, camera, target, noise and so on are drawn from the seed, each from a stream of its own. A
-    layout that no controller could solve is drawn again: joint limits with a margin, at most 0.8 of the joint rate limit, away from the
-    eye-in-hand singularity, target in view at the start.
+    Joints at (0, 90) degrees. Links, camera, target, noise and so on are drawn from the seed, each from a stream of
+    its own. A layout that no controller could solve is drawn again: joint limits with a margin, at most 0.8 of the
+    joint rate limit, away from the eye-in-hand singularity, target in view at the start.
 
     ## Episode End
 
@@ -115,13 +115,14 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     ## Arguments
 
-    `level` (0 to 6, default 3) and every field of `ServoConfig` as a keyword that overrides the level's value, for example
-    `gym.make("UncalibServo-v0", level=5, pixel_noise=2.0, latency=(0, 2))`. `render_mode`: `rgb_array` or `human`.
+    `level` (0 to 6, default 3) and every field of `ServoConfig` as a keyword that overrides the level's value, for
+    example `gym.make("UncalibServo-v0", level=5, pixel_noise=2.0, latency=(0, 2))`. `render_mode`: `rgb_array` or
+    `human`.
 
     ## References
 
-    Zhang Ying-bo, "Unscented Kalman filter for on-line estimation of Jacobian matrix", Journal of Computer Applications 31(6),
-    2011, pp. 1699-1702, section 3.
+    Zhang Ying-bo, "Unscented Kalman filter for on-line estimation of Jacobian matrix", Journal of Computer
+    Applications 31(6), 2011, pp. 1699-1702, section 3.
 
     ## Version History
 
@@ -222,7 +223,7 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
         }
 
     def privileged(self) -> Observation:
-        """What `PrivilegedObservation` adds to the observation; see `ServoWorld.privileged`, here without the leading axis."""
+        """What `PrivilegedObservation` adds: as `ServoWorld.privileged`, without the leading axis."""
         return {key: value[0] for key, value in self.world.privileged().items()}
 
 
@@ -231,7 +232,8 @@ class UncalibServoReachEnv(UncalibServoEnv):
 
     ## Description
 
-    As `UncalibServo-v0`, but the target rests: at (0.6, 0.6) m at level 0 (paper 002, section 3.2), anywhere within reach above.
+    As `UncalibServo-v0`, but the target rests: at (0.6, 0.6) m at level 0 (paper 002, section 3.2), anywhere within
+    reach above.
 
     ## Action Space
 
@@ -259,8 +261,8 @@ class UncalibServoReachEnv(UncalibServoEnv):
 
     ## References
 
-    Zhang Ying-bo, "Unscented Kalman filter for on-line estimation of Jacobian matrix", Journal of Computer Applications 31(6),
-    2011, pp. 1699-1702, section 3.2.
+    Zhang Ying-bo, "Unscented Kalman filter for on-line estimation of Jacobian matrix", Journal of Computer
+    Applications 31(6), 2011, pp. 1699-1702, section 3.2.
 
     ## Version History
 

@@ -81,7 +81,8 @@ class Episode:
         camera: Packed, shape (CAMERA_SIZE,).
         goal: Taught goal features: where the point under the tool appears. Shape (2,), px.
         path: Target positions and velocities, shape (K, 4), m and m/s.
-        feature_noise: Noise and outliers added to each frame's features, shape (K, 2), px, or (0, 2) where there is none.
+        feature_noise: Noise and outliers added to each frame's features, shape (K, 2), px, or (0, 2) where there is
+            none.
         dropped: Whether a frame is lost, shape (K,), or (0,).
         latency: Age of frames at arrival, periods.
         gain: Factor on each joint's rate, shape (2,).
@@ -142,7 +143,8 @@ def draw_episode(config: ServoConfig, seed: int) -> Episode:
         feature_noise=_feature_noise(config, streams, count),
         dropped=streams[Stream.DROPOUT].random(count) < config.dropout if config.dropout else _NEVER,
         latency=int(low) if low == high else int(streams[Stream.LATENCY].integers(int(low), int(high) + 1)),
-        gain=1.0 + np.asarray(streams.uniform(Stream.ACTUATION_GAIN, (-config.actuation_gain, config.actuation_gain), 2)),
+        gain=1.0
+        + np.asarray(streams.uniform(Stream.ACTUATION_GAIN, (-config.actuation_gain, config.actuation_gain), 2)),
         rate_noise=rate_noise,
         encoder_noise=encoder_noise,
         noise_levels=np.array([encoder_level, rate_level]),
@@ -165,12 +167,12 @@ def _draw_layout(config: ServoConfig, streams: Streams) -> tuple[Array, Array, A
         if not solvable(path[LEAD + config.warmup :], links[0], links[1], config.max_joint_rate):
             continue
         pixel, seen = project_points(camera, links, START, path[LEAD, :2])
-        if seen and 0.0 <= pixel.min() and pixel.max() < config.camera_size:
+        if seen and pixel.min() >= 0.0 and pixel.max() < config.camera_size:
             return links, camera, path
     raise ValueError(
         f"no solvable layout among {_MAX_DRAWS} draws: the arm cannot follow a {config.target!r} target with "
-        f"links={config.links} at max_joint_rate={config.max_joint_rate}, or the camera (focal={config.focal}, depth={config.depth}) "
-        "never sees it at the start; widen the ranges"
+        f"links={config.links} at max_joint_rate={config.max_joint_rate}, or the camera (focal={config.focal}, "
+        f"depth={config.depth}) never sees it at the start; widen the ranges"
     )
 
 

@@ -18,8 +18,8 @@ class ServoConfig:
     """All that defines a servo world. A range (low, high) is drawn anew, uniformly, for every episode.
 
     Attributes:
-        target: Motion of the target: `paper` (paper 002, eq. 32, scaled with the arm), `paper_point` (its section 3.2, at rest),
-            `point` (at rest anywhere in reach), `ellipse`, `two_sine`, `waypoints`.
+        target: Motion of the target: `paper` (paper 002, eq. 32, scaled with the arm), `paper_point` (its section
+            3.2, at rest), `point` (at rest anywhere in reach), `ellipse`, `two_sine`, `waypoints`.
         links: Length of each link, drawn separately, m.
         focal: Focal length over pixel pitch, px.
         depth: Height of the camera over the plane, m.
@@ -157,7 +157,14 @@ _LADDER: tuple[dict[str, Any], ...] = (
         "dropout": 0.05,
     },
     {"latency": (1, 1), "rolling_shutter": 0.020},
-    {"target": "waypoints", "outlier_rate": 0.05, "outlier_size": 30.0, "dropout": 0.10, "latency": (0, 2), "stamped": False},
+    {
+        "target": "waypoints",
+        "outlier_rate": 0.05,
+        "outlier_size": 30.0,
+        "dropout": 0.10,
+        "latency": (0, 2),
+        "stamped": False,
+    },
 )
 
 LEVEL_NAMES = ("paper", "noise", "geometry", "optics", "dynamics", "timing", "heavy")
@@ -168,7 +175,8 @@ def servo_config(level: int = 3, **axes: Any) -> ServoConfig:
     """The configuration of a level of the ladder, with single axes overridden.
 
     Args:
-        level: 0 `paper`, 1 `noise`, 2 `geometry`, 3 `optics`, 4 `dynamics`, 5 `timing`, 6 `heavy`; each adds to those before it.
+        level: 0 `paper`, 1 `noise`, 2 `geometry`, 3 `optics`, 4 `dynamics`, 5 `timing`, 6 `heavy`; each adds to those
+            before it.
         **axes: Fields of `ServoConfig`; a number where a range is expected means that number always.
 
     Raises:

@@ -30,8 +30,9 @@ SINGULAR_SINE = 0.1
 def solvable(path, l1, l2, max_joint_rate):  # type: ignore[no-untyped-def]
     """Whether the arm can stay over every sample of a path with something to spare (spec of the ladder).
 
-    The inverse kinematics in closed form must keep `JOINT_MARGIN` from the stops, need at most `RATE_FRACTION` of the joint rate
-    limit, and stay off the eye-in-hand singularity, the target on the line of link 1, by a sine of `SINGULAR_SINE`.
+    The inverse kinematics in closed form must keep `JOINT_MARGIN` from the stops, need at most `RATE_FRACTION` of the
+    joint rate limit, and stay off the eye-in-hand singularity, the target on the line of link 1, by a sine of
+    `SINGULAR_SINE`.
 
     Args:
         path: Positions at sample instants, shape (samples, >= 2), m.
@@ -66,7 +67,8 @@ def draw_path(config: ServoConfig, rng: np.random.Generator | None, links: Array
         config: The kind of motion is `config.target`; lengths scale with the arm's reach.
         rng: The target's own stream; None where the motion is the paper's.
         links: Link lengths, shape (2,), m.
-        times: Sample instants, shape (samples,), s; negative times of a world with warm-up are at rest at time 0's position.
+        times: Sample instants, shape (samples,), s; negative times of a world with warm-up are at rest at time 0's
+            position.
 
     Returns:
         Positions and velocities, shape (samples, 4): m, m, m/s, m/s.

@@ -121,20 +121,20 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
         self._started = True
         return self._observe(), self._infos(chosen)
 
-    def step(
-        self, actions: Any
-    ) -> tuple[Observation, NDArray[np.float64], Mask, Mask, dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[Observation, NDArray[np.float64], Mask, Mask, dict[str, Any]]:
         """Command joint rates of all arms for one control period.
 
         Args:
             actions: Shape (N, 2), fractions of `max_joint_rate`.
 
         Returns:
-            Observations, rewards, terminations, truncations, infos. What happens at an episode's end is the autoreset mode's.
+            Observations, rewards, terminations, truncations, infos. What happens at an episode's end is the autoreset
+            mode's.
 
         Raises:
             ValueError: Actions of another shape, or not finite.
-            gymnasium.error.ResetNeeded: Before the first reset; in mode DISABLED also while an ended episode waits for its reset.
+            gymnasium.error.ResetNeeded: Before the first reset; in mode DISABLED also while an ended episode waits
+            for its reset.
         """
         values = check_actions(actions, (self.num_envs, 2))
         if not self._started:
@@ -142,8 +142,8 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
         waiting = self._over
         if self.autoreset_mode == AutoresetMode.DISABLED and waiting.any():
             raise ResetNeeded(
-                f"sub-environments {np.flatnonzero(waiting).tolist()} have ended: reset them with options={{'reset_mask': mask}}, "
-                "or use another autoreset_mode"
+                f"sub-environments {np.flatnonzero(waiting).tolist()} have ended: reset them with "
+                "options={'reset_mask': mask}, or use another autoreset_mode"
             )
         world = self.world
         world.step(values)
@@ -178,7 +178,7 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
         return {"final_obs": rows, "_final_obs": ended.copy(), "final_info": infos, "_final_info": ended.copy()}
 
     def _infos(self, chosen: Mask) -> dict[str, Any]:
-        """Infos in the layout of Gymnasium's own vector environments: a mask beside every array, zeros where it is false."""
+        """Infos as Gymnasium's own vector environments lay them out: a mask beside every array, zeros where false."""
         world = self.world
 
         def masked(values: dict[str, Any]) -> dict[str, Any]:
@@ -229,7 +229,9 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
             return [int(seed) + row for row in range(self.num_envs)]
         seeds = [None if s is None else int(s) for s in seed]
         if len(seeds) != self.num_envs:
-            raise ValueError(f"seed must be an int or have one entry for each of the {self.num_envs} sub-environments, got {len(seeds)}")
+            raise ValueError(
+                f"seed must be an int or a list of {self.num_envs}, one for each sub-environment, got {len(seeds)}"
+            )
         return seeds
 
     def _reset_mask(self, options: dict[str, Any] | None) -> Mask:

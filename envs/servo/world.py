@@ -37,7 +37,8 @@ def tracking_reward(distance):  # type: ignore[no-untyped-def]
 class ServoWorld:
     """N arms, their cameras and targets, stepped together; arrays carry a leading axis of N.
 
-    After `reset` and `step` the newest sample lies in the public arrays below, which the next call overwrites: copy what you keep.
+    After `reset` and `step` the newest sample lies in the public arrays below, which the next call overwrites: copy
+    what you keep.
 
     Args:
         config: The world's parameters.
@@ -68,7 +69,7 @@ class ServoWorld:
         self.arms = ArmSpace(config, count)
         self.joints = self.arms.angles
         self.episodes: list[Episode | None] = [None] * count
-        self.links, self.cameras = np.ones((count, 2)), np.zeros((count, CAMERA_SIZE))
+        self.links, self.cameras = np.ones((count, 2)), np.ones((count, CAMERA_SIZE))
         self.goal, self.gain, self.noise_levels = np.zeros((count, 2)), np.ones((count, 2)), np.zeros((count, 2))
         self.latency, self.steps = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._path = np.zeros((count, length, 4))
@@ -101,8 +102,8 @@ class ServoWorld:
             self.episodes[row] = episode
             self.arms.reset(row, episode.links)
             self.links[row], self.cameras[row], self.goal[row] = episode.links, episode.camera, episode.goal
-            self.gain[row], self.latency[row], self.noise_levels[row] = episode.gain, episode.latency, episode.noise_levels
-            self._path[row] = episode.path
+            self.gain[row], self.latency[row] = episode.gain, episode.latency
+            self.noise_levels[row], self._path[row] = episode.noise_levels, episode.path
             for table, values in (
                 (self._feature_noise, episode.feature_noise),
                 (self._rate_noise, episode.rate_noise),
@@ -137,25 +138,27 @@ class ServoWorld:
     def _observe(self, rows: NDArray[np.bool_]) -> None:
         config = self.config
         _sense(
-            rows, self.steps, config.warmup, config.horizon, float(config.camera_size), config.rolling_shutter, config.stamped,
-            config.noise_kind == "quantized", self.links, self.cameras, self.goal, self.latency, self._path,
-            self._feature_noise, self._encoder_noise, self._dropped, self.joints, self.history, self._out_of_view,
-            self.joint_angles, self.features, self.visible, self.frame_time, self.time, self.reward, self.terminated,
-            self.truncated, self.tracking_error, self.feature_error, self.tool, self.target, self.captured,
+            rows, self.steps, config.warmup, config.horizon, float(config.camera_size), config.rolling_shutter,
+            config.stamped, config.noise_kind == "quantized", self.links, self.cameras, self.goal, self.latency,
+            self._path, self._feature_noise, self._encoder_noise, self._dropped, self.joints, self.history,
+            self._out_of_view, self.joint_angles, self.features, self.visible, self.frame_time, self.time,
+            self.reward, self.terminated, self.truncated, self.tracking_error, self.feature_error, self.tool,
+            self.target, self.captured,
         )  # fmt: skip
 
     def privileged(self) -> dict[str, Array]:
         """What an oracle or the informed bound may know, besides the observation; arrays of N rows.
 
         Returns:
-            `true_jacobian` (N, 2, 3) px/rad and px/s at the present instant; `true_camera` (N, CAMERA_SIZE), packed as in
-            `servotrack.estimators.camera.pack_camera`; `true_links` (N, 2) m; `true_latency` (N, 1) s, the age of a frame
-            beyond what its stamp says; `true_noise` (N, 2), standard deviations of encoders (rad) and joint rates (rad/s);
-            `true_gain` (N, 2), factors on the joint rates.
+            `true_jacobian` (N, 2, 3) px/rad and px/s at the present instant; `true_camera` (N, CAMERA_SIZE), packed
+            as in `servotrack.estimators.camera.pack_camera`; `true_links` (N, 2) m; `true_latency` (N, 1) s, the age
+            of a frame beyond what its stamp says; `true_noise` (N, 2), standard deviations of encoders (rad) and
+            joint rates (rad/s); `true_gain` (N, 2), factors on the joint rates.
         """
         hidden = self.latency * PERIOD if not self.config.stamped else np.zeros(self.count)
+        position, velocity = self.target[:, :2], self.target[:, 2:]
         return {
-            "true_jacobian": image_jacobian(self.cameras, self.links, self.joints, self.target[:, :2], self.target[:, 2:]),
+            "true_jacobian": image_jacobian(self.cameras, self.links, self.joints, position, velocity),
             "true_camera": self.cameras.copy(),
             "true_links": self.links.copy(),
             "true_latency": hidden[:, None] + 0.0,
@@ -171,9 +174,10 @@ class ServoWorld:
         """One row's state as text, for debugging."""
         degrees = np.degrees(self.joints[row])
         return (
-            f"t={self.time[row]:+.2f} s  joints=({degrees[0]:+.1f}, {degrees[1]:+.1f}) deg  tool={self.tool[row].round(4)} m  "
-            f"target={self.target[row, :2].round(4)} m  error={1e3 * self.tracking_error[row]:.2f} mm  "
-            f"features={self.features[row].round(2)} px  goal={self.goal[row].round(2)} px  visible={bool(self.visible[row])}"
+            f"t={self.time[row]:+.2f} s  joints=({degrees[0]:+.1f}, {degrees[1]:+.1f}) deg  "
+            f"tool={self.tool[row].round(4)} m  target={self.target[row, :2].round(4)} m  error={1e3 * self.tracking_error[row]:.2f} mm  "
+            f"features={self.features[row].round(2)} px  goal={self.goal[row].round(2)} px  "
+            f"visible={bool(self.visible[row])}"
         )
 
 
@@ -190,7 +194,7 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
     """
     values = np.asarray(actions, dtype=np.float64)
     if values.shape != shape:
-        raise ValueError(f"action must have shape {shape}, got {values.shape}: one fraction of max_joint_rate for each joint")
+        raise ValueError(f"action must have shape {shape}, one rate for each joint, got {values.shape}")
     if not math.isfinite(values.sum()):
         raise ValueError(f"action must be finite, got {values.tolist()}; check the policy for NaN or overflow")
     return values
@@ -210,7 +214,7 @@ def _command(actions, steps, joints, low, high, max_joint_rate, gain, rate_noise
 
 @njit(cache=True, nogil=True)
 def _between(before, after, fraction):  # type: ignore[no-untyped-def]
-    """Position a `fraction` of a period after row `before` of a path: the cubic through both positions and velocities."""
+    """Position a `fraction` of a period after `before`: the cubic through two rows' positions and velocities."""
     f, g = fraction, 1.0 - fraction
     hermite = np.empty(2)
     for j in range(2):

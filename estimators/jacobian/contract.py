@@ -1,7 +1,7 @@
 """What goes into a Jacobian estimator and what comes out of it.
 
-A camera rides on an arm of n joints and sees a moving target as m image features (pixels of image points). Nobody told the
-estimator anything about either. Between two frames the features move by
+A camera rides on an arm of n joints and sees a moving target as m image features (pixels of image points). Nobody
+told the estimator anything about either. Between two frames the features move by
 
     dy = J_theta dtheta + J_t dt = J ds,    J = [J_theta J_t],  ds = [dtheta; dt]        (paper 002, eqs 4 to 6)
 
@@ -10,8 +10,8 @@ with J the *total image Jacobian*. Every estimator of this package is a frozen d
     initial(measurement) -> state                   nothing known but the first measurement's shapes and values
     step(state, measurement) -> (state, estimate)
 
-where `state` is a NamedTuple of arrays that all carry the measurement's leading batch axes (`*batch`, possibly none), so that
-rows can be selected, saved and replaced, and `estimate` is a `ServoEstimate`.
+where `state` is a NamedTuple of arrays that all carry the measurement's leading batch axes (`*batch`, possibly none),
+so that rows can be selected, saved and replaced, and `estimate` is a `ServoEstimate`.
 """
 
 from __future__ import annotations
@@ -86,11 +86,12 @@ class ServoEstimate(Protocol):
     def surprise(self) -> Array:
         """Squared innovation over its predicted covariance, divided by m: 1 on average for a consistent filter.
 
-        Zero where no new frame came. Estimators without a covariance use a running mean square of the innovation. Shape (*batch,).
+        Zero where no new frame came. Estimators without a covariance use a running mean square of the innovation.
+        Shape (*batch,).
         """
 
     def predict_error(self, joint_motion: Array, duration: Array | float) -> Array:
-        """Error after the joints have moved by `joint_motion` (*batch, n) rad within `duration` s. Shape (*batch, m), px."""
+        """Error after the joints moved by `joint_motion` (*batch, n) rad in `duration` s. Shape (*batch, m), px."""
 
 
 @dataclass(frozen=True)
