@@ -175,9 +175,9 @@ class ServoWorld:
         degrees = np.degrees(self.joints[row])
         return (
             f"t={self.time[row]:+.2f} s  joints=({degrees[0]:+.1f}, {degrees[1]:+.1f}) deg  "
-            f"tool={self.tool[row].round(4)} m  target={self.target[row, :2].round(4)} m  error={1e3 * self.tracking_error[row]:.2f} mm  "
-            f"features={self.features[row].round(2)} px  goal={self.goal[row].round(2)} px  "
-            f"visible={bool(self.visible[row])}"
+            f"tool={self.tool[row].round(4)} m  target={self.target[row, :2].round(4)} m  "
+            f"error={1e3 * self.tracking_error[row]:.2f} mm  features={self.features[row].round(2)} px  "
+            f"goal={self.goal[row].round(2)} px  visible={bool(self.visible[row])}"
         )
 
 
@@ -202,7 +202,7 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
 
 @njit(cache=True, nogil=True)
 def _command(actions, steps, joints, low, high, max_joint_rate, gain, rate_noise, rates):  # type: ignore[no-untyped-def]
-    """Joint rates that the motors are asked for: clipped, off by gain and noise, and stopped before the joints' stops."""
+    """Joint rates that the motors are asked for: clipped, off by gain and noise, zero at the joints' stops."""
     for i in range(actions.shape[0]):
         for j in range(2):
             rate = min(max(actions[i, j], -1.0), 1.0) * max_joint_rate * gain[i, j]
