@@ -89,6 +89,31 @@ class LiftedEstimate:
 
 
 @dataclass(frozen=True)
+class TargetModel:
+    """How a target may move: V' = G + white acceleration, G' = -recall V - damping G + white jerk.
+
+    Plain constant acceleration has neither recall nor damping; a large damping makes it constant velocity; recall w^2 makes it
+    an oscillation of w rad/s about a center of its own.
+
+    Args:
+        jerk: Root spectral density of the white jerk along each axis, px/s^2.5.
+        jump: Root spectral density of the white acceleration along each axis, px/s^1.5.
+        recall: 1/s^2.
+        damping: 1/s.
+    """
+
+    jerk: float
+    jump: float = 0.0
+    recall: float = 0.0
+    damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("jerk", "jump", "recall", "damping"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must be finite and >= 0, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
 class LiftedKalman:
     """Lifted Kalman filter with interacting models of the target and noise that it learns.
 
@@ -97,8 +122,7 @@ class LiftedKalman:
     `outlier_rate=0` for the plain Kalman filter.
 
     Args:
-        jerk: Root spectral density of each model's white jerk, px/s^2.5.
-        jump: Root spectral density of each model's white acceleration, px/s^1.5. As long as `jerk`.
+        models: What the target may do.
         model_stay: Probability that the target keeps its model from frame to frame.
         noise: Levels of the standard deviation of a feature along each axis, px. Their probabilities are learned.
         noise_stay: Probability that a camera keeps its noise level from frame to frame.
@@ -113,8 +137,7 @@ class LiftedKalman:
         alignment: Interpolates the encoders at the frames' instants.
     """
 
-    jerk: tuple[float, ...] = (100.0, 400.0)
-    jump: tuple[float, ...] = (0.0, 400.0)
+    models: tuple[TargetModel, ...] = (TargetModel(jerk=60.0), TargetModel(jerk=200.0, jump=200.0))
     model_stay: float = 0.98
     noise: tuple[float, ...] = (0.3, 0.7, 1.5, 3.0)
     noise_stay: float = 0.99
@@ -129,14 +152,14 @@ class LiftedKalman:
     alignment: Alignment = field(default_factory=Alignment)
 
     def __post_init__(self) -> None:
-        if not self.jerk or len(self.jerk) != len(self.jump):
-            raise ValueError(f"jerk and jump need one value per model each, got {self.jerk} and {self.jump}")
+        if not self.models:
+            raise ValueError("models needs at least one TargetModel, got none")
         if not self.noise:
             raise ValueError("noise needs at least one level, px, got none")
         for name in ("noise", "arm_spread", "velocity_spread", "acceleration_spread", "outlier_noise"):
             if not all(0.0 < value < np.inf for value in np.atleast_1d(getattr(self, name))):
                 raise ValueError(f"{name} must be finite and > 0, got {getattr(self, name)}")
-        for name in ("jerk", "jump", "encoder_noise", "optics_error", "drift"):
+        for name in ("encoder_noise", "optics_error", "drift"):
             if not all(0.0 <= value < np.inf for value in np.atleast_1d(getattr(self, name))):
                 raise ValueError(f"{name} must be finite and >= 0, got {getattr(self, name)}")
         for name in ("model_stay", "noise_stay"):
@@ -154,7 +177,7 @@ class LiftedKalman:
                 f"LiftedKalman serves a planar arm of 2 joints and one image point (2 features), got joint_angles with {joints} "
                 f"and features with {features}; use KalmanJacobian"
             )
-        batch, models, levels = alignment.seen.shape, len(self.jerk), len(self.noise)
+        batch, models, levels = alignment.seen.shape, len(self.models), len(self.noise)
         return LiftedState(
             alignment,
             np.zeros((*batch, models, 5), dtype=np.complex128),
@@ -174,7 +197,7 @@ class LiftedKalman:
         lifted_update(
             new.mean.reshape(-1, *new.mean.shape[-2:]),
             new.covariance.reshape(-1, *new.covariance.shape[-3:]),
-            new.model_weight.reshape(-1, len(self.jerk)),
+            new.model_weight.reshape(-1, len(self.models)),
             new.noise_weight.reshape(-1, len(self.noise)),
             fresh.reshape(-1),
             increment.time.reshape(-1),
@@ -215,8 +238,7 @@ class LiftedKalman:
     def _variances(self) -> tuple[Array | float, ...]:
         """The kernel's parameters. A complex variance is that of both axes together, hence the factors of two."""
         return (
-            2.0 * np.square(self.jerk),
-            2.0 * np.square(self.jump),
+            np.array([(2.0 * m.jerk**2, 2.0 * m.jump**2, m.recall, m.damping) for m in self.models]),
             2.0 * self.drift**2,
             self.model_stay,
             2.0 * np.square(self.noise),

@@ -45,18 +45,31 @@ def _mix(mean, cov, weight, stay, mixed_mean, mixed_cov, predicted):  # type: ig
 
 
 @njit(cache=True, nogil=True)
-def _predict(mean, cov, dt, jerk, jump, drift):  # type: ignore[no-untyped-def]
-    """Constant acceleration for `dt`, with white jerk and white acceleration; the parameters drift."""
-    half = 0.5 * dt * dt
-    mean[0] += dt * mean[1] + half * mean[2]
-    mean[1] += dt * mean[2]
-    for c in range(STATE_SIZE):
-        cov[0, c] += dt * cov[1, c] + half * cov[2, c]
-        cov[1, c] += dt * cov[2, c]
-    for r in range(STATE_SIZE):
-        cov[r, 0] += dt * cov[r, 1] + half * cov[r, 2]
-        cov[r, 1] += dt * cov[r, 2]
+def _predict(mean, cov, dt, model, drift):  # type: ignore[no-untyped-def]
+    """Move one model's target for `dt`: V' = G + white acceleration, G' = -recall V - damping G + white jerk."""
+    jerk, jump, recall, damping = model[0], model[1], model[2], model[3]
     dt2 = dt * dt
+    half = 0.5 * dt2
+    if damping > 0.0:
+        keep = math.exp(-damping * dt)
+        gain = (1.0 - keep) / damping
+        lift = (dt - gain) / damping
+    else:
+        keep, gain, lift = 1.0, dt, half
+    swing = 1.0 - half * recall
+    pull = recall * gain
+    mean[0] += dt * mean[1] + lift * mean[2]
+    mean[1], mean[2] = swing * mean[1] + gain * mean[2], -pull * mean[1] + keep * swing * mean[2]
+    for c in range(STATE_SIZE):
+        cov[0, c] += dt * cov[1, c] + lift * cov[2, c]
+        velocity = cov[1, c]
+        cov[1, c] = swing * velocity + gain * cov[2, c]
+        cov[2, c] = keep * swing * cov[2, c] - pull * velocity
+    for r in range(STATE_SIZE):
+        cov[r, 0] += dt * cov[r, 1] + lift * cov[r, 2]
+        velocity = cov[r, 1]
+        cov[r, 1] = swing * velocity + gain * cov[r, 2]
+        cov[r, 2] = keep * swing * cov[r, 2] - pull * velocity
     cov[0, 0] += dt * dt2 * (jerk * dt2 / 20.0 + jump / 3.0) + drift * dt
     position_velocity = dt2 * (jerk * dt2 / 8.0 + jump / 2.0)
     cov[0, 1] += position_velocity
@@ -64,8 +77,8 @@ def _predict(mean, cov, dt, jerk, jump, drift):  # type: ignore[no-untyped-def]
     cov[0, 2] += jerk * dt * dt2 / 6.0
     cov[2, 0] += jerk * dt * dt2 / 6.0
     cov[1, 1] += dt * (jerk * dt2 / 3.0 + jump)
-    cov[1, 2] += jerk * dt2 / 2.0
-    cov[2, 1] += jerk * dt2 / 2.0
+    cov[1, 2] += jerk * half
+    cov[2, 1] += jerk * half
     cov[2, 2] += jerk * dt
     cov[3, 3] += drift * dt
     cov[4, 4] += drift * dt
@@ -120,7 +133,7 @@ def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate
 @njit(cache=True, nogil=True)
 def lifted_update(
     mean, cov, weight, noise_weight, fresh, dt, joints, z,
-    jerk, jump, drift, stay, noise, noise_stay, extra, outlier_rate, outlier_variance,
+    models, drift, stay, noise, noise_stay, extra, outlier_rate, outlier_variance,
     log_likelihood, surprise,
 ):  # type: ignore[no-untyped-def]  # fmt: skip
     """Advance every fresh row by `dt` and fold its measurement in; all arrays are changed in place.
@@ -132,7 +145,8 @@ def lifted_update(
         dt: Time since the state's instant. Shape (rows,), s.
         joints: Joint angles at the frame. Shape (rows, 2), rad.
         z: Features minus goal, u + iv. Shape (rows,), px.
-        jerk, jump: Spectral densities of the models' white jerk and acceleration. Shape (M,), px^2/s^5 and px^2/s^3.
+        models: Spectral densities of white jerk, px^2/s^5, and white acceleration, px^2/s^3; recall, 1/s^2; damping, 1/s.
+            Shape (M, 4).
         drift: Random walk of A, B and D, px^2/s.
         stay, noise_stay: Probability to keep the model, the noise level, from frame to frame.
         noise: Variances of the noise levels. Shape (L,), px^2.
@@ -140,10 +154,10 @@ def lifted_update(
         outlier_rate, outlier_variance: Probability of an outlier and its added variance, px^2.
         log_likelihood, surprise: Results. Shape (rows,).
     """
-    rows, models = weight.shape
+    rows, count = weight.shape
     levels = noise.shape[0]
     mixed_mean, mixed_cov = np.empty_like(mean[0]), np.empty_like(cov[0])
-    predicted, noise_prior, noise_post = np.empty(models), np.empty(levels), np.empty(levels)
+    predicted, noise_prior, noise_post = np.empty(count), np.empty(levels), np.empty(levels)
     branch = np.empty(levels + 1)
     for n in range(rows):
         log_likelihood[n], surprise[n] = 0.0, 0.0
@@ -157,8 +171,8 @@ def lifted_update(
             noise_prior[k] = noise_stay * noise_weight[n, k] + (1.0 - noise_stay) / levels
             noise_post[k] = 0.0
         total = 0.0
-        for j in range(models):
-            _predict(mixed_mean[j], mixed_cov[j], dt[n], jerk[j], jump[j], drift)
+        for j in range(count):
+            _predict(mixed_mean[j], mixed_cov[j], dt[n], models[j], drift)
             density, ratio = _correct(
                 mixed_mean[j],
                 mixed_cov[j],
@@ -182,10 +196,10 @@ def lifted_update(
             kept += noise_post[k]
         for k in range(levels):
             noise_weight[n, k] = noise_post[k] / kept if kept > 1e-290 else noise_prior[k]
-        for j in range(models):
+        for j in range(count):
             weight[n, j] = weight[n, j] / total if total > 1e-290 else predicted[j]
         log_likelihood[n] = math.log(max(total, 1e-300))
-        for j in range(models):
+        for j in range(count):
             for r in range(STATE_SIZE):
                 mean[n, j, r] = mixed_mean[j, r]
                 for c in range(STATE_SIZE):
