@@ -1,0 +1,180 @@
+"""Everything in a servo picture that does not move: palette, layout, floor, scales. Painted once per reach and kept."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.glyphs import put_text
+from servotrack.envs.servo.footprint import GRID_SPACING
+
+Image = NDArray[np.uint8]
+Array = NDArray[np.float64]
+Color = tuple[int, int, int]
+
+PAPER: Color = (250, 248, 244)
+FLOOR: Color = (236, 231, 222)
+FLOOR_GRID: Color = (222, 215, 203)
+INK: Color = (38, 50, 64)
+SOFT_INK: Color = (128, 136, 144)
+IVORY: Color = (253, 252, 249)
+TARGET: Color = (226, 85, 52)
+TOOL: Color = (20, 126, 130)
+LENS: Color = (27, 36, 46)
+LENS_GRID: Color = (49, 62, 75)
+LENS_INK: Color = (148, 160, 170)
+GOAL: Color = (242, 240, 232)
+
+WIDTH, HEIGHT = 720, 416
+MARGIN = 16
+
+
+class Panel(NamedTuple):
+    """A rectangle of the picture, px."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    def of(self, image: NDArray) -> NDArray:
+        """The panel's part of an image, a view."""
+        return image[self.top : self.top + self.height, self.left : self.left + self.width]
+
+
+FLOOR_PANEL = Panel(MARGIN, MARGIN, 384, 384)
+CAMERA_PANEL = Panel(416, MARGIN, 288, 288)
+ERROR_PANEL = Panel(416, 320, 288, 80)
+_CORNER_RADIUS = 7
+
+# The floor's window in units of the arm's reach: the base stands left of and below the middle, where targets rarely are.
+_WINDOW_SIDE, _WINDOW_LEFT, _WINDOW_BOTTOM = 1.5, -0.36, -0.52
+
+ERROR_DECADES = (-4, 0)
+"""The error plot's axis spans 0.1 mm to 1 m."""
+ERROR_PLOT = Panel(38, 24, 236, 48)  # inside ERROR_PANEL
+
+
+def floor_scale(reach: float) -> float:
+    """Pixels per meter of the floor panel for an arm of this reach (m)."""
+    return FLOOR_PANEL.width / (_WINDOW_SIDE * reach)
+
+
+def floor_pixels(points: Array, reach: float) -> Array:
+    """Pixels in the floor panel of points in the base frame, shape (..., 2), m -> px."""
+    scale = floor_scale(reach)
+    origin = np.array([-_WINDOW_LEFT * reach * scale, FLOOR_PANEL.height + _WINDOW_BOTTOM * reach * scale])
+    return origin + np.asarray(points) * np.array([scale, -scale])
+
+
+def error_height(error: Array | float) -> Array:
+    """Row in the error panel of a tracking error in m, on a logarithmic scale cut at the axis's ends."""
+    low, high = ERROR_DECADES
+    decade = np.log10(np.clip(error, 10.0**low, 10.0**high))
+    return ERROR_PLOT.top + ERROR_PLOT.height * (high - decade) / (high - low)
+
+
+@lru_cache(maxsize=256)
+def mix(a: Color, b: Color, weight: float) -> Color:
+    """A color between `a` (weight 0) and `b` (weight 1)."""
+    red, green, blue = (round(x + (y - x) * weight) for x, y in zip(a, b, strict=True))
+    return (red, green, blue)
+
+
+class Backdrop(NamedTuple):
+    """The still parts of a picture.
+
+    Attributes:
+        image: The whole picture without anything that moves, (HEIGHT, WIDTH, 3) uint8.
+        lit_floor: The floor panel as it looks inside the camera's footprint.
+        rim: Flat pixel indices of the panels' rounded corners, int64.
+        rim_opacity: How much of the panel shows there, (k, 1) float32.
+    """
+
+    image: Image
+    lit_floor: Image
+    rim: NDArray[np.int64]
+    rim_opacity: NDArray[np.float32]
+
+
+@lru_cache(maxsize=16)
+def backdrop(reach: float) -> Backdrop:
+    """The backdrop for an arm of this reach (m)."""
+    image = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
+    image[:] = PAPER
+    FLOOR_PANEL.of(image)[:] = _floor(reach)
+    CAMERA_PANEL.of(image)[:] = LENS
+    _error_axes(ERROR_PANEL.of(image))
+    put_text(FLOOR_PANEL.of(image), "target", 28, 20, SOFT_INK)
+    put_text(FLOOR_PANEL.of(image), "tool", 84, 20, SOFT_INK)
+    for x, color in ((19, TARGET), (75, TOOL)):
+        cv2.circle(FLOOR_PANEL.of(image), (x * 16, 17 * 16), 56, color, -1, cv2.LINE_AA, 4)
+    lit = FLOOR_PANEL.of(image).astype(np.float32)
+    lit += (np.array(TOOL, dtype=np.float32) - lit) * 0.075
+    rim, opacity = _rounded_corners()
+    return Backdrop(image, np.rint(lit).astype(np.uint8), rim, opacity)
+
+
+def _floor(reach: float) -> Image:
+    """Warm plaster with a fine grain and the grid that the camera sees too."""
+    side = FLOOR_PANEL.width
+    rng = np.random.default_rng(0)
+    grain = rng.normal(0.0, 0.9, (side, side))
+    for cells, strength in ((6, 1.8), (24, 1.2)):
+        coarse = rng.normal(0.0, strength, (cells, cells))
+        grain += cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC)
+    floor = np.rint(np.clip(np.array(FLOOR) + grain[..., None], 0, 255)).astype(np.uint8)
+    for k in range(-20, 21):
+        column, row = floor_pixels(np.array([k, k]) * GRID_SPACING, reach)
+        color = mix(FLOOR_GRID, INK, 0.10) if k == 0 else FLOOR_GRID
+        for ends in (((column, 0), (column, side)), ((0, row), (side, row))):
+            cv2.polylines(floor, [fixed_point(np.array(ends))], False, color, 1, cv2.LINE_AA, 4)
+    angles = np.radians(np.arange(-90, 271, 1.5))
+    circle = floor_pixels(reach * np.stack([np.cos(angles), np.sin(angles)], axis=-1), reach)
+    for dash in circle[:-1].reshape(-1, 2, 2):
+        cv2.polylines(floor, [fixed_point(dash)], False, mix(FLOOR_GRID, INK, 0.25), 1, cv2.LINE_AA, 4)
+    return floor
+
+
+def _error_axes(panel: Image) -> None:
+    """Decades of the tracking error, and the 10 mm below which an instant counts as a success."""
+    panel[:] = mix(PAPER, FLOOR, 0.45)
+    left, right = ERROR_PLOT.left, ERROR_PLOT.left + ERROR_PLOT.width
+    labels = {0: "1 m", -1: "0.1 m", -2: "1 cm", -3: "1 mm", -4: "0.1 mm"}
+    success = -2
+    top, bottom = (round(float(error_height(10.0**d))) for d in (success, ERROR_DECADES[0]))
+    panel[top:bottom, left:right] = mix(PAPER, TOOL, 0.09)
+    for decade in range(ERROR_DECADES[0], ERROR_DECADES[1] + 1):
+        row = round(float(error_height(10.0**decade)))
+        panel[row, left:right] = mix(PAPER, TOOL, 0.45) if decade == success else mix(PAPER, INK, 0.12)
+        if decade % 2 == 0:
+            put_text(panel, labels[decade], left - 6, row + 3, SOFT_INK, height=6, weight=0.9, align="right")
+    put_text(panel, "tracking error", left, 14, SOFT_INK)
+
+
+def _rounded_corners() -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Where the panels' square corners show paper instead, and how much of the panel shows there."""
+    fine, radius = 8, _CORNER_RADIUS
+    quarter = np.zeros((radius * fine, radius * fine), dtype=np.uint8)
+    cv2.circle(quarter, (radius * fine, radius * fine), radius * fine, 255, -1)
+    corner = cv2.resize(quarter, (radius, radius), interpolation=cv2.INTER_AREA) / 255.0
+    opacity = np.ones((HEIGHT, WIDTH), dtype=np.float32)
+    for panel in (FLOOR_PANEL, CAMERA_PANEL, ERROR_PANEL):
+        part = panel.of(opacity)
+        part[:radius, :radius], part[:radius, -radius:] = corner, corner[:, ::-1]
+        part[-radius:, :radius], part[-radius:, -radius:] = corner[::-1], corner[::-1, ::-1]
+    rim = np.flatnonzero(opacity < 1.0)
+    return rim, opacity.ravel()[rim, None]
+
+
+def fixed_point(points: Array) -> NDArray[np.int32]:
+    """Pixel coordinates (..., 2) as OpenCV's sub-pixel integers with four fractional bits.
+
+    Values are cut far outside any image, because OpenCV overflows beyond.
+    """
+    scaled = np.rint(np.multiply(points, 16.0))
+    return np.minimum(np.maximum(scaled, -64000.0), 64000.0).astype(np.int32)

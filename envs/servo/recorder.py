@@ -1,0 +1,81 @@
+"""Watches one row of a servo world and remembers what its picture needs: trails and the error so far."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.servo.episode import LEAD, samples
+from servotrack.envs.servo.footprint import camera_footprint, floor_lines
+from servotrack.envs.servo.levels import LEVEL_NAMES
+from servotrack.envs.servo.render import Image, ServoScene, draw
+from servotrack.envs.servo.world import ServoWorld
+
+Array = NDArray[np.float64]
+
+
+class Recorder:
+    """Call `record` after every reset and step; `frame` draws the present.
+
+    Args:
+        world: The world, which the recorder only reads.
+        row: Which of its arms.
+        caption: Written into the picture; lower-case letters, digits and spaces.
+    """
+
+    def __init__(self, world: ServoWorld, row: int = 0, caption: str = "") -> None:
+        self._world = world
+        self._row = row
+        self._caption = caption
+        length = samples(world.config) - LEAD
+        self._tool, self._features = np.zeros((length, 2)), np.zeros((length, 2))
+        self._error = np.zeros(length)
+        self._first = 0
+
+    def record(self) -> None:
+        """Take the world's newest sample; a sample of a new episode forgets the old one."""
+        world, row = self._world, self._row
+        step = int(world.steps[row])
+        self._first = step if step == 0 else min(self._first, step)
+        self._tool[step], self._features[step] = world.tool[row], world.features[row]
+        self._error[step] = world.tracking_error[row]
+
+    def frame(self, camera_image: Image | None = None) -> Image:
+        """Draw the present.
+
+        Args:
+            camera_image: The newest camera image where the world has one, RGB, square; it replaces the floor's grid.
+
+        Returns:
+            A new RGB image, shape (416, 720, 3), uint8.
+        """
+        world, row = self._world, self._row
+        size = world.config.camera_size
+        view = (world.cameras[row], world.links[row], world.joints[row], size)
+        past = slice(self._first, int(world.steps[row]) + 1)
+        return draw(
+            ServoScene(
+                links=world.links[row],
+                joint_angles=world.joints[row],
+                target=world.target[row, :2],
+                feature=world.features[row],
+                goal=world.goal[row],
+                camera_size=size,
+                visible=bool(world.visible[row]),
+                tracking_error=float(world.tracking_error[row]),
+                time=float(world.time[row]),
+                tool_trail=self._tool[past],
+                target_trail=world.path(row)[LEAD + past.start : LEAD + past.stop, :2],
+                feature_trail=self._features[past],
+                error_history=self._error[past],
+                footprint=camera_footprint(*view),
+                floor_lines=floor_lines(*view) if camera_image is None else (),
+                camera_image=camera_image,
+                caption=self._caption,
+            )
+        )
+
+
+def level_caption(level: int) -> str:
+    """A level's number and name, as pictures show it."""
+    return f"level {level} {LEVEL_NAMES[level]}"

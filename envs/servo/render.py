@@ -1,0 +1,246 @@
+"""Pictures of the servo world: the arm from above, the camera's view, and the tracking error so far."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.glyphs import put_text
+from servotrack.envs.servo import backdrop as still
+from servotrack.envs.servo.backdrop import Color, Image, fixed_point, mix
+
+Array = NDArray[np.float64]
+
+TRAIL_LENGTH = 126
+"""Samples of a trail that are still visible: one period of the paper's ellipse."""
+ERROR_SPAN = 260
+"""Samples that the error plot holds before it scrolls: an episode with its warm-up."""
+
+_BANDS = 7
+# Three thin lines side by side (in sixteenths of a pixel) look like one of two pixels, at half OpenCV's price for it.
+_STRANDS = np.array([(-5, -5), (6, -2), (-2, 6)], dtype=np.int32)
+_SHADOW_OFFSET = np.array([5.0, 7.0])  # px; the light comes from the upper left
+_SHADOW_DEPTH = 34  # gray levels
+
+
+def _none() -> Array:
+    return np.empty((0, 2))
+
+
+@dataclass(frozen=True)
+class ServoScene:
+    """All that a picture of the servo world shows.
+
+    Attributes:
+        links: Link lengths. Shape (2,), m.
+        joint_angles: Shape (2,), rad.
+        target: Position of the target in the base frame. Shape (2,), m.
+        feature: The target's image point, as last delivered. Shape (2,), px.
+        goal: The wanted image point. Shape (2,), px.
+        camera_size: Width and height of the camera's image, px.
+        visible: Whether the newest frame shows the target.
+        tracking_error: Distance of tool and target in the plane, m.
+        time: Time in the episode, negative during the warm-up, s.
+        tool_trail: Past tool positions, oldest first. Shape (k, 2), m.
+        target_trail: Past target positions. Shape (k, 2), m.
+        feature_trail: Past image points. Shape (k, 2), px.
+        error_history: Past tracking errors, oldest first. Shape (k,), m.
+        footprint: Outline of what the camera sees of the floor, or None. Shape (k, 2), m.
+        floor_lines: The floor's grid as the camera sees it: polylines of image points, px.
+        camera_image: The camera's image where there is one, any size, RGB uint8; shown in place of the grid.
+        caption: Names the world, for example `level 3 optics`; lower-case letters and digits.
+    """
+
+    links: Array
+    joint_angles: Array
+    target: Array
+    feature: Array
+    goal: Array
+    camera_size: float
+    visible: bool
+    tracking_error: float
+    time: float
+    tool_trail: Array = field(default_factory=_none)
+    target_trail: Array = field(default_factory=_none)
+    feature_trail: Array = field(default_factory=_none)
+    error_history: Array = field(default_factory=lambda: np.empty(0))
+    footprint: Array | None = None
+    floor_lines: Sequence[Array] = ()
+    camera_image: Image | None = None
+    caption: str = ""
+
+
+def draw(scene: ServoScene) -> Image:
+    """Draw a scene.
+
+    Returns:
+        A new RGB image, shape (416, 720, 3).
+    """
+    parts = still.backdrop(round(float(np.sum(scene.links)), 6))
+    image = parts.image.copy()
+    _draw_floor(still.FLOOR_PANEL.of(image), scene, parts.lit_floor)
+    _draw_camera(still.CAMERA_PANEL.of(image), scene)
+    _draw_error(still.ERROR_PANEL.of(image), scene)
+    pixels = image.reshape(-1, 3)
+    inside = pixels[parts.rim] * parts.rim_opacity
+    pixels[parts.rim] = np.rint(inside + np.array(still.PAPER) * (1.0 - parts.rim_opacity))
+    return image
+
+
+def _draw_floor(panel: Image, scene: ServoScene, lit_floor: Image) -> None:
+    reach = float(np.sum(scene.links))
+    scale = still.floor_scale(reach)
+    first, both = scene.joint_angles[0], scene.joint_angles[0] + scene.joint_angles[1]
+    elbow = scene.links[0] * np.array([np.cos(first), np.sin(first)])
+    tool = elbow + scene.links[1] * np.array([np.cos(both), np.sin(both)])
+    base, elbow, tool, target = still.floor_pixels(np.stack([np.zeros(2), elbow, tool, scene.target]), reach)
+
+    if scene.footprint is not None:
+        outline = fixed_point(still.floor_pixels(scene.footprint, reach))
+        mask = np.zeros(panel.shape[:2], dtype=np.uint8)
+        cv2.fillPoly(mask, [outline], 255, cv2.LINE_8, 4)
+        cv2.copyTo(lit_floor, mask, panel)
+        cv2.polylines(panel, [outline], True, mix(still.FLOOR, still.TOOL, 0.45), 1, cv2.LINE_AA, 4)
+    _trail(panel, still.floor_pixels(scene.target_trail, reach), still.FLOOR, still.TARGET)
+    _trail(panel, still.floor_pixels(scene.tool_trail, reach), still.FLOOR, still.TOOL)
+
+    _shadow(panel, base, elbow, tool, scale)
+    _arm(panel, base, elbow, tool, both, scale)
+    _target(panel, target, 0.021 * scale)
+    put_text(panel, scene.caption, 14, panel.shape[0] - 14, still.SOFT_INK)
+    put_text(panel, f"{max(scene.time, 0.0):.1f} s", panel.shape[1] - 14, 20, still.SOFT_INK, align="right")
+
+
+def _trail(panel: Image, points: Array, floor: Color, color: Color) -> None:
+    """A polyline that fades with age, in bands of one color each, oldest first."""
+    points = fixed_point(points[-TRAIL_LENGTH:])
+    cuts = [len(points) - round(TRAIL_LENGTH * k / _BANDS) for k in range(_BANDS, -1, -1)]
+    for band, (start, end) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+        if end > 0 and end - max(start, 0) > 0:
+            strength = 0.12 + 0.88 * ((band + 1) / _BANDS) ** 1.6
+            # One point of overlap closes the gap to the next band.
+            stretch = points[max(start, 0) : end + 1]
+            strands = [stretch + offset for offset in _STRANDS]
+            cv2.polylines(panel, strands, False, mix(floor, color, strength), 1, cv2.LINE_AA, 4)
+
+
+def _shadow(panel: Image, base: Array, elbow: Array, tool: Array, scale: float) -> None:
+    """A soft shadow, painted at half resolution because nobody can tell."""
+    half = np.zeros((panel.shape[0] // 2, panel.shape[1] // 2), dtype=np.uint8)
+    points = fixed_point((np.stack([base, elbow, tool]) + _SHADOW_OFFSET) / 2.0)
+    cv2.polylines(half, [points], False, _SHADOW_DEPTH, max(2, round(0.038 * scale)), cv2.LINE_8, 4)
+    half = cv2.blur(half, (7, 7))
+    corners = np.stack([base, elbow, tool])
+    low = np.clip((corners.min(axis=0) - 24.0) // 2, 0, None).astype(int)
+    high = np.clip((corners.max(axis=0) + 40.0) // 2, 0, [half.shape[1], half.shape[0]]).astype(int)
+    part = half[low[1] : high[1], low[0] : high[0]]
+    if part.size:
+        region = panel[2 * low[1] : 2 * high[1], 2 * low[0] : 2 * high[0]]
+        shade = cv2.cvtColor(cv2.resize(part, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR), cv2.COLOR_GRAY2RGB)
+        cv2.subtract(region, shade, dst=region)
+
+
+def _arm(panel: Image, base: Array, elbow: Array, tool: Array, heading: float, scale: float) -> None:
+    """Base, two tapered links, joints, and the camera at the tool; widths in meters."""
+    plate = 0.080 * scale
+    _disc(panel, base, plate, mix(still.INK, still.PAPER, 0.62))
+    _disc(panel, base, plate - 1.3, mix(still.FLOOR, still.PAPER, 0.35))
+    _link(panel, base, elbow, 0.042 * scale, 0.033 * scale)
+    _link(panel, elbow, tool, 0.032 * scale, 0.022 * scale)
+    for joint, radius in ((base, 0.027 * scale), (elbow, 0.0215 * scale)):
+        _disc(panel, joint, radius, still.INK)
+        _disc(panel, joint, 0.5 * radius, still.IVORY)
+    half = 0.036 * scale
+    a, b = half * np.cos(heading), -half * np.sin(heading)
+    body = fixed_point(tool + np.array([(a - b, b + a), (a + b, b - a), (b - a, -b - a), (-a - b, a - b)]))
+    cv2.fillConvexPoly(panel, body, still.TOOL, cv2.LINE_AA, 4)
+    cv2.polylines(panel, [body], True, still.TOOL, 2, cv2.LINE_AA, 4)
+    _disc(panel, tool, 0.031 * scale, still.IVORY)
+
+
+def _link(panel: Image, start: Array, end: Array, start_width: float, end_width: float) -> None:
+    """A tapered, round-ended link with an outline and a groove along its middle."""
+    (x0, y0), (x1, y1) = start.tolist(), end.tolist()
+    length = max(np.hypot(x1 - x0, y1 - y0), 1e-9)
+    c, s = (x1 - x0) / length, (y1 - y0) / length
+    for color, grow in ((still.INK, 1.3), (still.IVORY, 0.0)):
+        a, b = start_width + grow, end_width + grow
+        sides = [(x0 - s * a, y0 + c * a), (x1 - s * b, y1 + c * b), (x1 + s * b, y1 - c * b), (x0 + s * a, y0 - c * a)]
+        cv2.fillConvexPoly(panel, fixed_point(np.array(sides)), color, cv2.LINE_AA, 4)
+        _disc(panel, start, a, color)
+        _disc(panel, end, b, color)
+    a, b = 2.2 * start_width, 3.0 * end_width
+    groove = np.array([(x0 + a * c, y0 + a * s), (x1 - b * c, y1 - b * s)])
+    cv2.polylines(panel, [fixed_point(groove)], False, mix(still.IVORY, still.INK, 0.20), 2, cv2.LINE_AA, 4)
+
+
+def _target(panel: Image, center: Array, radius: float) -> None:
+    _disc(panel, center, radius + 1.5, still.IVORY)
+    _disc(panel, center, radius, still.TARGET)
+
+
+def _draw_camera(panel: Image, scene: ServoScene) -> None:
+    side = panel.shape[0]
+    scale = side / scene.camera_size
+    if scene.camera_image is not None:
+        cv2.resize(scene.camera_image, (side, side), dst=panel, interpolation=cv2.INTER_LINEAR)
+    else:
+        cv2.polylines(panel, _scaled(scene.floor_lines, scale), False, still.LENS_GRID, 1, cv2.LINE_AA, 4)
+    feature, goal = scene.feature * scale, scene.goal * scale
+    if scene.camera_image is None:
+        _trail(panel, scene.feature_trail * scale, still.LENS, still.TARGET)
+    if scene.visible:
+        cv2.polylines(panel, [fixed_point(np.stack([goal, feature]))], False, still.GOAL, 1, cv2.LINE_AA, 4)
+    _crosshair(panel, goal)
+    if scene.camera_image is None:
+        # A target that the newest frame does not show is a hollow mark where it was last seen.
+        _disc(panel, feature, 6.5, still.TARGET)
+        if not scene.visible:
+            _disc(panel, feature, 5.0, still.LENS)
+    put_text(panel, "camera", 14, 20, still.LENS_INK)
+    if not scene.visible:
+        put_text(panel, "not seen", side - 14, 20, still.TARGET, align="right")
+
+
+def _scaled(lines: Sequence[Array], scale: float) -> list[NDArray[np.int32]]:
+    """Polylines in fixed point, converted in one go."""
+    if not lines:
+        return []
+    ends = np.cumsum([len(line) for line in lines])[:-1]
+    return np.split(fixed_point(np.concatenate(lines) * scale), ends)
+
+
+def _crosshair(panel: Image, center: Array) -> None:
+    """A cross with an open middle, so that a feature on the goal stays visible."""
+    x, y = center.tolist()
+    for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+        tick = np.array([(x + 10 * dx, y + 10 * dy), (x + 17 * dx, y + 17 * dy)])
+        cv2.polylines(panel, [fixed_point(tick)], False, still.GOAL, 1, cv2.LINE_AA, 4)
+    cv2.circle(panel, fixed_point(center).tolist(), 10 * 16, still.GOAL, 1, cv2.LINE_AA, 4)
+
+
+def _draw_error(panel: Image, scene: ServoScene) -> None:
+    plot = still.ERROR_PLOT
+    history = scene.error_history[-ERROR_SPAN:]
+    if len(history) > 1:
+        columns = plot.left + plot.width * np.arange(len(history)) / (ERROR_SPAN - 1)
+        curve = fixed_point(np.stack([columns, still.error_height(history)], axis=-1))
+        cv2.polylines(panel, [curve], False, still.INK, 1, cv2.LINE_AA, 4)
+        cv2.circle(panel, curve[-1].tolist(), 45, still.TARGET, -1, cv2.LINE_AA, 4)
+    put_text(panel, _length(scene.tracking_error), plot.left + plot.width, 14, still.INK, align="right")
+
+
+def _length(meters: float) -> str:
+    """A distance with two to four digits, for people."""
+    millimeters = 1000.0 * meters
+    return f"{millimeters:.1f} mm" if millimeters < 100.0 else f"{meters:.2f} m"
+
+
+def _disc(panel: Image, center: Array, radius: float, color: Color) -> None:
+    x, y = center.tolist()
+    if abs(x) < 4000.0 and abs(y) < 4000.0 and radius > 0.0:
+        cv2.circle(panel, (round(16 * x), round(16 * y)), round(16 * radius), color, -1, cv2.LINE_AA, 4)
