@@ -1,6 +1,7 @@
 """Online estimation of the total image Jacobian (paper 002), and the control laws that use it."""
 
 from servotrack.estimators.jacobian.alignment import Alignment
+from servotrack.estimators.jacobian.broyden import BroydenJacobian
 from servotrack.estimators.jacobian.contract import (
     Increment,
     JacobianEstimator,
@@ -10,6 +11,7 @@ from servotrack.estimators.jacobian.contract import (
 )
 from servotrack.estimators.jacobian.controller import ServoController
 from servotrack.estimators.jacobian.excitation import Excitation
+from servotrack.estimators.jacobian.full_kf import FullKalmanJacobian
 from servotrack.estimators.jacobian.kf import KalmanJacobian
 from servotrack.estimators.jacobian.laws import (
     DampedLeastSquares,
@@ -17,24 +19,38 @@ from servotrack.estimators.jacobian.laws import (
     Proportional,
     ProportionalIntegral,
 )
+from servotrack.estimators.jacobian.level import LevelKalmanJacobian
+from servotrack.estimators.jacobian.pf import ParticleJacobian
 from servotrack.estimators.jacobian.prior import JacobianPrior, RandomWalk
+from servotrack.estimators.jacobian.rls import RecursiveLeastSquares
+from servotrack.estimators.jacobian.robust import CorrentropyNoise, OutlierModel, StudentTNoise
 from servotrack.estimators.jacobian.supervisor import Supervisor
+from servotrack.estimators.jacobian.ukf import UnscentedJacobian
 
 __all__ = [
     "Alignment",
+    "BroydenJacobian",
+    "CorrentropyNoise",
     "DampedLeastSquares",
     "Excitation",
+    "FullKalmanJacobian",
     "Increment",
     "JacobianEstimator",
     "JacobianPrior",
     "KalmanJacobian",
+    "LevelKalmanJacobian",
     "LinearEstimate",
     "OneStepExact",
+    "OutlierModel",
+    "ParticleJacobian",
     "Proportional",
     "ProportionalIntegral",
     "RandomWalk",
+    "RecursiveLeastSquares",
     "ServoController",
     "ServoEstimate",
     "ServoMeasurement",
+    "StudentTNoise",
     "Supervisor",
+    "UnscentedJacobian",
 ]

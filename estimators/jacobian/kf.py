@@ -10,6 +10,7 @@ import numpy as np
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState, present_estimate
 from servotrack.estimators.jacobian.contract import Array, LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.prior import JacobianPrior, RandomWalk
+from servotrack.estimators.jacobian.robust import OutlierModel, robust_variance
 from servotrack.estimators.jacobian.shared_covariance import interval, shared_update
 
 
@@ -35,12 +36,15 @@ class KalmanJacobian:
         walk: How fast the Jacobian wanders.
         measurement_noise: Standard deviation of dy about J ds: pixel noise of two frames and the curvature of the
             motion, px.
+        outliers: How far to doubt a badly fitting increment: `StudentTNoise` or `CorrentropyNoise`; None for not at
+            all.
         prior: What is believed before the first increment.
         alignment: Pairing of joints and features by time stamps.
     """
 
     walk: RandomWalk = field(default_factory=RandomWalk)
     measurement_noise: float = 3.0
+    outliers: OutlierModel | None = None
     prior: JacobianPrior = field(default_factory=JacobianPrior)
     alignment: Alignment = field(default_factory=Alignment)
 
@@ -57,14 +61,11 @@ class KalmanJacobian:
         """Fold one measurement in. Raises ValueError as `Alignment.step` does."""
         alignment, increment = self.alignment.step(state.alignment, measurement)
         predicted = self.walk.widened(state.covariance, increment.time)
-        updated = shared_update(
-            state.jacobian,
-            predicted,
-            interval(increment),
-            increment.features,
-            self.measurement_noise**2,
-            increment.fresh,
+        ds = interval(increment)
+        variance = robust_variance(
+            self.outliers, state.jacobian, predicted, ds, increment.features, self.measurement_noise**2
         )
+        updated = shared_update(state.jacobian, predicted, ds, increment.features, variance, increment.fresh)
         estimate = present_estimate(
             alignment.frame_features,
             updated.mean,

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.jacobian.contract import Array, ServoEstimate, ServoMeasurement
 
@@ -46,7 +45,7 @@ class IntegralState(NamedTuple):
 
 def finite_or_zero(matrices: Array) -> Array:
     """The matrices (*batch, m, n), with every one that has a non-finite entry replaced by zeros."""
-    finite: NDArray[np.bool_] = np.isfinite(matrices).all(axis=(-2, -1), keepdims=True)
+    finite = np.all(np.isfinite(matrices), axis=(-2, -1), keepdims=True)
     return np.where(finite, matrices, 0.0)
 
 

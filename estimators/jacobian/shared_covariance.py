@@ -39,18 +39,6 @@ def interval(increment: Increment) -> Array:
     return np.concatenate([increment.joints, increment.time[..., None]], axis=-1)
 
 
-def innovation_power(mean: Array, covariance: Array, direction: Array, measured: Array) -> tuple[Array, Array]:
-    """What an outlier-robust gain looks at before the update.
-
-    Returns:
-        Mean square of the m innovations, shape (*batch,), px^2; variance that the state's uncertainty gives each,
-        same shape.
-    """
-    innovation = measured - np.einsum("...ij,...j->...i", mean, direction)
-    spread = np.einsum("...i,...ij,...j->...", direction, covariance, direction)
-    return np.mean(innovation * innovation, axis=-1), spread
-
-
 def shared_update(
     mean: Array, covariance: Array, direction: Array, measured: Array, variance: Array | float, used: NDArray[np.bool_]
 ) -> SharedUpdate:

@@ -1,0 +1,47 @@
+"""Scores of an innovation under a normal distribution, and the check that a covariance is one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.estimators.jacobian.contract import Array
+
+
+def correlated_scores(innovation: Array, covariance: Array, used: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Log likelihood and surprise of an innovation; both 0 where no measurement was used.
+
+    Args:
+        innovation: Shape (*batch, m).
+        covariance: Shape (*batch, m, m).
+        used: Shape (*batch,), bool.
+
+    Returns:
+        Log density and squared normalized innovation over m. Shapes (*batch,).
+    """
+    m = innovation.shape[-1]
+    squared = np.einsum("...i,...i->...", innovation, np.linalg.solve(covariance, innovation[..., None])[..., 0])
+    log_determinant = np.linalg.slogdet(covariance)[1]
+    log_likelihood = -0.5 * (squared + log_determinant + m * np.log(2.0 * np.pi))
+    return np.where(used, log_likelihood, 0.0), np.where(used, squared / m, 0.0)
+
+
+def positive_definite(name: str, covariance: Array) -> None:
+    """Refuse what is not a covariance.
+
+    Raises:
+        ValueError: `covariance` (d, d) is not finite, symmetric and positive definite; the message begins with
+        `name`.
+    """
+    if covariance.ndim != 2 or covariance.shape[0] != covariance.shape[1]:
+        raise ValueError(f"{name} must be a square matrix, got shape {covariance.shape}")
+    if not np.isfinite(covariance).all():
+        raise ValueError(f"{name} must be finite, got {covariance.tolist()}")
+    if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
+        raise ValueError(f"{name} must be symmetric, got {covariance.tolist()}; pass 0.5 * (C + C.T)")
+    smallest = np.linalg.eigvalsh(covariance)[0]
+    if smallest <= 0.0:
+        raise ValueError(
+            f"{name} must be positive definite, got {covariance.tolist()} with the eigenvalue {smallest:.3g}; "
+            "add a small variance to its diagonal"
+        )

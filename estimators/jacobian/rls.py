@@ -1,0 +1,80 @@
+"""Recursive least squares with forgetting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from servotrack.estimators.jacobian.alignment import Alignment, present_estimate
+from servotrack.estimators.jacobian.contract import Array, LinearEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.kf import KalmanState
+from servotrack.estimators.jacobian.prior import JacobianPrior
+from servotrack.estimators.jacobian.shared_covariance import interval, shared_update
+
+
+@dataclass(frozen=True)
+class RecursiveLeastSquares:
+    """Least squares on dy = J ds in which old increments count less and less (Ljung 1999, section 11.2).
+
+    Forgetting goes no further than the prior: where motion shows nothing of a column, its variance stops at the
+    prior's instead of winding up.
+
+    Args:
+        forgetting: Weight that one `period` leaves to the past, in (0, 1]; 1 is the Kalman filter of a constant
+            Jacobian.
+        period: Interval that it refers to, s.
+        measurement_noise: Standard deviation of dy about J ds, px.
+        prior: What is believed before the first increment.
+        alignment: Pairing of joints and features by time stamps.
+    """
+
+    forgetting: float = 0.8
+    period: float = 0.05
+    measurement_noise: float = 3.0
+    prior: JacobianPrior = field(default_factory=JacobianPrior)
+    alignment: Alignment = field(default_factory=Alignment)
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.forgetting <= 1.0:
+            raise ValueError(f"forgetting must be in (0, 1], got {self.forgetting}")
+        for name, value in (("period", self.period), ("measurement_noise", self.measurement_noise)):
+            if not 0.0 < value < np.inf:
+                raise ValueError(f"{name} must be finite and > 0, got {value}")
+
+    def initial(self, measurement: ServoMeasurement) -> KalmanState:
+        """State before the first increment. Raises ValueError as `checked` does."""
+        alignment = self.alignment.initial(measurement)
+        return KalmanState(alignment, *self.prior.moments(alignment))
+
+    def step(self, state: KalmanState, measurement: ServoMeasurement) -> tuple[KalmanState, LinearEstimate]:
+        """Fold one measurement in. Raises ValueError as `Alignment.step` does."""
+        alignment, increment = self.alignment.step(state.alignment, measurement)
+        updated = shared_update(
+            state.jacobian,
+            self._forgotten(state.covariance, increment.time),
+            interval(increment),
+            increment.features,
+            self.measurement_noise**2,
+            increment.fresh,
+        )
+        estimate = present_estimate(
+            alignment.frame_features,
+            updated.mean,
+            increment,
+            measurement.goal,
+            updated.log_likelihood,
+            updated.surprise,
+        )
+        return KalmanState(alignment, updated.mean, updated.covariance), estimate
+
+    def forget(self, state: KalmanState) -> KalmanState:
+        """Keep the mean, trust it no more: the covariance goes back to the prior's."""
+        return state._replace(covariance=self.prior.moments(state.alignment)[1])
+
+    def _forgotten(self, covariance: Array, duration: Array) -> Array:
+        """P / forgetting, column by column no further than the prior; a congruence, so P stays positive definite."""
+        deviation = np.sqrt(np.einsum("...ii->...i", covariance))
+        room = np.maximum(self.prior.deviations(covariance.shape[-1] - 1) / deviation, 1.0)
+        growth = np.minimum(self.forgetting ** (-0.5 * duration / self.period)[..., None], room)
+        return covariance * growth[..., :, None] * growth[..., None, :]

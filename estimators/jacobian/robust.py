@@ -1,0 +1,118 @@
+"""Measurement noise with outliers, for the filters that share one covariance.
+
+Both models leave the Kalman update as it is and only raise the variance of a measurement that fits badly; they find
+the variance by a fixed point in the residual that the update would leave. With one covariance for all features that
+is a fixed point in one number, and a frame is doubted as a whole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from servotrack.estimators.jacobian.contract import Array
+
+
+class OutlierModel(Protocol):
+    """The interface of the models here."""
+
+    def variance(self, power: Array, spread: Array, nominal: float, features: int) -> Array:
+        """Variance to use for one measurement.
+
+        Args:
+            power: Mean square of the m innovations. Shape (*batch,), px^2.
+            spread: Variance that the state's uncertainty gives each of them. Shape (*batch,), px^2.
+            nominal: Measurement variance without outliers, px^2.
+            features: m.
+
+        Returns:
+            At least about `nominal`. Shape (*batch,), px^2.
+        """
+
+
+@dataclass(frozen=True)
+class StudentTNoise:
+    """Multivariate Student-t noise, by variational Bayes (Piché, Särkkä and Hartikainen 2012).
+
+    Args:
+        degrees_of_freedom: Small for heavy tails; the Kalman filter is the limit of large ones.
+        iterations: Of the fixed point.
+    """
+
+    degrees_of_freedom: float = 4.0
+    iterations: int = 5
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.degrees_of_freedom < np.inf:
+            raise ValueError(f"degrees_of_freedom must be finite and > 0, got {self.degrees_of_freedom}")
+        if self.iterations < 1:
+            raise ValueError(f"iterations must be at least 1, got {self.iterations}")
+
+    def variance(self, power: Array, spread: Array, nominal: float, features: int) -> Array:
+        """As `OutlierModel` documents."""
+        variance = np.full(np.shape(power), nominal)
+        for _ in range(self.iterations):
+            kept = variance / (spread + variance)
+            residual = features * (kept**2 * power + kept * spread) / nominal
+            variance = nominal * (self.degrees_of_freedom + residual) / (self.degrees_of_freedom + features)
+        return variance
+
+
+@dataclass(frozen=True)
+class CorrentropyNoise:
+    """Maximum correntropy with a Gaussian kernel on the measurement (after Chen, Liu, Zhao and Principe 2017).
+
+    Theirs weighs the components of the prior as well; here the prior is trusted.
+
+    Args:
+        bandwidth: Of the kernel, in standard deviations of the measurement noise; the Kalman filter is the limit of
+            wide ones.
+        iterations: Of the fixed point.
+        least_weight: A measurement's weight never falls below this, so that a changed Jacobian is learned in the end.
+    """
+
+    bandwidth: float = 3.0
+    iterations: int = 5
+    least_weight: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.bandwidth < np.inf:
+            raise ValueError(f"bandwidth must be finite and > 0, got {self.bandwidth}")
+        if self.iterations < 1:
+            raise ValueError(f"iterations must be at least 1, got {self.iterations}")
+        if not 0.0 < self.least_weight <= 1.0:
+            raise ValueError(f"least_weight must be in (0, 1], got {self.least_weight}")
+
+    def variance(self, power: Array, spread: Array, nominal: float, features: int) -> Array:
+        """As `OutlierModel` documents."""
+        variance = np.full(np.shape(power), nominal)
+        for _ in range(self.iterations):
+            kept = variance / (spread + variance)
+            weight = np.exp(-0.5 * kept**2 * power / (nominal * self.bandwidth**2))
+            variance = nominal / np.maximum(weight, self.least_weight)
+        return variance
+
+
+def robust_variance(
+    model: OutlierModel | None, mean: Array, covariance: Array, direction: Array, measured: Array, nominal: float
+) -> Array | float:
+    """Measurement variance that a model wants for z = mean h + noise; `nominal` without a model.
+
+    Args:
+        model: None for the plain Kalman gain.
+        mean: Predicted mean. Shape (*batch, m, d).
+        covariance: Predicted covariance shared by the rows of `mean`. Shape (*batch, d, d).
+        direction: h. Shape (*batch, d).
+        measured: z. Shape (*batch, m), px.
+        nominal: Measurement variance without outliers, px^2.
+
+    Returns:
+        A number, or shape (*batch,), px^2.
+    """
+    if model is None:
+        return nominal
+    innovation = measured - np.einsum("...ij,...j->...i", mean, direction)
+    spread = np.einsum("...i,...ij,...j->...", direction, covariance, direction)
+    return model.variance(np.mean(innovation**2, axis=-1), spread, nominal, measured.shape[-1])
