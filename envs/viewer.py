@@ -42,9 +42,9 @@ class Viewer:
         pygame = self._pygame
         height, width = frame.shape[:2]
         if self._window is None:
-            pygame.init()
+            pygame.display.init()
             pygame.display.set_caption(self._title)
-            self._window = pygame.display.set_mode((width, height), pygame.RESIZABLE | pygame.SCALED)
+            self._window = pygame.display.set_mode((width, height))
             self._clock = pygame.time.Clock()
         self._window.blit(pygame.image.frombuffer(np.ascontiguousarray(frame).tobytes(), (width, height), "RGB"), (0, 0))
         pygame.display.flip()
@@ -68,7 +68,6 @@ class Viewer:
         if self._window is not None:
             self._window = None
             self._pygame.display.quit()
-            self._pygame.quit()
 
 
 _KEYS = ("left", "right", "up", "down", "space", "escape", "return", *"abcdefghijklmnopqrstuvwxyz0123456789")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -14,6 +14,10 @@ from servotrack.envs.servo.episode import LEAD
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.targets import PERIOD
 from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld, check_actions, episode_seed
+
+if TYPE_CHECKING:
+    from servotrack.envs.servo.recorder import Recorder
+    from servotrack.envs.viewer import Viewer
 
 Observation = dict[str, NDArray[Any]]
 
@@ -140,7 +144,7 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.observation_space = self._observation_space()
         self.max_joint_rate = self.config.max_joint_rate
         self._running = False
-        self._renderer: Any = None
+        self._recorder, self._viewer = _screen(self.world, level, self.render_mode, type(self).__name__)
 
     def _configure(self, level: int, axes: dict[str, Any]) -> ServoConfig:
         return servo_config(level, **axes)
@@ -179,9 +183,9 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
         check_options(options)
         self.world.reset([0], [episode_seed(self.np_random)])
         self._running = True
-        if self.render_mode == "human":
-            self.render()
-        return self._observe(), self._info()
+        observation = self._observe()
+        self._show()
+        return observation, self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Command joint rates for one control period of 50 ms.
@@ -203,9 +207,41 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
         world.step(values[None])
         terminated, truncated = bool(world.terminated[0]), bool(world.truncated[0])
         self._running = not (terminated or truncated)
-        if self.render_mode == "human":
-            self.render()
-        return self._observe(), float(world.reward[0]), terminated, truncated, self._info()
+        observation = self._observe()
+        self._show()
+        return observation, float(world.reward[0]), terminated, truncated, self._info()
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """Draw the present.
+
+        Returns:
+            With `rgb_array` a new RGB frame, shape (416, 720, 3), uint8; with `human` None, for reset and step show the frames
+            themselves; None without a render mode.
+
+        Raises:
+            gymnasium.error.ResetNeeded: Before the first reset.
+        """
+        if self._recorder is None:
+            gym.logger.warn('render() draws nothing without a render mode; try gym.make(id, render_mode="rgb_array")')
+            return None
+        if self.world.episodes[0] is None:
+            raise ResetNeeded("there is nothing to draw yet: call reset() before render()")
+        return self._recorder.frame(self._camera_image()) if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._viewer is not None:
+            self._viewer.close()
+
+    def _camera_image(self) -> NDArray[np.uint8] | None:
+        """The camera's newest image, in worlds that have one."""
+        return None
+
+    def _show(self) -> None:
+        if self._recorder is not None:
+            self._recorder.record()
+        if self._recorder is not None and self._viewer is not None:
+            self._viewer.show(self._recorder.frame(self._camera_image()))
 
     def _info(self) -> dict[str, Any]:
         world = self.world
@@ -271,6 +307,22 @@ class UncalibServoReachEnv(UncalibServoEnv):
 
     def _configure(self, level: int, axes: dict[str, Any]) -> ServoConfig:
         return reach_config(level, **axes)
+
+
+def _screen(
+    world: ServoWorld, level: int, render_mode: str | None, title: str
+) -> tuple[Recorder | None, Viewer | None]:
+    """What drawing takes in this render mode; OpenCV and pygame are imported only where they are needed."""
+    if render_mode is None:
+        return None, None
+    from servotrack.envs.servo.recorder import Recorder, level_caption
+
+    viewer = None
+    if render_mode == "human":
+        from servotrack.envs.viewer import Viewer
+
+        viewer = Viewer(title, METADATA["render_fps"])
+    return Recorder(world, caption=level_caption(level)), viewer
 
 
 def check_render_mode(render_mode: str | None) -> str | None:

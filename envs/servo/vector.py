@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -24,6 +24,9 @@ from servotrack.envs.servo.env import (
 )
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld, check_actions, episode_seed
+
+if TYPE_CHECKING:
+    from servotrack.envs.servo.recorder import Recorder
 
 Mask = NDArray[np.bool_]
 
@@ -73,7 +76,7 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
         self._seeds: list[int] = []
         self._over = np.ones(self.num_envs, np.bool_)
         self._started = False
-        self._renderers: list[Any] = []
+        self._recorders = self._record_rows() if self.render_mode is not None else []
 
     def _configure(self, level: int, axes: dict[str, Any]) -> ServoConfig:
         return servo_config(level, **axes)
@@ -119,7 +122,9 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
         self._generate([s if m else None for s, m in zip(seeds, chosen.tolist(), strict=True)])
         self._restart(chosen)
         self._started = True
-        return self._observe(), self._infos(chosen)
+        observations = self._observe()
+        self._record()
+        return observations, self._infos(chosen)
 
     def step(self, actions: Any) -> tuple[Observation, NDArray[np.float64], Mask, Mask, dict[str, Any]]:
         """Command joint rates of all arms for one control period.
@@ -164,7 +169,35 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
             infos |= self._final(ended, final_observations, final_infos)
         else:
             infos = self._infos(everyone)
-        return self._observe(), rewards, terminated, truncated, infos
+        observations = self._observe()
+        self._record()
+        return observations, rewards, terminated, truncated, infos
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
+        """Draw all sub-environments: N new RGB frames, each (416, 720, 3) uint8, or None without a render mode.
+
+        Raises:
+            gymnasium.error.ResetNeeded: Before the first reset.
+        """
+        if self.render_mode is None:
+            gym.logger.warn('render() draws nothing without a render mode; try gym.make_vec(id, render_mode="rgb_array")')
+            return None
+        if not self._started:
+            raise ResetNeeded("there is nothing to draw yet: call reset() before render()")
+        return tuple(recorder.frame(self._camera_image(row)) for row, recorder in enumerate(self._recorders))
+
+    def _camera_image(self, row: int) -> NDArray[np.uint8] | None:
+        """One camera's newest image, in worlds that have one."""
+        return None
+
+    def _record_rows(self) -> list[Recorder]:
+        from servotrack.envs.servo.recorder import Recorder, level_caption
+
+        return [Recorder(self.world, row, level_caption(self.level)) for row in range(self.num_envs)]
+
+    def _record(self) -> None:
+        for recorder in self._recorders:
+            recorder.record()
 
     def _restart(self, chosen: Mask) -> None:
         rows = np.flatnonzero(chosen).tolist()
