@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.estimators.jacobian.contract import Array, Increment, LinearEstimate, ServoMeasurement
-from servotrack.estimators.jacobian.measurement import checked
+from servotrack.estimators.jacobian.measurement import checked, first_bad
 
 
 class AlignmentState(NamedTuple):
@@ -124,10 +124,11 @@ class Alignment:
                 f"the state holds {state.history_time.shape[-1]} readings, this alignment keeps history={self.history}"
                 "; make a new state with initial(measurement)"
             )
-        if (measurement.time < newest).any():
+        backwards = measurement.time < newest
+        if backwards.any():
             raise ValueError(
-                f"time must not go backwards, got {measurement.time} after {newest}; "
-                "start a new episode with initial(measurement)"
+                f"time must not go backwards, got {first_bad(measurement.time, backwards)} after "
+                f"{first_bad(newest, backwards)}; start a new episode with initial(measurement)"
             )
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from servotrack.estimators.jacobian.contract import ServoMeasurement
+from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
 
 CLOCK_TOLERANCE = 1e-6
 """How far a frame's stamp may lie after the present before it counts as a frame from the future, s."""
@@ -53,17 +54,27 @@ def checked(measurement: ServoMeasurement) -> ServoMeasurement:
                 f"{name} must have shape {shape} beside joint_angles of shape {joint_angles.shape} and features of "
                 f"shape {features.shape}, got {value.shape}; give every field the same leading batch axes"
             )
-    for name, value in (("joint_angles", joint_angles), ("goal", goal), ("time", time)):
-        if not np.isfinite(value).all():
-            raise ValueError(f"{name} must be finite, got {value}; repeat the last good reading instead")
-    for name, value, seen in (("features", features, visible[..., None]), ("frame_time", frame_time, visible)):
-        if not (np.isfinite(value) | ~seen).all():
-            raise ValueError(
-                f"{name} must be finite where visible is true, got {value}; set visible to false for a lost frame"
-            )
-    if (visible & (frame_time > time + CLOCK_TOLERANCE)).any():
+    everywhere = np.broadcast_to(True, batch)
+    for name, value, needed, remedy in (
+        ("joint_angles", joint_angles, everywhere[..., None], "repeat the last good reading instead"),
+        ("goal", goal, everywhere[..., None], "repeat the last goal instead"),
+        ("time", time, everywhere, "pass the clock's reading"),
+        ("features", features, visible[..., None], "set visible to false for a lost frame"),
+        ("frame_time", frame_time, visible, "set visible to false for a lost frame"),
+    ):
+        bad = ~np.isfinite(value) & needed
+        if bad.any():
+            raise ValueError(f"{name} must be finite, got {first_bad(value, bad)}; {remedy}")
+    future = visible & (frame_time > time + CLOCK_TOLERANCE)
+    if future.any():
         raise ValueError(
-            f"frame_time must not lie after time, got frame_time {frame_time} at time {time}; "
-            "stamp frames with the clock of the encoders"
+            f"frame_time must not lie after time, got {first_bad(frame_time, future)} at time "
+            f"{first_bad(time, future)}; stamp frames with the clock of the encoders"
         )
     return ServoMeasurement(joint_angles, features, goal, visible, frame_time, time)
+
+
+def first_bad(value: Array, bad: NDArray[np.bool_]) -> str:
+    """The first entry of `value` where `bad` is true, with its place if there is more than one entry."""
+    place = tuple(int(i) for i in np.argwhere(bad)[0])
+    return f"{value[place]} at index {list(place)}" if value.size > 1 else f"{value[place]}"
