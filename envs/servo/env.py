@@ -176,11 +176,12 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
             Observation and info.
 
         Raises:
-            ValueError: `options` holds anything.
+            ValueError: `options` holds anything, or `seed` is negative.
+            TypeError: `seed` is no integer.
         """
-        if seed is not None or self._np_random is None:
-            self._np_random, self._np_random_seed = seeding.np_random(seed)
         check_options(options)
+        if seed is not None or self._np_random is None:
+            self._np_random, self._np_random_seed = seeding.np_random(check_seed(seed))
         self.world.reset([0], [episode_seed(self.np_random)])
         self._running = True
         observation = self._observe()
@@ -336,3 +337,19 @@ def check_options(options: dict[str, Any] | None) -> None:
     """Raises ValueError where reset options are given that do not exist."""
     if options:
         raise ValueError(f"reset options {sorted(options)} are not known; parameters are keywords of gym.make")
+
+
+def check_seed(seed: Any) -> int | None:
+    """A seed as a Python integer, or None.
+
+    Raises:
+        TypeError: Not an integer.
+        ValueError: Negative.
+    """
+    if seed is None:
+        return None
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
+        raise TypeError(f"seed must be None or an integer of at least 0, got {seed!r}")
+    if seed < 0:
+        raise ValueError(f"seed must be at least 0, got {seed!r}")
+    return int(seed)

@@ -19,6 +19,7 @@ from servotrack.envs.servo.env import (
     action_space,
     check_options,
     check_render_mode,
+    check_seed,
     feature_observations,
     feature_space,
 )
@@ -151,7 +152,7 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
                 "options={'reset_mask': mask}, or use another autoreset_mode"
             )
         world = self.world
-        world.step(values)
+        world.step(values, ~waiting)
         terminated, truncated = world.terminated.copy(), world.truncated.copy()
         if self._step_limit is not None:
             truncated |= world.steps >= self._step_limit
@@ -258,9 +259,11 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
     def _seed_list(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        if isinstance(seed, (int, np.integer)):
-            return [int(seed) + row for row in range(self.num_envs)]
-        seeds = [None if s is None else int(s) for s in seed]
+        if not isinstance(seed, (list, tuple, np.ndarray)):
+            first = check_seed(seed)
+            assert first is not None
+            return [first + row for row in range(self.num_envs)]
+        seeds = [check_seed(s) for s in seed]
         if len(seeds) != self.num_envs:
             raise ValueError(
                 f"seed must be an int or a list of {self.num_envs}, one for each sub-environment, got {len(seeds)}"
