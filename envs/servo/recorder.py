@@ -65,7 +65,7 @@ class Recorder:
                 tracking_error=float(world.tracking_error[row]),
                 time=float(world.time[row]),
                 tool_trail=self._tool[past],
-                target_trail=world.path(row)[LEAD + past.start : LEAD + past.stop, :2],
+                target_trail=world.paths[row, LEAD + past.start : LEAD + past.stop, :2],
                 feature_trail=self._features[past],
                 error_history=self._error[past],
                 footprint=camera_footprint(*view),
