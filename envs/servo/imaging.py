@@ -266,7 +266,7 @@ def _marker_box(camera, gx0, gy0, gx1, gy1, step, spread):  # type: ignore[no-un
     for a in (max(i - 2, 0), min(i + 2, size - 1)):
         for b in (max(j - 2, 0), min(j + 2, size - 1)):
             finest = min(finest, spread[a, b])
-    margin = 2.0 * RING_RADIUS / finest + 2.0
+    margin = 1.4 * RING_RADIUS / finest + 2.0
     return (
         max(int(min(v0, v1) / step - margin), 0), min(int(max(v0, v1) / step + margin) + 1, size),
         max(int(min(u0, u1) / step - margin), 0), min(int(max(u0, u1) / step + margin) + 1, size),
@@ -320,7 +320,8 @@ def _expose(
 @njit(cache=True, nogil=True)
 def _paint_marker(ground, spread, i, j, x, y, color, paint):  # type: ignore[no-untyped-def]
     """Lay a marker at (x, y) over the color of pixel (i, j); whether it touches the pixel at all."""
-    near = RING_RADIUS + spread[i, j]
+    # Half the diagonal of a square pixel.
+    near = RING_RADIUS + 0.71 * spread[i, j]
     if (ground[i, j, 0] - x) ** 2 + (ground[i, j, 1] - y) ** 2 > near * near:
         return False
     disc, ring = _covered(ground, i, j, x, y)
