@@ -121,7 +121,7 @@ def create_servo_agent(env: Any, estimator: str, law: str = "proportional") -> J
     if max_joint_rate is None or not keys.issuperset(OBSERVATION_KEYS):
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
         raise ValueError(
-            f"agent {estimator!r} needs a servo with max_joint_rate and the observations {', '.join(OBSERVATION_KEYS)}; "
-            f"{name} is none: choose UncalibServo-v0, or another agent"
+            f"agent {estimator!r} needs an environment with max_joint_rate and the observations "
+            f"{', '.join(OBSERVATION_KEYS)}; {name} is none: choose UncalibServo-v0, or another agent"
         )
     return JacobianServo(servo_controller(estimator, law, float(max_joint_rate)))
