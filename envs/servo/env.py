@@ -216,8 +216,8 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Draw the present.
 
         Returns:
-            With `rgb_array` a new RGB frame, shape (416, 720, 3), uint8; with `human` None, for reset and step show the frames
-            themselves; None without a render mode.
+            With `rgb_array` a new RGB frame, shape (416, 720, 3), uint8; with `human` None, for reset and step show the
+            frames themselves; None without a render mode.
 
         Raises:
             gymnasium.error.ResetNeeded: Before the first reset.
@@ -227,22 +227,22 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
             return None
         if self.world.episodes[0] is None:
             raise ResetNeeded("there is nothing to draw yet: call reset() before render()")
-        return self._recorder.frame(self._camera_image()) if self.render_mode == "rgb_array" else None
+        return self._recorder.frame(**self._pictured()) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
         """Close the window, if there is one."""
         if self._viewer is not None:
             self._viewer.close()
 
-    def _camera_image(self) -> NDArray[np.uint8] | None:
-        """The camera's newest image, in worlds that have one."""
-        return None
+    def _pictured(self) -> dict[str, Any]:
+        """What `Recorder.frame` should show besides the world itself."""
+        return {}
 
     def _show(self) -> None:
         if self._recorder is not None:
             self._recorder.record()
         if self._recorder is not None and self._viewer is not None:
-            self._viewer.show(self._recorder.frame(self._camera_image()))
+            self._viewer.show(self._recorder.frame(**self._pictured()))
 
     def _info(self) -> dict[str, Any]:
         world = self.world

@@ -14,7 +14,8 @@ SIDE = 512
 TILE = 1.024
 """Width and height of the tile on the floor, m."""
 
-_OCTAVES = ((4, 0.05), (9, 0.06), (23, 0.06), (61, 0.055), (149, 0.05), (331, 0.045))  # cells per tile, standard deviation
+# Cells per tile, and standard deviation.
+_OCTAVES = ((4, 0.05), (9, 0.06), (23, 0.06), (61, 0.055), (149, 0.05), (331, 0.045))
 _SLAB = 256  # texels between two joints
 _SPECKS, _SCRATCHES = 900, 26
 

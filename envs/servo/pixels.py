@@ -6,7 +6,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.servo.env import Observation, UncalibServoEnv, feature_space
 from servotrack.envs.servo.imaging import ImageSensor
@@ -22,13 +21,14 @@ class UncalibServoPixelsEnv(UncalibServoEnv):
 
     ## Description
 
-    The world of `UncalibServo-v0`, before anybody has extracted features. The camera sees a concrete floor, the target's marker,
-    a red disc of 25 mm radius in a white ring, and a distractor's, the same in blue, which rests or circles slowly near the target's path. The
-    whole camera model shapes the image: tilt, distortion, aspect, vignetting, and black where the lens shows no floor. A rolling
-    shutter exposes every image row at its own instant. A lost frame leaves the old image with its old stamp.
+    The world of `UncalibServo-v0`, before anybody has extracted features. The camera sees a concrete floor, the
+    target's marker, a red disc of 25 mm radius in a white ring, and a distractor's, the same in blue, which rests or
+    circles slowly near the target's path. The whole camera model shapes the image: tilt, distortion, aspect,
+    vignetting, and black where the lens shows no floor. A rolling shutter exposes every image row at its own instant.
+    A lost frame leaves the old image with its old stamp.
 
-    `pixel_noise`, `noise_kind` and the outliers of a level belong to features and leave images as they are; the image's own noise is
-    `image_noise`.
+    `pixel_noise`, `noise_kind` and the outliers of a level belong to features and leave images as they are; the
+    image's own noise is `image_noise`.
 
     ## Action Space
 
@@ -43,7 +43,7 @@ class UncalibServoPixelsEnv(UncalibServoEnv):
     | `image` | (S, S, 3) | uint8 | gray levels | RGB image of the newest frame that arrived; S is `image_size` |
     | `joint_angles` | (2,) | float64 | rad | encoder readings at `time` |
     | `goal` | (2,) | float64 | px | column and row at which the target is wanted; pixel k spans k to k + 1 |
-    | `frame_time` | (1,) | float64 | s | when the image was taken (its middle row), or when it arrived if `stamped` is false |
+    | `frame_time` | (1,) | float64 | s | when its middle row was taken, or when it arrived if `stamped` is false |
     | `time` | (1,) | float64 | s | now; the warm-up lies before 0, scoring starts after 0 |
 
     ## Rewards
@@ -52,8 +52,8 @@ class UncalibServoPixelsEnv(UncalibServoEnv):
 
     ## Starting State
 
-    As `UncalibServo-v0`; floor, distractor and image noise are drawn from streams of their own, so that one seed means the same arm,
-    camera and target in both worlds.
+    As `UncalibServo-v0`; floor, distractor and image noise are drawn from streams of their own, so that one seed
+    means the same arm, camera and target in both worlds.
 
     ## Episode End
 
@@ -61,13 +61,13 @@ class UncalibServoPixelsEnv(UncalibServoEnv):
 
     ## Arguments
 
-    `image_size`: width and height of the image, 32 to 480 px (default 96). `image_noise`: standard deviation of the noise on each
-    pixel and channel, 0 to 50 gray levels (default 3). All others as `UncalibServo-v0`.
+    `image_size`: width and height of the image, 32 to 480 px (default 96). `image_noise`: standard deviation of the
+    noise on each pixel and channel, 0 to 50 gray levels (default 3). All others as `UncalibServo-v0`.
 
     ## References
 
-    Zhang Ying-bo, "Unscented Kalman filter for on-line estimation of Jacobian matrix", Journal of Computer Applications 31(6),
-    2011, pp. 1699-1702, for the arm and its camera; the images are this package's own.
+    Zhang Ying-bo, "Unscented Kalman filter for on-line estimation of Jacobian matrix", Journal of Computer Applications
+    31(6), 2011, pp. 1699-1702, for the arm and its camera; the images are this package's own.
 
     ## Version History
 
@@ -101,8 +101,8 @@ class UncalibServoPixelsEnv(UncalibServoEnv):
             "time": world.time[:1].copy(),
         }
 
-    def _camera_image(self) -> NDArray[np.uint8]:
-        return self._sensor.images[0]
+    def _pictured(self) -> dict[str, Any]:
+        return {"camera_image": self._sensor.images[0], "distractor": self._sensor.distractor(0)}
 
 
 class UncalibServoPixelsVectorEnv(UncalibServoVectorEnv):
@@ -137,8 +137,8 @@ class UncalibServoPixelsVectorEnv(UncalibServoVectorEnv):
             "time": world.time[:, None].copy(),
         }
 
-    def _camera_image(self, row: int) -> NDArray[np.uint8]:
-        return self._sensor.images[row]
+    def _pictured(self, row: int) -> dict[str, Any]:
+        return {"camera_image": self._sensor.images[row], "distractor": self._sensor.distractor(row)}
 
 
 def pixel_space(config: ServoConfig, image_size: int) -> gym.spaces.Dict:

@@ -181,15 +181,15 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
             gymnasium.error.ResetNeeded: Before the first reset.
         """
         if self.render_mode is None:
-            gym.logger.warn('render() draws nothing without a render mode; try gym.make_vec(id, render_mode="rgb_array")')
+            gym.logger.warn('render() draws nothing without a render mode; try render_mode="rgb_array"')
             return None
         if not self._started:
             raise ResetNeeded("there is nothing to draw yet: call reset() before render()")
-        return tuple(recorder.frame(self._camera_image(row)) for row, recorder in enumerate(self._recorders))
+        return tuple(recorder.frame(**self._pictured(row)) for row, recorder in enumerate(self._recorders))
 
-    def _camera_image(self, row: int) -> NDArray[np.uint8] | None:
-        """One camera's newest image, in worlds that have one."""
-        return None
+    def _pictured(self, row: int) -> dict[str, Any]:
+        """What `Recorder.frame` should show of a row besides the world itself."""
+        return {}
 
     def _record_rows(self) -> list[Recorder]:
         from servotrack.envs.servo.recorder import Recorder, level_caption
