@@ -158,8 +158,9 @@ class ServoWorld:
         Returns:
             `true_jacobian` (N, 2, 3) px/rad and px/s at the present instant; `true_camera` (N, CAMERA_SIZE), packed
             as in `servotrack.estimators.camera.pack_camera`; `true_links` (N, 2) m; `true_latency` (N, 1) s, the age
-            of a frame beyond what its stamp says; `true_noise` (N, 2), standard deviations of encoders (rad) and
-            joint rates (rad/s); `true_gain` (N, 2), factors on the joint rates.
+            of a frame beyond what its stamp says; `true_readout` (N, 1) s, the time that a rolling shutter takes;
+            `true_noise` (N, 2), standard deviations of encoders (rad) and joint rates (rad/s); `true_gain` (N, 2),
+            factors on the joint rates.
         """
         hidden = self.latency * PERIOD if not self.config.stamped else np.zeros(self.count)
         position, velocity = self.target[:, :2], self.target[:, 2:]
@@ -168,6 +169,7 @@ class ServoWorld:
             "true_camera": self.cameras.copy(),
             "true_links": self.links.copy(),
             "true_latency": hidden[:, None] + 0.0,
+            "true_readout": np.full((self.count, 1), self.config.rolling_shutter),
             "true_noise": self.noise_levels.copy(),
             "true_gain": self.gain.copy(),
         }
