@@ -26,6 +26,7 @@ from servotrack.estimators.jacobian import (
     UnscentedJacobian,
 )
 from servotrack.estimators.jacobian.bank import HypothesisBank, Latencies, Mountings
+from servotrack.estimators.jacobian.informed import InformedKalman
 from servotrack.estimators.jacobian.lifted import LiftedKalman
 from servotrack.estimators.jacobian.parametric import ParametricKalman
 
@@ -53,6 +54,7 @@ ESTIMATORS: Mapping[str, Callable[[], Any]] = {
     "latency-bank-kf": lambda: HypothesisBank(KalmanJacobian(), Latencies()),
     "latency-bank-lifted-kf": lambda: HypothesisBank(LiftedKalman(), Latencies()),
     "oracle": OracleJacobian,
+    "informed-bound": InformedKalman,
 }
 
 LAWS: Mapping[str, Callable[[], Any]] = {

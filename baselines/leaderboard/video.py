@@ -101,7 +101,7 @@ def write_film(frames: Iterator[Frame], path: Path, rate: float) -> int:
 
 @contextlib.contextmanager
 def _hushed() -> Iterator[None]:
-    """Keep OpenCV from complaining, past Python's streams, that WebM has no tags for codecs; it writes it all the same."""
+    """Keep OpenCV from complaining, past Python's streams, that WebM has no tags for codecs: it writes all the same."""
     sys.stderr.flush()
     kept = os.dup(2)
     try:
