@@ -1,4 +1,4 @@
-"""Finds a marker of known color in images, to a fraction of a pixel: features for a servo that is given a camera's images."""
+"""Finds a marker of known color in images, to a fraction of a pixel: features for a servo that is given images."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _HALO = 2  # px around a blob that still hold light of its edge
 class MarkerDetector:
     """Segments by color and returns the intensity-weighted centroid of the most likely blob.
 
-    Every pixel is scored by its color's component along the marker's *chroma*, which is the marker's color less its own gray. The
-    score does not see gray light, so neither a textured gray floor nor a white ring; it is linear in the pixel, so that a pixel
-    half covered by the marker scores half, and the centroid of the scores is that of the marker's true outline. Markers of
-    another hue score below zero or low.
+    Every pixel is scored by its color's component along the marker's *chroma*, which is the marker's color less its
+    own gray. The score does not see gray light, so neither a textured gray floor nor a white ring; it is linear in
+    the pixel, so that a pixel half covered by the marker scores half, and the centroid of the scores is that of the
+    marker's true outline. Markers of another hue score below zero or low.
 
     Args:
         color: The marker's color in white light, RGB, 0 to 255. It must not be gray.
@@ -53,15 +53,16 @@ class MarkerDetector:
             images: RGB, uint8. Shape (*batch, H, W, 3).
 
         Returns:
-            Its center, column and row, where pixel k spans k to k + 1, shape (*batch, 2), px, zeros where it is not seen; and
-            whether it is seen, shape (*batch,), bool. A marker that the image's border cuts is reported where its visible part is.
+            Its center, column and row, where pixel k spans k to k + 1, shape (*batch, 2), px, zeros where it is not
+            seen; and whether it is seen, shape (*batch,), bool. A marker that the image's border cuts is reported
+            where its visible part is.
 
         Raises:
             ValueError: Not uint8 images of three channels.
         """
         stack = np.asarray(images)
         if stack.dtype != np.uint8 or stack.ndim < 3 or stack.shape[-1] != 3 or 0 in stack.shape[-3:-1]:
-            raise ValueError(f"images must be uint8 of shape (*batch, H, W, 3), got {stack.dtype} of shape {stack.shape}")
+            raise ValueError(f"images must be uint8 of shape (*batch, H, W, 3), got {stack.dtype} {stack.shape}")
         batch = stack.shape[:-3]
         flat = stack.reshape(-1, *stack.shape[-3:])
         centers, seen = np.zeros((len(flat), 2)), np.zeros(len(flat), dtype=np.bool_)
