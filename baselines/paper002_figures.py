@@ -26,11 +26,11 @@ def draw_trajectories(runs: Mapping[str, Run], title: str) -> Figure:
     from matplotlib.figure import Figure
 
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 2.55), layout="constrained")
+        figure = Figure(figsize=(7.2, 2.0), layout="constrained")
         panels = figure.subplots(1, len(runs), sharex=True, sharey=True, squeeze=False)[0]
         for axes, (name, run) in zip(panels, runs.items(), strict=True):
-            axes.plot(*run.target.T, color=TARGET_COLOR, lw=1.0, ls=(0, (2, 1.5)), label="target")
-            axes.plot(*run.tool.T, color=TOOL_COLORS[name], lw=1.2, label="tool")
+            axes.plot(*run.target.T, color=TARGET_COLOR, lw=0.9, ls=(0, (2, 1.5)), label="target")
+            axes.plot(*run.tool.T, color=TOOL_COLORS[name], lw=0.8, label="tool")
             axes.plot(*run.target[0], marker="s", ms=5, color=TARGET_COLOR, mec="white", mew=0.5)
             axes.plot(*run.tool[0], marker="o", ms=5, color=START_COLOR, mec="white", mew=0.5)
             axes.set_aspect("equal")
