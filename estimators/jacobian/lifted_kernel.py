@@ -89,7 +89,7 @@ def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate
     """Fold z = turn A - swing B - D + noise into one model; exact moments over all noise branches.
 
     `branch` (L + 1,) receives the joint density of the measurement and each branch. Returns the density of the measurement,
-    the normalized squared innovation under the inliers' expected noise, and the share of the innovation that the encoders' noise
+    the squared innovation over its covariance, expected over the branches, and the share of the innovation that the encoders' noise
     explains.
     """
     g = np.empty(STATE_SIZE, dtype=np.complex128)
@@ -129,7 +129,7 @@ def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate
             cov[r, c] += shrink * g[r] * np.conj(g[c])
             cov[c, r] = np.conj(cov[r, c])
         cov[r, r] = complex(max(cov[r, r].real, 1e-12), 0.0)
-    return density, nu2 / (spread + base + expected), by_joints * first * innovation
+    return density, nu2 * first, by_joints * first * innovation
 
 
 @njit(cache=True, nogil=True)
@@ -189,10 +189,10 @@ def lifted_update(
                 outlier_variance,
                 branch,
             )
-            surprise[n] += predicted[j] * ratio
             weight[n, j] = predicted[j] * density
             total += weight[n, j]
             misread += weight[n, j] * share
+            surprise[n] += weight[n, j] * ratio
             for k in range(levels):
                 noise_post[k] += predicted[j] * (branch[k] + branch[levels] * noise_prior[k])
         kept = 0.0
@@ -203,6 +203,7 @@ def lifted_update(
         for j in range(count):
             weight[n, j] = weight[n, j] / total if total > 1e-290 else predicted[j]
         encoder_error[n] = misread / total if total > 1e-290 else 0.0 + 0.0j
+        surprise[n] = surprise[n] / total if total > 1e-290 else 0.0
         log_likelihood[n] = math.log(max(total, 1e-300))
         for j in range(count):
             for r in range(STATE_SIZE):
