@@ -2,10 +2,10 @@
 
     python examples/mujoco_arm.py --links 3 --estimator kf
 
-The estimators and the controller are servotrack's, unchanged, and no Gymnasium is involved: `PlanarArm` only has to hand
-over a `ServoMeasurement` and take joint rates, as a driver of a real robot would. The features come from MuJoCo's own
-camera: the image is rendered and the target found in it by its color, or, where no OpenGL is available, its position is
-projected with the camera's pose and field of view.
+The estimators and the controller are servotrack's, unchanged, and no Gymnasium is involved: `PlanarArm` only has to
+hand over a `ServoMeasurement` and take joint rates, as a driver of a real robot would. The features come from MuJoCo's
+own camera: the image is rendered and the target found in it by its color, or, where no OpenGL is available, its
+position is projected with the camera's pose and field of view.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ LINKS: dict[int, tuple[float, ...]] = {2: (0.5, 0.5), 3: (0.4, 0.35, 0.25)}
 START: dict[int, tuple[float, ...]] = {2: (0.0, np.pi / 2), 3: (0.0, np.pi / 3, np.pi / 6)}
 STOPS: dict[int, tuple[tuple[float, float], ...]] = {
     2: ((-np.pi / 2, np.pi / 2), (0.0, np.pi)),
-    3: ((-np.pi / 2, np.pi / 2), (0.0, np.pi), (-np.pi / 2, np.pi / 2)),
+    3: ((-2.6, 2.6), (-2.6, 2.6), (-2.6, 2.6)),
 }
 
 ESTIMATORS: dict[str, Callable[[], Any]] = {
@@ -88,8 +88,8 @@ def paper_target(time: float) -> Array:
 def model_xml(links: tuple[float, ...]) -> str:
     """The arm, its camera and the target in MuJoCo's format.
 
-    The joints turn about vertical axes; the camera hangs `HEIGHT` above the floor, looks straight down and has the tool's
-    axes. Velocity servos drive the joints; they follow a command within some 15 ms.
+    The joints turn about vertical axes; the camera hangs `HEIGHT` above the floor, looks straight down and has the
+    tool's axes. Velocity servos drive the joints; they follow a command within some 15 ms.
     """
     tool = f'<site name="tool" pos="{links[-1]} 0 0"/><camera name="eye" pos="{links[-1]} 0 -0.1" fovy="{FOVY}"/>'
     arm = tool
@@ -99,9 +99,7 @@ def model_xml(links: tuple[float, ...]) -> str:
             f'<body pos="{base}"><joint name="joint{index}" axis="0 0 1" damping="0.5" armature="0.02"/>'
             f'<geom type="capsule" fromto="0 0 0 {links[index]} 0 0" size="0.02" mass="1"/>{arm}</body>'
         )
-    servos = "".join(
-        f'<velocity joint="joint{index}" kv="100"/>' for index in range(len(links))
-    )
+    servos = "".join(f'<velocity joint="joint{index}" kv="100"/>' for index in range(len(links)))
     return f"""
     <mujoco>
       <option timestep="{TIMESTEP}" integrator="implicitfast"/>
@@ -179,6 +177,11 @@ class PlanarArm:
             mujoco.mj_step(self.model, self.data)
         self._time += PERIOD
 
+    def close(self) -> None:
+        """Give the renderer's memory back."""
+        if self.renderer:
+            self.renderer.close()
+
     @property
     def tracking_error(self) -> float:
         """Distance from tool to target in the plane now, m."""
@@ -252,8 +255,10 @@ def main() -> None:
     arm = PlanarArm(arguments.links, rendered=rendered, pixel_noise=arguments.pixel_noise)
     errors = tracking_errors(arm, ServoController(ESTIMATORS[arguments.estimator](), max_joint_rate=MAX_JOINT_RATE))
     steady = 1e3 * errors[round(3.0 / PERIOD) :]
-    print(f"{'rendered' if rendered else 'projected'} features; after 3 s: mean {steady.mean():.2f} mm, "
-          f"95 % below {np.percentile(steady, 95):.2f} mm")
+    print(
+        f"{'rendered' if rendered else 'projected'} features; after 3 s: mean {steady.mean():.2f} mm, "
+        f"95 % below {np.percentile(steady, 95):.2f} mm"
+    )
 
 
 if __name__ == "__main__":
