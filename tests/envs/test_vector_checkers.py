@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 from functools import partial
-from pathlib import Path
 from typing import Any
 
+import faulty_counter as world
 import gymnasium as gym
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from servotrack.envs.testing import CHECKS, VectorEnvFaults, check_vector_env, check_vector_matches_single
-
-SPEC = importlib.util.spec_from_file_location("faulty_counter", Path(__file__).with_name("faulty_counter.py"))
-assert SPEC is not None and SPEC.loader is not None
-world = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(world)
 
 FAULTS = {
     "batches the wrong number": "spaces",
