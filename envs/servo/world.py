@@ -199,7 +199,7 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
     values = np.asarray(actions, dtype=np.float64)
     if values.shape != shape:
         raise ValueError(f"action must have shape {shape}, one rate for each joint, got {values.shape}")
-    if not math.isfinite(values.sum()):
+    if not np.isfinite(values).all():
         raise ValueError(f"action must be finite, got {values.tolist()}; check the policy for NaN or overflow")
     return values
 

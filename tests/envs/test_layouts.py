@@ -6,14 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from servotrack.envs.servo.episode import LEAD, draw_episode
 from servotrack.envs.servo.levels import servo_config
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
 from servotrack.estimators.camera import project_points
-
-Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("level", range(1, 7))

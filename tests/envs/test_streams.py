@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from servo_history import run, wiggle
 
 from servotrack.envs.servo.episode import draw_episode
 from servotrack.envs.servo.levels import servo_config
-
-Array = NDArray[np.float64]
-
 
 TABLES = (
     "links",

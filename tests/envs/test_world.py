@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from servo_history import QUANTITIES, run, wiggle
 
 from servotrack.envs.servo.arm import ArmSpace
@@ -15,8 +14,6 @@ from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
 from servotrack.envs.servo.world import LOST_AFTER, ServoWorld
 from servotrack.estimators.camera import project_points
-
-Array = NDArray[np.float64]
 
 
 def test_strong_motors_follow_the_commanded_rates() -> None:
