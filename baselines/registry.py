@@ -10,8 +10,8 @@ from typing import Any
 
 from servotrack.baselines.protocol import Agent, AgentCard, Information
 
-DEFAULT_LAW = "proportional"
-LAWS = (DEFAULT_LAW, "pi", "damped", "one-step")
+DEFAULT_LAW = "pi"
+LAWS = (DEFAULT_LAW, "proportional", "damped", "one-step")
 
 
 def _servo(name: str, information: Information, summary: str, **fields: Any) -> AgentCard:
