@@ -89,13 +89,13 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
         return feature_observations(self.world)
 
     @property
-    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override, misc]
         """One generator for each sub-environment."""
         self._generate([None] * self.num_envs)
         return tuple(self._generators)
 
     @property
-    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override, misc]
         """The seed of each sub-environment's generator."""
         self._generate([None] * self.num_envs)
         return tuple(self._seeds)
