@@ -88,14 +88,14 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
     def _observe(self) -> Observation:
         return feature_observations(self.world)
 
-    @property
-    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override, misc]
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """One generator for each sub-environment."""
         self._generate([None] * self.num_envs)
         return tuple(self._generators)
 
     @property
-    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override, misc]
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """The seed of each sub-environment's generator."""
         self._generate([None] * self.num_envs)
         return tuple(self._seeds)
