@@ -17,10 +17,10 @@ LAWS = (DEFAULT_LAW, "proportional", "damped", "one-step")
 def _servo(name: str, information: Information, summary: str, **fields: Any) -> AgentCard:
     return AgentCard(
         name,
-        "servotrack.baselines.servo:create_servo_agent",
+        "servotrack.baselines.servo_agents:create_servo_agent",
         information,
         summary,
-        parameters={"estimator": name},
+        parameters={"estimator": name, "law": DEFAULT_LAW},
         laws=True,
         **fields,
     )
