@@ -31,6 +31,15 @@ def test_gymnasiums_checker_has_no_complaint(env_id: str, level: int) -> None:
         check_env(env.unwrapped, skip_render_check=True)
 
 
+@pytest.mark.parametrize("env_id", IDS)
+def test_gymnasiums_checker_of_rendering_has_no_complaint(env_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make(env_id, render_mode="rgb_array").unwrapped)
+
+
 @pytest.mark.parametrize(("env_id", "level"), EVERY)
 def test_stable_baselines_checker_has_no_complaint(env_id: str, level: int) -> None:
     checker = pytest.importorskip("stable_baselines3.common.env_checker")

@@ -12,7 +12,7 @@ from servotrack.envs.servo.arm import ArmSpace
 from servotrack.envs.servo.episode import draw_episode
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
-from servotrack.envs.servo.world import LOST_AFTER, ServoWorld
+from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.camera import project_points
 
 
@@ -144,8 +144,8 @@ def test_an_episode_terminates_after_20_samples_out_of_view() -> None:
         away = 0
         for step, in_view in enumerate(inside):
             away = 0 if in_view else away + 1
-            assert history["terminated"][step, row] == (away >= LOST_AFTER)
-            if away >= LOST_AFTER:
+            assert history["terminated"][step, row] == (away >= 20)
+            if away >= 20:
                 ended += 1
                 assert history["reward"][step, row] == 0
                 break
