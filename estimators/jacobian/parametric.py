@@ -144,9 +144,12 @@ class ParametricKalman:
         whitened = np.einsum("...i,...i->...", innovation, np.linalg.solve(spread, innovation[..., None])[..., 0])
         updated = covariance - gain @ spread @ np.swapaxes(gain, -1, -2)
         updated = 0.5 * (updated + np.swapaxes(updated, -1, -2)) + _LEAST_VARIANCE * np.eye(STATE_SIZE)
+        corrected = mean + np.einsum("...ij,...j->...i", gain, innovation)
+        limit = np.log(self.scale) + _SCALE_RANGE * np.array([-1.0, 1.0])
+        corrected[..., 0] = np.clip(corrected[..., 0], *limit)
         new = ParametricState(
             alignment,
-            np.where(fresh[..., None], mean + np.einsum("...ij,...j->...i", gain, innovation), state.mean),
+            np.where(fresh[..., None], corrected, state.mean),
             np.where(fresh[..., None, None], updated, state.covariance),
         )
         log_density = -0.5 * (whitened + np.log(np.linalg.det(spread))) - np.log(2.0 * np.pi)
@@ -234,6 +237,8 @@ class ParametricKalman:
         )
 
 
+_SCALE_RANGE = 5.0
+"""How far log s may go from what is expected: features that no camera gives must not overflow its exponential."""
 _LEAST_VARIANCE = 1e-14
 """Keeps a parameter that has become certain from turning the covariance indefinite by rounding."""
 
