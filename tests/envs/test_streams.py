@@ -64,6 +64,14 @@ def test_an_axis_shifts_no_draw_but_its_own(axis: str) -> None:
     assert changed == TOUCHES[axis]
 
 
+def test_pixel_noise_and_outliers_do_not_shift_each_other() -> None:
+    def noise(pixel_noise: float, outlier_rate: float) -> np.ndarray:
+        config = servo_config(1, pixel_noise=pixel_noise, outlier_rate=outlier_rate)
+        return draw_episode(config, 4).feature_noise
+
+    np.testing.assert_allclose(noise(1.0, 0.2) - noise(1.0, 0.0), noise(0.0, 0.2), rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("axis", ["focal", "mounting", "tilt", "aspect", "distortion", "principal_offset"])
 def test_an_axis_of_the_camera_shifts_only_draws_that_it_makes_unsolvable(axis: str) -> None:
     base = servo_config(3)

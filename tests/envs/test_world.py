@@ -152,6 +152,18 @@ def test_an_episode_terminates_after_20_samples_out_of_view() -> None:
     assert ended > count / 4
 
 
+def test_samples_out_of_view_are_counted_anew_after_a_reset() -> None:
+    """A given layout is not rejected: with this lens the paper's target starts out of view."""
+    world = ServoWorld(servo_config(0, focal=2000.0), 1)
+    for _ in range(2):
+        world.reset([0], [0])
+        ended = [bool(world.terminated[0])]
+        while not ended[-1]:
+            world.step(np.zeros((1, 2)))
+            ended.append(bool(world.terminated[0]))
+        assert len(ended) == 20
+
+
 @pytest.mark.parametrize("target", ["ellipse", "two_sine", "waypoints"])
 def test_target_velocities_are_those_of_the_positions(target: str) -> None:
     config = servo_config(1, target=target, warmup=0)
