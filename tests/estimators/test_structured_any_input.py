@@ -1,4 +1,4 @@
-"""Whatever finite measurements come: the structured estimators answer with finite numbers, covariances stay definite."""
+"""Whatever finite measurements come, the structured estimators answer with finite numbers and definite covariances."""
 
 from __future__ import annotations
 
