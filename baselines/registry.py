@@ -29,7 +29,13 @@ def _servo(name: str, information: Information, summary: str, **fields: Any) -> 
 _TRUTH = frozenset({"truth"})
 
 _CARDS = (
-    AgentCard("random", "servotrack.baselines.random_agent:RandomAgent", "model-free", "uniform actions: no skill"),
+    AgentCard(
+        "random",
+        "servotrack.baselines.random_agent:RandomAgent",
+        "model-free",
+        "uniform actions: no skill",
+        tuning_steps=0,
+    ),
     _servo("fixed-jacobian", "model-free", "the Jacobian found by probing at the start, never updated"),
     _servo("broyden", "model-free", "Broyden's rank-one update"),
     _servo("rls", "model-free", "recursive least squares with forgetting"),
@@ -108,7 +114,7 @@ def _foreign_card(name: str) -> AgentCard:
         information=getattr(factory, "information", "undeclared"),
         summary=(factory.__doc__ or name).strip().splitlines()[0],
         requires=frozenset(getattr(factory, "requires", ())),
-        tuning_steps=int(getattr(factory, "tuning_steps", 0)),
+        tuning_steps=getattr(factory, "tuning_steps", None),
     )
 
 
