@@ -58,6 +58,21 @@ def test_a_hundred_arms_are_a_hundred_single_ones() -> None:
     )
 
 
+def test_waiting_rows_take_no_step_beyond_their_tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = gym.make_vec("UncalibServo-v0", num_envs=2, level=5, horizon=3).unwrapped
+    env.reset(seed=0)
+    step, most = env.world.step, []
+
+    def watched(*arguments: Any) -> None:
+        step(*arguments)
+        most.append(int(env.world.steps.max()))
+
+    monkeypatch.setattr(env.world, "step", watched)
+    for _ in range(9):
+        env.step(np.zeros((2, 2), np.float32))
+    assert most == [1, 2, 3, 3, 1, 2, 3, 3, 1]
+
+
 def test_gymnasium_makes_it_by_default() -> None:
     env = gym.make_vec("UncalibServo-v0", num_envs=2)
     assert type(env.unwrapped).__name__ == "UncalibServoVectorEnv"

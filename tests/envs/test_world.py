@@ -90,6 +90,20 @@ def test_rows_that_wait_for_their_reset_are_not_observed() -> None:
     assert world.time[0] == before[0][0] and (world.joint_angles[0] == before[1][0]).all()
 
 
+def test_an_episode_remembers_nothing_of_the_one_before() -> None:
+    config = servo_config(4, max_joint_rate=20.0, substeps=1)
+    world, fresh = ServoWorld(config, 1), ServoWorld(config, 1)
+    world.reset([0], [1])
+    world.step(np.ones((1, 2)))
+    for each in (world, fresh):
+        each.reset([0], [2])
+    for _ in range(5):
+        for each in (world, fresh):
+            each.step(np.full((1, 2), 0.9))
+        for name in QUANTITIES:
+            np.testing.assert_array_equal(getattr(world, name), getattr(fresh, name), err_msg=name)
+
+
 def test_an_arm_that_was_never_reset_does_not_step() -> None:
     world = ServoWorld(servo_config(0), 2)
     world.reset([0], [0])
