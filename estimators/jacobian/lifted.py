@@ -182,8 +182,8 @@ class LiftedKalman:
             if not all(0.0 <= value < np.inf for value in np.atleast_1d(getattr(self, name))):
                 raise ValueError(f"{name} must be finite and >= 0, got {getattr(self, name)}")
         for name in ("model_stay", "noise_stay"):
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} is a probability in (0, 1], got {getattr(self, name)}")
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise ValueError(f"{name} is a probability in (0, 1), got {getattr(self, name)}; 0.98 is usual")
         if not 0.0 <= self.outlier_rate < 1.0:
             raise ValueError(f"outlier_rate is a probability in [0, 1), got {self.outlier_rate}")
 

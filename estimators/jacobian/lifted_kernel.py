@@ -42,7 +42,7 @@ def _mix(mean, cov, weight, stay, mixed_mean, mixed_cov, predicted):  # type: ig
                 mixed_cov[i, r, c] = cov[i, r, c] + spread
                 everybody[r, c] += weight[i] * mixed_cov[i, r, c]
     for j in range(models):
-        predicted[j] = max(own * weight[j] + leave, 1e-300)
+        predicted[j] = own * weight[j] + leave
         from_own, from_all = own * weight[j] / predicted[j], leave / predicted[j]
         for r in range(STATE_SIZE):
             mixed_mean[j, r] = center[r] + from_own * (mean[j, r] - center[r])
