@@ -300,9 +300,6 @@ class UncalibServoReachEnv(UncalibServoEnv):
 
     As `UncalibServo-v0`.
 
-    A copy (`copy.deepcopy`) made in mid-episode does not continue to the bit: the physics engine does not copy what its
-    solver remembers. Plan on replays of the actions from the same seed instead.
-
     ## References
 
     Zhang Ying-bo, "Unscented Kalman filter for on-line estimation of Jacobian matrix", Journal of Computer
