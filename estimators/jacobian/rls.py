@@ -31,7 +31,7 @@ class RecursiveLeastSquares:
 
     forgetting: float = 0.85
     period: float = 0.05
-    measurement_noise: float = 3.0
+    measurement_noise: float = 6.0
     prior: JacobianPrior = field(default_factory=lambda: JacobianPrior(time_spread=400.0))
     alignment: Alignment = field(default_factory=Alignment)
 

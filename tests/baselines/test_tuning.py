@@ -13,6 +13,7 @@ import pytest
 from servotrack.baselines import tuning
 from servotrack.baselines.evaluate import run_episodes
 from servotrack.baselines.hyper_parameters import value_at, with_values
+from servotrack.baselines.leaderboard.tuning_table import markdown_tuning
 from servotrack.baselines.registry import AGENTS, agent_card
 from servotrack.baselines.results import ResultsError
 from servotrack.baselines.seeds import TUNE
@@ -290,3 +291,9 @@ def test_borrowed_values_are_the_lender_s(borrower: str, lender: str, place: str
 
 def test_every_borrower_is_compared_with_its_lender() -> None:
     assert BORROWED.items() <= {(borrower, lender) for borrower, lender, _, _ in SHARED}
+
+
+def test_the_page_shows_the_shipped_record() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "tuning.md").read_text(encoding="utf-8")
+    remedy = "run `servotrack tune --output baselines/tuning.json --into docs/tuning.md`"
+    assert markdown_tuning(read_record(SHIPPED)).strip() in page, remedy

@@ -66,8 +66,8 @@ def test_the_full_filter_trusts_the_better_feature():
 def test_least_squares_without_forgetting_is_a_kalman_filter_of_a_constant():
     measurements, _ = linear_world(np.random.default_rng(14), 100, batch=(2,), noise=1.0)
     prior = JacobianPrior()
-    state, _ = run(RecursiveLeastSquares(forgetting=1.0, prior=prior), measurements)
-    constant, _ = run(KalmanJacobian(walk=RandomWalk(0.0, 0.0), prior=prior), measurements)
+    state, _ = run(RecursiveLeastSquares(forgetting=1.0, measurement_noise=2.0, prior=prior), measurements)
+    constant, _ = run(KalmanJacobian(walk=RandomWalk(0.0, 0.0), measurement_noise=2.0, prior=prior), measurements)
     np.testing.assert_allclose(state.jacobian, constant.jacobian, rtol=1e-12)
     np.testing.assert_allclose(state.covariance, constant.covariance, rtol=1e-12)
 
