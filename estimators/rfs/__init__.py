@@ -1,0 +1,34 @@
+"""Filters over random finite sets: a varying number of targets in clutter, one step at a time."""
+
+from servotrack.estimators.rfs.birth import Birth, MeasurementBirth, Spawn
+from servotrack.estimators.rfs.models import (
+    STRUCTURES,
+    HiddenMarkovModel,
+    PairwiseMarkovModel,
+    RangeBearingModel,
+    constant_velocity,
+    definiteness_margin,
+    pairwise_structure,
+)
+from servotrack.estimators.rfs.phd import GMPHD
+from servotrack.estimators.rfs.reduction import Reduction
+from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
+
+__all__ = [
+    "STRUCTURES",
+    "Birth",
+    "GMPHD",
+    "HiddenMarkovModel",
+    "MeasurementBirth",
+    "PairwiseMarkovModel",
+    "RangeBearingModel",
+    "Reduction",
+    "RowAllocation",
+    "SetEstimate",
+    "Spawn",
+    "constant_velocity",
+    "definiteness_margin",
+    "measurements_to_rows",
+    "pairwise_structure",
+    "rows_to_tracks",
+]
