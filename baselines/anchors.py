@@ -1,4 +1,4 @@
-"""Jacobian estimators that only serve as anchors: one that never learns after its first moves, one that is told the truth."""
+"""Jacobian estimators that only serve as anchors: one stops learning after its first moves, one is told the truth."""
 
 from __future__ import annotations
 

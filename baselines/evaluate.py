@@ -31,6 +31,7 @@ def evaluate(
     chunk: int | None = None,
     timing: bool = True,
     on_episodes: Callable[[int], None] | None = None,
+    record: dict[str, Any] | None = None,
 ) -> CellResults:
     """One episode per seed; resumes what `folder` already holds and saves after every chunk.
 
@@ -43,6 +44,7 @@ def evaluate(
         chunk: Episodes that run side by side.
         timing: Whether to measure the compute time per step, in a pass of its own, unbatched.
         on_episodes: Called with the number of episodes that were just finished (or found finished).
+        record: Provenance to write down; None for that of this process.
 
     Returns:
         The cell with all rows it holds, those of other seeds included.
@@ -58,15 +60,14 @@ def evaluate(
     if chunk is not None and chunk < 1:
         raise ValueError(f"chunk must be at least 1, got {chunk}")
     card = agent if isinstance(agent, AgentCard) else agent_card(agent)
-    spec = gym.spec(env_id)
     cell = (folder.load(env_id, kwargs, card.name) if folder else None) or CellResults(
-        env_id, kwargs, card.name, card.as_record(), provenance=provenance()
+        env_id, kwargs, card.name, card.as_record(), provenance=record or provenance()
     )
     done = set(cell.seeds)
     todo = [seed for seed in seeds if seed not in done]
     report = on_episodes or (lambda count: None)
     report(len(seeds) - len(todo))
-    chunk = chunk or (CHUNK if spec.vector_entry_point else FOREIGN_CHUNK)
+    chunk = chunk or (CHUNK if _takes_seed_lists(env_id) else FOREIGN_CHUNK)
     for start in range(0, len(todo), chunk):
         batch = todo[start : start + chunk]
         rows, cell.max_steps = run_episodes(env_id, card, batch, kwargs)
@@ -81,22 +82,26 @@ def evaluate(
     return cell
 
 
-def make_vector(env_id: str, card: AgentCard, count: int, env_kwargs: Mapping[str, Any]) -> Any:
-    """The vector environment an agent is evaluated in, with the truth added for those that require it."""
-    own = gym.spec(env_id).vector_entry_point is not None
-    mode = "vector_entry_point" if own else "sync"
+def make_vector(env_id: str, count: int, env_kwargs: Mapping[str, Any], *, privileged: bool) -> Any:
+    """The vector environment that agents are evaluated in, for a privileged one with the truth added."""
+    mode = "vector_entry_point" if _takes_seed_lists(env_id) else "sync"
     env = gym.make_vec(env_id, num_envs=count, vectorization_mode=mode, **env_kwargs)
-    if not card.privileged:
+    if not privileged:
         return env
     from servotrack.envs.wrappers import VectorPrivilegedObservation
 
     return VectorPrivilegedObservation(env)
 
 
-def make_single(env_id: str, card: AgentCard, env_kwargs: Mapping[str, Any]) -> Any:
-    """One environment for an agent to act in alone, with the truth added for those that require it."""
+def _takes_seed_lists(env_id: str) -> bool:
+    """Whether the id has a vector environment with one seed per row; Gymnasium's own take a single number only."""
+    return str(gym.spec(env_id).vector_entry_point).startswith("servotrack.")
+
+
+def make_single(env_id: str, env_kwargs: Mapping[str, Any], *, privileged: bool = False) -> Any:
+    """One environment for an agent to act in alone, for a privileged one with the truth added."""
     env: Any = gym.make(env_id, **env_kwargs)
-    if not card.privileged:
+    if not privileged:
         return env
     from servotrack.envs.wrappers import PrivilegedObservation
 
@@ -111,7 +116,7 @@ def run_episodes(
     Returns:
         One row per seed in their order, and the steps of a full episode (None where the environment sets no limit).
     """
-    env = make_vector(env_id, card, len(seeds), env_kwargs)
+    env = make_vector(env_id, len(seeds), env_kwargs, privileged=card.privileged)
     try:
         agent: Agent = create_agent(card, env)
         observation, info = env.reset(seed=list(seeds))
@@ -131,7 +136,7 @@ def run_episodes(
 
 def time_steps(env_id: str, card: AgentCard, env_kwargs: Mapping[str, Any], seed: int) -> list[float]:
     """Durations of single unbatched `predict` calls, s, without the first ones, which may compile or fill caches."""
-    env = make_single(env_id, card, env_kwargs)
+    env = make_single(env_id, env_kwargs, privileged=card.privileged)
     try:
         agent = create_agent(card, env)
         observation, _ = env.reset(seed=seed)

@@ -52,6 +52,7 @@ class AgentCard:
         tuning_steps: Environment steps that its hyper-parameters or weights were tuned or trained with.
         summary: One line for people.
         laws: Whether a control law can be chosen ("name+law").
+        in_default_suite: Whether `servotrack bench` measures it unless told otherwise.
     """
 
     name: str
@@ -62,6 +63,7 @@ class AgentCard:
     requires: frozenset[str] = frozenset()
     tuning_steps: int = 0
     laws: bool = False
+    in_default_suite: bool = True
 
     def as_record(self) -> dict[str, Any]:
         """What results keep of it."""

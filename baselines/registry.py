@@ -46,7 +46,7 @@ _CARDS = (
     _servo("latency-bank-kf", "model-free", "Kalman filters, one per hypothesis on the unstamped latency"),
     _servo("latency-bank-lifted-kf", "structure", "lifted Kalman filters, one per hypothesis on the unstamped latency"),
     _servo("oracle", "privileged", "the analytic Jacobian: the upper anchor of every score", requires=_TRUTH),
-    _servo("informed-bound", "privileged", "true geometry, latency and noise, but not the future", requires=_TRUTH),
+    _servo("informed-bound", "privileged", "told camera, links and latency, but not the future", requires=_TRUTH),
 )
 
 AGENTS: dict[str, AgentCard] = {card.name: card for card in _CARDS}

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from servotrack.baselines.servo_estimators import servo_controller
 from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
 from servotrack.estimators.jacobian.controller import ControllerState, ServoController
+from servotrack.estimators.jacobian.informed import Geometry
 from servotrack.estimators.online import select_rows
 
 OBSERVATION_KEYS = ("joint_angles", "features", "goal", "visible", "frame_time", "time")
@@ -21,12 +22,8 @@ class PrivilegedMeasurement(NamedTuple):
 
     Attributes:
         joint_angles, features, goal, visible, frame_time, time: As in `ServoMeasurement`.
+        geometry: Who took it.
         true_jacobian: Analytic total Jacobian of the present. Shape (*batch, m, n + 1), px/rad and px/s.
-        true_camera: Packed camera, as `servotrack.estimators.camera.pack_camera` makes it. Shape (*batch, CAMERA_SIZE).
-        true_links: Shape (*batch, n), m.
-        true_latency: Age of a frame beyond what its stamp says. Shape (*batch, 1), s.
-        true_noise: Standard deviations of encoders (rad) and joint rates (rad/s). Shape (*batch, 2).
-        true_gain: Factors on the joint rates. Shape (*batch, n).
     """
 
     joint_angles: Array
@@ -35,12 +32,8 @@ class PrivilegedMeasurement(NamedTuple):
     visible: NDArray[np.bool_]
     frame_time: Array
     time: Array
+    geometry: Geometry
     true_jacobian: Array
-    true_camera: Array
-    true_links: Array
-    true_latency: Array
-    true_noise: Array
-    true_gain: Array
 
 
 def servo_measurement(observation: Mapping[str, Any]) -> ServoMeasurement | PrivilegedMeasurement:
@@ -60,7 +53,13 @@ def servo_measurement(observation: Mapping[str, Any]) -> ServoMeasurement | Priv
     fields["visible"] = np.asarray(fields["visible"])[..., 0] > 0.5
     if "true_jacobian" not in observation:
         return ServoMeasurement(**fields)
-    return PrivilegedMeasurement(**fields, **{key: observation[key] for key in PrivilegedMeasurement._fields[6:]})
+    geometry = Geometry(
+        camera=observation["true_camera"],
+        links=observation["true_links"],
+        latency=observation["true_latency"][..., 0],
+        readout=observation["true_readout"][..., 0],
+    )
+    return PrivilegedMeasurement(**fields, geometry=geometry, true_jacobian=observation["true_jacobian"])
 
 
 class JacobianServo:
@@ -121,7 +120,7 @@ def create_servo_agent(env: Any, estimator: str, law: str = "proportional") -> J
     if max_joint_rate is None or not keys.issuperset(OBSERVATION_KEYS):
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
         raise ValueError(
-            f"agent {estimator!r} needs a servo with max_joint_rate and the observations {', '.join(OBSERVATION_KEYS)}; "
-            f"{name} is none: choose UncalibServo-v0, or another agent"
+            f"agent {estimator!r} needs an environment with max_joint_rate and the observations "
+            f"{', '.join(OBSERVATION_KEYS)}; {name} is none: choose UncalibServo-v0, or another agent"
         )
     return JacobianServo(servo_controller(estimator, law, float(max_joint_rate)))

@@ -1,31 +1,60 @@
-"""The estimators and laws behind the servo agents' names, each with the parameters that the benchmark reports.
-
-One setting for all levels.
-"""
+"""The estimators and laws behind the servo agents' names; one setting for all levels."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from servotrack.baselines.anchors import FixedJacobian, OracleJacobian
 from servotrack.estimators.jacobian import (
+    BroydenJacobian,
+    CorrentropyNoise,
     DampedLeastSquares,
     Excitation,
     KalmanJacobian,
+    LevelKalmanJacobian,
     OneStepExact,
+    ParticleJacobian,
     Proportional,
     ProportionalIntegral,
+    RandomWalk,
+    RecursiveLeastSquares,
     ServoController,
+    StudentTNoise,
     Supervisor,
+    UnscentedJacobian,
 )
+from servotrack.estimators.jacobian.bank import HypothesisBank, Latencies, Mountings
+from servotrack.estimators.jacobian.informed import InformedKalman
 from servotrack.estimators.jacobian.lifted import LiftedKalman
+from servotrack.estimators.jacobian.parametric import ParametricKalman
+
+
+def unscented_as_printed() -> UnscentedJacobian:
+    """The noise blocks of paper 002, eq. (21), as printed, at the variances that our reproduction of it assumes."""
+    process = math.sqrt(31.6)
+    return UnscentedJacobian(walk=RandomWalk(process, process), measurement_noise=10.0, as_printed=True)
+
 
 ESTIMATORS: Mapping[str, Callable[[], Any]] = {
     "fixed-jacobian": FixedJacobian,
+    "broyden": BroydenJacobian,
+    "rls": RecursiveLeastSquares,
     "kf": KalmanJacobian,
+    "ukf": UnscentedJacobian,
+    "ukf-as-printed": unscented_as_printed,
+    "pf": ParticleJacobian,
+    "level-kf": LevelKalmanJacobian,
+    "student-t-kf": lambda: KalmanJacobian(outliers=StudentTNoise()),
+    "correntropy-kf": lambda: KalmanJacobian(outliers=CorrentropyNoise()),
+    "parametric-ekf": lambda: HypothesisBank(ParametricKalman(), Mountings()),
+    "parametric-ukf": lambda: HypothesisBank(ParametricKalman(unscented=True), Mountings()),
     "lifted-kf": LiftedKalman,
+    "latency-bank-kf": lambda: HypothesisBank(KalmanJacobian(), Latencies()),
+    "latency-bank-lifted-kf": lambda: HypothesisBank(LiftedKalman(), Latencies()),
     "oracle": OracleJacobian,
+    "informed-bound": InformedKalman,
 }
 
 LAWS: Mapping[str, Callable[[], Any]] = {

@@ -33,6 +33,7 @@ def _round(x: float, y: float, rx: float, ry: float) -> Stroke:
 
 
 _BOWL = _round(2.1, 2.5, 2.1, 2.5)
+_NARROW_ARCH = _arc(1.6, 3.4, 1.6, 1.6, 180, 0)
 _ARCH = _arc(1.9, 3.1, 1.9, 1.9, 180, 0)
 
 _GLYPHS: dict[str, list[Stroke]] = {
@@ -64,7 +65,7 @@ _GLYPHS: dict[str, list[Stroke]] = {
     "j": [[(1.2, 5), *_arc(0, -0.6, 1.2, 1.6, 0, -90)], [(1.2, 7), (1.2, 7)]],
     "k": [[(0, 7.4), (0, 0)], [(3.3, 5), (0, 2)], [(1.3, 3.2), (3.5, 0)]],
     "l": [[(0, 7.4), (0, 0)]],
-    "m": [[(0, 5), (0, 0)], [*_arc(1.6, 3.4, 1.6, 1.6, 180, 0), (3.2, 0)], [*_arc(4.8, 3.4, 1.6, 1.6, 180, 0), (6.4, 0)]],
+    "m": [[(0, 5), (0, 0)], [*_NARROW_ARCH, (3.2, 0)], [(x + 3.2, y) for x, y in [*_NARROW_ARCH, (3.2, 0)]]],
     "n": [[(0, 5), (0, 0)], [*_ARCH, (3.8, 0)]],
     "o": [_round(2.3, 2.5, 2.3, 2.5)],
     "p": [[(0, 5), (0, -2.2)], _BOWL],
@@ -83,7 +84,7 @@ _GLYPHS: dict[str, list[Stroke]] = {
 
 @lru_cache(maxsize=1024)
 def _mask(text: str, height: float, weight: float) -> NDArray[np.float32]:
-    """Opacity of a line of text in [0, 1], shape (rows, columns, 1); its left edge and baseline are those of `text_width`."""
+    """Opacity of a line of text in [0, 1], shape (rows, columns, 1), with the baseline at `_ASCENT` below its top."""
     scale = height / _DIGIT_HEIGHT
     fine = scale * _SUPERSAMPLING
     rows = int(np.ceil((_ASCENT + _DESCENT) * scale))

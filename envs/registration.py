@@ -17,6 +17,7 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
     },
     "UncalibServoPixels-v0": {
         "entry_point": "servotrack.envs.servo.pixels:UncalibServoPixelsEnv",
+        "vector_entry_point": "servotrack.envs.servo.pixels:UncalibServoPixelsVectorEnv",
     },
 }
 

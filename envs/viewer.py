@@ -1,4 +1,4 @@
-"""A window that shows frames, for `render_mode="human"` and for driving by keyboard; pygame is imported only when one opens."""
+"""A window that shows frames and hears keys; pygame is imported only when one opens."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Viewer:
             import pygame
         except ImportError as error:
             raise DependencyNotInstalled(
-                "render_mode='human' opens a window with pygame, which is not installed: pip install 'servotrack[human]'"
+                "render_mode='human' opens a window with pygame, which is missing: pip install 'servotrack[human]'"
             ) from error
         self._pygame = pygame
         self._title = title
@@ -46,7 +46,8 @@ class Viewer:
             pygame.display.set_caption(self._title)
             self._window = pygame.display.set_mode((width, height))
             self._clock = pygame.time.Clock()
-        self._window.blit(pygame.image.frombuffer(np.ascontiguousarray(frame).tobytes(), (width, height), "RGB"), (0, 0))
+        picture = pygame.image.frombuffer(np.ascontiguousarray(frame).tobytes(), (width, height), "RGB")
+        self._window.blit(picture, (0, 0))
         pygame.display.flip()
         if any(event.type == pygame.QUIT for event in pygame.event.get()):
             self.close()
@@ -54,7 +55,7 @@ class Viewer:
             self._clock.tick(self._fps)
 
     def held_keys(self) -> frozenset[str]:
-        """Names of the keys that are down now, as pygame names them: `left`, `a`, `space`, ...; none once the window is closed."""
+        """Names of the keys that are down now, as pygame names them: `left`, `a`, `space`; none without a window."""
         if self._window is None:
             return frozenset()
         pygame = self._pygame

@@ -190,6 +190,12 @@ def _jacobian_rows(cam, links, joints, points, velocities, out):  # type: ignore
         )  # fmt: skip
 
 
+@njit(cache=True, nogil=True)
+def _ground_rows(cam, pixels, out):  # type: ignore[no-untyped-def]
+    for i in range(cam.shape[0]):
+        out[i, 0], out[i, 1] = ground_point(cam[i], pixels[i, 0], pixels[i, 1])
+
+
 def _rows(*arrays: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
     """Common batch shape of arrays of row vectors, and each as contiguous (rows, columns)."""
     values = [np.asarray(a, dtype=np.float64) for a in arrays]
@@ -239,3 +245,19 @@ def image_jacobian(
     out = np.empty((len(cam), 2, 3))
     _jacobian_rows(cam, link, joint, point, velocity, out)
     return out.reshape(*batch, 2, 3)
+
+
+def ground_points(camera: ArrayLike, pixels: ArrayLike) -> Array:
+    """Ground points that pixels see, in the camera's untilted frame: F R(phi)^T (p - p_tool).
+
+    Args:
+        camera: Packed cameras (`pack_camera`). Shape (*batch, CAMERA_SIZE).
+        pixels: Shape (*batch, 2), px.
+
+    Returns:
+        Shape (*batch, 2), m.
+    """
+    batch, (cam, pixel) = _rows(camera, pixels)
+    out = np.empty((len(cam), 2))
+    _ground_rows(cam, pixel, out)
+    return out.reshape(*batch, 2)

@@ -1,9 +1,244 @@
-"""The command line."""
+"""The command line. Nothing else imports `servotrack.baselines`, and each command imports only what it needs."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from servotrack.baselines.leaderboard.summary import TaskSummary
+
+DEFAULT_RESULTS = Path("results")
+PIPED_WIDTH = 170
+FILMED_LEVEL = 3
+
+app = typer.Typer(
+    name="servotrack",
+    help="Servo what you cannot calibrate, track what you cannot count.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_show_locals=False,
+)
+
+Results = Annotated[Path, typer.Option("--results", "-o", help="Folder of results; an earlier run there is resumed.")]
+Episodes = Annotated[int, typer.Option("--episodes", "-n", min=1, help="Episodes per agent and environment.")]
+Split = Annotated[str, typer.Option(help="Seeds: `test` to report, `tune` while anything is still being chosen.")]
+Level = Annotated[int | None, typer.Option("--level", "-l", help="Level of a servo, 0 to 6.")]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", "-s", metavar="KEY=VALUE", help="Argument of the environment; repeatable.")
+]
+Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Processes; -1 for all processors.")]
+
+
+@app.command()
+def evaluate(
+    env: Annotated[str, typer.Argument(help="Gymnasium id, such as UncalibServo-v0.")],
+    agent: Annotated[str, typer.Argument(help="Name, name+law, or module:callable.")],
+    level: Level = None,
+    settings: Settings = None,
+    episodes: Episodes = 100,
+    split: Split = "test",
+    results: Results = DEFAULT_RESULTS,
+) -> None:
+    """Run one agent in one environment, and print its row beside those that the folder holds already."""
+    from servotrack.baselines import seeds
+    from servotrack.baselines.bench import progress_bars
+    from servotrack.baselines.evaluate import evaluate as run
+    from servotrack.baselines.leaderboard.summary import summarize
+    from servotrack.baselines.leaderboard.table import as_rich, task_grid
+    from servotrack.baselines.results import ResultsFolder, describe_environment
+
+    kwargs = _env_kwargs(level, settings)
+    folder = ResultsFolder(results)
+    folder.check_writable()
+    with progress_bars() as progress:
+        bar = progress.add_task(agent, total=episodes)
+        run(
+            env,
+            agent,
+            seeds.take(split, episodes),
+            kwargs,
+            folder=folder,
+            on_episodes=lambda count: progress.advance(bar, count),
+        )
+    name = describe_environment(env, kwargs)
+    tasks = [task for task in summarize(folder.load_all()) if task.environment == name]
+    for task in tasks:
+        _console().print(as_rich(task_grid(task), task.environment))
+
+
+@app.command()
+def bench(
+    results: Results = DEFAULT_RESULTS / "bench",
+    agents: Annotated[str, typer.Option("--agents", "-a", help="Comma-separated; default: all.")] = "",
+    levels: Annotated[str, typer.Option("--levels", "-l", help="Such as 0-5 or 0,3.")] = "0-5",
+    env: Annotated[str, typer.Option("--env", help="Servo id.")] = "UncalibServo-v0",
+    episodes: Episodes = 100,
+    split: Split = "test",
+    jobs: Jobs = -1,
+    video: Annotated[bool, typer.Option(help="Film the best agent at level 3.")] = True,
+) -> None:
+    """The main job: agents x levels x seeds, then the leaderboard, a figure and a film. Resumes what was finished."""
+    from servotrack.baselines.bench import progress_bars, run_suite, servo_suite
+    from servotrack.baselines.leaderboard.summary import summarize
+    from servotrack.baselines.results import ResultsFolder
+
+    suite = servo_suite(_words(agents), _levels(levels), env)
+    folder = ResultsFolder(results)
+    with progress_bars() as progress:
+        cells = run_suite(suite, folder, episodes=episodes, split=split, jobs=jobs, progress=progress)
+    tasks = summarize(cells)
+    film = _film_best(tasks, results) if video else None
+    _show(tasks, results, film)
+
+
+@app.command()
+def leaderboard(
+    results: Annotated[Path, typer.Argument(help="Folder of results.")],
+    output: Annotated[Path | None, typer.Option("--output", help="Where to write; default: into RESULTS.")] = None,
+    details: Annotated[bool, typer.Option(help="Print every environment's own table, too.")] = False,
+) -> None:
+    """Tables, figure and page from a folder of results."""
+    from servotrack.baselines.leaderboard.summary import summarize
+    from servotrack.baselines.results import ResultsFolder
+
+    tasks = summarize(ResultsFolder(results).load_all())
+    film = results / "best.webm"
+    _show(tasks, output or results, film if output is None and film.exists() else None, details)
+
+
+@app.command()
+def reproduce(
+    paper: Annotated[str, typer.Argument(help="`servo`: paper 002, the UKF of the image Jacobian.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for tables, figures and claims.")] = Path(
+        "results/reproduce"
+    ),
+    runs: Annotated[int, typer.Option(min=1, help="Runs per algorithm, as the paper's ten.")] = 10,
+) -> None:
+    """A paper's tables and figures, ours beside the paper's, and its claims with a verdict each."""
+    from servotrack.baselines.reproduce import reproduce_paper
+
+    reproduce_paper(paper, output, runs, _console())
+
+
+@app.command()
+def play(
+    env: Annotated[str, typer.Argument(help="Gymnasium id.")] = "UncalibServo-v0",
+    agent: Annotated[str | None, typer.Option("--agent", "-a", help="Whom to watch; none: drive by keyboard.")] = None,
+    level: Level = None,
+    settings: Settings = None,
+    seed: Annotated[int | None, typer.Option(help="Of the first episode.")] = None,
+    video: Annotated[
+        Path | None, typer.Option(help="Write a film (.webm, .mp4, .avi) instead of opening a window.")
+    ] = None,
+) -> None:
+    """Watch an agent, or drive the arm by keyboard (arrow keys; escape ends)."""
+    from servotrack.baselines.play import drive, watch
+
+    kwargs = _env_kwargs(level, settings)
+    if video is not None:
+        from servotrack.baselines.leaderboard.video import film_episode
+
+        if agent is None:
+            raise ValueError("--video needs an agent to film; add --agent lifted-kf")
+        frames = film_episode(env, agent, video, kwargs, seed)
+        _console().print(f"{video}: {frames} frames")
+    elif agent is None:
+        drive(env, kwargs, seed)
+    else:
+        watch(env, agent, kwargs, seed)
 
 
 def main() -> None:
-    """Run the command line."""
-    raise SystemExit("servotrack: no commands yet")
+    """Run the command line; what a user can mend is told in one line, without a traceback."""
+    import gymnasium as gym
+
+    import servotrack  # noqa: F401
+    from servotrack.baselines.results import ResultsError
+
+    # Agents of the user's own ("module:callable") lie where the user stands.
+    sys.path.insert(0, "")
+    try:
+        app()
+    except (ResultsError, ValueError, TypeError, gym.error.Error, ImportError) as error:
+        typer.secho(f"servotrack: {error}", fg="red", err=True)
+        raise SystemExit(2) from error
+
+
+def _console() -> Console:
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(highlight=False, width=PIPED_WIDTH)
+
+
+def _show(tasks: list[TaskSummary], output: Path, film: Path | None, details: bool = False) -> None:
+    from servotrack.baselines.leaderboard.report import write_report
+    from servotrack.baselines.leaderboard.table import NOTE, as_rich, overview_grid, task_grid
+
+    console = _console()
+    overview = overview_grid(tasks)
+    if overview[1]:
+        console.print(as_rich(overview, "Mean score · success in percent"))
+    for task in tasks if details or not overview[1] else []:
+        console.print(as_rich(task_grid(task), task.environment))
+    console.print(NOTE, style="dim")
+    for path in [*write_report(tasks, output, _command(), film), *([film] if film else [])]:
+        console.print(str(path), soft_wrap=True)
+
+
+def _film_best(tasks: list[TaskSummary], folder: Path) -> Path | None:
+    from servotrack.baselines import seeds
+    from servotrack.baselines.leaderboard.video import film_episode
+
+    task = next((task for task in tasks if task.level == FILMED_LEVEL), None)
+    best = next((row for row in task.rows if not row.privileged), None) if task else None
+    if task is None or best is None:
+        return None
+    path = folder / "best.webm"
+    film_episode(task.env_id, best.agent, path, {"level": task.level}, seeds.TEST[0])
+    return path
+
+
+def _command() -> str:
+    import shlex
+
+    return shlex.join(["servotrack", *sys.argv[1:]])
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def _levels(text: str) -> list[int]:
+    levels: list[int] = []
+    for word in _words(text):
+        first, dash, last = word.partition("-")
+        if not first.isdigit() or (dash and not last.isdigit()):
+            raise ValueError(f"levels must look like 0-5 or 0,3, got {text!r}")
+        levels.extend(range(int(first), int(last or first) + 1))
+    return levels
+
+
+def _env_kwargs(level: int | None, settings: list[str] | None) -> dict[str, Any]:
+    kwargs: dict[str, Any] = {} if level is None else {"level": level}
+    for setting in settings or []:
+        key, equals, value = setting.partition("=")
+        if not equals or not key.isidentifier():
+            raise ValueError(f"--set takes KEY=VALUE, got {setting!r}; for example --set pixel_noise=2")
+        if key in kwargs:
+            raise ValueError(f"{key} is given twice, got {setting!r} after {kwargs[key]!r}")
+        try:
+            kwargs[key] = ast.literal_eval(value)
+        except (ValueError, SyntaxError):
+            kwargs[key] = value
+    return kwargs
 
 
 if __name__ == "__main__":

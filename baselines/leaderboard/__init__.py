@@ -1,1 +1,1 @@
-"""Results as tables, figures and videos."""
+"""From results to tables, figures, a page and a video."""

@@ -64,12 +64,14 @@ class TaskSummary:
         env_id: Gymnasium id.
         level: The argument `level` where it is the only one, else None.
         rows: Best first.
+        deterministic: Whether all episodes of every agent but the random one came out the same.
     """
 
     environment: str
     env_id: str
     level: int | None
     rows: tuple[AgentSummary, ...]
+    deterministic: bool
 
     def row(self, agent: str) -> AgentSummary | None:
         """The row of an agent, if it has one."""
@@ -136,7 +138,9 @@ def _summarize_task(name: str, cells: list[CellResults], step_seconds: dict[tupl
     rows = [replace(row, adjusted_p=p_of.get(row.agent)) for row in rows]
     kwargs = cells[0].env_kwargs
     level = kwargs["level"] if set(kwargs) == {"level"} else None
-    return TaskSummary(name, cells[0].env_id, level, tuple(sorted(rows, key=_rank)))
+    acting = [cell for cell in cells if cell.agent != LOWER_ANCHOR and len(cell.rows) > 1]
+    deterministic = bool(acting) and all(len({row["return"] for row in cell.rows}) == 1 for cell in acting)
+    return TaskSummary(name, cells[0].env_id, level, tuple(sorted(rows, key=_rank)), deterministic)
 
 
 def _rank(row: AgentSummary) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from rich.table import Table
 
 from servotrack.baselines.leaderboard.summary import REFERENCE, AgentSummary, OverallSummary, TaskSummary, overall
+from servotrack.baselines.statistics import Interval
 
 SIGNIFICANCE = 0.05
 PRIVILEGED_MARK = "†"
@@ -27,7 +28,7 @@ def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
     rows = []
     for summary in overall(tasks):
         cells = [_score_and_success(task.row(summary.agent)) for task in scored]
-        rows.append([_agent(summary), summary.information, *cells, _interval(summary.score.value, summary.score, 2)])
+        rows.append([_agent(summary), summary.information, *cells, _interval(summary.score, 2)])
     return headings, rows
 
 
@@ -40,14 +41,14 @@ def task_grid(task: TaskSummary) -> Grid:
     rows = []
     for row in task.rows:
         cells = [_agent(row), row.information, str(row.episodes)]
-        cells.append(_interval(row.success.value, row.success, 0, 100.0) if row.success else "")
+        cells.append(_interval(row.success, 0, 100.0) if row.success else "")
         if servo:
-            cells.append(_interval(row.score.value, row.score, 2) if row.score else "")
+            cells.append(_interval(row.score, 2) if row.score else "")
             cells.append("" if row.worst_score is None else f"{row.worst_score:.2f}")
-            cells.append(_interval(row.steady.value, row.steady, 1, 1e3) if row.steady else "")
+            cells.append(_interval(row.steady, 1, 1e3) if row.steady else "")
             cells.append(_difference(row))
         else:
-            cells.append(_interval(row.mean_return.value, row.mean_return, 2))
+            cells.append(_interval(row.mean_return, 2))
         cells.append("" if row.step_seconds is None else f"{row.step_seconds * 1e6:.0f}")
         cells.append(f"{row.tuning_steps:,}")
         rows.append(cells)
@@ -79,8 +80,20 @@ def markdown_report(tasks: Sequence[TaskSummary], command: str) -> str:
     overview = overview_grid(tasks)
     if overview[1]:
         parts.append("## Overview\n\nMean score, and success in percent.\n\n" + as_markdown(overview))
-    parts += [f"## {task.environment}\n\n{as_markdown(task_grid(task))}" for task in tasks]
+    for task in tasks:
+        remark = f"{caveat(task)}\n\n" if caveat(task) else ""
+        parts.append(f"## {task.environment}\n\n{remark}{as_markdown(task_grid(task))}")
     return "\n".join(parts)
+
+
+def caveat(task: TaskSummary) -> str:
+    """What a reader of a task's table has to know first; empty where there is nothing."""
+    if not task.deterministic:
+        return ""
+    return (
+        "Nothing in this world is random: all episodes of a deterministic agent are one and the same, "
+        "and its intervals say nothing about others."
+    )
 
 
 def _agent(row: AgentSummary | OverallSummary) -> str:
@@ -94,12 +107,13 @@ def _short_name(task: TaskSummary) -> str:
 def _score_and_success(row: AgentSummary | None) -> str:
     if row is None or row.score is None:
         return ""
-    return f"{row.score.value:.2f}" + (f" · {100 * row.success.value:.0f}" if row.success else "")
+    return f"{round(row.score.value, 2) + 0.0:.2f}" + (f" · {100 * row.success.value:.0f}" if row.success else "")
 
 
-def _interval(value: float, interval: tuple[float, ...], digits: int, factor: float = 1.0) -> str:
-    low, high = interval[1] * factor, interval[2] * factor
-    return f"{value * factor:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+def _interval(interval: Interval, digits: int, factor: float = 1.0) -> str:
+    # Adding zero turns a rounded -0.0 into 0.0.
+    value, low, high = (f"{round(end * factor, digits) + 0.0:.{digits}f}" for end in interval)
+    return f"{value} [{low}, {high}]"
 
 
 def _difference(row: AgentSummary) -> str:

@@ -23,6 +23,7 @@ INK: Color = (38, 50, 64)
 SOFT_INK: Color = (128, 136, 144)
 IVORY: Color = (253, 252, 249)
 TARGET: Color = (226, 85, 52)
+DISTRACTOR: Color = (76, 112, 188)
 TOOL: Color = (20, 126, 130)
 LENS: Color = (27, 36, 46)
 LENS_GRID: Color = (49, 62, 75)
@@ -51,7 +52,7 @@ CAMERA_PANEL = Panel(416, MARGIN, 288, 288)
 ERROR_PANEL = Panel(416, 320, 288, 80)
 _CORNER_RADIUS = 7
 
-# The floor's window in units of the arm's reach: the base stands left of and below the middle, where targets rarely are.
+# The floor's window in units of the arm's reach; the base stands left of and below the middle, where targets are rare.
 _WINDOW_SIDE, _WINDOW_LEFT, _WINDOW_BOTTOM = 1.5, -0.36, -0.52
 
 ERROR_DECADES = (-4, 0)

@@ -176,11 +176,12 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
             Observation and info.
 
         Raises:
-            ValueError: `options` holds anything.
+            ValueError: `options` holds anything, or `seed` is negative.
+            TypeError: `seed` is no integer.
         """
-        if seed is not None or self._np_random is None:
-            self._np_random, self._np_random_seed = seeding.np_random(seed)
         check_options(options)
+        if seed is not None or self._np_random is None:
+            self._np_random, self._np_random_seed = seeding.np_random(check_seed(seed))
         self.world.reset([0], [episode_seed(self.np_random)])
         self._running = True
         observation = self._observe()
@@ -215,8 +216,8 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Draw the present.
 
         Returns:
-            With `rgb_array` a new RGB frame, shape (416, 720, 3), uint8; with `human` None, for reset and step show the frames
-            themselves; None without a render mode.
+            With `rgb_array` a new RGB frame, shape (416, 720, 3), uint8; with `human` None, for reset and step show the
+            frames themselves; None without a render mode.
 
         Raises:
             gymnasium.error.ResetNeeded: Before the first reset.
@@ -226,22 +227,22 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
             return None
         if self.world.episodes[0] is None:
             raise ResetNeeded("there is nothing to draw yet: call reset() before render()")
-        return self._recorder.frame(self._camera_image()) if self.render_mode == "rgb_array" else None
+        return self._recorder.frame(**self._pictured()) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
         """Close the window, if there is one."""
         if self._viewer is not None:
             self._viewer.close()
 
-    def _camera_image(self) -> NDArray[np.uint8] | None:
-        """The camera's newest image, in worlds that have one."""
-        return None
+    def _pictured(self) -> dict[str, Any]:
+        """What `Recorder.frame` should show besides the world itself."""
+        return {}
 
     def _show(self) -> None:
         if self._recorder is not None:
             self._recorder.record()
         if self._recorder is not None and self._viewer is not None:
-            self._viewer.show(self._recorder.frame(self._camera_image()))
+            self._viewer.show(self._recorder.frame(**self._pictured()))
 
     def _info(self) -> dict[str, Any]:
         world = self.world
@@ -336,3 +337,19 @@ def check_options(options: dict[str, Any] | None) -> None:
     """Raises ValueError where reset options are given that do not exist."""
     if options:
         raise ValueError(f"reset options {sorted(options)} are not known; parameters are keywords of gym.make")
+
+
+def check_seed(seed: Any) -> int | None:
+    """A seed as a Python integer, or None.
+
+    Raises:
+        TypeError: Not an integer.
+        ValueError: Negative.
+    """
+    if seed is None:
+        return None
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
+        raise TypeError(f"seed must be None or an integer of at least 0, got {seed!r}")
+    if seed < 0:
+        raise ValueError(f"seed must be at least 0, got {seed!r}")
+    return int(seed)

@@ -118,7 +118,8 @@ def sample_times(config: ServoConfig) -> Array:
 def draw_episode(config: ServoConfig, seed: int) -> Episode:
     """Draw all of an episode.
 
-    A layout that cannot be solved (see `solvable`), or in which the target starts out of view, is drawn again.
+    A layout that cannot be solved (see `solvable`), in which the target starts out of view, or whose goal lies outside
+    the image is drawn again.
 
     Args:
         config: The world.
@@ -166,14 +167,20 @@ def _draw_layout(config: ServoConfig, streams: Streams) -> tuple[Array, Array, A
         path = draw_path(config, rng, links, times)
         if not solvable(path[LEAD + config.warmup :], links[0], links[1], config.max_joint_rate):
             continue
-        pixel, seen = project_points(camera, links, START, path[LEAD, :2])
-        if seen and pixel.min() >= 0.0 and pixel.max() < config.camera_size:
+        start, seen = project_points(camera, links, START, path[LEAD, :2])
+        u, v, before_fold = project_ground(camera, 0.0, 0.0)
+        # A goal outside the image would have the agent steer the target out of view.
+        if seen and before_fold and _in_image(config, *start) and _in_image(config, u, v):
             return links, camera, path
     raise ValueError(
         f"no solvable layout among {_MAX_DRAWS} draws: the arm cannot follow a {config.target!r} target with "
         f"links={config.links} at max_joint_rate={config.max_joint_rate}, or the camera (focal={config.focal}, "
-        f"depth={config.depth}) never sees it at the start; widen the ranges"
+        f"depth={config.depth}, tilt={config.tilt}) does not see both it and the goal at the start; change these"
     )
+
+
+def _in_image(config: ServoConfig, u: float, v: float) -> bool:
+    return bool(0.0 <= u < config.camera_size and 0.0 <= v < config.camera_size)
 
 
 def _is_fixed(config: ServoConfig) -> bool:

@@ -1,4 +1,4 @@
-"""What of the floor the camera sees, and how the floor's grid looks in the camera: the two halves of a picture share this geometry."""
+"""What of the floor the camera sees, and how the floor's grid looks to it."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def camera_footprint(camera: Array, links: Array, joint_angles: Array, camera_si
         camera_size: Width and height of the image, px.
 
     Returns:
-        Corners of a closed polygon in the base frame, shape (48, 2), m; directions above the horizon are cut at ten times the depth.
+        Corners of a closed polygon in the base frame, shape (48, 2), m; nothing is farther than ten times the depth.
     """
     border = _border(camera_size)
     out = np.empty_like(border)
@@ -107,5 +107,6 @@ def floor_lines(camera: Array, links: Array, joint_angles: Array, camera_size: i
     per_axis = 2 * math.ceil(reach / GRID_SPACING) + 1
     points = np.empty((2 * per_axis, _LINE_POINTS, 2))
     lengths = np.empty(2 * per_axis, dtype=np.int64)
-    _floor_lines(camera, links[0], links[1], joint_angles[0], joint_angles[1], GRID_SPACING, camera_size, points, lengths)
+    (l1, l2), (theta1, theta2) = links, joint_angles
+    _floor_lines(camera, l1, l2, theta1, theta2, GRID_SPACING, camera_size, points, lengths)
     return [points[i, :k] for i, k in enumerate(lengths) if k > 1]

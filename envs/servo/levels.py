@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import numbers
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -78,22 +79,23 @@ class ServoConfig:
 
     def __post_init__(self) -> None:
         """Check every field; raises ValueError that names the argument, the value and what would be right."""
-        for name in ("links", "focal", "depth", "distortion", "actuation_noise", "encoder_noise", "latency"):
+        for name in _RANGES:
             object.__setattr__(self, name, _as_range(name, getattr(self, name)))
         for name, options in (("target", TARGETS), ("noise_kind", NOISE_KINDS)):
             if getattr(self, name) not in options:
                 raise ValueError(f"{name} must be one of {', '.join(options)}, got {getattr(self, name)!r}")
         for name, low, high in _BOUNDS:
             value = getattr(self, name)
-            ends = value if isinstance(value, tuple) else (value,)
-            for end in ends:
-                if not (_is_number(end) and low <= end <= high):
-                    raise ValueError(f"{name} must lie in [{low}, {high}], got {value!r}")
-        for name in ("warmup", "horizon", "substeps", "solver_iterations", "camera_size"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or int(value) != value:
-                raise ValueError(f"{name} must be a whole number, got {value!r}")
-            object.__setattr__(self, name, int(value))
+            if name not in _RANGES and not _is_number(value):
+                raise ValueError(f"{name} must be one number in [{low}, {high}], got {value!r}")
+            if not all(low <= end <= high for end in (value if name in _RANGES else (value,))):
+                raise ValueError(f"{name} must lie in [{low}, {high}], got {value!r}")
+            if name in _WHOLE:
+                if int(value) != value:
+                    raise ValueError(f"{name} must be a whole number, got {value!r}")
+                object.__setattr__(self, name, int(value))
+            elif name not in _RANGES:
+                object.__setattr__(self, name, float(value))
         if any(int(end) != end for end in self.latency):
             raise ValueError(f"latency counts whole control periods, got {self.latency!r}")
         if self.outlier_rate > 0 and self.outlier_size == 0:
@@ -104,6 +106,8 @@ class ServoConfig:
             raise ValueError("stamped=False with latency 0 hides nothing; give latency=(low, high) or stamped=True")
 
 
+_RANGES = ("links", "focal", "depth", "distortion", "actuation_noise", "encoder_noise", "latency")
+_WHOLE = ("warmup", "horizon", "substeps", "solver_iterations", "camera_size")
 _BOUNDS: tuple[tuple[str, float, float], ...] = (
     ("links", 0.1, 2.0),
     ("focal", 10.0, 2000.0),
@@ -187,7 +191,7 @@ def servo_config(level: int = 3, **axes: Any) -> ServoConfig:
         raise ValueError(f"level must be a whole number from 0 to {len(_LADDER) - 1}, got {level!r}")
     for name in axes:
         if name not in AXES:
-            near = difflib.get_close_matches(name, AXES, n=1)
+            near = difflib.get_close_matches(name, (*AXES, "level", "render_mode"), n=1)
             hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(AXES)}"
             raise TypeError(f"unknown keyword {name!r}{hint}")
     settings: dict[str, Any] = {}
@@ -206,14 +210,14 @@ def reach_config(level: int = 3, **axes: Any) -> ServoConfig:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _as_range(name: str, value: Any) -> Range:
     if _is_number(value):
-        return (value, value)
+        return (float(value), float(value))
     if isinstance(value, (tuple, list)) and len(value) == 2 and all(_is_number(v) for v in value):
-        low, high = value
+        low, high = float(value[0]), float(value[1])
         if low <= high:
             return (low, high)
     raise ValueError(f"{name} must be a number or (low, high) with low <= high, got {value!r}")

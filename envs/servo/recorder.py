@@ -40,11 +40,12 @@ class Recorder:
         self._tool[step], self._features[step] = world.tool[row], world.features[row]
         self._error[step] = world.tracking_error[row]
 
-    def frame(self, camera_image: Image | None = None) -> Image:
+    def frame(self, camera_image: Image | None = None, distractor: Array | None = None) -> Image:
         """Draw the present.
 
         Args:
             camera_image: The newest camera image where the world has one, RGB, square; it replaces the floor's grid.
+            distractor: Position of a marker that is not the target, where there is one, (2,) m.
 
         Returns:
             A new RGB image, shape (416, 720, 3), uint8.
@@ -65,12 +66,13 @@ class Recorder:
                 tracking_error=float(world.tracking_error[row]),
                 time=float(world.time[row]),
                 tool_trail=self._tool[past],
-                target_trail=world.path(row)[LEAD + past.start : LEAD + past.stop, :2],
+                target_trail=world.paths[row, LEAD + past.start : LEAD + past.stop, :2],
                 feature_trail=self._features[past],
                 error_history=self._error[past],
                 footprint=camera_footprint(*view),
                 floor_lines=floor_lines(*view) if camera_image is None else (),
                 camera_image=camera_image,
+                distractor=distractor,
                 caption=self._caption,
             )
         )

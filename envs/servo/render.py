@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -52,6 +53,7 @@ class ServoScene:
         footprint: Outline of what the camera sees of the floor, or None. Shape (k, 2), m.
         floor_lines: The floor's grid as the camera sees it: polylines of image points, px.
         camera_image: The camera's image where there is one, any size, RGB uint8; shown in place of the grid.
+        distractor: Position of a second marker that is not the target, or None. Shape (2,), m.
         caption: Names the world, for example `level 3 optics`; lower-case letters and digits.
     """
 
@@ -71,6 +73,7 @@ class ServoScene:
     footprint: Array | None = None
     floor_lines: Sequence[Array] = ()
     camera_image: Image | None = None
+    distractor: Array | None = None
     caption: str = ""
 
 
@@ -108,9 +111,11 @@ def _draw_floor(panel: Image, scene: ServoScene, lit_floor: Image) -> None:
     _trail(panel, still.floor_pixels(scene.target_trail, reach), still.FLOOR, still.TARGET)
     _trail(panel, still.floor_pixels(scene.tool_trail, reach), still.FLOOR, still.TOOL)
 
+    if scene.distractor is not None:
+        _marker(panel, still.floor_pixels(scene.distractor, reach), 0.021 * scale, still.DISTRACTOR)
     _shadow(panel, base, elbow, tool, scale)
     _arm(panel, base, elbow, tool, both, scale)
-    _target(panel, target, 0.021 * scale)
+    _marker(panel, target, 0.021 * scale, still.TARGET)
     put_text(panel, scene.caption, 14, panel.shape[0] - 14, still.SOFT_INK)
     put_text(panel, f"{max(scene.time, 0.0):.1f} s", panel.shape[1] - 14, 20, still.SOFT_INK, align="right")
 
@@ -119,7 +124,7 @@ def _trail(panel: Image, points: Array, floor: Color, color: Color) -> None:
     """A polyline that fades with age, in bands of one color each, oldest first."""
     points = fixed_point(points[-TRAIL_LENGTH:])
     cuts = [len(points) - round(TRAIL_LENGTH * k / _BANDS) for k in range(_BANDS, -1, -1)]
-    for band, (start, end) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+    for band, (start, end) in enumerate(pairwise(cuts)):
         if end > 0 and end - max(start, 0) > 0:
             strength = 0.12 + 0.88 * ((band + 1) / _BANDS) ** 1.6
             # One point of overlap closes the gap to the next band.
@@ -178,16 +183,16 @@ def _link(panel: Image, start: Array, end: Array, start_width: float, end_width:
     cv2.polylines(panel, [fixed_point(groove)], False, mix(still.IVORY, still.INK, 0.20), 2, cv2.LINE_AA, 4)
 
 
-def _target(panel: Image, center: Array, radius: float) -> None:
+def _marker(panel: Image, center: Array, radius: float, color: Color) -> None:
     _disc(panel, center, radius + 1.5, still.IVORY)
-    _disc(panel, center, radius, still.TARGET)
+    _disc(panel, center, radius, color)
 
 
 def _draw_camera(panel: Image, scene: ServoScene) -> None:
     side = panel.shape[0]
     scale = side / scene.camera_size
     if scene.camera_image is not None:
-        cv2.resize(scene.camera_image, (side, side), dst=panel, interpolation=cv2.INTER_LINEAR)
+        cv2.resize(scene.camera_image, (side, side), dst=panel, interpolation=cv2.INTER_NEAREST)
     else:
         cv2.polylines(panel, _scaled(scene.floor_lines, scale), False, still.LENS_GRID, 1, cv2.LINE_AA, 4)
     feature, goal = scene.feature * scale, scene.goal * scale

@@ -19,6 +19,7 @@ from servotrack.envs.servo.env import (
     action_space,
     check_options,
     check_render_mode,
+    check_seed,
     feature_observations,
     feature_space,
 )
@@ -151,7 +152,7 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
                 "options={'reset_mask': mask}, or use another autoreset_mode"
             )
         world = self.world
-        world.step(values)
+        world.step(values, ~waiting)
         terminated, truncated = world.terminated.copy(), world.truncated.copy()
         if self._step_limit is not None:
             truncated |= world.steps >= self._step_limit
@@ -180,15 +181,15 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
             gymnasium.error.ResetNeeded: Before the first reset.
         """
         if self.render_mode is None:
-            gym.logger.warn('render() draws nothing without a render mode; try gym.make_vec(id, render_mode="rgb_array")')
+            gym.logger.warn('render() draws nothing without a render mode; try render_mode="rgb_array"')
             return None
         if not self._started:
             raise ResetNeeded("there is nothing to draw yet: call reset() before render()")
-        return tuple(recorder.frame(self._camera_image(row)) for row, recorder in enumerate(self._recorders))
+        return tuple(recorder.frame(**self._pictured(row)) for row, recorder in enumerate(self._recorders))
 
-    def _camera_image(self, row: int) -> NDArray[np.uint8] | None:
-        """One camera's newest image, in worlds that have one."""
-        return None
+    def _pictured(self, row: int) -> dict[str, Any]:
+        """What `Recorder.frame` should show of a row besides the world itself."""
+        return {}
 
     def _record_rows(self) -> list[Recorder]:
         from servotrack.envs.servo.recorder import Recorder, level_caption
@@ -258,9 +259,11 @@ class UncalibServoVectorEnv(gym.vector.VectorEnv[Observation, NDArray[Any], NDAr
     def _seed_list(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        if isinstance(seed, (int, np.integer)):
-            return [int(seed) + row for row in range(self.num_envs)]
-        seeds = [None if s is None else int(s) for s in seed]
+        if not isinstance(seed, (list, tuple, np.ndarray)):
+            first = check_seed(seed)
+            assert first is not None
+            return [first + row for row in range(self.num_envs)]
+        seeds = [check_seed(s) for s in seed]
         if len(seeds) != self.num_envs:
             raise ValueError(
                 f"seed must be an int or a list of {self.num_envs}, one for each sub-environment, got {len(seeds)}"

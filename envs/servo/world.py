@@ -59,6 +59,7 @@ class ServoWorld:
         joints: True joint angles, (N, 2) rad.
         tool: True tool position, (N, 2) m.
         target: True target position and velocity, (N, 4) m, m/s.
+        paths: The target's positions and velocities at all samples, (N, K, 4) m, m/s.
         captured: Index into the episode's tables of the newest frame that arrived with an image, (N,) int.
     """
 
@@ -72,7 +73,7 @@ class ServoWorld:
         self.links, self.cameras = np.ones((count, 2)), np.ones((count, CAMERA_SIZE))
         self.goal, self.gain, self.noise_levels = np.zeros((count, 2)), np.ones((count, 2)), np.zeros((count, 2))
         self.latency, self.steps = np.zeros(count, np.int64), np.zeros(count, np.int64)
-        self._path = np.zeros((count, length, 4))
+        self.paths = np.zeros((count, length, 4))
         self._feature_noise = np.zeros((count, length if config.pixel_noise or config.outlier_rate else 0, 2))
         self._rate_noise = np.zeros((count, length if any(config.actuation_noise) else 0, 2))
         self._encoder_noise = np.zeros((count, length if any(config.encoder_noise) else 0, 2))
@@ -103,7 +104,7 @@ class ServoWorld:
             self.arms.reset(row, episode.links)
             self.links[row], self.cameras[row], self.goal[row] = episode.links, episode.camera, episode.goal
             self.gain[row], self.latency[row] = episode.gain, episode.latency
-            self.noise_levels[row], self._path[row] = episode.noise_levels, episode.path
+            self.noise_levels[row], self.paths[row] = episode.noise_levels, episode.path
             for table, values in (
                 (self._feature_noise, episode.feature_noise),
                 (self._rate_noise, episode.rate_noise),
@@ -113,6 +114,7 @@ class ServoWorld:
                 if table.shape[1]:
                     table[row] = values
             self.steps[row] = 0
+            self._rates[row] = 0.0
             self.history[row] = START
             self._out_of_view[row] = 0
             self.features[row] = self.config.camera_size / 2.0
@@ -121,26 +123,30 @@ class ServoWorld:
             moved[row] = True
         self._observe(moved)
 
-    def step(self, actions: Array) -> None:
-        """Advance every row by one control period.
+    def step(self, actions: Array, rows: NDArray[np.bool_] | None = None) -> None:
+        """Advance rows by one control period.
 
         Args:
             actions: Fractions of `max_joint_rate`, clipped to [-1, 1] joint by joint as hardware does, (N, 2).
+            rows: Which of the N have an episode under way, (N,) bool; None for all. The other arms move too, for they
+                share the engine, but their tables have ended: nothing is counted or observed until their reset.
         """
+        if rows is None:
+            rows = np.ones(self.count, np.bool_)
         _command(
-            actions, self.steps, self.joints, JOINT_LOW, JOINT_HIGH, self.config.max_joint_rate, self.gain,
-            self._rate_noise, self._rates,
+            actions, self.steps, self.joints, JOINT_LOW, JOINT_HIGH, self.config.max_joint_rate,
+            PERIOD / self.config.substeps, self.gain, self._rate_noise, self._rates,
         )  # fmt: skip
         self.arms.step(self._rates)
-        self.steps += 1
-        self._observe(np.ones(self.count, np.bool_))
+        self.steps += rows
+        self._observe(rows)
 
     def _observe(self, rows: NDArray[np.bool_]) -> None:
         config = self.config
         _sense(
             rows, self.steps, config.warmup, config.horizon, float(config.camera_size), config.rolling_shutter,
             config.stamped, config.noise_kind == "quantized", self.links, self.cameras, self.goal, self.latency,
-            self._path, self._feature_noise, self._encoder_noise, self._dropped, self.joints, self.history,
+            self.paths, self._feature_noise, self._encoder_noise, self._dropped, self.joints, self.history,
             self._out_of_view, self.joint_angles, self.features, self.visible, self.frame_time, self.time,
             self.reward, self.terminated, self.truncated, self.tracking_error, self.feature_error, self.tool,
             self.target, self.captured,
@@ -152,8 +158,9 @@ class ServoWorld:
         Returns:
             `true_jacobian` (N, 2, 3) px/rad and px/s at the present instant; `true_camera` (N, CAMERA_SIZE), packed
             as in `servotrack.estimators.camera.pack_camera`; `true_links` (N, 2) m; `true_latency` (N, 1) s, the age
-            of a frame beyond what its stamp says; `true_noise` (N, 2), standard deviations of encoders (rad) and
-            joint rates (rad/s); `true_gain` (N, 2), factors on the joint rates.
+            of a frame beyond what its stamp says; `true_readout` (N, 1) s, the time that a rolling shutter takes;
+            `true_noise` (N, 2), standard deviations of encoders (rad) and joint rates (rad/s); `true_gain` (N, 2),
+            factors on the joint rates.
         """
         hidden = self.latency * PERIOD if not self.config.stamped else np.zeros(self.count)
         position, velocity = self.target[:, :2], self.target[:, 2:]
@@ -162,13 +169,10 @@ class ServoWorld:
             "true_camera": self.cameras.copy(),
             "true_links": self.links.copy(),
             "true_latency": hidden[:, None] + 0.0,
+            "true_readout": np.full((self.count, 1), self.config.rolling_shutter),
             "true_noise": self.noise_levels.copy(),
             "true_gain": self.gain.copy(),
         }
-
-    def path(self, row: int) -> Array:
-        """Positions and velocities of one row's target at all samples, a view of shape (K, 4)."""
-        return self._path[row]
 
     def debug_view(self, row: int = 0) -> str:
         """One row's state as text, for debugging."""
@@ -201,19 +205,26 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _command(actions, steps, joints, low, high, max_joint_rate, gain, rate_noise, rates):  # type: ignore[no-untyped-def]
-    """Joint rates that the motors are asked for: clipped, off by gain and noise, zero at the joints' stops."""
+def _command(  # type: ignore[no-untyped-def]
+    actions, steps, joints, low, high, max_joint_rate, substep, gain, rate_noise, rates
+):
+    """Joint rates that the motors are asked for: clipped, off by gain and noise, zero at the joints' stops.
+
+    `rates` holds the last period's rates and receives this one's.
+    """
     for i in range(actions.shape[0]):
         for j in range(2):
             rate = min(max(actions[i, j], -1.0), 1.0) * max_joint_rate * gain[i, j]
             if rate_noise.shape[1] > 0:
                 rate += rate_noise[i, steps[i] + LEAD, j]
-            # The stops alone let a joint overshoot by more than a degree.
-            rates[i, j] = min(max(rate, (low[j] - joints[i, j]) / PERIOD), (high[j] - joints[i, j]) / PERIOD)
+            # The stops alone let a joint overshoot by more than a degree. A motor obeys one substep late: what the
+            # joint coasts until then is gone from the way that is left.
+            coasted = joints[i, j] + substep * rates[i, j]
+            rates[i, j] = min(max(rate, (low[j] - coasted) / PERIOD), (high[j] - coasted) / PERIOD)
 
 
 @njit(cache=True, nogil=True)
-def _between(before, after, fraction):  # type: ignore[no-untyped-def]
+def interpolate_path(before, after, fraction):  # type: ignore[no-untyped-def]
     """Position a `fraction` of a period after `before`: the cubic through two rows' positions and velocities."""
     f, g = fraction, 1.0 - fraction
     hermite = np.empty(2)
@@ -236,7 +247,7 @@ def _capture(camera, links, path, history, frame, size, shutter):  # type: ignor
             f = 1.0 - shutter * (1.0 - min(max(v / size, 0.0), 1.0)) / PERIOD
             theta1 = before[0] + f * (now[0] - before[0])
             theta2 = before[1] + f * (now[1] - before[1])
-            x, y = _between(path[frame - 1], path[frame], f)
+            x, y = interpolate_path(path[frame - 1], path[frame], f)
             u, v, seen = project(camera, links[0], links[1], theta1, theta2, x, y)
     return u, v, seen and 0.0 <= u < size and 0.0 <= v < size
 

@@ -1,6 +1,7 @@
 """Online estimation of the total image Jacobian (paper 002), and the control laws that use it."""
 
 from servotrack.estimators.jacobian.alignment import Alignment
+from servotrack.estimators.jacobian.bank import HypothesisBank, Latencies, Mountings
 from servotrack.estimators.jacobian.broyden import BroydenJacobian
 from servotrack.estimators.jacobian.contract import (
     Increment,
@@ -12,6 +13,7 @@ from servotrack.estimators.jacobian.contract import (
 from servotrack.estimators.jacobian.controller import ServoController
 from servotrack.estimators.jacobian.excitation import Excitation
 from servotrack.estimators.jacobian.full_kf import FullKalmanJacobian
+from servotrack.estimators.jacobian.informed import Geometry, InformedKalman, InformedMeasurement
 from servotrack.estimators.jacobian.kf import KalmanJacobian
 from servotrack.estimators.jacobian.laws import (
     DampedLeastSquares,
@@ -20,6 +22,8 @@ from servotrack.estimators.jacobian.laws import (
     ProportionalIntegral,
 )
 from servotrack.estimators.jacobian.level import LevelKalmanJacobian
+from servotrack.estimators.jacobian.lifted import LiftedEstimate, LiftedKalman, TargetModel
+from servotrack.estimators.jacobian.parametric import ParametricKalman
 from servotrack.estimators.jacobian.pf import ParticleJacobian
 from servotrack.estimators.jacobian.prior import JacobianPrior, RandomWalk
 from servotrack.estimators.jacobian.rls import RecursiveLeastSquares
@@ -34,14 +38,23 @@ __all__ = [
     "DampedLeastSquares",
     "Excitation",
     "FullKalmanJacobian",
+    "Geometry",
+    "HypothesisBank",
     "Increment",
+    "InformedKalman",
+    "InformedMeasurement",
     "JacobianEstimator",
     "JacobianPrior",
     "KalmanJacobian",
+    "Latencies",
     "LevelKalmanJacobian",
+    "LiftedEstimate",
+    "LiftedKalman",
     "LinearEstimate",
+    "Mountings",
     "OneStepExact",
     "OutlierModel",
+    "ParametricKalman",
     "ParticleJacobian",
     "Proportional",
     "ProportionalIntegral",
@@ -52,5 +65,6 @@ __all__ = [
     "ServoMeasurement",
     "StudentTNoise",
     "Supervisor",
+    "TargetModel",
     "UnscentedJacobian",
 ]

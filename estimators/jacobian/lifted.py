@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
-from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
+from servotrack.estimators.jacobian.contract import Array, Increment, ServoMeasurement
 from servotrack.estimators.jacobian.lifted_kernel import lifted_update
 
 ComplexArray = NDArray[np.complex128]
@@ -193,6 +193,7 @@ class LiftedKalman:
         goal = np.asarray(measurement.goal, dtype=np.float64)
         new = LiftedState(alignment, *(part.copy() for part in state[1:]))
         log_likelihood, surprise = np.zeros(fresh.shape), np.zeros(fresh.shape)
+        encoder_error = np.zeros(fresh.shape, dtype=np.complex128)
         offset = alignment.frame_features - goal
         lifted_update(
             new.mean.reshape(-1, *new.mean.shape[-2:]),
@@ -206,27 +207,32 @@ class LiftedKalman:
             *self._variances(),
             log_likelihood.reshape(-1),
             surprise.reshape(-1),
+            encoder_error.reshape(-1),
         )
-        return new, self._present(new, increment.pending_joints, increment.pending_time, log_likelihood, surprise)
+        # The reading at the frame is the present one only where the frame is not late; a later reading errs anew.
+        encoder_error[increment.pending_time > 0.0] = 0.0
+        return new, self._present(new, increment, log_likelihood, surprise, encoder_error)
 
     def forget(self, state: LiftedState) -> LiftedState:
         """Keep the mean, trust it no more: the covariance goes back to the prior's."""
         return state._replace(covariance=np.broadcast_to(self._prior_covariance(), state.covariance.shape).copy())
 
     def _present(
-        self, state: LiftedState, pending_joints: Array, pending_time: Array, log_likelihood: Array, surprise: Array
+        self, state: LiftedState, increment: Increment, log_likelihood: Array, surprise: Array, encoder_error: ComplexArray
     ) -> LiftedEstimate:
         mean = np.einsum("...m,...ms->...s", state.model_weight, state.mean)
-        joints = state.alignment.frame_joints + pending_joints
+        joints = state.alignment.frame_joints + increment.pending_joints
+        age = increment.pending_time
         turn, swing = np.exp(1j * joints.sum(axis=-1)), np.exp(1j * joints[..., 1])
-        velocity = mean[..., 1] + pending_time * mean[..., 2]
-        target = mean[..., 0] + pending_time * (mean[..., 1] + 0.5 * pending_time * mean[..., 2])
+        velocity = mean[..., 1] + age * mean[..., 2]
+        target = mean[..., 0] + age * (mean[..., 1] + 0.5 * age * mean[..., 2])
+        forearm = mean[..., 4] - encoder_error
         return LiftedEstimate(
             turn * target,
             turn * velocity,
             turn * mean[..., 2],
             swing * mean[..., 3],
-            mean[..., 4],
+            forearm,
             log_likelihood,
             surprise,
         )

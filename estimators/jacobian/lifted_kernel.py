@@ -88,8 +88,9 @@ def _predict(mean, cov, dt, model, drift):  # type: ignore[no-untyped-def]
 def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate, outlier_variance, branch):  # type: ignore[no-untyped-def]
     """Fold z = turn A - swing B - D + noise into one model; exact moments over all noise branches.
 
-    `branch` (L + 1,) receives the joint density of the measurement and each branch. Returns the density of the measurement and
-    the normalized squared innovation under the inliers' expected noise.
+    `branch` (L + 1,) receives the joint density of the measurement and each branch. Returns the density of the measurement,
+    the normalized squared innovation under the inliers' expected noise, and the share of the innovation that the encoders' noise
+    explains.
     """
     g = np.empty(STATE_SIZE, dtype=np.complex128)
     turn_c, swing_c = np.conj(turn), np.conj(swing)
@@ -102,7 +103,8 @@ def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate
     a, b = turn * mean[0], swing * mean[3]
     error = a - b - mean[4]
     arms = a.real * a.real + a.imag * a.imag + (a - b).real ** 2 + (a - b).imag ** 2
-    base = extra[0] * arms + extra[1] * (error.real * error.real + error.imag * error.imag)
+    by_joints = extra[0] * arms
+    base = by_joints + extra[1] * (error.real * error.real + error.imag * error.imag)
     levels = noise.shape[0]
     density, expected = 0.0, 0.0
     for k in range(levels):
@@ -127,14 +129,14 @@ def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate
             cov[r, c] += shrink * g[r] * np.conj(g[c])
             cov[c, r] = np.conj(cov[r, c])
         cov[r, r] = complex(max(cov[r, r].real, 1e-12), 0.0)
-    return density, nu2 / (spread + base + expected)
+    return density, nu2 / (spread + base + expected), by_joints * first * innovation
 
 
 @njit(cache=True, nogil=True)
 def lifted_update(
     mean, cov, weight, noise_weight, fresh, dt, joints, z,
     models, drift, stay, noise, noise_stay, extra, outlier_rate, outlier_variance,
-    log_likelihood, surprise,
+    log_likelihood, surprise, encoder_error,
 ):  # type: ignore[no-untyped-def]  # fmt: skip
     """Advance every fresh row by `dt` and fold its measurement in; all arrays are changed in place.
 
@@ -153,6 +155,7 @@ def lifted_update(
         extra: Encoder variance, rad^2, and squared relative error of the optics. Shape (2,).
         outlier_rate, outlier_variance: Probability of an outlier and its added variance, px^2.
         log_likelihood, surprise: Results. Shape (rows,).
+        encoder_error: Result: what the encoders' noise at the frame probably adds to the image, u + iv. Shape (rows,), px.
     """
     rows, count = weight.shape
     levels = noise.shape[0]
@@ -160,7 +163,7 @@ def lifted_update(
     predicted, noise_prior, noise_post = np.empty(count), np.empty(levels), np.empty(levels)
     branch = np.empty(levels + 1)
     for n in range(rows):
-        log_likelihood[n], surprise[n] = 0.0, 0.0
+        log_likelihood[n], surprise[n], encoder_error[n] = 0.0, 0.0, 0.0 + 0.0j
         if not fresh[n]:
             continue
         swing = complex(math.cos(joints[n, 1]), math.sin(joints[n, 1]))
@@ -170,10 +173,10 @@ def lifted_update(
         for k in range(levels):
             noise_prior[k] = noise_stay * noise_weight[n, k] + (1.0 - noise_stay) / levels
             noise_post[k] = 0.0
-        total = 0.0
+        total, misread = 0.0, 0.0 + 0.0j
         for j in range(count):
             _predict(mixed_mean[j], mixed_cov[j], dt[n], models[j], drift)
-            density, ratio = _correct(
+            density, ratio, share = _correct(
                 mixed_mean[j],
                 mixed_cov[j],
                 turn,
@@ -189,6 +192,7 @@ def lifted_update(
             surprise[n] += predicted[j] * ratio
             weight[n, j] = predicted[j] * density
             total += weight[n, j]
+            misread += weight[n, j] * share
             for k in range(levels):
                 noise_post[k] += predicted[j] * (branch[k] + branch[levels] * noise_prior[k])
         kept = 0.0
@@ -198,6 +202,7 @@ def lifted_update(
             noise_weight[n, k] = noise_post[k] / kept if kept > 1e-290 else noise_prior[k]
         for j in range(count):
             weight[n, j] = weight[n, j] / total if total > 1e-290 else predicted[j]
+        encoder_error[n] = misread / total if total > 1e-290 else 0.0 + 0.0j
         log_likelihood[n] = math.log(max(total, 1e-300))
         for j in range(count):
             for r in range(STATE_SIZE):

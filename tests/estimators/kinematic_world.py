@@ -10,7 +10,7 @@ are those of the ladder, so that estimators can be driven in closed loop without
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Target = Callable[[Array], Array]
 """Time (rows,) s -> position (rows, 2) m."""
 
+IMAGE_CENTER = 240.0
 HALF_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
@@ -98,7 +99,7 @@ class KinematicWorld:
         start: Joint angles at the beginning. Shape (2,) or (rows, 2), rad.
         joint_low, joint_high, max_joint_rate: Limits, rad and rad/s; rates are clipped per joint as hardware does.
         warmup: Steps before time 0.
-        image_size: Width and height of the image, px.
+        image_size: Width and height of the image about (240, 240), px.
     """
 
     target: Target = paper_target
@@ -213,13 +214,13 @@ class KinematicWorld:
         if self.rolling_shutter:
             # Lines are read one after another, so the target is caught earlier above the middle row and later below it.
             for _ in range(3):
-                caught = capture + self.rolling_shutter * (image[:, 1] / self.image_size - 0.5)
+                caught = capture + self.rolling_shutter * (image[:, 1] - IMAGE_CENTER) / self.image_size
                 image = self._project(caught, self._joints_at(caught))
         displaced = (rng.random(rows) < self.outlier_rate)[:, None]
         image = image + np.asarray(self.pixel_noise)[..., None] * rng.standard_normal((rows, 2))
         image = image + displaced * self.outlier_size * rng.standard_normal((rows, 2))
         dropped = rng.random(rows) < self.drop_rate
-        inside = ((image >= 0) & (image <= self.image_size)).all(axis=1)
+        inside = (np.abs(image - IMAGE_CENTER) <= self.image_size / 2).all(axis=1)
         self._visible = inside & (first | ~dropped)
         stamp = capture if self.stamped else self._now
         self._features = np.where(self._visible[:, None], image, self._features)
@@ -250,3 +251,18 @@ def closed_loop(controller: Any, world: KinematicWorld, steps: int = 252) -> Arr
         measurement = world.step(rate)
         errors.append(world.tracking_error)
     return np.array(errors)
+
+
+def wander(estimator: Any, world: KinematicWorld, steps: int, seed: int = 1) -> Iterator[tuple[Any, Any]]:
+    """Move the arms at random; yield the estimator's state and estimate at every step, the world as of that instant."""
+    rng = np.random.default_rng(seed)
+    rate = np.zeros((world.rows, 2))
+    for step in range(steps):
+        if step == 0:
+            measurement = world.reset()
+            state = estimator.initial(measurement)
+        else:
+            rate = 0.8 * rate + rng.uniform(-0.4, 0.4, rate.shape)
+            measurement = world.step(rate)
+        state, estimate = estimator.step(state, measurement)
+        yield state, estimate

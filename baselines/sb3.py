@@ -1,0 +1,160 @@
+"""A Gymnasium vector environment as a Stable-Baselines3 one, without a detour through single environments.
+
+Import this module only where Stable-Baselines3 is wanted: it is an optional dependency.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError as error:
+    raise ImportError("Stable-Baselines3 is not installed; run `pip install servotrack[rl]`") from error
+
+Indices = None | int | Iterable[int]
+
+
+class StableBaselinesVecEnv(VecEnv):
+    """Adapter: one call of the vector environment per step, infos split into one dictionary per row.
+
+    Args:
+        env: A vector environment in autoreset mode SAME_STEP, as Stable-Baselines3 resets: an episode's last
+            observation is in `infos[i]["terminal_observation"]`.
+
+    Raises:
+        ValueError: Another autoreset mode.
+    """
+
+    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
+        mode = env.metadata.get("autoreset_mode")
+        if mode != AutoresetMode.SAME_STEP:
+            raise ValueError(
+                f"autoreset_mode must be SAME_STEP for Stable-Baselines3, got {mode}; make the environment with "
+                "gym.make_vec(..., autoreset_mode=gymnasium.vector.AutoresetMode.SAME_STEP)"
+            )
+        self.env = env
+        self._actions: NDArray[Any] | None = None
+        self.render_mode = env.render_mode
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+
+    def reset(self) -> Any:
+        """Reset all rows, with the seeds and options given before, and return their observations."""
+        seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
+        # Options belong to single environments in Stable-Baselines3; a vector environment takes one set for all.
+        options = self._options[0] if self._options and any(self._options) else None
+        if options is not None and any(other != options for other in self._options):
+            raise ValueError(f"options must be the same for all rows, got {self._options}")
+        observation, info = self.env.reset(seed=seeds, options=options)
+        self.reset_infos = self._split(info)
+        self._reset_seeds()
+        self._reset_options()
+        return observation
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Keep the actions until `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Step all rows.
+
+        Returns:
+            Observations, rewards, dones and one info per row, which holds `TimeLimit.truncated` and, at an episode's
+            end, `terminal_observation`.
+        """
+        observation, reward, terminated, truncated, info = self.env.step(self._actions)
+        done = np.asarray(terminated) | np.asarray(truncated)
+        final_observations = info.pop("final_obs", None)
+        final_info = info.pop("final_info", None)
+        infos = self._split(info)
+        # Nearly every step ends no episode; only the rows that ended need the second look.
+        for row in np.flatnonzero(done):
+            if final_info is not None:
+                infos[row] = _row_of(final_info, int(row))
+            infos[row]["terminal_observation"] = final_observations[row]
+        for row_info, was_truncated in zip(infos, (truncated & ~np.asarray(terminated)).tolist(), strict=True):
+            row_info["TimeLimit.truncated"] = was_truncated
+        return observation, np.asarray(reward, dtype=np.float32), done, infos
+
+    def close(self) -> None:
+        """Close the vector environment."""
+        self.env.close()
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """One frame per row."""
+        frames = self.env.render()
+        return [None] * self.num_envs if frames is None else list(frames)
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """An attribute of the vector environment, which all rows share."""
+        value = getattr(self.env, attr_name) if hasattr(self.env, attr_name) else getattr(self.env.unwrapped, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Set an attribute of the vector environment; only for all rows at once.
+
+        Raises:
+            ValueError: `indices` leaves rows out.
+        """
+        self._refuse_part("set_attr", indices)
+        setattr(self.env.unwrapped, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method of the vector environment once and return its result for every row.
+
+        Raises:
+            ValueError: `indices` leaves rows out.
+        """
+        self._refuse_part("env_method", indices)
+        result = getattr(self.env.unwrapped, method_name)(*method_args, **method_kwargs)
+        return [result for _ in range(self.num_envs)]
+
+    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: Indices = None) -> list[bool]:  # type: ignore[type-arg]
+        """Single-environment wrappers never sit in a vector environment of this kind."""
+        return [False for _ in self._get_indices(indices)]
+
+    def _refuse_part(self, name: str, indices: Indices) -> None:
+        if len(list(self._get_indices(indices))) != self.num_envs:
+            raise ValueError(
+                f"{name} reaches all {self.num_envs} rows at once, got indices={indices!r}; leave indices out"
+            )
+
+    def _split(self, info: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """One dictionary per row from a dictionary of arrays with masks."""
+        rows: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for key, values in info.items():
+            if key.startswith("_"):
+                continue
+            mask = info.get(f"_{key}")
+            everyone = mask is None or bool(np.all(mask))
+            if isinstance(values, Mapping):
+                for row, part in enumerate(self._split(values)):
+                    if everyone or mask[row]:
+                        rows[row][key] = part
+                continue
+            # Lists of Python numbers are several times faster to walk than arrays.
+            listed = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else values
+            for row in range(self.num_envs) if everyone else np.flatnonzero(mask):
+                rows[row][key] = listed[row]
+        return rows
+
+
+def _row_of(info: Mapping[str, Any], row: int) -> dict[str, Any]:
+    """One row of a dictionary of arrays with masks."""
+    chosen: dict[str, Any] = {}
+    for key, values in info.items():
+        if (
+            key.startswith("_")
+            or not np.asarray(info.get(f"_{key}", True)).reshape(-1)[row if f"_{key}" in info else 0]
+        ):
+            continue
+        chosen[key] = _row_of(values, row) if isinstance(values, Mapping) else values[row]
+    return chosen

@@ -1,0 +1,221 @@
+"""Compiled kernels behind the arm's camera: what its pixels see of the floor, and the colors they deliver."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from servotrack.envs.servo.floor import SIDE, TILE
+from servotrack.envs.servo.targets import PERIOD
+from servotrack.envs.servo.world import interpolate_path
+from servotrack.estimators.camera import ground_point, project_ground
+
+DISC_RADIUS = 0.025
+"""Radius of a marker's colored disc, m."""
+RING_RADIUS = 0.033
+"""Outer radius of the white ring around it, m."""
+TARGET_COLOR = (222, 64, 38)
+DISTRACTOR_COLOR = (46, 98, 196)
+RING_COLOR = (236, 234, 228)
+NOISE_SIDE = 256
+"""Rows of the noise tile, and columns before it repeats; a power of two."""
+
+_VIGNETTING = 0.30  # loss of light at one half width from the principal point
+_FARTHEST_MARKER = 0.2  # pixels that see more floor than this (m) show no markers: they would be smaller than any noise
+_SHIFT = 64.0  # tiles; farther than any ray that matters
+_SAMPLES = 4  # per axis and pixel, at markers' edges
+
+
+@njit(cache=True, nogil=True)
+def trace_rays(camera, step, ground, light, spread, detail):  # type: ignore[no-untyped-def]
+    """Fill one camera's ray tables; `step` is the distance of delivered pixels in camera pixels."""
+    size = ground.shape[0]
+    for i in range(size):
+        for j in range(size):
+            u, v = (j + 0.5) * step, (i + 0.5) * step
+            gx, gy = ground_point(camera, u, v)
+            ground[i, j, 0] = gx
+            ground[i, j, 1] = gy
+            back_u, back_v, seen = project_ground(camera, gx, gy)
+            # Beyond the lens's fold and above the horizon no floor point comes back to the same pixel.
+            if seen and abs(back_u - u) + abs(back_v - v) < 0.5:
+                rho2 = ((u - camera[2]) ** 2 + (v - camera[3]) ** 2) * camera[17] ** 2
+                light[i, j] = 1.0 / (1.0 + _VIGNETTING * rho2)
+            else:
+                light[i, j] = 0.0
+    for i in range(size):
+        for j in range(size):
+            a, b = min(i + 1, size - 1), min(j + 1, size - 1)
+            du = math.hypot(ground[i, b, 0] - ground[i, b - 1, 0], ground[i, b, 1] - ground[i, b - 1, 1])
+            dv = math.hypot(ground[a, j, 0] - ground[a - 1, j, 0], ground[a, j, 1] - ground[a - 1, j, 1])
+            spread[i, j] = max(du, dv)
+            texels = max(spread[i, j] * (SIDE / TILE), 1.0)
+            detail[i, j] = min(int(math.log2(texels) + 0.5), int(math.log2(SIDE)))
+
+
+@njit(cache=True, nogil=True)
+def _covered(ground, i, j, x, y):  # type: ignore[no-untyped-def]
+    """Shares of pixel (i, j) that a marker's disc and its ring at (x, y) cover."""
+    size = ground.shape[0]
+    a, b = min(max(i, 1), size - 2), min(max(j, 1), size - 2)
+    xu, yu = 0.5 * (ground[i, b + 1, 0] - ground[i, b - 1, 0]), 0.5 * (ground[i, b + 1, 1] - ground[i, b - 1, 1])
+    xv, yv = 0.5 * (ground[a + 1, j, 0] - ground[a - 1, j, 0]), 0.5 * (ground[a + 1, j, 1] - ground[a - 1, j, 1])
+    disc, ring = 0, 0
+    for p in range(_SAMPLES):
+        ov = (p + 0.5) / _SAMPLES - 0.5
+        for q in range(_SAMPLES):
+            ou = (q + 0.5) / _SAMPLES - 0.5
+            dx = ground[i, j, 0] + ou * xu + ov * xv - x
+            dy = ground[i, j, 1] + ou * yu + ov * yv - y
+            distance2 = dx * dx + dy * dy
+            if distance2 < DISC_RADIUS * DISC_RADIUS:
+                disc += 1
+            elif distance2 < RING_RADIUS * RING_RADIUS:
+                ring += 1
+    return disc / (_SAMPLES * _SAMPLES), ring / (_SAMPLES * _SAMPLES)
+
+
+@njit(cache=True, nogil=True)
+def _row_view(y, shutter, camera, links, history, path, distractor, frame, view):  # type: ignore[no-untyped-def]
+    """Write how the image row at height `y` (0 to 1) sees the world at the row's own instant.
+
+    `view` receives cos and sin of the camera's heading, the tool, and target and distractor in the camera's untilted
+    frame.
+    """
+    before = max(frame - 1, 0)
+    f = 1.0 - shutter * (1.0 - y) / PERIOD
+    old, now = history[before % history.shape[0]], history[frame % history.shape[0]]
+    theta1 = old[0] + f * (now[0] - old[0])
+    phi = theta1 + old[1] + f * (now[1] - old[1])
+    c2, s2 = math.cos(phi), math.sin(phi)
+    view[0] = c2 * camera[5] - s2 * camera[6]
+    view[1] = s2 * camera[5] + c2 * camera[6]
+    view[2] = links[0] * math.cos(theta1) + links[1] * c2
+    view[3] = links[0] * math.sin(theta1) + links[1] * s2
+    for k in range(2):
+        table = path if k == 0 else distractor
+        px, py = interpolate_path(table[before], table[frame], f)
+        px -= view[2]
+        py -= view[3]
+        view[4 + 2 * k] = view[0] * px + view[1] * py
+        view[5 + 2 * k] = view[1] * px - view[0] * py
+
+
+@njit(cache=True, nogil=True)
+def _look_down(view, ground, detail, texels, starts, pose, out):  # type: ignore[no-untyped-def]
+    """Brightness of the floor along one image row, bilinear in the texture's copy that fits each pixel."""
+    # From the camera's frame straight into tiles of the texture, shifted so far that every coordinate is positive.
+    fc, fs = pose[0] / TILE, pose[1] / TILE
+    xx, xy = fc * view[0] - fs * view[1], fc * view[1] + fs * view[0]
+    yx, yy = xy, -xx
+    x0 = fc * view[2] - fs * view[3] + pose[2] + _SHIFT
+    y0 = fs * view[2] + fc * view[3] + pose[3] + _SHIFT
+    one = np.uint64(1)
+    for j in range(ground.shape[0]):
+        level = detail[j]
+        side = SIDE >> level
+        last = np.uint64(side - 1)
+        gx, gy = ground[j, 0], ground[j, 1]
+        x, y = (xx * gx + xy * gy + x0) * side, (yx * gx + yy * gy + y0) * side
+        # Unsigned indices spare the check for negative ones at every access.
+        column, row = np.uint64(x), np.uint64(y)
+        fx, fy = x - column, y - row
+        start = starts[level]
+        top, bottom = start + (row & last) * np.uint64(side), start + ((row + one) & last) * np.uint64(side)
+        left, right = column & last, (column + one) & last
+        upper = texels[top + left] + (texels[top + right] - texels[top + left]) * fx
+        lower = texels[bottom + left] + (texels[bottom + right] - texels[bottom + left]) * fx
+        out[j] = upper + (lower - upper) * fy
+
+
+@njit(cache=True, nogil=True)
+def _develop(bright, light, color, noise, image):  # type: ignore[no-untyped-def]
+    """Turn one row of brightness into one row of noisy pixels."""
+    red, green, blue = np.float32(color[0]), np.float32(color[1]), np.float32(color[2])
+    half, black, white = np.float32(0.5), np.float32(0.0), np.float32(255.0)
+    for j in range(image.shape[0]):
+        value = bright[j] * light[j]
+        image[j, 0] = np.uint8(min(max(value * red + noise[j, 0] + half, black), white))
+        image[j, 1] = np.uint8(min(max(value * green + noise[j, 1] + half, black), white))
+        image[j, 2] = np.uint8(min(max(value * blue + noise[j, 2] + half, black), white))
+
+
+@njit(cache=True, nogil=True)
+def _paint_marker(ground, spread, i, j, x, y, color, paint):  # type: ignore[no-untyped-def]
+    """Lay a marker at (x, y) over the color of pixel (i, j); whether it touches the pixel at all."""
+    # Half the diagonal of a square pixel.
+    near = RING_RADIUS + 0.71 * spread[i, j]
+    if (ground[i, j, 0] - x) ** 2 + (ground[i, j, 1] - y) ** 2 > near * near:
+        return False
+    disc, ring = _covered(ground, i, j, x, y)
+    for channel in range(3):
+        paint[channel] = (1.0 - disc - ring) * paint[channel] + disc * color[channel] + ring * RING_COLOR[channel]
+    return disc + ring > 0.0
+
+
+@njit(cache=True, nogil=True)
+def _marker_box(camera, gx0, gy0, gx1, gy1, step, spread):  # type: ignore[no-untyped-def]
+    """Rows and columns (first, last + 1) that hold a marker which moves between two points of the camera's frame."""
+    size = spread.shape[0]
+    u0, v0, seen0 = project_ground(camera, gx0, gy0)
+    u1, v1, seen1 = project_ground(camera, gx1, gy1)
+    if not (seen0 or seen1):
+        return 0, 0, 0, 0
+    i = min(max(int(0.5 * (v0 + v1) / step), 0), size - 1)
+    j = min(max(int(0.5 * (u0 + u1) / step), 0), size - 1)
+    # The finest pixels near by bound the marker's size from above.
+    finest = spread[i, j]
+    for a in (max(i - 2, 0), min(i + 2, size - 1)):
+        for b in (max(j - 2, 0), min(j + 2, size - 1)):
+            finest = min(finest, spread[a, b])
+    margin = 1.4 * RING_RADIUS / finest + 2.0
+    return (
+        max(int(min(v0, v1) / step - margin), 0), min(int(max(v0, v1) / step + margin) + 1, size),
+        max(int(min(u0, u1) / step - margin), 0), min(int(max(u0, u1) / step + margin) + 1, size),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def expose(
+    rows, frames, shutter, step, cameras, links, history, paths, distractors, ground, light, spread, detail, texels,
+    starts, floor_pose, floor_color, noise, noise_offset, images,
+):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Render the given frames of the chosen rows; with a rolling shutter each image row is seen at its own instant."""
+    size = images.shape[1]
+    views, bright, paint = np.empty((size, 8)), np.empty((size, size), np.float32), np.empty(3)
+    for n in range(rows.shape[0]):
+        if not rows[n]:
+            continue
+        frame = frames[n]
+        first_row, first_column = noise_offset[n, frame, 0], noise_offset[n, frame, 1]
+        for i in range(size):
+            if i == 0 or shutter > 0.0:
+                y = (i + 0.5) / size
+                _row_view(y, shutter, cameras[n], links[n], history[n], paths[n], distractors[n], frame, views[i])
+            else:
+                views[i] = views[0]
+            grain = noise[(i + first_row) & (NOISE_SIDE - 1), first_column : first_column + size]
+            _look_down(views[i], ground[n, i], detail[n, i], texels, starts, floor_pose[n], bright[i])
+            _develop(bright[i], light[n, i], floor_color[n], grain, images[n, i])
+        for marker in range(2):
+            k = 4 + 2 * marker
+            top, bottom, left, right = _marker_box(
+                cameras[n], views[0, k], views[0, k + 1], views[size - 1, k], views[size - 1, k + 1], step, spread[n]
+            )
+            for i in range(top, bottom):
+                grain = noise[(i + first_row) & (NOISE_SIDE - 1)]
+                for j in range(left, right):
+                    if spread[n, i, j] > _FARTHEST_MARKER or light[n, i, j] == 0.0:
+                        continue
+                    for channel in range(3):
+                        paint[channel] = floor_color[n, channel] * bright[i, j]
+                    # Both markers at every pixel, the target last: it lies on top where they meet.
+                    look, width = ground[n], spread[n]
+                    covered = _paint_marker(look, width, i, j, views[i, 6], views[i, 7], DISTRACTOR_COLOR, paint)
+                    covered |= _paint_marker(look, width, i, j, views[i, 4], views[i, 5], TARGET_COLOR, paint)
+                    if covered:
+                        for channel in range(3):
+                            value = paint[channel] * light[n, i, j] + grain[first_column + j, channel]
+                            images[n, i, j, channel] = np.uint8(min(max(value + 0.5, 0.0), 255.0))

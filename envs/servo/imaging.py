@@ -1,0 +1,130 @@
+"""The arm's camera: images of a textured floor, the target's marker and a distractor's, through the full camera model.
+
+What each pixel sees of the floor is constant in the camera's frame for a whole episode, because height, tilt and lens
+are; so the rays are traced once per episode, and a frame only turns and shifts them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.servo.episode import LEAD, Episode, Stream, sample_times
+from servotrack.envs.servo.exposure import NOISE_SIDE, expose, trace_rays
+from servotrack.envs.servo.floor import floor_texture
+from servotrack.envs.servo.targets import PERIOD
+from servotrack.envs.servo.world import ServoWorld
+
+Array = NDArray[np.float64]
+
+
+class _Rays(NamedTuple):
+    """What the pixels of N cameras see, each constant for an episode.
+
+    Attributes:
+        ground: Floor points at the pixels' centers in the cameras' untilted frames, (N, S, S, 2) m.
+        light: Share of the light that arrives, 0 where the lens shows no floor, (N, S, S).
+        spread: How far apart neighboring pixels look on the floor, (N, S, S) m.
+        detail: The floor texture's copy that fits that distance, (N, S, S).
+    """
+
+    ground: NDArray[np.float32]
+    light: NDArray[np.float32]
+    spread: NDArray[np.float32]
+    detail: NDArray[np.uint8]
+
+
+class ImageSensor:
+    """The images of a servo world's N cameras, kept up to date by `update`.
+
+    Args:
+        world: The world, which the sensor only reads.
+        image_size: Width and height S of a delivered image, px; it covers the camera's whole field of view.
+        image_noise: Standard deviation of the noise on every pixel and channel, gray levels.
+
+    Attributes:
+        images: The newest images that arrived, (N, S, S, 3) uint8, RGB; overwritten by `update`.
+        frame_time: Their time stamps, (N,) s.
+        goal: Taught goals in the images' pixels, (N, 2).
+    """
+
+    def __init__(self, world: ServoWorld, image_size: int, image_noise: float) -> None:
+        self._world = world
+        self._scale = image_size / world.config.camera_size
+        count, table = world.count, (world.count, image_size, image_size)
+        self.images = np.zeros((*table, 3), np.uint8)
+        self.frame_time, self.goal = np.zeros(count), np.zeros((count, 2))
+        self._episodes: list[Episode | None] = [None] * count
+        self._captured = np.full(count, -1)
+        self._rays = _Rays(
+            ground=np.zeros((*table, 2), np.float32),
+            light=np.zeros(table, np.float32),
+            spread=np.zeros(table, np.float32),
+            detail=np.zeros(table, np.uint8),
+        )
+        length = len(sample_times(world.config))
+        self._distractors = np.zeros((count, length, 4))
+        self._noise_offset = np.zeros((count, length, 2), np.int64)
+        self._floor_pose, self._floor_color = np.zeros((count, 4)), np.zeros((count, 3))
+        self._noise = _noise_tile(image_noise, image_size)
+
+    def update(self) -> None:
+        """Render the frames that have arrived since the last call."""
+        world = self._world
+        # An episode is frozen: another object is another episode.
+        fresh = [row for row, (a, b) in enumerate(zip(self._episodes, world.episodes, strict=True)) if a is not b]
+        for row in fresh:
+            self._begin(row)
+        arrived = self._captured != world.captured
+        arrived[fresh] = True
+        self._captured[:] = world.captured
+        config = world.config
+        stamps = (world.captured - LEAD - config.warmup) * PERIOD - 0.5 * config.rolling_shutter
+        np.copyto(self.frame_time, stamps if config.stamped else world.time, where=arrived)
+        texture = floor_texture()
+        expose(
+            arrived, world.captured, config.rolling_shutter, 1.0 / self._scale, world.cameras, world.links,
+            world.history, world.paths, self._distractors, *self._rays, texture.texels, texture.starts,
+            self._floor_pose, self._floor_color, self._noise, self._noise_offset, self.images,
+        )  # fmt: skip
+
+    def distractor(self, row: int) -> Array:
+        """True present position of one row's distractor, (2,) m."""
+        return self._distractors[row, self._world.steps[row] + LEAD, :2]
+
+    def _begin(self, row: int) -> None:
+        world = self._world
+        episode = world.episodes[row]
+        assert episode is not None
+        self._episodes[row] = episode
+        self.goal[row] = episode.goal * self._scale
+        self._distractors[row] = _distractor_path(episode, sample_times(world.config))
+        rng = episode.streams[Stream.IMAGE_NOISE]
+        self._noise_offset[row] = rng.integers(0, NOISE_SIDE, self._noise_offset.shape[1:])
+        rng = episode.streams[Stream.FLOOR]
+        angle, brightness, warmth = rng.uniform((0.0, 105.0, -0.06), (2.0 * math.pi, 165.0, 0.08))
+        shift = rng.uniform(0.0, 1.0, 2)
+        self._floor_pose[row] = (math.cos(angle), math.sin(angle), *shift)
+        self._floor_color[row] = brightness * (1.0 + warmth * np.array([1.0, 0.4, -1.0]))
+        trace_rays(episode.camera, 1.0 / self._scale, *(table[row] for table in self._rays))
+
+
+def _noise_tile(level: float, image_size: int) -> NDArray[np.float32]:
+    """Sensor noise that frames read at random offsets, (256, 256 + image_size, 3); it repeats to the right."""
+    tile = np.random.default_rng(0).standard_normal((NOISE_SIDE, NOISE_SIDE, 3))
+    columns = np.arange(NOISE_SIDE + image_size) % NOISE_SIDE
+    return (level * tile[:, columns]).astype(np.float32)
+
+
+def _distractor_path(episode: Episode, times: Array) -> Array:
+    """Positions and velocities of the distractor, (K, 4): it circles slowly near the target's path, or rests there."""
+    rng = episode.streams[Stream.DISTRACTOR]
+    low, high = episode.path[:, :2].min(axis=0) - 0.1, episode.path[:, :2].max(axis=0) + 0.1
+    center = rng.uniform(low, high)
+    radii = rng.uniform(0.02, 0.15, 2) * (rng.random() < 0.7)
+    rate, phases = rng.uniform(0.1, 0.6), rng.uniform(0.0, 2.0 * math.pi, 2)
+    angles = rate * times[:, None] + phases
+    return np.concatenate([center + radii * np.sin(angles), radii * rate * np.cos(angles)], axis=1)

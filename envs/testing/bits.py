@@ -1,0 +1,52 @@
+"""Whether two nested values are the same to the bit, and if not, where they first differ."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+
+def first_difference(ours: Any, theirs: Any, where: str) -> str | None:
+    """Compare nested dictionaries, tuples, lists, arrays and numbers, types included.
+
+    Args:
+        ours: One value.
+        theirs: The other.
+        where: What the value is called in the answer.
+
+    Returns:
+        A sentence about the first difference, or None where every bit is the same; NaN equals itself, 0.0 is not -0.0.
+    """
+    if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
+        if ours.keys() != theirs.keys():
+            return f"{where} has keys {sorted(map(str, ours))} here and {sorted(map(str, theirs))} there"
+        pairs = [(f"{where}[{key!r}]", ours[key], theirs[key]) for key in ours]
+    elif isinstance(ours, (tuple, list)) and isinstance(theirs, (tuple, list)):
+        if len(ours) != len(theirs):
+            return f"{where} has length {len(ours)} here and {len(theirs)} there"
+        pairs = [(f"{where}[{i}]", a, b) for i, (a, b) in enumerate(zip(ours, theirs, strict=True))]
+    elif isinstance(ours, (Mapping, tuple, list)) or isinstance(theirs, (Mapping, tuple, list)):
+        return f"{where} is a {type(ours).__name__} here and a {type(theirs).__name__} there"
+    else:
+        return _array_difference(np.asarray(ours), np.asarray(theirs), where)
+    return next((found for name, a, b in pairs if (found := first_difference(a, b, name))), None)
+
+
+def _array_difference(ours: np.ndarray, theirs: np.ndarray, where: str) -> str | None:
+    if ours.dtype != theirs.dtype or ours.shape != theirs.shape:
+        return f"{where} is {ours.dtype}{ours.shape} here and {theirs.dtype}{theirs.shape} there"
+    if ours.dtype == object:
+        if ours.shape == ():
+            return (
+                None if ours.item() == theirs.item() else f"{where} is {ours.item()!r} here and {theirs.item()!r} there"
+            )
+        return first_difference(ours.tolist(), theirs.tolist(), where)
+    if ours.tobytes() == theirs.tobytes():
+        return None
+    size = ours.dtype.itemsize
+    bytes_differ = np.frombuffer(ours.tobytes(), np.uint8) != np.frombuffer(theirs.tobytes(), np.uint8)
+    at = np.unravel_index(int(bytes_differ.argmax()) // size, ours.shape)
+    place = f"{where}[{', '.join(str(int(i)) for i in at)}]" if ours.shape else where
+    return f"{place} is {ours[at].item()!r} here and {theirs[at].item()!r} there"

@@ -1,0 +1,127 @@
+"""What a vector environment returns: spaces, types, shapes, masks, frames."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+from gymnasium.vector.utils import batch_space
+
+from servotrack.envs.testing.story import batch_actions
+from servotrack.envs.testing.subject import Subject, VectorEnv, assert_refused, assert_same
+
+
+def check_spaces(subject: Subject) -> None:
+    """Spaces, their batches and the metadata agree with what was asked for."""
+    for mode in subject.modes:
+        with subject.opened(mode) as env:
+            shared = deepcopy(dict(type(env.unwrapped).metadata))
+            assert env.num_envs == subject.num_envs, f"num_envs is {env.num_envs}; {subject.num_envs} were asked for"
+            for name in ("observation_space", "action_space"):
+                single = getattr(env, f"single_{name}")
+                assert getattr(env, name) == batch_space(single, env.num_envs), (
+                    f"{name} must be gymnasium.vector.utils.batch_space(single_{name}, {env.num_envs}), "
+                    f"got {getattr(env, name)}"
+                )
+            declared = env.metadata.get("autoreset_mode")
+            assert declared == mode, (
+                f"metadata['autoreset_mode'] must be the AutoresetMode asked for, {mode}, got {declared!r}: take an "
+                "argument autoreset_mode, or name the modes that exist in autoreset_modes"
+            )
+            with subject.opened(mode):
+                pass
+            assert type(env.unwrapped).metadata == shared, (
+                "the constructor changes the metadata of its class: copy it first"
+            )
+
+
+def check_returns(subject: Subject) -> None:
+    """Types, shapes and data types of what reset and step return."""
+    for mode in subject.modes:
+        with subject.opened(mode) as env:
+            observations, infos = env.reset(seed=subject.seed)
+            _check_observations(env, observations, "reset()")
+            assert isinstance(infos, dict), f"reset() must return a dictionary of infos, got {type(infos).__name__}"
+            for _, (observations, rewards, terminated, truncated, infos) in subject.play(env, mode):
+                _check_observations(env, observations, "step()")
+                _check_array("rewards", rewards, env.num_envs, np.floating)
+                _check_array("terminations", terminated, env.num_envs, np.bool_)
+                _check_array("truncations", truncated, env.num_envs, np.bool_)
+                assert isinstance(infos, dict), f"step() must return a dictionary of infos, got {type(infos).__name__}"
+
+
+def check_infos(subject: Subject) -> None:
+    """Every entry of the infos has one value and one mask entry for each sub-environment."""
+    for mode in subject.modes:
+        with subject.opened(mode) as env:
+            _check_infos(env.reset(seed=subject.seed)[1], env.num_envs, "infos")
+            for _, result in subject.play(env, mode):
+                _check_infos(result[4], env.num_envs, "infos")
+
+
+def check_rendering(subject: Subject) -> None:
+    """With render_mode `rgb_array`, render gives one fresh uint8 image for each and changes nothing."""
+    mode = subject.modes[0]
+    with subject.opened(mode) as env, subject.opened(mode) as twin:
+        if env.render_mode != "rgb_array":
+            return
+        env.reset(seed=subject.seed)
+        twin.reset(seed=subject.seed)
+        for (_, ours), (_, theirs) in zip(subject.play(env, mode), subject.play(twin, mode), strict=False):
+            assert_same(ours, theirs, "rendering must not change what the environment does")
+            frames = env.render()
+            assert isinstance(frames, (tuple, list)) and len(frames) == env.num_envs, (
+                f"render() must return a tuple of {env.num_envs} frames, got {type(frames).__name__}"
+            )
+            for frame in frames:
+                assert isinstance(frame, np.ndarray) and frame.dtype == np.uint8 and frame.shape[2:] == (3,), (
+                    f"render() must return uint8 arrays of shape (height, width, 3), got "
+                    f"{getattr(frame, 'dtype', type(frame))}"
+                    f"{getattr(frame, 'shape', '')}"
+                )
+            kept = deepcopy(frames)
+            assert_same(env.render(), kept, "two calls of render() without a step between must give the same frames")
+
+
+def check_order(subject: Subject) -> None:
+    """A step before the first reset is refused."""
+    with subject.opened(subject.modes[0]) as env:
+        actions = batch_actions(env, [own[0] for own in subject.script(env).actions])
+        assert_refused("step() before the first reset()", env.step, actions)
+
+
+def _check_observations(env: VectorEnv, observations: Any, source: str) -> None:
+    space = env.observation_space
+    assert observations in space, (
+        f"{source} must return observations in observation_space: same keys, shapes, data types and within the bounds; "
+        f"got {observations}, not in {space}"
+    )
+
+
+def _check_array(name: str, value: Any, num_envs: int, dtype: type[np.generic]) -> None:
+    assert isinstance(value, np.ndarray) and value.shape == (num_envs,) and np.issubdtype(value.dtype, dtype), (
+        f"step() must return {name} as an array of {dtype.__name__} with shape ({num_envs},), got "
+        f"{f'{value.dtype}{value.shape}' if isinstance(value, np.ndarray) else type(value).__name__}"
+    )
+
+
+def _check_infos(infos: dict[str, Any], num_envs: int, where: str) -> None:
+    for key, value in infos.items():
+        if key.startswith("_"):
+            assert key[1:] in infos, f"{where}['{key}'] is the mask of nothing: {where}['{key[1:]}'] is missing"
+            continue
+        mask = infos.get(f"_{key}")
+        assert isinstance(mask, np.ndarray) and mask.shape == (num_envs,) and mask.dtype == np.bool_, (
+            f"{where}['{key}'] needs a mask {where}['_{key}'], a boolean array of shape ({num_envs},), got {mask!r}"
+        )
+        if isinstance(value, dict):
+            _check_infos(value, num_envs, f"{where}['{key}']")
+        else:
+            assert isinstance(value, np.ndarray) and len(value) == num_envs, (
+                f"{where}['{key}'] must be an array with a leading axis of {num_envs}, got {value!r}"
+            )
+            empty = value[~mask]
+            assert not any(np.any(entry) for entry in empty), (
+                f"{where}['{key}'] must be zeros (or None) where its mask is False, got {value} with mask {mask}"
+            )
