@@ -1,6 +1,7 @@
 """Filters over random finite sets: a varying number of targets in clutter, one step at a time."""
 
 from servotrack.estimators.rfs.birth import Birth, MeasurementBirth, Spawn
+from servotrack.estimators.rfs.cbmember import GMCBMeMBer
 from servotrack.estimators.rfs.models import (
     STRUCTURES,
     HiddenMarkovModel,
@@ -11,12 +12,15 @@ from servotrack.estimators.rfs.models import (
     pairwise_structure,
 )
 from servotrack.estimators.rfs.phd import GMPHD
+from servotrack.estimators.rfs.pmb import PMB
 from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
 
 __all__ = [
     "STRUCTURES",
     "Birth",
+    "PMB",
+    "GMCBMeMBer",
     "GMPHD",
     "HiddenMarkovModel",
     "MeasurementBirth",
