@@ -32,8 +32,8 @@ class BatchedWorld(Protocol):
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
         """Start new episodes in some rows; the others are left as they are, to the bit."""
 
-    def step(self, actions: NDArray[np.float64]) -> None:
-        """Advance every row by one step, those whose episode has ended too."""
+    def step(self, actions: NDArray[np.float64], running: Mask | None = None) -> None:
+        """Advance the rows whose episode is under way; the others only wait for their reset."""
 
     def privileged(self) -> dict[str, NDArray[np.float64]]:
         """What `VectorPrivilegedObservation` adds to the observations."""
