@@ -2,6 +2,7 @@
 
 from servotrack.estimators.rfs.birth import Birth, MeasurementBirth, Spawn
 from servotrack.estimators.rfs.cbmember import GMCBMeMBer
+from servotrack.estimators.rfs.gnn import GlobalNearestNeighbor
 from servotrack.estimators.rfs.models import (
     STRUCTURES,
     HiddenMarkovModel,
@@ -13,12 +14,17 @@ from servotrack.estimators.rfs.models import (
 )
 from servotrack.estimators.rfs.phd import GMPHD
 from servotrack.estimators.rfs.pmb import PMB
+from servotrack.estimators.rfs.raw import RawMeasurements
 from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
+from servotrack.estimators.rfs.smc_phd import ParticlePHD
 
 __all__ = [
     "STRUCTURES",
     "Birth",
+    "GlobalNearestNeighbor",
+    "ParticlePHD",
+    "RawMeasurements",
     "PMB",
     "GMCBMeMBer",
     "GMPHD",
