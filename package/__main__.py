@@ -120,11 +120,12 @@ def reproduce(
         "results/reproduce"
     ),
     runs: Annotated[int, typer.Option(min=1, help="Runs per algorithm, as the paper's ten.")] = 10,
+    claims: Annotated[Path | None, typer.Option(help="Claims file to fill in; default: a copy in OUTPUT.")] = None,
 ) -> None:
     """A paper's tables and figures, ours beside the paper's, and its claims with a verdict each."""
     from servotrack.baselines.reproduce import reproduce_paper
 
-    reproduce_paper(paper, output, runs, _console())
+    reproduce_paper(paper, output, runs, _console(), claims)
 
 
 @app.command()
@@ -184,9 +185,9 @@ def _show(tasks: list[TaskSummary], output: Path, film: Path | None, details: bo
 
     console = _console()
     overview = overview_grid(tasks)
-    if overview[1]:
+    if overview.rows:
         console.print(as_rich(overview, "Mean score · success in percent"))
-    for task in tasks if details or not overview[1] else []:
+    for task in tasks if details or not overview.rows else []:
         console.print(as_rich(task_grid(task), task.environment))
     console.print(NOTE, style="dim")
     for path in [*write_report(tasks, output, _command(), film), *([film] if film else [])]:

@@ -28,9 +28,9 @@ class Subject:
         name: As the table shows it.
         command: What to run, after the interpreter.
         wanted: Rate to reach, 1/s; 0 for a peer or a row that is only reported.
-        peers: Name of a peer to the ratio of rates wanted; one of them has to be reached unless `wanted_all`.
+        peers: Name of a peer to the ratio of rates wanted; one of the ratios has to be reached.
         python: Interpreter; None where the virtual environment that has it is missing.
-        remedy: What to do where the subject cannot run.
+        remedy: What to do where a peer cannot run; empty for our own, which have to.
     """
 
     name: str
@@ -69,8 +69,6 @@ def subjects(pusht_python: str | None) -> list[Subject]:
     Args:
         pusht_python: Interpreter of a virtual environment with gym-pusht, which needs an older pymunk than ours.
     """
-    mujoco = {"remedy": "install the extra: pip install 'servotrack[mujoco]'"}
-    pusht = {"python": pusht_python, "remedy": "make a virtual environment .venv-pusht with gym-pusht and 'pymunk<7'"}
     reacher, reacher64 = "Reacher-v5", "Reacher-v5, SyncVectorEnv, N = 64"
     state, pixels = "gym-pusht, state", "gym-pusht, pixels 96 x 96"
     servo = "UncalibServo-v0"
@@ -90,11 +88,22 @@ def subjects(pusht_python: str | None) -> list[Subject]:
         Subject("UncalibServoPixels-v0, level 3, 96 x 96", environment("UncalibServoPixels-v0", level=3)),
         Subject(f"{servo}, frames of rgb_array", environment(servo, level=0, render_mode="rgb_array"), 1_000.0),
         Subject("Kalman estimator, batch of 1024, updates", (str(FILTERING), "1024"), 1_000_000.0),
-        Subject(reacher, environment("Reacher-v5", module="mujoco"), **mujoco),
-        Subject(reacher64, environment("Reacher-v5", 64, module="mujoco", mode="sync"), **mujoco),
-        Subject(state, environment("gym_pusht/PushT-v0", module="gym_pusht", obs_type="state"), **pusht),
-        Subject(pixels, environment("gym_pusht/PushT-v0", module="gym_pusht", obs_type="pixels"), **pusht),
+        _reacher(reacher),
+        _reacher(reacher64, 64),
+        _pusht(state, "state", pusht_python),
+        _pusht(pixels, "pixels", pusht_python),
     ]
+
+
+def _reacher(name: str, num_envs: int = 0) -> Subject:
+    command = environment("Reacher-v5", num_envs, module="mujoco", mode="sync")
+    return Subject(name, command, remedy="install the extra: pip install 'servotrack[mujoco]'")
+
+
+def _pusht(name: str, obs_type: str, python: str | None) -> Subject:
+    command = environment("gym_pusht/PushT-v0", module="gym_pusht", obs_type=obs_type)
+    remedy = "make a virtual environment .venv-pusht with gym-pusht and 'pymunk<7'"
+    return Subject(name, command, python=python, remedy=remedy)
 
 
 def measure(

@@ -42,7 +42,7 @@ def html_page(tasks: Sequence[TaskSummary], command: str, figure: str | None, vi
     if figure:
         parts.append(f'<img src="{escape(figure)}" alt="Score and success against level, one line per agent">')
     overview = overview_grid(tasks)
-    if overview[1]:
+    if overview.rows:
         parts += ["<h2>Overview</h2>", "<p>Mean score, and success in percent.</p>", _table(overview)]
     if video:
         parts.append(f'<video src="{escape(video)}" controls loop muted></video>')
@@ -55,7 +55,6 @@ def html_page(tasks: Sequence[TaskSummary], command: str, figure: str | None, vi
 
 
 def _table(grid: Grid) -> str:
-    headings, rows = grid
-    head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
-    body = "\n".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    head = "".join(f"<th>{escape(heading)}</th>" for heading in grid.headings)
+    body = "\n".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in grid.rows)
     return f'<div class="scroll"><table>\n<tr>{head}</tr>\n{body}\n</table></div>'

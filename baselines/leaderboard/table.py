@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from rich.table import Table
 
@@ -17,8 +18,19 @@ NOTE = (
     f"Differences are paired by seed against {REFERENCE}; * marks those below p = 0.05 after Holm's correction."
 )
 
-Grid = tuple[list[str], list[list[str]]]
-"""Headings and rows."""
+
+class Grid(NamedTuple):
+    """A table of strings.
+
+    Attributes:
+        headings: One per column.
+        rows: Cells.
+        words: How many columns from the left hold words and not numbers.
+    """
+
+    headings: list[str]
+    rows: list[list[str]]
+    words: int
 
 
 def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
@@ -29,7 +41,7 @@ def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
     for summary in overall(tasks):
         cells = [_score_and_success(task.row(summary.agent)) for task in scored]
         rows.append([_agent(summary), summary.information, *cells, _interval(summary.score, 2)])
-    return headings, rows
+    return Grid(headings, rows, 2)
 
 
 def task_grid(task: TaskSummary) -> Grid:
@@ -52,25 +64,23 @@ def task_grid(task: TaskSummary) -> Grid:
         cells.append("" if row.step_seconds is None else f"{row.step_seconds * 1e6:.0f}")
         cells.append(f"{row.tuning_steps:,}")
         rows.append(cells)
-    return headings, rows
+    return Grid(headings, rows, 2)
 
 
 def as_rich(grid: Grid, title: str) -> Table:
     """A grid for the terminal."""
-    headings, rows = grid
     table = Table(title=title, title_justify="left", header_style="bold", row_styles=["", "dim"], pad_edge=False)
-    for i, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if i < 2 else "right", no_wrap=i == 0)
-    for row in rows:
+    for i, heading in enumerate(grid.headings):
+        table.add_column(heading, justify="left" if i < grid.words else "right", no_wrap=i == 0 and grid.words == 2)
+    for row in grid.rows:
         table.add_row(*row)
     return table
 
 
 def as_markdown(grid: Grid) -> str:
     """A grid as a Markdown table."""
-    headings, rows = grid
-    alignment = [":--" if i < 2 else "--:" for i in range(len(headings))]
-    lines = [headings, alignment, *rows]
+    alignment = [":--" if i < grid.words else "--:" for i in range(len(grid.headings))]
+    lines = [grid.headings, alignment, *grid.rows]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
 
 
@@ -78,7 +88,7 @@ def markdown_report(tasks: Sequence[TaskSummary], command: str) -> str:
     """The whole leaderboard: the overview where there are scores, then every task."""
     parts = ["# Leaderboard\n", f"Written by `{command}`. {NOTE}\n"]
     overview = overview_grid(tasks)
-    if overview[1]:
+    if overview.rows:
         parts.append("## Overview\n\nMean score, and success in percent.\n\n" + as_markdown(overview))
     for task in tasks:
         remark = f"{caveat(task)}\n\n" if caveat(task) else ""

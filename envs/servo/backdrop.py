@@ -1,4 +1,4 @@
-"""Everything in a servo picture that does not move: palette, layout, floor, scales. Painted once per reach and kept."""
+"""Everything in a servo picture that does not move: palette, layout, floor, scales; painted once per reach and kept."""
 
 from __future__ import annotations
 
@@ -51,6 +51,7 @@ FLOOR_PANEL = Panel(MARGIN, MARGIN, 384, 384)
 CAMERA_PANEL = Panel(416, MARGIN, 288, 288)
 ERROR_PANEL = Panel(416, 320, 288, 80)
 _CORNER_RADIUS = 7
+CAMERA_LABEL, LABEL_PLACE = "camera", (14, 20)
 
 # The floor's window in units of the arm's reach; the base stands left of and below the middle, where targets are rare.
 _WINDOW_SIDE, _WINDOW_LEFT, _WINDOW_BOTTOM = 1.5, -0.36, -0.52
@@ -103,13 +104,15 @@ class Backdrop(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def backdrop(reach: float) -> Backdrop:
-    """The backdrop for an arm of this reach (m)."""
+def backdrop(reach: float, caption: str) -> Backdrop:
+    """The backdrop for an arm of this reach (m), with a caption."""
     image = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
     image[:] = PAPER
     FLOOR_PANEL.of(image)[:] = _floor(reach)
     CAMERA_PANEL.of(image)[:] = LENS
     _error_axes(ERROR_PANEL.of(image))
+    put_text(CAMERA_PANEL.of(image), CAMERA_LABEL, *LABEL_PLACE, LENS_INK)
+    put_text(FLOOR_PANEL.of(image), caption, 14, FLOOR_PANEL.height - 14, SOFT_INK)
     put_text(FLOOR_PANEL.of(image), "target", 28, 20, SOFT_INK)
     put_text(FLOOR_PANEL.of(image), "tool", 84, 20, SOFT_INK)
     for x, color in ((19, TARGET), (75, TOOL)):

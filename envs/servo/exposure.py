@@ -178,10 +178,10 @@ def _marker_box(camera, gx0, gy0, gx1, gy1, step, spread):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True)
-def expose(
+def expose(  # type: ignore[no-untyped-def]
     rows, frames, shutter, step, cameras, links, history, paths, distractors, ground, light, spread, detail, texels,
     starts, floor_pose, floor_color, noise, noise_offset, images,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Render the given frames of the chosen rows; with a rolling shutter each image row is seen at its own instant."""
     size = images.shape[1]
     views, bright, paint = np.empty((size, 8)), np.empty((size, size), np.float32), np.empty(3)

@@ -17,7 +17,8 @@ GRID_SPACING = 0.2
 """Distance of the floor's grid lines, m."""
 
 _BORDER_POINTS = 12  # along each side of the image: enough for the curved border of a distorted image
-_LINE_POINTS = 33
+_WIDE = 1.6  # views that are followed farther than this (m) show every second line
+_STRAIGHT_POINTS, _CURVED_POINTS = 13, 25  # per line, without and with distortion
 _NEAREST, _FARTHEST = 0.4, 2.4  # least and greatest distance from the tool to which the floor's grid is followed, m
 
 
@@ -104,9 +105,10 @@ def floor_lines(camera: Array, links: Array, joint_angles: Array, camera_size: i
         Polylines of image points, each of shape (k, 2), px; they may leave the image.
     """
     reach = min(max(1.5 * camera_size * camera[4] / camera[0], _NEAREST), _FARTHEST)
-    per_axis = 2 * math.ceil(reach / GRID_SPACING) + 1
-    points = np.empty((2 * per_axis, _LINE_POINTS, 2))
+    spacing = GRID_SPACING if reach <= _WIDE else 2.0 * GRID_SPACING
+    per_axis = 2 * math.ceil(reach / spacing) + 1
+    points = np.empty((2 * per_axis, _CURVED_POINTS if camera[16] else _STRAIGHT_POINTS, 2))
     lengths = np.empty(2 * per_axis, dtype=np.int64)
     (l1, l2), (theta1, theta2) = links, joint_angles
-    _floor_lines(camera, l1, l2, theta1, theta2, GRID_SPACING, camera_size, points, lengths)
+    _floor_lines(camera, l1, l2, theta1, theta2, spacing, camera_size, points, lengths)
     return [points[i, :k] for i, k in enumerate(lengths) if k > 1]

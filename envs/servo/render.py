@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import cv2
 import numpy as np
@@ -23,7 +23,7 @@ ERROR_SPAN = 260
 
 _BANDS = 7
 # Three thin lines side by side (in sixteenths of a pixel) look like one of two pixels, at half OpenCV's price for it.
-_STRANDS = np.array([(-5, -5), (6, -2), (-2, 6)], dtype=np.int32)
+_STRANDS = np.array([(-5, -5), (6, -2), (-2, 6)], dtype=np.int32)[:, None]
 _SHADOW_OFFSET = np.array([5.0, 7.0])  # px; the light comes from the upper left
 _SHADOW_DEPTH = 34  # gray levels
 
@@ -83,7 +83,7 @@ def draw(scene: ServoScene) -> Image:
     Returns:
         A new RGB image, shape (416, 720, 3).
     """
-    parts = still.backdrop(round(float(np.sum(scene.links)), 6))
+    parts = still.backdrop(round(float(np.sum(scene.links)), 6), scene.caption)
     image = parts.image.copy()
     _draw_floor(still.FLOOR_PANEL.of(image), scene, parts.lit_floor)
     _draw_camera(still.CAMERA_PANEL.of(image), scene)
@@ -116,21 +116,20 @@ def _draw_floor(panel: Image, scene: ServoScene, lit_floor: Image) -> None:
     _shadow(panel, base, elbow, tool, scale)
     _arm(panel, base, elbow, tool, both, scale)
     _marker(panel, target, 0.021 * scale, still.TARGET)
-    put_text(panel, scene.caption, 14, panel.shape[0] - 14, still.SOFT_INK)
     put_text(panel, f"{max(scene.time, 0.0):.1f} s", panel.shape[1] - 14, 20, still.SOFT_INK, align="right")
 
 
 def _trail(panel: Image, points: Array, floor: Color, color: Color) -> None:
     """A polyline that fades with age, in bands of one color each, oldest first."""
-    points = fixed_point(points[-TRAIL_LENGTH:])
-    cuts = [len(points) - round(TRAIL_LENGTH * k / _BANDS) for k in range(_BANDS, -1, -1)]
+    strands: NDArray[np.int32] = fixed_point(points[-TRAIL_LENGTH:]) + _STRANDS
+    length = strands.shape[1]
+    cuts = [length - round(TRAIL_LENGTH * k / _BANDS) for k in range(_BANDS, -1, -1)]
     for band, (start, end) in enumerate(pairwise(cuts)):
         if end > 0 and end - max(start, 0) > 0:
             strength = 0.12 + 0.88 * ((band + 1) / _BANDS) ** 1.6
             # One point of overlap closes the gap to the next band.
-            stretch = points[max(start, 0) : end + 1]
-            strands = [stretch + offset for offset in _STRANDS]
-            cv2.polylines(panel, strands, False, mix(floor, color, strength), 1, cv2.LINE_AA, 4)
+            band_strands = [strand[max(start, 0) : end + 1] for strand in strands]
+            cv2.polylines(panel, band_strands, False, mix(floor, color, strength), 1, cv2.LINE_AA, 4)
 
 
 def _shadow(panel: Image, base: Array, elbow: Array, tool: Array, scale: float) -> None:
@@ -155,7 +154,7 @@ def _arm(panel: Image, base: Array, elbow: Array, tool: Array, heading: float, s
     _disc(panel, base, plate, mix(still.INK, still.PAPER, 0.62))
     _disc(panel, base, plate - 1.3, mix(still.FLOOR, still.PAPER, 0.35))
     _link(panel, base, elbow, 0.042 * scale, 0.033 * scale)
-    _link(panel, elbow, tool, 0.032 * scale, 0.022 * scale)
+    _link(panel, elbow, tool, 0.033 * scale, 0.022 * scale)
     for joint, radius in ((base, 0.027 * scale), (elbow, 0.0215 * scale)):
         _disc(panel, joint, radius, still.INK)
         _disc(panel, joint, 0.5 * radius, still.IVORY)
@@ -168,7 +167,7 @@ def _arm(panel: Image, base: Array, elbow: Array, tool: Array, heading: float, s
 
 
 def _link(panel: Image, start: Array, end: Array, start_width: float, end_width: float) -> None:
-    """A tapered, round-ended link with an outline and a groove along its middle."""
+    """A tapered link with an outline and a groove along its middle; what comes after it covers its far end."""
     (x0, y0), (x1, y1) = start.tolist(), end.tolist()
     length = max(np.hypot(x1 - x0, y1 - y0), 1e-9)
     c, s = (x1 - x0) / length, (y1 - y0) / length
@@ -177,7 +176,6 @@ def _link(panel: Image, start: Array, end: Array, start_width: float, end_width:
         sides = [(x0 - s * a, y0 + c * a), (x1 - s * b, y1 + c * b), (x1 + s * b, y1 - c * b), (x0 + s * a, y0 - c * a)]
         cv2.fillConvexPoly(panel, fixed_point(np.array(sides)), color, cv2.LINE_AA, 4)
         _disc(panel, start, a, color)
-        _disc(panel, end, b, color)
     a, b = 2.2 * start_width, 3.0 * end_width
     groove = np.array([(x0 + a * c, y0 + a * s), (x1 - b * c, y1 - b * s)])
     cv2.polylines(panel, [fixed_point(groove)], False, mix(still.IVORY, still.INK, 0.20), 2, cv2.LINE_AA, 4)
@@ -193,6 +191,7 @@ def _draw_camera(panel: Image, scene: ServoScene) -> None:
     scale = side / scene.camera_size
     if scene.camera_image is not None:
         cv2.resize(scene.camera_image, (side, side), dst=panel, interpolation=cv2.INTER_NEAREST)
+        put_text(panel, still.CAMERA_LABEL, *still.LABEL_PLACE, still.LENS_INK)
     else:
         cv2.polylines(panel, _scaled(scene.floor_lines, scale), False, still.LENS_GRID, 1, cv2.LINE_AA, 4)
     feature, goal = scene.feature * scale, scene.goal * scale
@@ -206,7 +205,6 @@ def _draw_camera(panel: Image, scene: ServoScene) -> None:
         _disc(panel, feature, 6.5, still.TARGET)
         if not scene.visible:
             _disc(panel, feature, 5.0, still.LENS)
-    put_text(panel, "camera", 14, 20, still.LENS_INK)
     if not scene.visible:
         put_text(panel, "not seen", side - 14, 20, still.TARGET, align="right")
 
@@ -215,8 +213,9 @@ def _scaled(lines: Sequence[Array], scale: float) -> list[NDArray[np.int32]]:
     """Polylines in fixed point, converted in one go."""
     if not lines:
         return []
-    ends = np.cumsum([len(line) for line in lines])[:-1]
-    return np.split(fixed_point(np.concatenate(lines) * scale), ends)
+    points = fixed_point(np.concatenate(lines) * scale)
+    ends = list(accumulate(len(line) for line in lines))
+    return [points[start:end] for start, end in pairwise([0, *ends])]
 
 
 def _crosshair(panel: Image, center: Array) -> None:

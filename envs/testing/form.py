@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any
 
 import numpy as np
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector.utils import batch_space, create_empty_array
 
+from servotrack.envs.testing.bits import first_difference
 from servotrack.envs.testing.story import batch_actions
 from servotrack.envs.testing.subject import Subject, VectorEnv, assert_refused, assert_same
 
@@ -97,6 +99,19 @@ def _check_observations(env: VectorEnv, observations: Any, source: str) -> None:
         f"{source} must return observations in observation_space: same keys, shapes, data types and within the bounds; "
         f"got {observations}, not in {space}"
     )
+    # A space also contains what could be cast to it.
+    expected: Any = create_empty_array(env.single_observation_space, n=env.num_envs, fn=np.zeros)
+    found = first_difference(_data_types(observations), _data_types(expected), "observations")
+    assert found is None, f"{source} must return observations of the space's data types, but {found}"
+
+
+def _data_types(value: Any) -> Any:
+    """The same nesting with a data type in the place of every array."""
+    if isinstance(value, Mapping):
+        return {key: _data_types(item) for key, item in value.items()}
+    if isinstance(value, (tuple, list)):
+        return tuple(_data_types(item) for item in value)
+    return str(np.asarray(value).dtype)
 
 
 def _check_array(name: str, value: Any, num_envs: int, dtype: type[np.generic]) -> None:

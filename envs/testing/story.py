@@ -3,7 +3,7 @@
 A sub-environment's *story* is the list of its events: resets and steps, each with all that came back. The three modes
 deliver the same events at different calls and in different places: NEXT_STEP spends a call of its own on a reset,
 SAME_STEP hides an episode's last observation and info in `infos["final_obs"]` and `infos["final_info"]`, DISABLED
-leaves the reset to the caller. Told as stories they have to agree to the bit, with each other and with a single environment's.
+leaves the reset to the caller. Told as stories they agree to the bit, with each other and with a single environment's.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""A bank of hypotheses: the same estimator under several assumptions at once, weighted by how well each foresees the frames.
+"""A bank of hypotheses: the same estimator under several assumptions, weighted by how well each foresees the frames.
 
-The hypotheses are one more batch axis behind the measurement's own, so that the estimator serves all of them in one call and
-knows nothing about it.
+The hypotheses are one more batch axis behind the measurement's own, so that the estimator serves all of them in one
+call and knows nothing about it.
 """
 
 from __future__ import annotations
@@ -33,10 +33,9 @@ class Hypotheses(Protocol):
 def _repeated(measurement: ServoMeasurement, count: int) -> ServoMeasurement:
     """The same measurement for `count` hypotheses, as a new last batch axis."""
     measurement = checked(measurement)
-    batch = measurement.time.shape
-    return ServoMeasurement(
-        *(np.repeat(np.expand_dims(value, len(batch)), count, axis=len(batch)) for value in measurement)  # type: ignore[arg-type]
-    )
+    axis = measurement.time.ndim
+    repeated = [np.repeat(np.expand_dims(value, axis), count, axis) for value in measurement]
+    return ServoMeasurement(*repeated)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -108,8 +107,8 @@ class BankState(NamedTuple):
 class HypothesisBank:
     """Answers with the estimate of the hypothesis that has foreseen the frames best.
 
-    With p_k the density that hypothesis k gives to a frame, log w_k' = forgetting log w_k + log p_k, up to a common constant;
-    no weight falls below `floor`, so that a hypothesis can come back.
+    With p_k the density that hypothesis k gives to a frame, log w_k' = forgetting log w_k + log p_k, up to a common
+    constant; no weight falls below `floor`, so that a hypothesis can come back.
 
     Args:
         estimator: Any estimator that the hypotheses serve.

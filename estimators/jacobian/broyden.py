@@ -45,8 +45,8 @@ class BroydenJacobian:
     """
 
     rate: float = 0.5
-    time_weight: float = 0.6
-    damping: float = 0.01
+    time_weight: float = 2.0
+    damping: float = 0.006
     memory: float = 0.9
     initial_innovation: float = 10.0
     prior: JacobianPrior = field(default_factory=JacobianPrior)

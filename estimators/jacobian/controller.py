@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from servotrack.estimators.jacobian.contract import Array, JacobianEstimator, ServoMeasurement
 from servotrack.estimators.jacobian.excitation import Excitation
-from servotrack.estimators.jacobian.laws import ControlLaw, Proportional, limiting_factor
+from servotrack.estimators.jacobian.laws import ControlLaw, ProportionalIntegral, limiting_factor
 from servotrack.estimators.jacobian.supervisor import Supervisor, SupervisorState
 from servotrack.estimators.online import select_rows
 
@@ -58,7 +58,7 @@ class ServoController:
     """
 
     estimator: JacobianEstimator
-    law: ControlLaw = field(default_factory=Proportional)
+    law: ControlLaw = field(default_factory=ProportionalIntegral)
     excitation: Excitation = field(default_factory=Excitation)
     supervisor: Supervisor | None = field(default_factory=Supervisor)
     max_joint_rate: float = 2.0

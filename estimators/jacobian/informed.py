@@ -1,8 +1,9 @@
-"""The informed bound: what a causal agent can do that is told camera, links and latency, but neither the noise nor the future.
+"""The informed bound: what a causal agent can do that is told camera, links and latency, but not the future.
 
-No uncalibrated agent knows this much, so its score says how much of an error is the task's and how much is the estimator's.
-With the geometry known, every frame is rectified: the target's ground point is found, and seen anew by an ideal camera that looks
-straight down. What is left to estimate is the target, by the same interacting models as in `LiftedKalman`.
+No uncalibrated agent knows this much, so its score says how much of an error is the task's and how much is the
+estimator's. With the geometry known, every frame is rectified: the target's ground point is found, and seen anew by
+an ideal camera that looks straight down. What is left to estimate is the target, by the same interacting models as in
+`LiftedKalman`.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ class Geometry(NamedTuple):
         camera: Packed as by `servotrack.estimators.camera.pack_camera`. Shape (*batch, CAMERA_SIZE).
         links: Link lengths. Shape (*batch, 2), m.
         latency: Age of a frame beyond what its stamp says. Shape (*batch,), s.
-        readout: Time a rolling shutter takes for the whole image; the stamp is that of the middle row. Shape (*batch,), s.
+        readout: Time a rolling shutter takes for the whole image; the stamp is that of the middle row. Shape
+            (*batch,), s.
     """
 
     camera: Array

@@ -90,7 +90,7 @@ class Proportional:
         damping: Relative singular value below which the inverse is damped.
     """
 
-    gain: float = 0.6
+    gain: float = 0.7
     period: float = 0.05
     damping: float = 0.03
 
@@ -111,7 +111,10 @@ class Proportional:
 
 @dataclass(frozen=True)
 class ProportionalIntegral:
-    """dtheta = J_theta^+ (-lambda e - k_i int e dt - J_t dt): also removes what a biased J_t leaves.
+    """dtheta = J_theta^+ (-lambda e - k_i int e dt - J_t dt).
+
+    Every filter of J_t lags behind an accelerating target, which leaves a slowly changing error: the integral
+    removes it.
 
     Args:
         gain: lambda, the fraction of the error to remove in one period.
@@ -122,9 +125,9 @@ class ProportionalIntegral:
         damping: Relative singular value below which the inverse is damped.
     """
 
-    gain: float = 0.6
-    integral_gain: float = 0.5
-    integral_limit: float = 5.0
+    gain: float = 0.5
+    integral_gain: float = 1.5
+    integral_limit: float = 3.0
     period: float = 0.05
     damping: float = 0.03
 
@@ -160,7 +163,7 @@ class DampedLeastSquares:
         damping: mu, px/rad, everywhere and not only near a singularity.
     """
 
-    gain: float = 0.6
+    gain: float = 0.7
     period: float = 0.05
     damping: float = 20.0
 
@@ -200,7 +203,7 @@ class OneStepExact:
             holds.
     """
 
-    gain: float = 0.6
+    gain: float = 0.7
     period: float = 0.05
     damping: float = 0.03
     iterations: int = 4

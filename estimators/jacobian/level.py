@@ -45,9 +45,9 @@ class LevelKalmanJacobian:
         alignment: Pairing of joints and features by time stamps.
     """
 
-    walk: RandomWalk = field(default_factory=RandomWalk)
+    walk: RandomWalk = field(default_factory=lambda: RandomWalk(joint_noise=6.0, time_noise=20.0))
     pixel_noise: float = 1.0
-    curvature_noise: float = 0.5
+    curvature_noise: float = 0.2
     outliers: OutlierModel | None = None
     prior: JacobianPrior = field(default_factory=JacobianPrior)
     alignment: Alignment = field(default_factory=Alignment)

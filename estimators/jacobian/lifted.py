@@ -1,20 +1,21 @@
 """The lifted Kalman filter: a planar two-link arm's image as a linear system that needs no camera and no link lengths.
 
-With T = alpha F R(theta1 + theta2 + psi)^T, the quantities a = T p_target, b = T p_elbow, d = T (p_tool - p_elbow), tau = T v obey
+With T = alpha F R(theta1 + theta2 + psi)^T, the quantities a = T p_target, b = T p_elbow, d = T (p_tool - p_elbow),
+tau = T v obey
 
     y - y_goal = a - b - d,    J_theta = [S a, S (a - b)],    J_t = tau,    S = [[0, -1], [1, 0]]
 
-whatever the links, the focal length, the depth and the mounting angle are. With a plane vector read as a complex number u + iv,
-S is i, and a and b are constants of the world that only turn with the joints:
+whatever the links, the focal length, the depth and the mounting angle are. With a plane vector read as a complex
+number u + iv, S is i, and a and b are constants of the world that only turn with the joints:
 
     a = exp(i (theta1 + theta2)) A,    tau = exp(i (theta1 + theta2)) V,    b = exp(i theta2) B,    d = D.
 
-So the filter's state is [A, V, G, B, D] with G the target's acceleration, it moves by plain kinematics, and joint motion enters
-the measurement alone: neither a dropped frame nor a late one costs anything but the target's own surprise, and encoder noise
-does not pile up. Offsets of principal point and goal are part of D.
+So the filter's state is [A, V, G, B, D] with G the target's acceleration, it moves by plain kinematics, and joint
+motion enters the measurement alone: neither a dropped frame nor a late one costs anything but the target's own
+surprise, and encoder noise does not pile up. Offsets of principal point and goal are part of D.
 
-Assumes one image point, known handedness (F), and an optical axis and pixels from which the image differs by a mild shear: that
-is covered by a noise in proportion to the error, which vanishes where the target is on its goal.
+Assumes one image point, known handedness (F), and an optical axis and pixels from which the image differs by a mild
+shear: that is covered by a noise in proportion to the error, which vanishes where the target is on its goal.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class LiftedEstimate:
         return np.stack([_plane(column) for column in columns], axis=-1)
 
     def predict_error(self, joint_motion: Array, duration: Array | float) -> Array:
-        """Error after the joints have moved by `joint_motion` (*batch, 2) rad within `duration` s. Shape (*batch, 2), px."""
+        """Error after a motion, exactly. Shapes as in `ServoEstimate.predict_error`."""
         dt = np.asarray(duration, dtype=np.float64)
         motion = np.asarray(joint_motion, dtype=np.float64)
         target = self.target + dt * self.velocity + 0.5 * dt * dt * self.acceleration
@@ -92,8 +93,8 @@ class LiftedEstimate:
 class TargetModel:
     """How a target may move: V' = G + white acceleration, G' = -recall V - damping G + white jerk.
 
-    Plain constant acceleration has neither recall nor damping; a large damping makes it constant velocity; recall w^2 makes it
-    an oscillation of w rad/s about a center of its own.
+    Plain constant acceleration has neither recall nor damping; a large damping makes it constant velocity; recall w^2
+    makes it an oscillation of w rad/s about a center of its own.
 
     Args:
         jerk: Root spectral density of the white jerk along each axis, px/s^2.5.
@@ -117,9 +118,9 @@ class TargetModel:
 class LiftedKalman:
     """Lifted Kalman filter with interacting models of the target and noise that it learns.
 
-    A quiet and an agile model of the target run side by side (interacting multiple models), so that an abrupt manoeuvre is
-    followed; a single frame far off is an outlier, the second in a row is a manoeuvre. Set one model, one noise level and
-    `outlier_rate=0` for the plain Kalman filter.
+    A quiet and an agile model of the target run side by side (interacting multiple models), so that an abrupt
+    manoeuvre is followed; a single frame far off is an outlier, the second in a row is a manoeuvre. Set one model,
+    one noise level and `outlier_rate=0` for the plain Kalman filter.
 
     Args:
         models: What the target may do.
@@ -127,10 +128,12 @@ class LiftedKalman:
         noise: Levels of the standard deviation of a feature along each axis, px. Their probabilities are learned.
         noise_stay: Probability that a camera keeps its noise level from frame to frame.
         encoder_noise: Standard deviation of a joint angle, rad.
-        optics_error: Relative error of the features' distance from the goal, for lens, tilt and pixels that are not square.
+        optics_error: Relative error of the features' distance from the goal, for lens, tilt and pixels that are not
+            square.
         outlier_rate: Probability that a frame's features are an outlier.
         outlier_noise: Standard deviation of an outlier along each axis, px.
-        drift: Root spectral density of the random walk of A, B and D, px/s^0.5: what residual optics makes of constants.
+        drift: Root spectral density of the random walk of A, B and D, px/s^0.5: what residual optics makes of
+            constants.
         arm_spread: Standard deviation of A, B and D along each axis before the first frame, px.
         velocity_spread: The same of V, px/s.
         acceleration_spread: The same of G, px/s^2.
@@ -169,13 +172,13 @@ class LiftedKalman:
             raise ValueError(f"outlier_rate is a probability in [0, 1), got {self.outlier_rate}")
 
     def initial(self, measurement: ServoMeasurement) -> LiftedState:
-        """State before the first frame. Raises ValueError as `checked` does, and for other than 2 joints and 2 features."""
+        """State before the first frame. Raises ValueError as `checked` does, or for not 2 joints and 2 features."""
         alignment = self.alignment.initial(measurement)
         joints, features = alignment.frame_joints.shape[-1], alignment.frame_features.shape[-1]
         if (joints, features) != (2, 2):
             raise ValueError(
-                f"LiftedKalman serves a planar arm of 2 joints and one image point (2 features), got joint_angles with {joints} "
-                f"and features with {features}; use KalmanJacobian"
+                "LiftedKalman serves a planar arm of 2 joints and one image point (2 features), got joint_angles with "
+                f"{joints} and features with {features}; use KalmanJacobian"
             )
         batch, models, levels = alignment.seen.shape, len(self.models), len(self.noise)
         return LiftedState(
@@ -218,7 +221,12 @@ class LiftedKalman:
         return state._replace(covariance=np.broadcast_to(self._prior_covariance(), state.covariance.shape).copy())
 
     def _present(
-        self, state: LiftedState, increment: Increment, log_likelihood: Array, surprise: Array, encoder_error: ComplexArray
+        self,
+        state: LiftedState,
+        increment: Increment,
+        log_likelihood: Array,
+        surprise: Array,
+        encoder_error: ComplexArray,
     ) -> LiftedEstimate:
         mean = np.einsum("...m,...ms->...s", state.model_weight, state.mean)
         joints = state.alignment.frame_joints + increment.pending_joints

@@ -1,11 +1,12 @@
 """Compiled recursion of the lifted Kalman filter: interacting multiple models over a five-dimensional complex state.
 
-Plane vectors are complex numbers u + iv here: every quantity of the filter turns and scales but never shears, so its mean is a
-complex vector, its covariance Hermitian, and half the work of the real form is gone.
+Plane vectors are complex numbers u + iv here: every quantity of the filter turns and scales but never shears, so its
+mean is a complex vector, its covariance Hermitian, and half the work of the real form is gone.
 
-A row of the batch holds M models of the target (they differ in process noise only). Within each, the noise of a feature is a
-mixture over L standard deviations, whose weights are learned, and an outlier of fixed probability. All branches of one model
-share the direction of the gain, so that collapsing them to their exact mean and covariance costs nothing.
+A row of the batch holds M models of the target (they differ in process noise only). Within each, the noise of a
+feature is a mixture over L standard deviations, whose weights are learned, and an outlier of fixed probability. All
+branches of one model share the direction of the gain, so that collapsing them to their exact mean and covariance
+costs nothing.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ STATE_SIZE = 5
 
 @njit(cache=True, nogil=True)
 def _mix(mean, cov, weight, stay, mixed_mean, mixed_cov, predicted):  # type: ignore[no-untyped-def]
-    """Interaction step (Blom and Bar-Shalom 1988, eqs 5 to 8): what each model believes after the others' probable switch to it."""
+    """Interaction (Blom and Bar-Shalom 1988): what each model believes after the others may have switched to it."""
     models = weight.shape[0]
     leave = (1.0 - stay) / max(models - 1, 1)
     for j in range(models):
@@ -88,9 +89,9 @@ def _predict(mean, cov, dt, model, drift):  # type: ignore[no-untyped-def]
 def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate, outlier_variance, branch):  # type: ignore[no-untyped-def]
     """Fold z = turn A - swing B - D + noise into one model; exact moments over all noise branches.
 
-    `branch` (L + 1,) receives the joint density of the measurement and each branch. Returns the density of the measurement,
-    the normalized squared innovation under the inliers' expected noise, and the share of the innovation that the encoders' noise
-    explains.
+    `branch` (L + 1,) receives the joint density of the measurement and each branch. Returns the density of the
+    measurement, the squared innovation over its covariance, expected over the branches, and the share of the
+    innovation that the encoders' noise explains.
     """
     g = np.empty(STATE_SIZE, dtype=np.complex128)
     turn_c, swing_c = np.conj(turn), np.conj(swing)
@@ -129,7 +130,7 @@ def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate
             cov[r, c] += shrink * g[r] * np.conj(g[c])
             cov[c, r] = np.conj(cov[r, c])
         cov[r, r] = complex(max(cov[r, r].real, 1e-12), 0.0)
-    return density, nu2 / (spread + base + expected), by_joints * first * innovation
+    return density, nu2 * first, by_joints * first * innovation
 
 
 @njit(cache=True, nogil=True)
@@ -141,21 +142,27 @@ def lifted_update(
     """Advance every fresh row by `dt` and fold its measurement in; all arrays are changed in place.
 
     Args:
-        mean, cov: Shape (rows, M, 5) and (rows, M, 5, 5), complex.
-        weight, noise_weight: Probabilities of the models and of the noise levels. Shape (rows, M) and (rows, L).
+        mean: Shape (rows, M, 5), complex.
+        cov: Shape (rows, M, 5, 5), complex.
+        weight: Probabilities of the models. Shape (rows, M).
+        noise_weight: Probabilities of the noise levels. Shape (rows, L).
         fresh: Rows with a new frame. Shape (rows,), bool.
         dt: Time since the state's instant. Shape (rows,), s.
         joints: Joint angles at the frame. Shape (rows, 2), rad.
         z: Features minus goal, u + iv. Shape (rows,), px.
-        models: Spectral densities of white jerk, px^2/s^5, and white acceleration, px^2/s^3; recall, 1/s^2; damping, 1/s.
-            Shape (M, 4).
+        models: Spectral densities of white jerk, px^2/s^5, and white acceleration, px^2/s^3; recall, 1/s^2; damping,
+            1/s. Shape (M, 4).
         drift: Random walk of A, B and D, px^2/s.
-        stay, noise_stay: Probability to keep the model, the noise level, from frame to frame.
+        stay: Probability to keep the model from frame to frame.
         noise: Variances of the noise levels. Shape (L,), px^2.
+        noise_stay: Probability to keep the noise level from frame to frame.
         extra: Encoder variance, rad^2, and squared relative error of the optics. Shape (2,).
-        outlier_rate, outlier_variance: Probability of an outlier and its added variance, px^2.
-        log_likelihood, surprise: Results. Shape (rows,).
-        encoder_error: Result: what the encoders' noise at the frame probably adds to the image, u + iv. Shape (rows,), px.
+        outlier_rate: Probability of an outlier.
+        outlier_variance: Variance it adds, px^2.
+        log_likelihood: Result. Shape (rows,).
+        surprise: Result: the squared innovation over its covariance, expected over all branches. Shape (rows,).
+        encoder_error: Result: what the encoders' noise at the frame probably adds to the image, u + iv. Shape
+            (rows,), px.
     """
     rows, count = weight.shape
     levels = noise.shape[0]
@@ -189,10 +196,10 @@ def lifted_update(
                 outlier_variance,
                 branch,
             )
-            surprise[n] += predicted[j] * ratio
             weight[n, j] = predicted[j] * density
             total += weight[n, j]
             misread += weight[n, j] * share
+            surprise[n] += weight[n, j] * ratio
             for k in range(levels):
                 noise_post[k] += predicted[j] * (branch[k] + branch[levels] * noise_prior[k])
         kept = 0.0
@@ -203,6 +210,7 @@ def lifted_update(
         for j in range(count):
             weight[n, j] = weight[n, j] / total if total > 1e-290 else predicted[j]
         encoder_error[n] = misread / total if total > 1e-290 else 0.0 + 0.0j
+        surprise[n] = surprise[n] / total if total > 1e-290 else 0.0
         log_likelihood[n] = math.log(max(total, 1e-300))
         for j in range(count):
             for r in range(STATE_SIZE):

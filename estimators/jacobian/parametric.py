@@ -1,14 +1,15 @@
 """Parametric filters of the total image Jacobian: the arm's and camera's own parameters are the state.
 
-The state is x = [log s, psi, rho, p, v, w]: scale s (pixels per first link), mounting angle psi, ratio rho of the second link to
-the first, and the target's position, velocity and acceleration in units of the first link. Only these can be told from images:
-lengths times k and pixels per length over k leave every pixel unchanged. With phi = theta1 + theta2 + psi,
+The state is x = [log s, psi, rho, p, v, w]: scale s (pixels per first link), mounting angle psi, ratio rho of the
+second link to the first, and the target's position, velocity and acceleration in units of the first link. Only these
+can be told from images: lengths times k and pixels per length over k leave every pixel unchanged. With phi = theta1 +
+theta2 + psi,
 
     y - y_goal = s F R(phi)^T (p - p_elbow - rho u(theta1 + theta2)),    F = diag(1, -1),  u(t) = (cos t, sin t)
 
-for a goal taught with the tool over the target. One model, two ways to propagate it: linearization (extended Kalman filter) and
-sigma points (unscented). It is far from linear in psi, so a single filter only works near the right angle:
-`HypothesisBank(ParametricKalman(), Mountings())` serves any.
+for a goal taught with the tool over the target. One model, two ways to propagate it: linearization (extended Kalman
+filter) and sigma points (unscented). It is far from linear in psi, so a single filter only works near the right
+angle: `HypothesisBank(ParametricKalman(), Mountings())` serves any.
 """
 
 from __future__ import annotations
@@ -55,12 +56,15 @@ class ParametricKalman:
         mounting: Expected mounting angle, rad.
         mounting_spread: Its standard deviation, rad.
         ratio_spread: Standard deviation of rho around 1.
-        position_spread: Standard deviation of each coordinate of p, first links; v and w: the same per second and per second^2.
+        position_spread: Standard deviation of each coordinate of p, first links; v and w: the same per second and per
+            second^2.
         jerk: Root spectral density of the target's white jerk, first links/s^2.5.
-        drift: Root spectral density of the random walk of log s, psi and rho, 1/s^0.5: what residual optics makes of constants.
+        drift: Root spectral density of the random walk of log s, psi and rho, 1/s^0.5: what residual optics makes of
+            constants.
         pixel_noise: Standard deviation of a feature, px.
         encoder_noise: Standard deviation of a joint angle, rad.
-        optics_error: Relative error of the features' distance from the goal, for lens, tilt and pixels that are not square.
+        optics_error: Relative error of the features' distance from the goal, for lens, tilt and pixels that are not
+            square.
         alignment: Interpolates the encoders at the frames' instants.
     """
 
@@ -107,8 +111,8 @@ class ParametricKalman:
         joints, features = measurement.joint_angles.shape[-1], measurement.features.shape[-1]
         if (joints, features) != (2, 2):
             raise ValueError(
-                f"ParametricKalman serves a planar arm of 2 joints and one image point (2 features), got joint_angles with "
-                f"{joints} and features with {features}; use KalmanJacobian"
+                "ParametricKalman serves a planar arm of 2 joints and one image point (2 features), got joint_angles "
+                f"with {joints} and features with {features}; use KalmanJacobian"
             )
         mean = np.zeros((*measurement.time.shape, STATE_SIZE))
         mean[..., 0], mean[..., 2] = np.log(self.scale), 1.0
@@ -194,8 +198,8 @@ class ParametricKalman:
             root = np.swapaxes(np.linalg.cholesky(spread * covariance), -1, -2)
         except np.linalg.LinAlgError:
             raise ValueError(
-                f"the covariance is no longer positive definite at joint_angles {joints}; begin anew with initial(measurement), "
-                "with a larger pixel_noise if this happens again"
+                f"the covariance is no longer positive definite at joint_angles {joints}; begin anew with "
+                "initial(measurement), with a larger pixel_noise if this happens again"
             ) from None
         center = mean[..., None, :]
         points = np.concatenate([center, center + root, center - root], axis=-2)
@@ -235,7 +239,7 @@ _LEAST_VARIANCE = 1e-14
 
 
 class _Parts:
-    """The lifted vectors that states (*batch, 9) and joint angles imply; plane vectors are u + iv, and T p = turn conj(p)."""
+    """The lifted vectors that states (*batch, 9) and joint angles imply, u + iv; T p = turn conj(p)."""
 
     def __init__(self, mean: Array, joints: Array) -> None:
         angle = joints.sum(axis=-1)

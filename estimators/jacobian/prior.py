@@ -21,7 +21,7 @@ class JacobianPrior:
     """
 
     joint_spread: float = 300.0
-    time_spread: float = 100.0
+    time_spread: float = 200.0
     mean: tuple[tuple[float, ...], ...] | None = None
 
     def __post_init__(self) -> None:
@@ -66,8 +66,8 @@ class RandomWalk:
         period: Interval that the two refer to, s.
     """
 
-    joint_noise: float = 10.0
-    time_noise: float = 20.0
+    joint_noise: float = 5.0
+    time_noise: float = 40.0
     period: float = 0.05
 
     def __post_init__(self) -> None:

@@ -29,10 +29,10 @@ class RecursiveLeastSquares:
         alignment: Pairing of joints and features by time stamps.
     """
 
-    forgetting: float = 0.8
+    forgetting: float = 0.85
     period: float = 0.05
     measurement_noise: float = 3.0
-    prior: JacobianPrior = field(default_factory=JacobianPrior)
+    prior: JacobianPrior = field(default_factory=lambda: JacobianPrior(time_spread=400.0))
     alignment: Alignment = field(default_factory=Alignment)
 
     def __post_init__(self) -> None:

@@ -73,7 +73,7 @@ class CorrentropyNoise:
         least_weight: A measurement's weight never falls below this, so that a changed Jacobian is learned in the end.
     """
 
-    bandwidth: float = 3.0
+    bandwidth: float = 2.0
     iterations: int = 5
     least_weight: float = 1e-3
 

@@ -11,6 +11,7 @@ import servotrack  # noqa: F401
 from servotrack.envs.servo.imaging import ImageSensor
 from servotrack.envs.servo.levels import servo_config
 from servotrack.envs.servo.world import ServoWorld
+from servotrack.envs.testing import check_vector_env, check_vector_matches_single
 from servotrack.estimators.camera import project_points
 from servotrack.estimators.detect import MarkerDetector
 
@@ -155,24 +156,11 @@ def test_feature_and_pixel_worlds_share_arm_camera_and_target():
         np.testing.assert_allclose(ours[0]["goal"] * 5, theirs[0]["goal"])
 
 
-@pytest.mark.parametrize("level", [3, 5])
-def test_vector_environment_has_the_single_one_s_bits(level):
-    seeds = [21, 22, 23]
-    vector = gym.make_vec(ID, num_envs=3, vectorization_mode="vector_entry_point", level=level, horizon=8, warmup=0)
-    singles = [gym.make(ID, level=level, horizon=8, warmup=0, disable_env_checker=True) for _ in seeds]
-    ours, _ = vector.reset(seed=seeds)
-    theirs = [env.reset(seed=seed)[0] for env, seed in zip(singles, seeds, strict=True)]
-    over = False
-    for k in range(12):
-        for row, observation in enumerate(theirs):
-            for key, value in observation.items():
-                np.testing.assert_array_equal(ours[key][row], value)
-        action = np.stack([ACTIONS[k], -ACTIONS[k], 0.5 * ACTIONS[k]])
-        ours, _, _, truncated, _ = vector.step(action)
-        # NEXT_STEP: the call after an episode's end is its reset.
-        theirs = [env.reset()[0] if over else env.step(a)[0] for env, a in zip(singles, action, strict=True)]
-        over = bool(truncated.all())
-        assert over == bool(truncated.any())
+@pytest.mark.parametrize("level", [3, 5, 6])
+def test_vector_environment_keeps_the_contract_and_the_single_one_s_bits(level):
+    brief = {"level": level, "horizon": 12, "warmup": 0, "steps": 40}
+    check_vector_env(ID, **brief)
+    check_vector_matches_single(ID, **brief)
 
 
 @pytest.mark.parametrize(

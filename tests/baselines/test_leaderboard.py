@@ -1,0 +1,179 @@
+"""The leaderboard from rows whose answers are known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from servotrack.baselines.leaderboard.figure import draw_levels, level_tasks
+from servotrack.baselines.leaderboard.report import write_report
+from servotrack.baselines.leaderboard.summary import overall, summarize
+from servotrack.baselines.leaderboard.table import as_markdown, caveat, markdown_report, overview_grid, task_grid
+from servotrack.baselines.leaderboard.video import film_episode, write_film
+from servotrack.baselines.results import CellResults, ResultsError, atomic_path
+
+ERRORS = {"random": 0.5, "ukf": 0.005, "lifted-kf": 0.002, "oracle": 0.001}
+
+
+def make_cells(levels: tuple[int, ...] = (0, 3), episodes: int = 20, spread: float = 0.1) -> list[CellResults]:
+    cells = []
+    for level in levels:
+        for agent, error in ERRORS.items():
+            # The same episodes are hard for everybody: what pairing is for.
+            difficulty = np.random.default_rng(level).normal(0.0, spread, episodes)
+            own = np.random.default_rng([level, len(agent)]).normal(0.0, spread / 10, episodes)
+            steady = error * np.exp(difficulty + own)
+            rows = [
+                {"seed": i, "return": float(-e), "length": 252, "steady": float(e), "success": bool(e < 0.01)}
+                for i, e in enumerate(steady)
+            ]
+            card = {"information": "model-free", "requires": [], "tuning_steps": 1000, "summary": agent}
+            if agent == "oracle":
+                card |= {"information": "privileged", "requires": ["truth"]}
+            cells.append(CellResults("UncalibServo-v0", {"level": level}, agent, card, 252, rows))
+    return cells
+
+
+def test_agents_are_ranked_by_score_between_their_anchors() -> None:
+    task = summarize(make_cells())[0]
+    assert [row.agent for row in task.rows] == ["oracle", "lifted-kf", "ukf", "random"]
+    assert task.rows[0].score is not None and task.rows[0].score.value == pytest.approx(1.0)
+    assert task.rows[-1].score is not None and task.rows[-1].score.value == pytest.approx(0.0, abs=1e-12)
+    lifted = task.row("lifted-kf")
+    assert lifted is not None and lifted.score is not None and lifted.worst_score is not None
+    assert lifted.score.value == pytest.approx(np.log(0.5 / 0.002) / np.log(0.5 / 0.001), abs=0.01)
+    assert lifted.worst_score < lifted.score.low
+    assert lifted.success is not None and lifted.success.value == 1.0
+    assert [row.privileged for row in task.rows] == [True, False, False, False]
+
+
+def test_differences_are_paired_against_the_reference_and_corrected() -> None:
+    task = summarize(make_cells())[0]
+    lifted, reference = task.row("lifted-kf"), task.row("ukf")
+    assert lifted is not None and lifted.difference is not None and lifted.steady is not None
+    assert lifted.difference.value == pytest.approx(-0.003, abs=5e-4)
+    assert lifted.difference.high - lifted.difference.low < lifted.steady.high - lifted.steady.low + 5e-4
+    assert lifted.adjusted_p is not None and lifted.difference.p_value <= lifted.adjusted_p < 0.05
+    assert reference is not None and reference.difference is None
+
+
+def test_only_common_seeds_are_compared() -> None:
+    cells = make_cells((3,))
+    lifted = next(cell for cell in cells if cell.agent == "lifted-kf")
+    lifted.rows = [*lifted.rows[10:], {**lifted.rows[0], "seed": 99, "steady": 5.0}]
+    row = summarize(cells)[0].row("lifted-kf")
+    assert row is not None and row.difference is not None
+    assert row.episodes == 11
+    assert row.difference.value < 0.0, "the stranger's seed was compared with somebody else's"
+
+
+def test_without_anchors_there_is_no_score() -> None:
+    cells = [cell for cell in make_cells() if cell.agent != "oracle"]
+    tasks = summarize(cells)
+    assert all(row.score is None for task in tasks for row in task.rows)
+    assert [row.agent for row in tasks[0].rows] == ["lifted-kf", "ukf", "random"]
+    assert overall(tasks) == []
+    assert overview_grid(tasks).rows == []
+
+
+def test_overall_needs_every_task() -> None:
+    cells = [cell for cell in make_cells() if (cell.agent, cell.env_kwargs["level"]) != ("ukf", 3)]
+    names = [summary.agent for summary in overall(summarize(cells))]
+    assert names == ["oracle", "lifted-kf", "random"]
+
+
+def test_a_world_without_chance_gets_a_caveat() -> None:
+    cells = make_cells((0,), spread=0.0)
+    assert "one and the same" in caveat(summarize(cells)[0])
+    assert caveat(summarize(make_cells((0,)))[0]) == ""
+
+
+def test_generic_environments_are_ranked_by_return() -> None:
+    card = {"information": "undeclared", "requires": [], "tuning_steps": 0, "summary": ""}
+    cells = [
+        CellResults("CartPole-v1", {}, name, card, 500, [{"seed": 1, "return": value, "length": 9}])
+        for name, value in (("bad", 1.0), ("good", 2.0))
+    ]
+    task = summarize(cells)[0]
+    assert [row.agent for row in task.rows] == ["good", "bad"]
+    assert "return" in task_grid(task).headings
+
+
+def test_markdown_has_one_line_per_agent_and_marks_the_privileged() -> None:
+    tasks = summarize(make_cells())
+    text = as_markdown(task_grid(tasks[0]))
+    lines = text.splitlines()
+    assert len(lines) == 2 + len(ERRORS)
+    assert len({line.count("|") for line in lines}) == 1
+    assert "oracle †" in text and "ukf †" not in text
+    report = markdown_report(tasks, "servotrack bench")
+    assert "Written by `servotrack bench`" in report
+    assert report.count("\n## ") == 3
+
+
+def test_the_figure_shows_every_level_and_every_agent_but_the_anchor_at_zero() -> None:
+    tasks = level_tasks(summarize(make_cells((5, 0, 3))))
+    assert [task.level for task in tasks] == [0, 3, 5]
+    figure = draw_levels(tasks)
+    scores, success = figure.axes
+    curves = [line for line in scores.get_lines() if len(line.get_xdata()) == 3]  # type: ignore[arg-type]
+    assert len(curves) == 3
+    assert [label.get_text() for label in success.get_yticklabels()] == ["oracle", "lifted-kf", "ukf"]
+    with pytest.raises(ValueError, match="servotrack bench"):
+        draw_levels([])
+
+
+def test_the_report_is_written_whole(tmp_path: Path) -> None:
+    tasks = summarize(make_cells())
+    written = write_report(tasks, tmp_path, "servotrack bench <all>", tmp_path / "best.webm")
+    assert {path.name for path in written} == {
+        "levels.png", "levels.svg", "levels.pdf", "leaderboard.md", "leaderboard.html",
+    }  # fmt: skip
+    assert all(path.stat().st_size > 500 for path in written)
+    page = (tmp_path / "leaderboard.html").read_text()
+    assert "servotrack bench &lt;all&gt;" in page and 'src="best.webm"' in page and "<td>lifted-kf</td>" in page
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in written}
+
+
+def frames(count: int, height: int, width: int) -> Any:
+    for i in range(count):
+        frame = np.zeros((height, width, 3), np.uint8)
+        frame[:, : width // 2] = (255, 0, 0)
+        frame[i : i + 8] = 255
+        yield frame
+
+
+@pytest.mark.parametrize("suffix", [".webm", ".mp4", ".avi"])
+def test_a_film_can_be_read_back(tmp_path: Path, suffix: str) -> None:
+    import cv2
+
+    path = tmp_path / f"film{suffix}"
+    assert write_film(frames(12, 61, 81), path, 20.0) == 12
+    capture = cv2.VideoCapture(str(path))
+    read = []
+    while (answer := capture.read())[0]:
+        read.append(answer[1])
+    assert len(read) == 12
+    assert read[0].shape == (60, 80, 3)
+    blue, _, red = read[-1][40, 10]
+    assert red > 180 > 80 > blue, "colors are swapped"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_episode_is_filmed(tmp_path: Path) -> None:
+    kwargs = {"level": 0, "horizon": 10, "warmup": 0}
+    assert film_episode("UncalibServo-v0", "kf", tmp_path / "a.mp4", kwargs, 100_000) == 11
+
+
+def test_films_that_cannot_be_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"video must end in \.webm"):
+        film_episode("UncalibServo-v0", "kf", tmp_path / "a.mov")
+    with pytest.raises(ValueError, match="at least one frame"):
+        write_film(iter(()), tmp_path / "a.mp4", 20.0)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ResultsError, match="cannot be a folder"), atomic_path(tmp_path / "file" / "a.mp4"):
+        pass
+    assert not (tmp_path / "a.mp4").exists()

@@ -1,0 +1,110 @@
+"""Randomness: each quantity has a stream of its own, and agents cannot shift it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from servo_history import run, wiggle
+
+from servotrack.envs.servo.episode import draw_episode
+from servotrack.envs.servo.levels import servo_config
+
+Array = NDArray[np.float64]
+
+
+TABLES = (
+    "links",
+    "camera",
+    "goal",
+    "path",
+    "feature_noise",
+    "dropped",
+    "latency",
+    "gain",
+    "rate_noise",
+    "encoder_noise",
+)
+NOISY = {
+    "pixel_noise": 1.0,
+    "dropout": 0.1,
+    "latency": (0, 2),
+    "actuation_gain": 0.1,
+    "actuation_noise": 0.04,
+    "encoder_noise": (0.001, 0.002),
+}
+TOUCHES = {
+    "pixel_noise": {"feature_noise"},
+    "outlier_rate": {"feature_noise"},
+    "dropout": {"dropped"},
+    "latency": {"latency"},
+    "actuation_gain": {"gain"},
+    "actuation_noise": {"rate_noise"},
+    "encoder_noise": {"encoder_noise"},
+    "rolling_shutter": set(),
+    "max_motor_torque": set(),
+}
+OTHER_VALUE = {
+    "pixel_noise": 0.0,
+    "outlier_rate": 0.5,
+    "dropout": 0.0,
+    "latency": (1, 1),
+    "actuation_gain": 0.0,
+    "actuation_noise": 0.0,
+    "encoder_noise": 0.0,
+    "rolling_shutter": 0.02,
+    "max_motor_torque": 5.0,
+}
+
+
+@pytest.mark.parametrize("axis", TOUCHES)
+def test_an_axis_shifts_no_draw_but_its_own(axis: str) -> None:
+    base = servo_config(3, **NOISY)
+    other = servo_config(3, **(NOISY | {axis: OTHER_VALUE[axis]}))
+    changed = set()
+    for seed in range(12):
+        one, two = draw_episode(base, seed), draw_episode(other, seed)
+        changed |= {name for name in TABLES if not np.array_equal(getattr(one, name), getattr(two, name))}
+    assert changed == TOUCHES[axis]
+
+
+@pytest.mark.parametrize("axis", ["focal", "mounting", "tilt", "aspect", "distortion", "principal_offset"])
+def test_an_axis_of_the_camera_shifts_only_draws_that_it_makes_unsolvable(axis: str) -> None:
+    base = servo_config(3)
+    other = servo_config(3, **{axis: getattr(servo_config(0), axis)})
+    same = sum(np.array_equal(draw_episode(base, s).path, draw_episode(other, s).path) for s in range(60))
+    assert same >= 45
+
+
+def test_different_seeds_are_different_episodes() -> None:
+    config = servo_config(6)
+    episodes = [draw_episode(config, seed) for seed in range(6)]
+    for name in ("links", "camera", "path", "feature_noise", "rate_noise", "encoder_noise"):
+        tables = {getattr(episode, name).tobytes() for episode in episodes}
+        assert len(tables) == len(episodes), name
+
+
+def test_streams_of_one_seed_are_not_each_other() -> None:
+    episode = draw_episode(servo_config(4, pixel_noise=1.0), 3)
+    tables = [episode.feature_noise, episode.rate_noise, episode.encoder_noise]
+    for i, one in enumerate(tables):
+        for other in tables[:i]:
+            assert abs(np.corrcoef(one.ravel(), other.ravel())[0, 1]) < 0.15
+
+
+def test_two_agents_on_one_seed_meet_the_same_noise() -> None:
+    config = servo_config(5, dropout=0.2)
+    one, two = (run(config, wiggle(60, 20, seed=seed)) for seed in (1, 2))
+    assert not np.array_equal(one["joints"], two["joints"])
+    np.testing.assert_allclose(
+        one["joint_angles"] - one["joints"], two["joint_angles"] - two["joints"], rtol=0, atol=1e-12
+    )
+    np.testing.assert_array_equal(one["target"], two["target"])
+    clean = servo_config(5, dropout=0.2, pixel_noise=0.0)
+    noises = []
+    for seed, noisy in ((1, one), (2, two)):
+        plain = run(clean, wiggle(60, 20, seed=seed))
+        noises.append((noisy["features"] - plain["features"], (noisy["visible"] > 0) & (plain["visible"] > 0)))
+    both = noises[0][1] & noises[1][1]
+    assert both.mean() > 0.5
+    np.testing.assert_allclose(noises[0][0][both], noises[1][0][both], rtol=0, atol=1e-9)
