@@ -24,6 +24,7 @@ class SceneModel(NamedTuple):
 
     Attributes:
         model: Motion and measurement of a target.
+        hidden_markov: The same without the dependence of its noises, where `model` is a pairwise Markov model.
         survival_probability: From scan to scan.
         detection_probability: Of a target in a scan.
         clutter_rate: Mean number of false measurements in a scan.
@@ -36,6 +37,7 @@ class SceneModel(NamedTuple):
     """
 
     model: Model
+    hidden_markov: HiddenMarkovModel | RangeBearingModel
     survival_probability: float
     detection_probability: float
     clutter_rate: float
@@ -58,11 +60,12 @@ _PAPER_BIRTH_WEIGHT = 0.03
 
 def told(config: ClutterConfig) -> SceneModel:
     """What the agents of a world are told about it."""
+    linear = constant_velocity(config.acceleration_noise, config.position_noise, period=config.period)
     model: Model = config.motion
+    hidden_markov: HiddenMarkovModel | RangeBearingModel = linear
     if config.sensor == "range-bearing":
         noise = np.diag([config.range_noise**2, config.bearing_noise**2])
-        linear = constant_velocity(config.acceleration_noise, config.position_noise, period=config.period)
-        model = RangeBearingModel(
+        model = hidden_markov = RangeBearingModel(
             linear.transition, linear.process_noise, linear.observation, noise, config.sensor_position
         )
     low, high = config.seen
@@ -80,6 +83,7 @@ def told(config: ClutterConfig) -> SceneModel:
     detection, clutter = config.told_detection_probability, config.told_clutter_rate
     return SceneModel(
         model=model,
+        hidden_markov=hidden_markov,
         survival_probability=config.survival_probability,
         detection_probability=config.detection_probability if detection is None else detection,
         clutter_rate=config.clutter_rate if clutter is None else clutter,

@@ -248,7 +248,8 @@ def _allocate(owners: Labels, labels: Labels, reported: int, new: Labels) -> Non
     arriving = chosen[~np.isin(chosen, owners)]
     # A silent identity needs no row before it has been reported once.
     arriving = arriving[np.isin(arriving, labels[:reported])]
-    free = np.flatnonzero(new == 0)[: len(arriving)]
+    # A row whose identity ends now stays empty for this step: taken at once it would pass for the same identity.
+    free = np.flatnonzero((new == 0) & (owners == 0))[: len(arriving)]
     new[free] = arriving[: len(free)]
 
 
