@@ -123,12 +123,16 @@ class MeasurementBirth:
         B, sigma = packed.transition[:n], packed.noise[:n, :n]
         known = np.concatenate([mean, z], axis=-1)
         births = self.empty(measurements.shape[0], n)
-        total = unexplained.sum(axis=1, keepdims=True)
+        if kept == 0:
+            return births
+        # A running sum gives the same bits however many unused rows follow.
+        total = np.cumsum(unexplained, axis=1)[:, -1:]
         share = np.divide(self.expected * unexplained, total, out=np.zeros_like(unexplained), where=total > 0.0)
         births.weight[:, :kept] = np.minimum(share, self.largest)
-        births.mean[:, :kept] = np.einsum("rk,bzk->bzr", B, known)
+        used = share > 0.0
+        births.mean[:, :kept] = np.where(used[..., None], np.einsum("rk,bzk->bzr", B, known), 0.0)
         moved = np.einsum("rk,bzkl,cl->bzrc", B[:, :n], covariance, B[:, :n]) + sigma
-        births.covariance[:, :kept] = 0.5 * (moved + np.swapaxes(moved, -1, -2))
+        births.covariance[:, :kept] = np.where(used[..., None, None], 0.5 * (moved + np.swapaxes(moved, -1, -2)), 0.0)
         return births
 
 
