@@ -29,7 +29,7 @@ class ClutterTrackingEnv(TrackEnv):
     | 0 `paper` | paper 004: twelve targets at known times, 20 false measurements per scan, pairwise Markov noise S1 |
     | 1 `random` | births, deaths and motion drawn anew |
     | 2 `low detection` | detection probability 0.6, 60 false measurements per scan |
-    | 3 `maneuvers` | targets that turn at up to 0.4 rad/s |
+    | 3 `maneuvers` | targets that turn at up to 0.2 rad/s |
     | 4 `range-bearing` | a sensor beside the region measures range (5 m) and bearing (0.005 rad) |
     | 5 `wrong detection` | agents are told a detection probability of 0.98; it is 0.8 |
     | 6 `wrong clutter` | agents are told 5 false measurements per scan; there are 40 |

@@ -190,7 +190,7 @@ _LEVELS: tuple[dict[str, Any], ...] = (
     {},
     _RANDOM,
     {**_RANDOM, "detection_probability": 0.6, "clutter_rate": 60.0},
-    {**_RANDOM, "maneuver_rate": 0.1, "max_turn_rate": 0.4, "birth_speed": 30.0},
+    {**_RANDOM, "maneuver_rate": 0.1, "max_turn_rate": 0.2, "birth_speed": 30.0},
     {**_RANDOM, "sensor": "range-bearing", "structure": "HMM"},
     {**_RANDOM, "detection_probability": 0.8, "told_detection_probability": 0.98},
     {**_RANDOM, "clutter_rate": 40.0, "told_clutter_rate": 5.0},
