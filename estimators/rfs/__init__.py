@@ -20,18 +20,18 @@ from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measureme
 from servotrack.estimators.rfs.smc_phd import ParticlePHD
 
 __all__ = [
+    "GMPHD",
+    "PMB",
     "STRUCTURES",
     "Birth",
-    "GlobalNearestNeighbor",
-    "ParticlePHD",
-    "RawMeasurements",
-    "PMB",
     "GMCBMeMBer",
-    "GMPHD",
+    "GlobalNearestNeighbor",
     "HiddenMarkovModel",
     "MeasurementBirth",
     "PairwiseMarkovModel",
+    "ParticlePHD",
     "RangeBearingModel",
+    "RawMeasurements",
     "Reduction",
     "RowAllocation",
     "SetEstimate",

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 TOLERANCE = 1e-6
-"""Largest change of a message at which the iteration ends; messages lie in [0, 1]."""
+"""Largest relative change of a message at which the iteration ends."""
 
 ITERATIONS = 1000
 """The iteration is a contraction, but a slow one where many tracks contest many measurements."""
@@ -44,7 +44,7 @@ def association_marginals(track, measurement, psi, tracks, measurements):  # typ
         change = 0.0
         for p in range(pairs):
             message = 1.0 / (1.0 + max(by_measurement[measurement[p]] - mu[p], 0.0))
-            change = max(change, abs(message - nu[p]))
+            change = max(change, abs(message - nu[p]) / message)
             nu[p] = message
         if change < TOLERANCE:
             break

@@ -39,7 +39,7 @@ def empty_tracks(batch: int, capacity: int) -> Tracks:
 
 @njit(cache=True, nogil=True)
 def predict_tracks(model, tracks, pool, survival, work, b, out_tracks, out_pool):  # type: ignore[no-untyped-def]
-    """Predict the tracks of run b: r' = r <p, p_S>, each density weighed by p_S (Vo, Vo and Cantoni 2009, prediction)."""
+    """Predict the tracks of run b: r' = r <p, p_S>, densities weighed by p_S (Vo, Vo and Cantoni 2009)."""
     predict_components(model, pool, b, work, out_pool)
     row = 0
     for i in range(tracks.number[b]):

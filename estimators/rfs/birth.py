@@ -68,13 +68,13 @@ class Birth:
 class MeasurementBirth:
     """Targets appear where the last measurements were that nothing known explains (Reuter et al. 2014, section IV).
 
-    The expected number of births is shared among the last measurements by their probability of being unexplained. The state
-    is the measurement's position; what a measurement says nothing about starts at zero with the given deviation.
+    The expected number of births is shared among the last measurements by their probability of being unexplained. The
+    state is the measurement's position; what a measurement says nothing about starts at zero with the given deviation.
 
     Args:
         expected: Expected number of births per step, > 0.
-        hidden_deviation: Standard deviation of unmeasured state entries (velocities), > 0, in the state's unit. A number,
-            or shape (n,) of which the unmeasured entries count.
+        hidden_deviation: Standard deviation of unmeasured state entries (velocities), > 0, in the state's unit. A
+            number, or shape (n,) of which the unmeasured entries count.
         largest: Largest weight one measurement can get, in (0, 1].
         places: Most measurements that births are put at, the least explained.
 
@@ -163,7 +163,9 @@ class Spawn:
         transition = np.eye(n) if self.transition is None else np.array(self.transition, dtype=np.float64)
         offset = np.zeros(n) if self.offset is None else np.array(self.offset, dtype=np.float64)
         if transition.shape != (n, n) or offset.shape != (n,):
-            raise ValueError(f"transition and offset must match noise of shape ({n}, {n}), got {transition.shape}, {offset.shape}")
+            raise ValueError(
+                f"transition and offset must match noise of shape ({n}, {n}), got {transition.shape}, {offset.shape}"
+            )
         object.__setattr__(self, "noise", noise)
         object.__setattr__(self, "transition", transition)
         object.__setattr__(self, "offset", offset)

@@ -1,4 +1,4 @@
-"""Gaussian-mixture cardinality-balanced multi-target multi-Bernoulli filter (Vo, Vo and Cantoni 2009; paper 004 for PMM)."""
+"""GM cardinality-balanced multi-target multi-Bernoulli filter (Vo, Vo and Cantoni 2009; paper 004 for PMM)."""
 
 from __future__ import annotations
 
@@ -61,9 +61,7 @@ class GMCBMeMBer(GaussianSetFilter):
     def _empty(self, batch: int) -> CBMeMBerState:
         rules = self.reduction
         pool = empty_mixture(batch, rules.tracks * rules.components, sum(self._sizes))
-        return CBMeMBerState(
-            empty_tracks(batch, rules.tracks), pool, self._no_births(batch), np.ones(batch, np.int64)
-        )
+        return CBMeMBerState(empty_tracks(batch, rules.tracks), pool, self._no_births(batch), np.ones(batch, np.int64))
 
     def _advance(
         self, state: CBMeMBerState, births: BirthMixture, z: Array, number: NDArray[np.int64], clutter: Array
@@ -133,9 +131,22 @@ def _predict(model, tracks, pool, births, spawns, survival, out_tracks, out_pool
 
 @njit(cache=True, nogil=True)
 def _update(  # type: ignore[no-untyped-def]
-    model, tracks, pool, z, number, clutter, detection, gate, limits, balanced, next_label, out_tracks, out_pool, unexplained
+    model,
+    tracks,
+    pool,
+    z,
+    number,
+    clutter,
+    detection,
+    gate,
+    limits,
+    balanced,
+    next_label,
+    out_tracks,
+    out_pool,
+    unexplained,
 ):
-    """Posterior tracks of every run: legacy tracks, and one updated track per measurement (Vo et al. 2009, eqs 12 to 19)."""
+    """Posterior tracks of every run: legacy ones, and an updated one per measurement (Vo et al. 2009, eqs 12 to 19)."""
     m, n = model.observation.shape
     prune, merge, cap, least = limits
     innovation = np.empty(m)

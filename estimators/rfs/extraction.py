@@ -1,7 +1,8 @@
 """From a posterior to the reported set: which targets, under which identity.
 
-Rules. `threshold`: every component or track above the threshold (Vo and Ma 2006, table III). `sum`: as many as the rounded
-expected number. `map`: as many as the most probable number, Poisson for an intensity and Poisson-binomial for tracks.
+Rules. `threshold`: every component or track above the threshold (Vo and Ma 2006, table III). `sum`: as many as the
+rounded expected number. `map`: as many as the most probable number, Poisson for an intensity and Poisson-binomial for
+tracks.
 """
 
 from __future__ import annotations
@@ -26,10 +27,13 @@ COPY_STRIDE = 1 << 40
 @njit(cache=True, nogil=True)
 def _seen(label, labels, count):  # type: ignore[no-untyped-def]
     """Whether an identity is among the first `count`."""
-    for k in range(count):
-        if labels[k] == label:
-            return True
-    return False
+    return np.any(labels[:count] == label)
+
+
+@njit(cache=True, nogil=True)
+def round_half_up(value):  # type: ignore[no-untyped-def]
+    """The nearest integer, the larger of two."""
+    return math.floor(value + 0.5)
 
 
 @njit(cache=True, nogil=True)
@@ -52,7 +56,7 @@ def extract_intensity(model, mixture, next_label, merge, rule, threshold, extrac
     Under a pairwise model the x-marginals of missed and detected components are merged first: both describe one target.
     """
     m, n = model.observation.shape
-    batch, capacity = mixture.weight.shape
+    batch = mixture.weight.shape[0]
     room = extraction.label.shape[1]
     for b in range(batch):
         count = mixture.count[b]
@@ -79,9 +83,9 @@ def extract_intensity(model, mixture, next_label, merge, rule, threshold, extrac
         if rule == THRESHOLD:
             for i in range(count):
                 if weight[i] > threshold:
-                    copies[i] = max(1, int(math.floor(weight[i] + 0.5)))
+                    copies[i] = max(1, round_half_up(weight[i]))
         else:
-            wanted = int(math.floor(expected + 0.5)) if rule == SUM else int(math.floor(expected))
+            wanted = round_half_up(expected) if rule == SUM else math.floor(expected)
             left = weight.copy()
             for _ in range(wanted if count > 0 else 0):
                 # Each target takes a weight of one from the heaviest component left.
@@ -122,8 +126,8 @@ def most_probable_number(existence):  # type: ignore[no-untyped-def]
 def extract_tracks(n, tracks, mixture, next_label, rule, threshold, extraction):  # type: ignore[no-untyped-def]
     """Extract targets from Bernoulli tracks; a track's state is its heaviest component.
 
-    Two tracks may share an identity (CBMeMBer's legacy and updated track of one target): the more probable one has it; the
-    other gets a new one if it is reported as well.
+    Two tracks may share an identity (CBMeMBer's legacy and updated track of one target): the more probable one has it;
+    the other gets a new one if it is reported as well.
     """
     for b in range(tracks.existence.shape[0]):
         number = tracks.number[b]
@@ -138,7 +142,7 @@ def extract_tracks(n, tracks, mixture, next_label, rule, threshold, extraction):
         extraction.expected[b] = total
         wanted = number
         if rule == SUM:
-            wanted = int(math.floor(total + 0.5))
+            wanted = round_half_up(total)
         elif rule == MAP:
             wanted = most_probable_number(existence)
         row = 0
@@ -158,6 +162,8 @@ def extract_tracks(n, tracks, mixture, next_label, rule, threshold, extraction):
             for j in range(first[i] + 1, first[i + 1]):
                 if mixture.weight[b, j] > mixture.weight[b, best]:
                     best = j
-            _write(extraction, b, row, existence[i], label, mixture.mean[b, best], mixture.covariance[b, best], reported)
+            _write(
+                extraction, b, row, existence[i], label, mixture.mean[b, best], mixture.covariance[b, best], reported
+            )
             row += 1
         extraction.count[b] = row

@@ -1,14 +1,15 @@
-"""Compiled pieces every Gaussian filter of this package is made of: predict, condition on a measurement, weigh the pairs.
+"""Compiled pieces of every Gaussian filter here: predict, condition on a measurement, weigh the pairs.
 
-A target is the pair xi = (x, y) of its state and its measurement (Pieczynski and Desbouvries 2003). A component is a Gaussian
-over xi. After a detection its y is known exactly: its y block is zero and its mean's y is the measurement (a Dirac). Under a
-hidden Markov model y carries nothing from one step to the next, the y columns of the transition are zero, and the same code
-runs over the x columns alone. So the recursion is written once for both:
+A target is the pair xi = (x, y) of its state and its measurement (Pieczynski and Desbouvries 2003). A component is a
+Gaussian over xi. After a detection its y is known exactly: its y block is zero and its mean's y is the measurement (a
+Dirac). Under a hidden Markov model y carries nothing from one step to the next, the y columns of the transition are
+zero, and the same code runs over the x columns alone. So the recursion is written once for both:
 
-    predict     mu = B xi,  P = B P B^T + Sigma                          spec (J); over the x columns for a Dirac, (D)
+    predict     mu = B xi,  P = B P B^T + Sigma, over the x columns alone for a Dirac
     condition   K = P_xy P_yy^-1,  m = mu_x + K (z - mu_y),  P_xx - K P_yx
 
-A non-linear measurement replaces the y rows: they are computed from the predicted x by an extended or an unscented transform.
+A non-linear measurement replaces the y rows: they are computed from the predicted x by an extended or an unscented
+transform.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class PackedModel(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def cholesky_inverse(matrix, size, offset, inverse):  # type: ignore[no-untyped-def]
-    """Inverse of the lower Cholesky factor of a diagonal block, and the sum of the factor's log diagonal (NaN if not SPD)."""
+    """Invert the Cholesky factor of a diagonal block; returns the factor's summed log diagonal, NaN if not SPD."""
     log_diagonal = 0.0
     for r in range(size):
         for c in range(r + 1):
@@ -200,8 +201,8 @@ def weigh_pairs(model, count, mean, cov, measurements, number, gate):  # type: i
         gate: Largest squared Mahalanobis distance considered.
 
     Returns:
-        component (pairs,), measurement (pairs,), likelihood (pairs,): pairs in order of components, then of measurements;
-        gain (J, n, m); posterior (J, n, n); and whether every P_yy was positive definite.
+        component (pairs,), measurement (pairs,), likelihood (pairs,): pairs in order of components, then of
+        measurements; gain (J, n, m); posterior (J, n, n); and whether every P_yy was positive definite.
     """
     m, n = model.observation.shape
     component = np.empty(count * number, np.int32)

@@ -17,7 +17,13 @@ from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, predict_components
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.recursion import add_axis, check_sound, first_row
-from servotrack.estimators.rfs.sets import SetEstimate, empty_extraction, estimate_from_extraction, read_measurements
+from servotrack.estimators.rfs.sets import (
+    SetEstimate,
+    check_runs,
+    empty_extraction,
+    estimate_from_extraction,
+    read_measurements,
+)
 
 Array = NDArray[np.float64]
 
@@ -50,7 +56,8 @@ class GlobalNearestNeighbor:
 
     Args:
         model: Motion and measurement of one target.
-        hidden_deviation: Standard deviation of unmeasured state entries (velocities) of a new track, in the state's unit.
+        hidden_deviation: Standard deviation of unmeasured state entries (velocities) of a new track, in the state's
+            unit.
         gate_probability: Probability that a target's measurement lies in its gate, in (0, 1).
         confirm: A track is confirmed once M of its first or last N steps detected it.
         misses: A confirmed track ends after this many steps without a detection.
@@ -86,8 +93,7 @@ class GlobalNearestNeighbor:
 
     def initial(self, measurement: ArrayLike) -> GNNState:
         """State before the first measurement: no tracks. The measurement gives the batch axis only."""
-        m, n = self.model.packed.observation.shape
-        z, _, single = read_measurements(measurement, m)
+        z, _, single = read_measurements(measurement, self.model.packed.observation.shape[0])
         state = self._empty(z.shape[0])
         return first_row(state) if single else state
 
@@ -97,8 +103,7 @@ class GlobalNearestNeighbor:
         z, number, single = read_measurements(measurement, m)
         if single:
             state = add_axis(state)
-        if state.next_label.shape[0] != z.shape[0]:
-            raise ValueError(f"measurements must be of the state's {state.next_label.shape[0]} runs, got {z.shape[0]}")
+        check_runs(state.next_label.shape[0], z.shape[0])
         batch = z.shape[0]
         predicted = empty_mixture(batch, self.capacity, n + m)
         _predict(self.model.packed, state.tracks, predicted)
@@ -125,7 +130,14 @@ class GlobalNearestNeighbor:
         return GNNState(tracks, np.zeros(shape, np.int64), np.zeros(shape, np.int64), np.ones(batch, np.int64))
 
     def _assign(
-        self, state: GNNState, predicted: Mixture, z: Array, b: int, start: Array, start_covariance: Array, new: GNNState
+        self,
+        state: GNNState,
+        predicted: Mixture,
+        z: Array,
+        b: int,
+        start: Array,
+        start_covariance: Array,
+        new: GNNState,
     ) -> None:
         """One run's step: assignment, correction, confirmation and deletion, new tracks, written to row b of `new`."""
         model = self.model.packed

@@ -94,7 +94,7 @@ def append_births(model, births, b, row, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def append_spawn(model, spawns, term, mean, cov, b, row, out):  # type: ignore[no-untyped-def]
-    """Append N(d + F_beta m, Q_beta + F_beta P F_beta^T), its measurement attached; the weight is the filter's business."""
+    """Append N(d + F_beta m, Q_beta + F_beta P F_beta^T) with its measurement; the weight is the filter's business."""
     n = model.observation.shape[1]
     _, offset, transition, noise = spawns
     for r in range(n):

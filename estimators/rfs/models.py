@@ -4,9 +4,9 @@ The pairwise Markov model (PMM) makes the pair of state and measurement a Markov
 
     (x_k, y_k) = B (x_{k-1}, y_{k-1}) + w_k,   w_k ~ N(0, Sigma)                    (Pieczynski and Desbouvries 2003)
 
-and the hidden Markov model (HMM) is the case whose B has zero y columns. `PairwiseMarkovModel.from_hidden_markov` makes the
-PMM that keeps an HMM's p(x_k | x_{k-1}) and p(y_k | x_k) for free F2 and H2 (paper 004, section 3.1; Petetin and
-Desbouvries 2013); `STRUCTURES` names the readings S1 to S6 of the paper's letters a, b, c, d.
+and the hidden Markov model (HMM) is the case whose B has zero y columns. `PairwiseMarkovModel.from_hidden_markov`
+makes the PMM that keeps an HMM's p(x_k | x_{k-1}) and p(y_k | x_k) for free F2 and H2 (paper 004, section 3.1; Petetin
+and Desbouvries 2013); `STRUCTURES` names the readings S1 to S6 of the paper's letters a, b, c, d.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Structure = Literal["S1", "S2", "S3", "S4", "S5", "S6"]
 
 STRUCTURES: tuple[Structure, ...] = ("S1", "S2", "S3", "S4", "S5", "S6")
-"""Readings of a, b, c, d in paper 004: S1 is F2 on the positions and H2 = diag(c, d); the others permute the letters."""
+"""Readings of the letters a, b, c, d in paper 004; `pairwise_structure` says which is which."""
 
 
 class TargetModel(Protocol):
@@ -48,7 +48,7 @@ def checked_matrix(name: str, value: ArrayLike, shape: tuple[int | None, int | N
 
 
 def checked_covariance(name: str, value: ArrayLike, size: int, *, definite: bool) -> Array:
-    """A symmetric positive (semi)definite matrix, or a ValueError that names the argument and its smallest eigenvalue."""
+    """A symmetric positive (semi)definite matrix, or a ValueError naming the argument and its smallest eigenvalue."""
     matrix = checked_matrix(name, value, (size, size))
     scale = float(np.abs(matrix).max(initial=0.0))
     if not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-12 * scale):
@@ -58,7 +58,9 @@ def checked_covariance(name: str, value: ArrayLike, size: int, *, definite: bool
     tolerance = 1e-13 * size * scale
     if smallest < -tolerance or (definite and smallest <= tolerance):
         wanted = "positive definite" if definite else "positive semidefinite"
-        raise ValueError(f"{name} must be {wanted}, got smallest eigenvalue {smallest:.3g}; add variance to its diagonal")
+        raise ValueError(
+            f"{name} must be {wanted}, got smallest eigenvalue {smallest:.3g}; add variance to its diagonal"
+        )
     return matrix
 
 
@@ -263,13 +265,15 @@ def constant_velocity(
 
 
 def pairwise_structure(
-    model: HiddenMarkovModel, structure: Structure = "S1", letters: tuple[float, float, float, float] = (0.7, 0.7, 0.1, 0.1)
+    model: HiddenMarkovModel,
+    structure: Structure = "S1",
+    letters: tuple[float, float, float, float] = (0.7, 0.7, 0.1, 0.1),
 ) -> PairwiseMarkovModel:
     """The PMM of a planar constant-velocity HMM under one reading of paper 004's letters a, b, c, d.
 
-    S1: F2 a, b on the positions, H2 = diag(c, d). S2: F2 a on positions and b on velocities, H2 = diag(c, d). S3: F2 a, b on
-    positions and c, d on velocities, H2 = 0. S4: as S1 with (c, d) and (a, b) swapped. S5: as S2 swapped. S6: F2 = 0,
-    H2 = diag(a, b), colored measurement noise alone.
+    S1: F2 a, b on the positions, H2 = diag(c, d). S2: F2 a on positions and b on velocities, H2 = diag(c, d). S3: F2 a,
+    b on positions and c, d on velocities, H2 = 0. S4: as S1 with (c, d) and (a, b) swapped. S5: as S2 swapped. S6: F2 =
+    0, H2 = diag(a, b), colored measurement noise alone.
 
     Args:
         model: State [x, vx, y, vy], measurement [x, y], as `constant_velocity` makes it.

@@ -81,7 +81,7 @@ def weigh_particles(model, particles, weight, z, clutter, detection):  # type: i
 
 @njit(cache=True, nogil=True)
 def resample_systematically(weight, number, offset):  # type: ignore[no-untyped-def]
-    """Rows of `number` particles drawn by systematic resampling with one uniform offset in [0, 1); none where all weigh 0."""
+    """Draw `number` rows by systematic resampling with one uniform offset in [0, 1); none where all weigh 0."""
     total = weight.sum()
     if not total > 0.0:
         return np.empty(0, np.int64)
@@ -98,8 +98,10 @@ def resample_systematically(weight, number, offset):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True)
-def cluster_particles(observation, particles, weight, label, targets, next_label, extraction, b):  # type: ignore[no-untyped-def]
-    """Weighted k-means of the positions into `targets` clusters, each reported under the identity most of its weight has.
+def cluster_particles(  # type: ignore[no-untyped-def]
+    observation, particles, weight, label, targets, next_label, extraction, b
+):
+    """Weighted k-means of the positions into `targets` clusters, each under the identity most of its weight has.
 
     Centers start at the heaviest place and then always where weight times squared distance to the nearest is largest.
     Particles without identity take their cluster's. Returns the next new identity.

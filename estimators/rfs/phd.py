@@ -1,7 +1,7 @@
 """Gaussian-mixture probability hypothesis density filter (Vo and Ma 2006), under hidden and pairwise Markov models.
 
-The state is the intensity of the set of targets; spec of the pairwise form: Petetin and Desbouvries (2013). Labels follow
-Clark, Panta and Vo (2006): a component keeps its identity through prediction, update and merging.
+The state is the intensity of the set of targets; spec of the pairwise form: Petetin and Desbouvries (2013). Labels
+follow Clark, Panta and Vo (2006): a component keeps its identity through prediction, update and merging.
 """
 
 from __future__ import annotations
@@ -82,9 +82,7 @@ class GMPHD(GaussianSetFilter):
         )
         check_sound(sound)
         extraction = empty_extraction(batch, rules.components, n)
-        extract_intensity(
-            model, intensity, next_label, rules.merge, RULES[self.extraction], self.threshold, extraction
-        )
+        extract_intensity(model, intensity, next_label, rules.merge, RULES[self.extraction], self.threshold, extraction)
         return PHDState(intensity, state.births, next_label), extraction, unexplained
 
 
@@ -110,7 +108,7 @@ def _predict_intensity(model, intensity, births, spawns, survival, out):  # type
 def _update_intensity(  # type: ignore[no-untyped-def]
     model, predicted, z, number, clutter, detection, gate, limits, next_label, out, unexplained
 ):
-    """Posterior intensity of every run: missed components, and each one corrected by each measurement (paper 000, eq. 4)."""
+    """Posterior intensity of every run: components missed, and corrected by each measurement (paper 000, eq. 4)."""
     m, n = model.observation.shape
     innovation = np.empty(m)
     sound = True
@@ -142,9 +140,8 @@ def _update_intensity(  # type: ignore[no-untyped-def]
                 total += 1
         for p in range(pairs):
             i, j = component[p], measurement[p]
-            share = likelihood[p] / evidence[j]
-            if share > limits[0]:
-                weight[total], source[total], group[total] = share, i, j
+            if likelihood[p] > limits[0] * evidence[j]:
+                weight[total], source[total], group[total] = likelihood[p] / evidence[j], i, j
                 label[total] = predicted.label[b, i] if predicted.label[b, i] > 0 else next_label[b] + j
                 detected_mean(model, predicted.mean[b, i], gain[i], z[b, j], innovation, mean[total])
                 total += 1

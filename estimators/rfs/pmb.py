@@ -1,7 +1,8 @@
 """Track-oriented Poisson multi-Bernoulli filter (Williams 2015), under hidden and pairwise Markov models, labelled.
 
-Targets never detected are a Poisson intensity; each detected one is a Bernoulli track with an identity. The association of
-tracks to measurements is summed over by loopy belief propagation, and a track keeps the mixture of its hypotheses.
+Targets never detected are a Poisson intensity; each detected one is a Bernoulli track with an identity. The
+association of tracks to measurements is summed over by loopy belief propagation, and a track keeps the mixture of its
+hypotheses.
 """
 
 from __future__ import annotations
@@ -156,7 +157,7 @@ def _predict(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _track_pairs(component, measurement, likelihood, owner, tracks, measurements):  # type: ignore[no-untyped-def]
-    """Sum the components' pairs over each track: track (P,), measurement (P,), sum (P,), and each pair's row of these."""
+    """Sum the components' pairs over tracks: track (P,), measurement (P,), sum (P,), and each pair's row of these."""
     pairs = component.shape[0]
     track = np.empty(pairs, np.int64)
     to = np.empty(pairs, np.int64)
@@ -180,7 +181,7 @@ def _track_pairs(component, measurement, likelihood, owner, tracks, measurements
 def _update(  # type: ignore[no-untyped-def]
     model, tracks, pool, hidden, z, number, clutter, detection, hidden_detection, gate, limits, out, unexplained
 ):
-    """Posterior of every run: surviving tracks, one new track per measurement, and what stays undetected (Williams 2015)."""
+    """Posterior of every run: old tracks, a new one per measurement, and what stays undetected (Williams 2015)."""
     m, n = model.observation.shape
     prune, merge, cap, least = limits
     innovation = np.empty(m)
@@ -190,8 +191,8 @@ def _update(  # type: ignore[no-untyped-def]
         component, measurement, likelihood, gain, posterior, good = weigh_pairs(
             model, count, pool.mean[b], pool.covariance[b], z[b], Z, gate
         )
-        hidden_component, hidden_measurement, hidden_likelihood, hidden_gain, hidden_posterior, hidden_good = weigh_pairs(
-            model, unseen, hidden.mean[b], hidden.covariance[b], z[b], Z, gate
+        hidden_component, hidden_measurement, hidden_likelihood, hidden_gain, hidden_posterior, hidden_good = (
+            weigh_pairs(model, unseen, hidden.mean[b], hidden.covariance[b], z[b], Z, gate)
         )
         sound = sound and good and hidden_good
         pairs, fresh_pairs = component.shape[0], hidden_component.shape[0]
@@ -276,12 +277,32 @@ def _update(  # type: ignore[no-untyped-def]
             if t < T:
                 members = rows[start[t] : start[t + 1]]
                 size = reduce_mixture(
-                    model.pairwise, n, candidates, members, pool.covariance[b], posterior, prune, merge, cap, room, filled
+                    model.pairwise,
+                    n,
+                    candidates,
+                    members,
+                    pool.covariance[b],
+                    posterior,
+                    prune,
+                    merge,
+                    cap,
+                    room,
+                    filled,
                 )
             else:
                 members = fresh_rows[fresh_start[t - T] : fresh_start[t - T + 1]]
                 size = reduce_mixture(
-                    model.pairwise, n, arrivals, members, hidden.covariance[b], hidden_posterior, prune, merge, cap, room, filled
+                    model.pairwise,
+                    n,
+                    arrivals,
+                    members,
+                    hidden.covariance[b],
+                    hidden_posterior,
+                    prune,
+                    merge,
+                    cap,
+                    room,
+                    filled,
                 )
             if size == 0:
                 continue

@@ -1,4 +1,4 @@
-"""Range and bearing of a position in the plane: the joint Gaussian of state and measurement by an EKF or a UKF transform."""
+"""Range and bearing of a position in the plane: joint Gaussians of state and measurement by EKF or UKF."""
 
 from __future__ import annotations
 

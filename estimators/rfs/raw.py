@@ -11,7 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from servotrack.estimators.rfs.birth import state_from_measurement
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.recursion import add_axis, first_row
-from servotrack.estimators.rfs.sets import Extraction, SetEstimate, estimate_from_extraction, read_measurements
+from servotrack.estimators.rfs.sets import (
+    Extraction,
+    SetEstimate,
+    check_runs,
+    estimate_from_extraction,
+    read_measurements,
+)
 
 
 class RawState(NamedTuple):
@@ -43,6 +49,7 @@ class RawMeasurements:
         z, number, single = read_measurements(measurement, self.model.packed.observation.shape[0])
         if single:
             state = add_axis(state)
+        check_runs(state.next_label.shape[0], z.shape[0])
         used = np.arange(z.shape[1]) < number[:, None]
         mean, covariance = state_from_measurement(self.model, z, self.hidden_deviation)
         label = state.next_label[:, None] + np.arange(z.shape[1])

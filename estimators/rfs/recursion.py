@@ -20,6 +20,7 @@ from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.sets import (
     Extraction,
     SetEstimate,
+    check_runs,
     estimate_from_extraction,
     read_measurements,
 )
@@ -48,8 +49,8 @@ class GaussianSetFilter(ABC):
         extraction: "threshold", "sum" or "map".
         threshold: Weight or existence above which the threshold rule reports.
         reduction: How far mixtures are reduced.
-        gate_probability: Probability that a target's measurement lies in its gate; None ties the gate to p_D such that it
-            adds one hundredth to the missed detections (no gate where p_D is 1 or a function).
+        gate_probability: Probability that a target's measurement lies in its gate; None ties the gate to p_D such that
+            it adds one hundredth to the missed detections (no gate where p_D is 1 or a function).
 
     Raises:
         ValueError: Naming the argument that is out of range.
@@ -85,8 +86,8 @@ class GaussianSetFilter(ABC):
             raise ValueError(f"gate_probability must be in (0, 1], got {gate!r}")
         if gate is not None and not callable(self.detection) and 1.0 - gate > 0.1 * (1.0 - self.detection):
             raise ValueError(
-                f"gate_probability {gate!r} loses targets for good at p_D = {self.detection!r}: what the gate cuts off must be "
-                f"at most a tenth of what is missed anyway; use None, or at least {1.0 - 0.1 * (1.0 - self.detection):.6g}"
+                f"gate_probability {gate!r} loses targets for good at p_D = {self.detection!r}: what it cuts off must be "
+                f"at most a tenth of what is missed anyway; use None or >= {1.0 - 0.1 * (1.0 - self.detection):.6g}"
             )
 
     def initial(self, measurement: ArrayLike) -> Any:
@@ -111,8 +112,7 @@ class GaussianSetFilter(ABC):
         z, number, single = read_measurements(measurement, self._sizes[1])
         if single:
             state = add_axis(state)
-        if state.next_label.shape[0] != z.shape[0]:
-            raise ValueError(f"measurements must be of the state's {state.next_label.shape[0]} runs, got {z.shape[0]}")
+        check_runs(state.next_label.shape[0], z.shape[0])
         births = self._static_births if isinstance(self.birth, Birth) else state.births
         new, extraction, unexplained = self._advance(state, births, z, number, self._clutter(z, number))
         if isinstance(self.birth, MeasurementBirth):
@@ -127,7 +127,7 @@ class GaussianSetFilter(ABC):
     def _advance(
         self, state: Any, births: BirthMixture, z: Array, number: NDArray[np.int64], clutter: Array
     ) -> tuple[Any, Extraction, Array]:
-        """One step over all runs: the new state, what is extracted, and each measurement's chance to be clutter (B, Z)."""
+        """One step over all runs: the new state, what is extracted, each measurement's chance to be clutter (B, Z)."""
 
     @cached_property
     def _sizes(self) -> tuple[int, int]:
@@ -163,7 +163,7 @@ class GaussianSetFilter(ABC):
         return BirthMixture(np.zeros((batch, 0)), np.zeros((batch, 0, n)), np.zeros((batch, 0, n, n)))
 
     def _clutter(self, z: Array, number: NDArray[np.int64]) -> Array:
-        """kappa at each measurement, 0 in unused rows. Shape (B, Z)."""
+        """Kappa at each measurement, 0 in unused rows. Shape (B, Z)."""
         if not callable(self.clutter_intensity):
             return np.full(z.shape[:2], float(self.clutter_intensity))
         used = np.arange(z.shape[1]) < number[:, None]

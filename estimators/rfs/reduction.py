@@ -1,8 +1,8 @@
 """Pruning, merging and capping of Gaussian mixtures (Vo and Ma 2006, table II; the spread of the means is kept).
 
-Components of a pairwise model come in two kinds after an update: a missed one is a Gaussian over (x, y), a detected one a
-Gaussian over x with y equal to its measurement. Missed components merge in (x, y), detected ones in x and only with those of
-the same measurement. Under a hidden Markov model y is forgotten and all merge in x.
+Components of a pairwise model come in two kinds after an update: a missed one is a Gaussian over (x, y), a detected
+one a Gaussian over x with y equal to its measurement. Missed components merge in (x, y), detected ones in x and only
+with those of the same measurement. Under a hidden Markov model y is forgotten and all merge in x.
 """
 
 from __future__ import annotations
@@ -38,7 +38,11 @@ class Reduction:
     tracks: int = 100
 
     def __post_init__(self) -> None:
-        for name, value, top in (("prune", self.prune, 1.0), ("existence", self.existence, 1.0), ("merge", self.merge, np.inf)):
+        for name, value, top in (
+            ("prune", self.prune, 1.0),
+            ("existence", self.existence, 1.0),
+            ("merge", self.merge, np.inf),
+        ):
             if not 0.0 <= value < top:
                 raise ValueError(f"{name} must be at least 0 and below {top}, got {value!r}")
         for name, count in (("components", self.components), ("tracks", self.tracks)):
@@ -48,7 +52,7 @@ class Reduction:
 
 @njit(cache=True, nogil=True)
 def _squared_distance(difference, cov, size, limit, root):  # type: ignore[no-untyped-def]
-    """difference^T cov^-1 difference, or infinity as soon as it must exceed the limit or cov is not positive definite."""
+    """difference^T cov^-1 difference, or infinity as soon as it must exceed the limit or cov is not definite."""
     # d^2 is at least each entry's square over its variance: most pairs end here.
     for r in range(size):
         if difference[r] * difference[r] > limit * cov[r, r]:
@@ -84,8 +88,8 @@ def reduce_mixture(  # type: ignore[no-untyped-def]
     Args:
         pairwise: Whether missed and detected components differ in kind (see above).
         n: State size.
-        candidates: (weight (C,), mean (C, N), source (C,), group (C,), label (C,)); group is the measurement's index or -1
-            for a missed component, source the row of the covariance.
+        candidates: (weight (C,), mean (C, N), source (C,), group (C,), label (C,)); group is the measurement's index
+            or -1 for a missed component, source the row of the covariance.
         members: Rows of the candidates to reduce. Shape (k,).
         missed_cov: Covariances of missed components. Shape (J, N, N).
         detected_cov: Covariances after a detection. Shape (J, n, n).

@@ -1,7 +1,7 @@
 """Sets as arrays: measurements in, estimates out, and fixed arrays whose row is an identity.
 
-Column 0 of a fixed array is existence. Measurements: 1 for a used row, 0 for an unused one. Estimates: at least 0.5 reports
-a target, from 0.05 to 0.5 holds its identity silently, below 0.05 ends it and frees the row.
+Column 0 of a fixed array is existence. Measurements: 1 for a used row, 0 for an unused one. Estimates: at least 0.5
+reports a target, from 0.05 to 0.5 holds its identity silently, below 0.05 ends it and frees the row.
 """
 
 from __future__ import annotations
@@ -141,9 +141,17 @@ def read_measurements(measurement: ArrayLike, m: int) -> tuple[Array, NDArray[np
         raise ValueError("measurements must have existence 0 or 1 in column 0")
     values = np.where(used[:, :, None], z[:, :, 1:], 0.0)
     if not np.isfinite(values).all():
-        raise ValueError(f"measurements must be finite, got {_first_bad(values.reshape(-1, m))}; set their existence to 0")
+        raise ValueError(
+            f"measurements must be finite, got {_first_bad(values.reshape(-1, m))}; set their existence to 0"
+        )
     order = np.argsort(~used, axis=1, kind="stable")
     return np.take_along_axis(values, order[:, :, None], axis=1), used.sum(axis=1), False
+
+
+def check_runs(state: int, measurements: int) -> None:
+    """Raise where a batch of measurements does not fit a state's number of runs."""
+    if state != measurements:
+        raise ValueError(f"measurements must be of the state's {state} runs, got {measurements}")
 
 
 def measurements_to_rows(measurements: ArrayLike, rows: int) -> Array:

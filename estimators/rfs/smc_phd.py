@@ -20,7 +20,14 @@ from servotrack.estimators.rfs.particles import (
     weigh_particles,
 )
 from servotrack.estimators.rfs.recursion import add_axis, first_row
-from servotrack.estimators.rfs.sets import SetEstimate, empty_extraction, estimate_from_extraction, read_measurements
+from servotrack.estimators.rfs.sets import (
+    Extraction,
+    SetEstimate,
+    check_runs,
+    empty_extraction,
+    estimate_from_extraction,
+    read_measurements,
+)
 
 Array = NDArray[np.float64]
 
@@ -115,8 +122,9 @@ class ParticlePHD:
         z, number, single = read_measurements(measurement, m)
         if single:
             state = add_axis(state)
+        check_runs(state.next_label.shape[0], z.shape[0])
         new = ParticlePHDState(*(np.array(leaf) for leaf in state))
-        room = min(self.capacity, max(int(round(self.capacity / self.particles)), 1))
+        room = min(self.capacity, max(round(self.capacity / self.particles), 1))
         extraction = empty_extraction(z.shape[0], room, n)
         for b in range(z.shape[0]):
             # Every run has a generator of its own: numbers do not depend on who else is in the batch.
@@ -125,7 +133,9 @@ class ParticlePHD:
         new.time[...] += 1
         return (first_row(new) if single else new), estimate_from_extraction(extraction, single)
 
-    def _advance(self, new: ParticlePHDState, b: int, z: Array, rng: np.random.Generator, extraction) -> None:  # type: ignore[no-untyped-def]
+    def _advance(
+        self, new: ParticlePHDState, b: int, z: Array, rng: np.random.Generator, extraction: Extraction
+    ) -> None:
         """One step of run b, in place."""
         model = self.model.packed
         n = model.observation.shape[1]
@@ -134,7 +144,9 @@ class ParticlePHD:
         eigenvalues, vectors = np.linalg.eigh(model.noise[:n, :n])
         root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
         survivors = predict_particles(model.transition[:n, :n], root, old, rng.standard_normal((count, n)))
-        places = rng.choice(len(self.birth.weights), self.birth_particles, p=self.birth.weights / self.birth.weights.sum())
+        places = rng.choice(
+            len(self.birth.weights), self.birth_particles, p=self.birth.weights / self.birth.weights.sum()
+        )
         roots = np.linalg.cholesky(self.birth.covariances)
         noise = rng.standard_normal((self.birth_particles, n))
         births = self.birth.means[places] + np.einsum("prk,pk->pr", roots[places], noise)

@@ -35,7 +35,8 @@ FILTERS = [GMPHD, GMCBMeMBer, PMB]
 
 
 def places(weight=0.03):
-    means = np.array([(0.0, 0.0, 0.0, 0.0), (400.0, 0.0, -600.0, 0.0), (-800.0, 0.0, -200.0, 0.0), (-200.0, 0.0, 800.0, 0.0)])
+    means = np.zeros((4, 4))
+    means[:, [0, 2]] = (0.0, 0.0), (400.0, -600.0), (-800.0, -200.0), (-200.0, 800.0)
     return Birth(np.full(4, weight), means, 100.0 * np.eye(4))
 
 
@@ -193,14 +194,15 @@ def test_belief_propagation_is_exact_without_loops(values, across):
 
 
 @settings(max_examples=60, deadline=None)
-@given(psi=st.lists(st.floats(0.0, 1e12), min_size=9, max_size=9))
+@given(psi=st.lists(st.one_of(st.floats(0.0, 900.0), st.floats(0.0, 1e12)), min_size=9, max_size=9))
 def test_belief_propagation_gives_probabilities_that_sum_to_one(psi):
     psi = np.array(psi).reshape(3, 3)
     missed, assigned, fresh = belief(psi)
     assert np.all((assigned >= 0.0) & (missed >= 0.0) & (fresh >= 0.0))
     np.testing.assert_allclose(missed + assigned.sum(axis=1), 1.0, atol=1e-9)
-    # The two sides agree where the messages have converged.
-    assert np.all(fresh + assigned.sum(axis=0) <= 1.0 + 1e-3)
+    if psi.max() < 1e3:
+        # The measurements' side agrees as far as the messages have converged.
+        np.testing.assert_allclose(fresh + assigned.sum(axis=0), 1.0, atol=1e-3)
 
 
 def test_pmb_of_one_target_is_the_exact_bernoulli_filter():
@@ -219,7 +221,9 @@ def test_pmb_of_one_target_is_the_exact_bernoulli_filter():
     m, P = K @ z[0], P - K @ H @ P
     m, P, r = F @ m, F @ P @ F.T + Q, p_s * r
     z = np.array([[0.5, -1.0]])
-    silent = PMB(HMM, Birth([1e-12], np.full((1, 4), 1e6), P), clutter_intensity=kappa, survival=p_s, detection=p_d, gate_probability=1.0)
+    nowhere = Birth([1e-12], np.full((1, 4), 1e6), P)
+    options = {"clutter_intensity": kappa, "survival": p_s, "detection": p_d, "gate_probability": 1.0}
+    silent = PMB(HMM, nowhere, **options)
     state, _ = silent.step(state._replace(undetected=silent.initial(z).undetected), z)
     rho = p_d * normal_pdf(z[0], H @ m, H @ P @ H.T + R)
     exact = (r * (1.0 - p_d) * kappa + r * rho) / (kappa * (1.0 - r * p_d) + r * rho)

@@ -178,7 +178,7 @@ def test_bad_models_are_refused_by_name():
         HiddenMarkovModel(good.transition, good.process_noise, np.eye(3), np.eye(2))
     with pytest.raises(ValueError, match="transition must be finite"):
         HiddenMarkovModel(np.full((4, 4), np.nan), good.process_noise, good.observation, np.eye(2))
-    with pytest.raises(ValueError, match="process_noise must be finite and > 0, got 0.0"):
+    with pytest.raises(ValueError, match=r"process_noise must be finite and > 0, got 0\.0"):
         constant_velocity(0.0, 1.0)
     with pytest.raises(ValueError, match="structure must be one of"):
         pairwise_structure(good, "S7")  # type: ignore[arg-type]
