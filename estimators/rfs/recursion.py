@@ -86,8 +86,8 @@ class GaussianSetFilter(ABC):
             raise ValueError(f"gate_probability must be in (0, 1], got {gate!r}")
         if gate is not None and not callable(self.detection) and 1.0 - gate > 0.1 * (1.0 - self.detection):
             raise ValueError(
-                f"gate_probability {gate!r} loses targets for good at p_D = {self.detection!r}: what it cuts off must be "
-                f"at most a tenth of what is missed anyway; use None or >= {1.0 - 0.1 * (1.0 - self.detection):.6g}"
+                f"gate_probability {gate!r} loses targets for good at p_D = {self.detection!r}: what it cuts off must "
+                f"be at most a tenth of what is missed anyway; use None or >= {1.0 - 0.1 * (1.0 - self.detection):.6g}"
             )
 
     def initial(self, measurement: ArrayLike) -> Any:
