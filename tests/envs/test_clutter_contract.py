@@ -1,4 +1,4 @@
-"""The clutter world keeps the rules of Gymnasium and Stable-Baselines3, single and vector; its pictures show something."""
+"""The clutter world keeps the rules of Gymnasium and Stable-Baselines3, single and vector; pictures show something."""
 
 from __future__ import annotations
 
