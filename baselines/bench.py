@@ -110,7 +110,8 @@ def _evaluated(
     workers = min((os.cpu_count() or 1) + 1 + jobs if jobs < 0 else jobs, len(cells))
     if workers <= 1:
         for cell in cells:
-            yield _evaluate_cell(cell, folder, seeds, record)
+            _evaluate_cell(cell, folder, seeds, record)
+            yield
         return
     yield from Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)(
         delayed(_evaluate_cell)(cell, folder, seeds, record) for cell in cells

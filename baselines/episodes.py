@@ -147,7 +147,7 @@ def _final_success(info: Mapping[str, Any], row: int) -> bool | None:
 
 def _max_steps(env: Any) -> int | None:
     """Steps of a full episode: those that a servo's configuration says, or those that the id was registered with."""
-    config = getattr(env.unwrapped, "config", None)
+    config: Any = getattr(env.unwrapped, "config", None)
     if hasattr(config, "warmup") and hasattr(config, "horizon"):
         return int(config.warmup + config.horizon)
     own = None if env.spec is None else env.spec.max_episode_steps

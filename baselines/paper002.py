@@ -91,7 +91,7 @@ def estimator(algorithm: str, process_scale: float = 1.0, seed: int = 0) -> Any:
         ValueError: Another algorithm.
     """
     deviation = math.sqrt(PROCESS_VARIANCE * process_scale)
-    common = {
+    common: dict[str, Any] = {
         "walk": RandomWalk(deviation, deviation),
         "measurement_noise": math.sqrt(MEASUREMENT_VARIANCE),
         "prior": JacobianPrior(math.sqrt(INITIAL_VARIANCE), math.sqrt(INITIAL_VARIANCE)),
@@ -113,17 +113,18 @@ def initial_jacobian(env_id: str, world: Mapping[str, Any], seed: int) -> tuple[
     try:
         observation, _ = env.reset(seed=seed)
         limit = env.unwrapped.max_joint_rate  # type: ignore[attr-defined]
-        columns = []
-        for joint in range(observation["joint_angles"].size):
-            move = np.zeros(observation["joint_angles"].size, dtype=np.float32)
-            move[joint] = PROBE / 0.05 / limit
-            moved, *_ = env.step(move)
-            turned = moved["joint_angles"][joint] - observation["joint_angles"][joint]
-            columns.append((moved["features"] - observation["features"]) / turned)
-            observation, *_ = env.step(-move)
-        jacobian = np.column_stack([*columns, np.zeros_like(columns[0])])
+        joints = observation["joint_angles"].size
+        turns, changes = [], []
+        for move in PROBE / 0.05 / limit * np.repeat(np.eye(joints), 2, axis=0) * np.tile([[1.0], [-1.0]], (joints, 1)):
+            moved, *_ = env.step(move.astype(np.float32))
+            turns.append(moved["joint_angles"] - observation["joint_angles"])
+            changes.append(moved["features"] - observation["features"])
+            observation = moved
     finally:
         env.close()
+    # A motor stops a moment after it is told to, so no move turns one joint alone: least squares sort them out.
+    by_joints = np.linalg.lstsq(np.array(turns), np.array(changes), rcond=None)[0].T
+    jacobian = np.column_stack([by_joints, np.zeros(len(by_joints))])
     return tuple(tuple(row) for row in jacobian.tolist())
 
 

@@ -49,7 +49,8 @@ class AgentCard:
         parameters: Keyword arguments of the factory.
         information: What the agent was told.
         requires: Names of what the evaluator must add to the observation; only "truth" exists.
-        tuning_steps: Environment steps that its hyper-parameters or weights were tuned or trained with.
+        tuning_steps: Environment steps that its hyper-parameters or weights were tuned or trained with; None: nobody
+            counted them.
         summary: One line for people.
         laws: Whether a control law can be chosen ("name+law").
         in_default_suite: Whether `servotrack bench` measures it unless told otherwise.
@@ -61,7 +62,7 @@ class AgentCard:
     summary: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
     requires: frozenset[str] = frozenset()
-    tuning_steps: int = 0
+    tuning_steps: int | None = None
     laws: bool = False
     in_default_suite: bool = True
 

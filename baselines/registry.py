@@ -10,17 +10,17 @@ from typing import Any
 
 from servotrack.baselines.protocol import Agent, AgentCard, Information
 
-DEFAULT_LAW = "proportional"
-LAWS = (DEFAULT_LAW, "pi", "damped", "one-step")
+DEFAULT_LAW = "pi"
+LAWS = (DEFAULT_LAW, "proportional", "damped", "one-step")
 
 
 def _servo(name: str, information: Information, summary: str, **fields: Any) -> AgentCard:
     return AgentCard(
         name,
-        "servotrack.baselines.servo:create_servo_agent",
+        "servotrack.baselines.servo_agents:create_servo_agent",
         information,
         summary,
-        parameters={"estimator": name},
+        parameters={"estimator": name, "law": DEFAULT_LAW},
         laws=True,
         **fields,
     )
@@ -46,7 +46,13 @@ def _observer(name: str, summary: str, information: Information = "calibrated", 
 
 
 _CARDS = (
-    AgentCard("random", "servotrack.baselines.random_agent:RandomAgent", "model-free", "uniform actions: no skill"),
+    AgentCard(
+        "random",
+        "servotrack.baselines.random_agent:RandomAgent",
+        "model-free",
+        "uniform actions: no skill",
+        tuning_steps=0,
+    ),
     _servo("fixed-jacobian", "model-free", "the Jacobian found by probing at the start, never updated"),
     _servo("broyden", "model-free", "Broyden's rank-one update"),
     _servo("rls", "model-free", "recursive least squares with forgetting"),
@@ -136,7 +142,7 @@ def _foreign_card(name: str) -> AgentCard:
         information=getattr(factory, "information", "undeclared"),
         summary=(factory.__doc__ or name).strip().splitlines()[0],
         requires=frozenset(getattr(factory, "requires", ())),
-        tuning_steps=int(getattr(factory, "tuning_steps", 0)),
+        tuning_steps=getattr(factory, "tuning_steps", None),
     )
 
 

@@ -73,9 +73,24 @@ class CellResults:
         return [by_seed[seed] for seed in seeds if seed in by_seed]
 
 
+def plain(env_kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments as a results file gives them back, tuples as lists.
+
+    Raises:
+        ValueError: An argument that JSON cannot hold.
+    """
+    try:
+        return json.loads(json.dumps(dict(env_kwargs)))
+    except TypeError as error:
+        raise ValueError(
+            f"env_kwargs must be numbers, texts, and lists of them, got {env_kwargs!r} ({error})"
+        ) from error
+
+
 def describe_environment(env_id: str, env_kwargs: Mapping[str, Any]) -> str:
     """Id and arguments in one line, for titles and folder names."""
-    return ",".join([env_id, *(f"{key}={env_kwargs[key]}" for key in sorted(env_kwargs))])
+    arguments = plain(env_kwargs)
+    return ",".join([env_id, *(f"{key}={arguments[key]}" for key in sorted(arguments))])
 
 
 def provenance() -> dict[str, Any]:
@@ -182,7 +197,7 @@ class ResultsFolder:
         if not path.exists():
             return None
         cell = read_cell(path)
-        wanted = (env_id, json.loads(json.dumps(dict(env_kwargs))), agent)
+        wanted = (env_id, plain(env_kwargs), agent)
         if (cell.env_id, cell.env_kwargs, cell.agent) != wanted:
             raise ResultsError(
                 f"{path} holds {cell.agent!r} in {cell.environment}, not {agent!r} in {env_id}; move it away"

@@ -49,7 +49,7 @@ class StableBaselinesVecEnv(VecEnv):
 
     def reset(self) -> Any:
         """Reset all rows, with the seeds and options given before, and return their observations."""
-        seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
+        seeds: Any = None if all(seed is None for seed in self._seeds) else list(self._seeds)
         # Options belong to single environments in Stable-Baselines3; a vector environment takes one set for all.
         options = self._options[0] if self._options and any(self._options) else None
         if options is not None and any(other != options for other in self._options):
@@ -91,7 +91,7 @@ class StableBaselinesVecEnv(VecEnv):
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """One frame per row."""
-        frames = self.env.render()
+        frames: Any = self.env.render()
         return [None] * self.num_envs if frames is None else list(frames)
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
@@ -141,8 +141,8 @@ class StableBaselinesVecEnv(VecEnv):
         for key, values in info.items():
             if key.startswith("_"):
                 continue
-            mask = info.get(f"_{key}")
-            everyone = mask is None or bool(np.all(mask))
+            mask = np.asarray(info.get(f"_{key}", True))
+            everyone = bool(mask.all())
             if isinstance(values, Mapping):
                 for row, part in enumerate(self._split(values)):
                     if everyone or mask[row]:
@@ -150,7 +150,7 @@ class StableBaselinesVecEnv(VecEnv):
                 continue
             # Lists of Python numbers are several times faster to walk than arrays.
             listed = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else values
-            for row in range(self.num_envs) if everyone else np.flatnonzero(mask):
+            for row in range(self.num_envs) if everyone else np.flatnonzero(mask).tolist():
                 rows[row][key] = listed[row]
         return rows
 

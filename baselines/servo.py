@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.baselines.servo_estimators import servo_controller
 from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
 from servotrack.estimators.jacobian.controller import ControllerState, ServoController
 from servotrack.estimators.jacobian.informed import Geometry
@@ -101,26 +100,3 @@ class JacobianServo:
             state = select_rows(starts, self.controller.initial(measurement), state)
         state, rate = self.controller.step(state, measurement)
         return (rate / self.controller.max_joint_rate).astype(np.float32), state
-
-
-def create_servo_agent(env: Any, estimator: str, law: str = "proportional") -> JacobianServo:
-    """A servo agent for an environment, of which only `max_joint_rate` and the observation space are read.
-
-    Args:
-        env: A servo environment or vector environment.
-        estimator: A name from `servotrack.baselines.servo_estimators`.
-        law: "proportional", "pi", "damped" or "one-step".
-
-    Raises:
-        ValueError: The environment is no servo.
-    """
-    space = getattr(env, "single_observation_space", env.observation_space)
-    max_joint_rate = getattr(env.unwrapped, "max_joint_rate", None)
-    keys = set(getattr(space, "spaces", ()))
-    if max_joint_rate is None or not keys.issuperset(OBSERVATION_KEYS):
-        name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
-        raise ValueError(
-            f"agent {estimator!r} needs an environment with max_joint_rate and the observations "
-            f"{', '.join(OBSERVATION_KEYS)}; {name} is none: choose UncalibServo-v0, or another agent"
-        )
-    return JacobianServo(servo_controller(estimator, law, float(max_joint_rate)))

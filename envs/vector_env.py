@@ -111,7 +111,7 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
     def _frame(self, row: int) -> NDArray[np.uint8]:
         """A row's picture."""
 
-    @property
+    @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """One generator for each sub-environment."""
         self._generate([None] * self.num_envs)

@@ -47,7 +47,7 @@ class PrivilegedObservation(gym.ObservationWrapper[Observation, Any, Observation
     def __init__(self, env: gym.Env[Observation, Any]) -> None:
         super().__init__(env)
         self._privileged = _privileged(env)
-        self.observation_space = _widened(env.observation_space, self._privileged())
+        self.observation_space = _widened(env.observation_space, self._privileged())  # type: ignore[assignment]
 
     def observation(self, observation: Observation) -> Observation:
         """The observation and the truth beside it."""

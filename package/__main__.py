@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from servotrack.baselines.leaderboard.summary import TaskSummary
 
 DEFAULT_RESULTS = Path("results")
-PIPED_WIDTH = 170
+PIPED_WIDTH = 190
 FILMED_LEVEL = 3
 
 app = typer.Typer(

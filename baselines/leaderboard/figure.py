@@ -29,7 +29,7 @@ FAMILY_COLORS = {
 """Cold colors for agents that know no model, warm ones for those that know the structure, black for the privileged."""
 SUCCESS_COLORS = ("#ffffff", "#e4f1ee", "#a9d6cb", "#6bbcab")
 """From no success to nothing but success."""
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.size": 8.0,
     "axes.spines.top": False,

@@ -14,6 +14,7 @@ from servotrack.baselines.statistics import Interval, PairedDifference
 
 REFERENCE = "ukf"
 LOWER_ANCHOR, UPPER_ANCHOR = "random", "oracle"
+BOUND = "informed-bound"
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class AgentSummary:
         difference: Steady error minus the reference's, paired by seed, m.
         adjusted_p: Its p-value after Holm's correction over the task's table.
         step_seconds: Median compute time of one step, s.
-        tuning_steps: Environment steps spent on tuning or training.
+        tuning_steps: Environment steps spent on tuning or training; None where nobody counted them.
     """
 
     agent: str
@@ -52,7 +53,7 @@ class AgentSummary:
     difference: PairedDifference | None
     adjusted_p: float | None
     step_seconds: float | None
-    tuning_steps: int
+    tuning_steps: int | None
 
 
 @dataclass(frozen=True)

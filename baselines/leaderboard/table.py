@@ -7,7 +7,14 @@ from typing import NamedTuple
 
 from rich.table import Table
 
-from servotrack.baselines.leaderboard.summary import REFERENCE, AgentSummary, OverallSummary, TaskSummary, overall
+from servotrack.baselines.leaderboard.summary import (
+    BOUND,
+    REFERENCE,
+    AgentSummary,
+    OverallSummary,
+    TaskSummary,
+    overall,
+)
 from servotrack.baselines.statistics import Interval
 
 SIGNIFICANCE = 0.05
@@ -15,7 +22,9 @@ PRIVILEGED_MARK = "†"
 NOTE = (
     "Score: ln(e_random/e) / ln(e_random/e_oracle), 0 is random, 1 the analytic Jacobian, more is possible. "
     f"{PRIVILEGED_MARK} sees the truth. Brackets: 95 % intervals. "
-    f"Differences are paired by seed against {REFERENCE}; * marks those below p = 0.05 after Holm's correction."
+    f"Differences are paired by seed against {REFERENCE}; * marks those below p = 0.05 after Holm's correction. "
+    f"× bound: mean steady error over that of {BOUND}. "
+    "Tuning steps: environment steps spent on tuning, on seeds of their own; ? where nobody counted them."
 )
 
 
@@ -47,8 +56,9 @@ def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
 def task_grid(task: TaskSummary) -> Grid:
     """One task in full."""
     servo = any(row.steady for row in task.rows)
+    bound = task.row(BOUND)
     headings = ["agent", "told", "n", "success %"]
-    headings += ["score", "worst tenth", "steady mm", f"− {REFERENCE} mm"] if servo else ["return"]
+    headings += ["score", "worst tenth", "steady mm", f"− {REFERENCE} mm", "× bound"] if servo else ["return"]
     headings += ["µs/step", "tuning steps"]
     rows = []
     for row in task.rows:
@@ -59,10 +69,13 @@ def task_grid(task: TaskSummary) -> Grid:
             cells.append("" if row.worst_score is None else f"{row.worst_score:.2f}")
             cells.append(_interval(row.steady, 1, 1e3) if row.steady else "")
             cells.append(_difference(row))
+            cells.append(
+                f"{row.steady.value / bound.steady.value:.2f}" if row.steady and bound and bound.steady else ""
+            )
         else:
             cells.append(_interval(row.mean_return, 2))
         cells.append("" if row.step_seconds is None else f"{row.step_seconds * 1e6:.0f}")
-        cells.append(f"{row.tuning_steps:,}")
+        cells.append("?" if row.tuning_steps is None else f"{row.tuning_steps:,}")
         rows.append(cells)
     return Grid(headings, rows, 2)
 

@@ -132,7 +132,8 @@ def _floor(reach: float) -> Image:
         coarse = rng.normal(0.0, strength, (cells, cells))
         grain += cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC)
     floor = np.rint(np.clip(np.array(FLOOR) + grain[..., None], 0, 255)).astype(np.uint8)
-    for k in range(-20, 21):
+    farthest = int(_WINDOW_SIDE * reach / GRID_SPACING)
+    for k in range(-farthest, farthest + 1):
         column, row = floor_pixels(np.array([k, k]) * GRID_SPACING, reach)
         color = mix(FLOOR_GRID, INK, 0.10) if k == 0 else FLOOR_GRID
         for ends in (((column, 0), (column, side)), ((0, row), (side, row))):

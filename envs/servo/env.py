@@ -142,8 +142,9 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.level = level
         self.render_mode = check_render_mode(render_mode)
         self.world = ServoWorld(self.config, 1)
-        self.action_space = action_space()
-        self.observation_space = self._observation_space()
+        # Gymnasium types Dict as a space of spaces and Box without its dtype.
+        self.action_space = action_space()  # type: ignore[assignment]
+        self.observation_space = self._observation_space()  # type: ignore[assignment]
         self.max_joint_rate = self.config.max_joint_rate
         self._running = False
         self._recorder, self._viewer = _screen(self.world, level, self.render_mode, type(self).__name__)

@@ -99,7 +99,7 @@ def samples(config: ServoConfig) -> int:
 
 def sample_times(config: ServoConfig) -> Array:
     """Instants of the tables' rows, shape (K,), s; time 0 is where scoring starts."""
-    return (np.arange(samples(config)) - LEAD - config.warmup) * PERIOD
+    return (np.arange(samples(config), dtype=np.float64) - LEAD - config.warmup) * PERIOD
 
 
 def draw_episode(config: ServoConfig, seed: int) -> Episode:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.envs.servo.episode import LEAD, Episode, Stream, sample_times
+from servotrack.envs.servo.episode import LEAD, Episode, Stream, Streams, sample_times
 from servotrack.envs.servo.exposure import NOISE_SIDE, expose, trace_rays
 from servotrack.envs.servo.floor import floor_texture
 from servotrack.envs.servo.targets import PERIOD
@@ -102,9 +102,9 @@ class ImageSensor:
         self._episodes[row] = episode
         self.goal[row] = episode.goal * self._scale
         self._distractors[row] = _distractor_path(episode, sample_times(world.config))
-        rng = episode.streams[Stream.IMAGE_NOISE]
+        rng = _stream(episode, Stream.IMAGE_NOISE)
         self._noise_offset[row] = rng.integers(0, NOISE_SIDE, self._noise_offset.shape[1:])
-        rng = episode.streams[Stream.FLOOR]
+        rng = _stream(episode, Stream.FLOOR)
         angle, brightness, warmth = rng.uniform((0.0, 105.0, -0.06), (2.0 * math.pi, 165.0, 0.08))
         shift = rng.uniform(0.0, 1.0, 2)
         self._floor_pose[row] = (math.cos(angle), math.sin(angle), *shift)
@@ -119,9 +119,14 @@ def _noise_tile(level: float, image_size: int) -> NDArray[np.float32]:
     return (level * tile[:, columns]).astype(np.float32)
 
 
+def _stream(episode: Episode, stream: Stream) -> np.random.Generator:
+    """A stream from its beginning, so that a second sensor on the same episode sees the same floor."""
+    return Streams(episode.streams.seed)[stream]
+
+
 def _distractor_path(episode: Episode, times: Array) -> Array:
     """Positions and velocities of the distractor, (K, 4): it circles slowly near the target's path, or rests there."""
-    rng = episode.streams[Stream.DISTRACTOR]
+    rng = _stream(episode, Stream.DISTRACTOR)
     low, high = episode.path[:, :2].min(axis=0) - 0.1, episode.path[:, :2].max(axis=0) + 0.1
     center = rng.uniform(low, high)
     radii = rng.uniform(0.02, 0.15, 2) * (rng.random() < 0.7)

@@ -96,7 +96,8 @@ def draw(scene: ServoScene) -> Image:
 
 def _draw_floor(panel: Image, scene: ServoScene, lit_floor: Image) -> None:
     reach = float(np.sum(scene.links))
-    scale = still.floor_scale(reach)
+    # Arms of all sizes are drawn equally sturdy: widths are fractions of the reach.
+    scale = still.floor_scale(reach) * reach
     first, both = scene.joint_angles[0], scene.joint_angles[0] + scene.joint_angles[1]
     elbow = scene.links[0] * np.array([np.cos(first), np.sin(first)])
     tool = elbow + scene.links[1] * np.array([np.cos(both), np.sin(both)])
@@ -149,7 +150,7 @@ def _shadow(panel: Image, base: Array, elbow: Array, tool: Array, scale: float) 
 
 
 def _arm(panel: Image, base: Array, elbow: Array, tool: Array, heading: float, scale: float) -> None:
-    """Base, two tapered links, joints, and the camera at the tool; widths in meters."""
+    """Base, two tapered links, joints, and the camera at the tool."""
     plate = 0.080 * scale
     _disc(panel, base, plate, mix(still.INK, still.PAPER, 0.62))
     _disc(panel, base, plate - 1.3, mix(still.FLOOR, still.PAPER, 0.35))

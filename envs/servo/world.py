@@ -162,7 +162,8 @@ class ServoWorld:
             `true_noise` (N, 2), standard deviations of encoders (rad) and joint rates (rad/s); `true_gain` (N, 2),
             factors on the joint rates.
         """
-        hidden = self.latency * PERIOD if not self.config.stamped else np.zeros(self.count)
+        # An unstamped frame tells its arrival, half a readout after its middle row was read.
+        hidden = np.where(self.config.stamped, 0.0, self.latency * PERIOD + 0.5 * self.config.rolling_shutter)
         position, velocity = self.target[:, :2], self.target[:, 2:]
         return {
             "true_jacobian": image_jacobian(self.cameras, self.links, self.joints, position, velocity),
@@ -194,7 +195,7 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
     values = np.asarray(actions, dtype=np.float64)
     if values.shape != shape:
         raise ValueError(f"action must have shape {shape}, one rate for each joint, got {values.shape}")
-    if not math.isfinite(values.sum()):
+    if not np.isfinite(values).all():
         raise ValueError(f"action must be finite, got {values.tolist()}; check the policy for NaN or overflow")
     return values
 
@@ -248,11 +249,11 @@ def _capture(camera, links, path, history, frame, size, shutter):  # type: ignor
 
 
 @njit(cache=True, nogil=True)
-def _sense(
+def _sense(  # type: ignore[no-untyped-def]
     rows, steps, warmup, horizon, size, shutter, stamped, quantized, links, cameras, goal, latency, path, feature_noise,
     encoder_noise, dropped, joints, history, out_of_view, joint_angles, features, visible, frame_time, time, reward,
     terminated, truncated, tracking_error, feature_error, tool, target, captured,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Take the sample of every chosen row: truth, score, and what the sensors deliver."""
     for i in range(rows.shape[0]):
         if not rows[i]:

@@ -43,10 +43,11 @@ class Latencies:
     """Frames whose stamps tell the arrival may be this old.
 
     Args:
-        ages: Assumed ages of a frame at its stamp, s. The default is 0, 1 and 2 control periods.
+        ages: Assumed ages of a frame at its stamp, s. The default covers two control periods in steps fine enough for a
+            camera whose readout takes a part of a period.
     """
 
-    ages: tuple[float, ...] = (0.0, 0.05, 0.10)
+    ages: tuple[float, ...] = (0.0, 0.03, 0.06, 0.09, 0.12)
 
     def __post_init__(self) -> None:
         if not self.ages or not all(0.0 <= age < np.inf for age in self.ages):

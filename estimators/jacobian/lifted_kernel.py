@@ -134,11 +134,11 @@ def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate
 
 
 @njit(cache=True, nogil=True)
-def lifted_update(
+def lifted_update(  # type: ignore[no-untyped-def]
     mean, cov, weight, noise_weight, fresh, dt, joints, z,
     models, drift, stay, noise, noise_stay, extra, outlier_rate, outlier_variance,
     log_likelihood, surprise, encoder_error,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Advance every fresh row by `dt` and fold its measurement in; all arrays are changed in place.
 
     Args:

@@ -27,12 +27,13 @@ def checked(measurement: ServoMeasurement) -> ServoMeasurement:
         message
             names the field, the value and the remedy.
     """
-    joint_angles = np.asarray(measurement.joint_angles, dtype=np.float64)
-    features = np.asarray(measurement.features, dtype=np.float64)
-    goal = np.asarray(measurement.goal, dtype=np.float64)
-    visible = np.asarray(measurement.visible, dtype=np.bool_)
-    frame_time = np.asarray(measurement.frame_time, dtype=np.float64)
-    time = np.asarray(measurement.time, dtype=np.float64)
+    # Contiguous, so that the compiled kernels need only one version of themselves.
+    joint_angles = np.asarray(measurement.joint_angles, dtype=np.float64, order="C")
+    features = np.asarray(measurement.features, dtype=np.float64, order="C")
+    goal = np.asarray(measurement.goal, dtype=np.float64, order="C")
+    visible = np.asarray(measurement.visible, dtype=np.bool_, order="C")
+    frame_time = np.asarray(measurement.frame_time, dtype=np.float64, order="C")
+    time = np.asarray(measurement.time, dtype=np.float64, order="C")
 
     if joint_angles.ndim == 0:
         raise ValueError(

@@ -51,8 +51,8 @@ class Supervisor:
     """Counts the steps on which something is wrong; once they outnumber the others by `patience`, it speaks up.
 
     Wrong is: the estimator is surprised on average; J_theta is (nearly) singular; the error is large and does not
-    shrink; a joint does not follow its command, which at a stop means that it is driven by a Jacobian nobody can
-    correct any more.
+    shrink; the error is large and a joint does not follow its command, which at a stop means that it is driven by a
+    Jacobian that no motion corrects any more.
 
     Args:
         patience: How far the bad steps must outnumber the good ones.
@@ -63,6 +63,7 @@ class Supervisor:
         shrinking: Error over the last frame's error that counts as shrinking, at most 1.
         least_motion: Commanded motion in one step from which on a joint is expected to follow, rad.
         followed: Share of the commanded motion that counts as following.
+        blocked_limit: Steps without following after which a joint counts as blocked.
         unseen_limit: Steps without the target after which it counts as lost.
     """
 
@@ -74,10 +75,15 @@ class Supervisor:
     shrinking: float = 0.99
     least_motion: float = 0.01
     followed: float = 0.2
-    unseen_limit: int = 5
+    blocked_limit: int = 3
+    unseen_limit: int = 10
 
     def __post_init__(self) -> None:
-        for name, count in (("patience", self.patience), ("unseen_limit", self.unseen_limit)):
+        for name, count in (
+            ("patience", self.patience),
+            ("blocked_limit", self.blocked_limit),
+            ("unseen_limit", self.unseen_limit),
+        ):
             if count < 1:
                 raise ValueError(f"{name} must be at least 1 step, got {count}")
         if not 0.0 <= self.surprise_memory < 1.0:
@@ -115,8 +121,9 @@ class Supervisor:
         visible = np.asarray(measurement.visible, dtype=np.bool_)
         unseen = np.where(visible, 0, state.unseen + 1)
 
-        error_norm = np.sqrt(np.sum(estimate.error**2, axis=-1))
-        growing = visible & (error_norm > self.large_error) & (error_norm > self.shrinking * state.error_norm)
+        error_norm = np.where(visible, np.sqrt(np.sum(estimate.error**2, axis=-1)), state.error_norm)
+        large = error_norm > self.large_error
+        growing = error_norm > self.shrinking * state.error_norm
         surprise = np.where(
             visible,
             self.surprise_memory * state.surprise + (1.0 - self.surprise_memory) * estimate.surprise,
@@ -128,8 +135,12 @@ class Supervisor:
         )
         blocked = np.where(stuck, state.blocked + 1, 0)
 
-        bad = growing | (surprise > self.surprise_limit) | self._ill_conditioned(estimate) | (blocked >= 3).any(axis=-1)
-        symptoms = np.clip(state.symptoms + np.where(bad, 1, -1), 0, self.patience)
+        bad = (large & growing) | (surprise > self.surprise_limit) | self._ill_conditioned(estimate)
+        # A joint that rests against its stop while the error is small only waits for the target to come back.
+        bad |= large & (blocked >= self.blocked_limit).any(axis=-1)
+        change = np.where(bad, 1, -1)
+        # Without a frame there is nothing new to judge by.
+        symptoms = np.where(visible, np.clip(state.symptoms + change, 0, self.patience), state.symptoms)
         new_state = SupervisorState(
             symptoms=symptoms,
             error_norm=error_norm,
@@ -139,7 +150,7 @@ class Supervisor:
             unseen=unseen,
             last_seen_joints=np.where(visible[..., None], joint_angles, state.last_seen_joints),
         )
-        return new_state, Verdict(symptoms >= self.patience, unseen >= self.unseen_limit)
+        return new_state, Verdict(visible & (symptoms >= self.patience), unseen >= self.unseen_limit)
 
     def _ill_conditioned(self, estimate: ServoEstimate) -> NDArray[np.bool_]:
         values = np.linalg.svd(finite_or_zero(estimate.jacobian[..., :-1]), compute_uv=False)

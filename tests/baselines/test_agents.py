@@ -13,8 +13,8 @@ from servotrack.baselines.evaluate import make_single, make_vector
 from servotrack.baselines.protocol import Agent
 from servotrack.baselines.random_agent import RandomAgent
 from servotrack.baselines.registry import AGENTS, LAWS, agent_card, create_agent
-from servotrack.baselines.servo_estimators import ESTIMATORS
-from servotrack.baselines.servo_estimators import LAWS as LAW_CLASSES
+from servotrack.baselines.servo_agents import ESTIMATORS
+from servotrack.baselines.servo_agents import LAWS as LAW_CLASSES
 from servotrack.estimators.jacobian import ParticleJacobian
 
 SERVO = "UncalibServo-v0"
@@ -186,3 +186,29 @@ def test_particles_of_an_agent_are_seeded() -> None:
     assert np.array_equal(
         roll(create_agent("pf", env), env, 100_000, 20), roll(create_agent("pf", env), env, 100_000, 20)
     )
+
+
+def test_images_serve_as_well_as_features() -> None:
+    env = make_vector("UncalibServoPixels-v0", 2, {"level": 3}, privileged=False)
+    agent = create_agent("lifted-kf", env)
+    observation, _ = env.reset(seed=[100_030, 100_031])
+    state, errors = None, []
+    for _ in range(100):
+        action, state = agent.predict(observation, state=state)
+        observation, _, _, _, info = env.step(action)
+        errors.append(info["tracking_error"])
+    assert np.max(errors[80:]) < 0.01 < np.min(errors[0])
+
+
+def test_an_image_without_the_marker_or_seen_before_is_no_new_feature() -> None:
+    env = make_single("UncalibServoPixels-v0", {"level": 0})
+    agent = create_agent("kf", env)
+    observation, _ = env.reset(seed=100_000)
+    _, first = agent.predict(observation)
+    later = {**observation, "time": observation["time"] + 0.05}
+    _, repeated = agent.predict(later, state=first)
+    black = {**later, "image": np.zeros_like(observation["image"]), "frame_time": later["time"]}
+    _, lost = agent.predict(black, state=first)
+    for state in (repeated, lost):
+        assert np.array_equal(state.features, first.features)
+        assert np.array_equal(state.frame_time, observation["frame_time"])

@@ -17,8 +17,8 @@ ENV, KWARGS, AGENT = "UncalibServo-v0", {"level": 3}, "kf"
 def make_cell(seeds: tuple[int, ...] = (1, 2), **changes: Any) -> CellResults:
     rows = [{"seed": seed, "return": 1.5, "length": 10} for seed in seeds]
     card = {"information": "model-free", "requires": [], "tuning_steps": 0, "summary": "a filter"}
-    fields: dict[str, Any] = {"provenance": provenance(), "rows": rows, "max_steps": 252}
-    return CellResults(ENV, dict(KWARGS), AGENT, card, **{**fields, **changes})
+    fields: dict[str, Any] = {"provenance": provenance(), "rows": rows, "max_steps": 252, "env_kwargs": dict(KWARGS)}
+    return CellResults(env_id=ENV, agent=AGENT, card=card, **{**fields, **changes})
 
 
 def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
@@ -132,3 +132,15 @@ def test_versions_are_not_mixed_on_one_leaderboard(tmp_path: Path) -> None:
     damage(path, provenance={"versions": {"servotrack": "0.0.1"}})
     with pytest.raises(ResultsError, match="mixes results of several servotrack versions"):
         folder.load_all()
+
+
+def test_arguments_that_json_changes_stay_one_environment(tmp_path: Path) -> None:
+    folder = ResultsFolder(tmp_path)
+    kwargs = {"latency": (0, 2)}
+    path = folder.save(make_cell(env_kwargs={"latency": [0, 2]}))
+    assert folder.file_of(ENV, kwargs, AGENT) == path
+    loaded = folder.load(ENV, kwargs, AGENT)
+    assert loaded is not None
+    assert folder.save(loaded) == path
+    with pytest.raises(ValueError, match="env_kwargs must be numbers"):
+        folder.file_of(ENV, {"latency": object()}, AGENT)

@@ -6,14 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from servotrack.envs.servo.episode import LEAD, draw_episode
 from servotrack.envs.servo.levels import servo_config
-from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
+from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START, solvable
 from servotrack.estimators.camera import project_points
-
-Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("level", range(1, 7))
@@ -48,3 +45,35 @@ def test_the_goal_is_in_the_image_or_the_draw_is_rejected() -> None:
 def test_ranges_that_contradict_each_other_are_named(axes: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"no solvable layout among 2000 draws: .*max_joint_rate=.*focal=.*depth="):
         draw_episode(servo_config(1, **axes), 0)
+
+
+def path_of(*joints: tuple[float, float]) -> np.ndarray:
+    """Positions of the tool of an arm with links of 0.5 m at given joint angles."""
+    theta1, theta2 = np.array(joints).T
+    return 0.5 * np.stack([np.cos(theta1) + np.cos(theta1 + theta2), np.sin(theta1) + np.sin(theta1 + theta2)], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("joints", "expected"),
+    [
+        ([(0.0, 1.5)], True),
+        ([(1.5, 1.5)], True),
+        ([(1.54, 1.5)], False),
+        ([(-1.54, 1.5)], False),
+        ([(0.0, 0.25)], True),
+        ([(0.0, 0.15)], False),
+        ([(0.0, 3.0)], True),
+        ([(0.0, 3.12)], False),
+        ([(0.0, 1.5), (0.079, 1.5), (0.0, 1.5)], True),
+        ([(0.0, 1.5), (0.081, 1.5)], False),
+        ([(0.0, 1.5), (0.0, 1.581)], False),
+    ],
+)
+def test_solvable_keeps_its_margins(joints: list[tuple[float, float]], expected: bool) -> None:
+    """0.05 rad from the stops, a sine of 0.1 off the singularity, 0.8 of 2 rad/s in a period of 50 ms."""
+    assert solvable(path_of(*joints), 0.5, 0.5, 2.0) == expected
+
+
+def test_points_out_of_reach_are_not_solvable() -> None:
+    assert not solvable(np.array([[1.01, 0.0]]), 0.5, 0.5, 2.0)
+    assert not solvable(np.array([[0.05, 0.0]]), 0.6, 0.5, 2.0)

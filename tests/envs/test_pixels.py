@@ -56,6 +56,16 @@ def test_same_seed_same_bits_and_other_seed_other_image():
     assert (first[0]["image"] != other[0]["image"]).mean() > 0.5
 
 
+def test_two_sensors_on_one_world_see_the_same():
+    world = ServoWorld(servo_config(3), 2)
+    world.reset([0, 1], [8, 9])
+    sensors = [ImageSensor(world, 96, 3.0) for _ in range(2)]
+    for sensor in sensors:
+        sensor.update()
+    np.testing.assert_array_equal(sensors[0].images, sensors[1].images)
+    assert (sensors[0].images[0] != sensors[0].images[1]).any()
+
+
 def test_observations_are_fresh_arrays():
     env = gym.make(ID, disable_env_checker=True)
     observation, _ = env.reset(seed=0)

@@ -12,6 +12,7 @@ from servo_history import run, wiggle
 from servotrack.envs.servo.episode import draw_episode
 from servotrack.envs.servo.levels import reach_config, servo_config
 from servotrack.envs.servo.targets import PERIOD
+from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.camera import project_points
 
 Array = NDArray[np.float64]
@@ -54,6 +55,19 @@ def test_a_dropped_frame_repeats_the_last_one_with_its_stamp() -> None:
         np.testing.assert_array_equal(lossy[name][1:][lost[1:]], lossy[name][:-1][lost[1:]])
         kept = lossy["visible"] == 1
         np.testing.assert_array_equal(lossy[name][kept], plain[name][kept])
+
+
+def test_before_the_first_frame_features_are_the_middle_and_old() -> None:
+    world = ServoWorld(servo_config(1, dropout=0.9, latency=(1, 1)), 40)
+    for first_seed in (0, 100):
+        world.reset(range(40), range(first_seed, first_seed + 40))
+        nothing = world.visible == 0
+        assert nothing.sum() > 25
+        assert (world.features[nothing] == 240.0).all()
+        assert (world.frame_time[nothing] < world.time[nothing] - PERIOD).all()
+        for _ in range(30):
+            world.step(np.zeros((40, 2)))
+        assert (world.features != 240.0).any(axis=1).sum() > 30
 
 
 @pytest.mark.parametrize("stamped", [True, False])
@@ -116,6 +130,9 @@ def test_a_rolling_shutter_does_not_matter_at_rest() -> None:
 
 def test_encoder_noise_has_its_size_and_is_not_in_the_truth() -> None:
     history = run(servo_config(1, encoder_noise=0.002, horizon=100), wiggle(100, 30))
+    exact = run(servo_config(1, horizon=100), wiggle(100, 30))
+    np.testing.assert_array_equal(history["joints"], exact["joints"])
+    np.testing.assert_array_equal(exact["joint_angles"], exact["joints"])
     noise = history["joint_angles"] - history["joints"]
     assert noise.std() == pytest.approx(0.002, rel=0.05)
     assert abs(np.corrcoef(noise[1:].ravel(), noise[:-1].ravel())[0, 1]) < 0.05

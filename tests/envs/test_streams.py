@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from servo_history import run, wiggle
 
 from servotrack.envs.servo.episode import draw_episode
 from servotrack.envs.servo.levels import servo_config
-
-Array = NDArray[np.float64]
-
 
 TABLES = (
     "links",
@@ -66,6 +62,14 @@ def test_an_axis_shifts_no_draw_but_its_own(axis: str) -> None:
         one, two = draw_episode(base, seed), draw_episode(other, seed)
         changed |= {name for name in TABLES if not np.array_equal(getattr(one, name), getattr(two, name))}
     assert changed == TOUCHES[axis]
+
+
+def test_pixel_noise_and_outliers_do_not_shift_each_other() -> None:
+    def noise(pixel_noise: float, outlier_rate: float) -> np.ndarray:
+        config = servo_config(1, pixel_noise=pixel_noise, outlier_rate=outlier_rate)
+        return draw_episode(config, 4).feature_noise
+
+    np.testing.assert_allclose(noise(1.0, 0.2) - noise(1.0, 0.0), noise(0.0, 0.2), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("axis", ["focal", "mounting", "tilt", "aspect", "distortion", "principal_offset"])

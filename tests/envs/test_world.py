@@ -6,17 +6,14 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from servo_history import QUANTITIES, run, wiggle
 
 from servotrack.envs.servo.arm import ArmSpace
 from servotrack.envs.servo.episode import draw_episode
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
-from servotrack.envs.servo.world import LOST_AFTER, ServoWorld
+from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.camera import project_points
-
-Array = NDArray[np.float64]
 
 
 def test_strong_motors_follow_the_commanded_rates() -> None:
@@ -93,6 +90,20 @@ def test_rows_that_wait_for_their_reset_are_not_observed() -> None:
     assert world.time[0] == before[0][0] and (world.joint_angles[0] == before[1][0]).all()
 
 
+def test_an_episode_remembers_nothing_of_the_one_before() -> None:
+    config = servo_config(4, max_joint_rate=20.0, substeps=1)
+    world, fresh = ServoWorld(config, 1), ServoWorld(config, 1)
+    world.reset([0], [1])
+    world.step(np.ones((1, 2)))
+    for each in (world, fresh):
+        each.reset([0], [2])
+    for _ in range(5):
+        for each in (world, fresh):
+            each.step(np.full((1, 2), 0.9))
+        for name in QUANTITIES:
+            np.testing.assert_array_equal(getattr(world, name), getattr(fresh, name), err_msg=name)
+
+
 def test_an_arm_that_was_never_reset_does_not_step() -> None:
     world = ServoWorld(servo_config(0), 2)
     world.reset([0], [0])
@@ -147,12 +158,24 @@ def test_an_episode_terminates_after_20_samples_out_of_view() -> None:
         away = 0
         for step, in_view in enumerate(inside):
             away = 0 if in_view else away + 1
-            assert history["terminated"][step, row] == (away >= LOST_AFTER)
-            if away >= LOST_AFTER:
+            assert history["terminated"][step, row] == (away >= 20)
+            if away >= 20:
                 ended += 1
                 assert history["reward"][step, row] == 0
                 break
     assert ended > count / 4
+
+
+def test_samples_out_of_view_are_counted_anew_after_a_reset() -> None:
+    """A given layout is not rejected: with this lens the paper's target starts out of view."""
+    world = ServoWorld(servo_config(0, focal=2000.0), 1)
+    for _ in range(2):
+        world.reset([0], [0])
+        ended = [bool(world.terminated[0])]
+        while not ended[-1]:
+            world.step(np.zeros((1, 2)))
+            ended.append(bool(world.terminated[0]))
+        assert len(ended) == 20
 
 
 @pytest.mark.parametrize("target", ["ellipse", "two_sine", "waypoints"])

@@ -85,7 +85,7 @@ def test_bank_recovers_an_unstamped_latency(estimator):
     latency = np.repeat([0, 1, 2], 20)
     target = ellipse_target(np.random.default_rng(1), 60)
     world = KinematicWorld(target, rows=60, pixel_noise=0.5, latency=latency, stamped=False, warmup=0, image_size=WIDE)
-    state, _ = list(wander(HypothesisBank(estimator, Latencies()), world, 100))[-1]
+    state, _ = list(wander(HypothesisBank(estimator, Latencies((0.0, 0.05, 0.1))), world, 100))[-1]
     assert np.mean(state.log_weight.argmax(axis=-1) == latency) >= 0.95
 
 

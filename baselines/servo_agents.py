@@ -1,4 +1,4 @@
-"""The estimators and laws behind the servo agents' names; one setting for all levels."""
+"""The servo agents by name: which estimator and which law, one setting for all levels."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from servotrack.baselines.anchors import FixedJacobian, OracleJacobian
+from servotrack.baselines.pixel_servo import PIXEL_KEYS, PixelServo
+from servotrack.baselines.servo import OBSERVATION_KEYS, JacobianServo
 from servotrack.estimators.jacobian import (
     BroydenJacobian,
     CorrentropyNoise,
@@ -85,3 +87,30 @@ def servo_controller(estimator: str, law: str, max_joint_rate: float) -> ServoCo
         supervisor=None if estimator in _NO_SUPERVISOR else Supervisor(),
         max_joint_rate=max_joint_rate,
     )
+
+
+def create_servo_agent(env: Any, estimator: str, law: str) -> JacobianServo | PixelServo:
+    """A servo agent for an environment, of which only `max_joint_rate` and the observation space are read.
+
+    Where images are observed instead of features, a marker detector sits in front.
+
+    Args:
+        env: A servo environment or vector environment.
+        estimator: A key of `ESTIMATORS`.
+        law: A key of `LAWS`.
+
+    Raises:
+        ValueError: The environment is no servo.
+    """
+    space = getattr(env, "single_observation_space", env.observation_space)
+    max_joint_rate = getattr(env.unwrapped, "max_joint_rate", None)
+    keys = set(getattr(space, "spaces", ()))
+    sees_pixels = keys.issuperset(PIXEL_KEYS)
+    if max_joint_rate is None or not (sees_pixels or keys.issuperset(OBSERVATION_KEYS)):
+        name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
+        raise ValueError(
+            f"agent {estimator!r} needs an environment with max_joint_rate and the observations "
+            f"{', '.join(OBSERVATION_KEYS)} (or image); {name} is none: choose UncalibServo-v0, or another agent"
+        )
+    servo = JacobianServo(servo_controller(estimator, law, float(max_joint_rate)))
+    return PixelServo(servo) if sees_pixels else servo

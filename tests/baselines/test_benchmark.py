@@ -1,0 +1,84 @@
+"""The benchmark's machinery: rates come from processes of their own, and what is missing is said instead of failing."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from servotrack.baselines.benchmark import accuracy, speed, stepping
+from servotrack.baselines.benchmark.speed import Rate, Subject
+from servotrack.baselines.results import CellResults
+
+
+def _silent(name: str) -> None:
+    pass
+
+
+@pytest.mark.parametrize(("num_envs", "kwargs"), [(4, {}), (0, {"render_mode": "rgb_array"})])
+def test_vectors_and_frames_have_rates(num_envs: int, kwargs: dict[str, str]) -> None:
+    _, job = speed.environment("UncalibServo-v0", num_envs, level=0, **kwargs)
+    assert stepping.stepper(json.loads(job))(0.02) > 0
+
+
+def test_rates_come_from_processes_and_a_peer_that_is_not_there_is_named() -> None:
+    rows = [
+        Subject("single", speed.environment("UncalibServo-v0", level=0), wanted=1.0, peers={"peer": 2.0}),
+        Subject("updates", (str(speed.FILTERING), "8")),
+        Subject("peer", speed.environment("Nobody-v0", module="nobody_has_this"), remedy="install nobody_has_this"),
+        Subject("elsewhere", (), python=None, remedy="make .venv-elsewhere"),
+    ]
+    rates = speed.measure(rows, rounds=2, seconds=0.02, on_measured=_silent)
+    assert all(len(rates[name].rounds) == 2 and min(rates[name].rounds) > 0 for name in ("single", "updates"))
+    table = speed.table(rows, rates)
+    assert "missing: install nobody_has_this" in table
+    assert "missing: make .venv-elsewhere" in table
+    assert "yes, peers missing" in table
+
+
+def test_a_rate_is_reached_with_one_of_its_peers_ratios() -> None:
+    rows = [Subject("ours", (), wanted=100.0, peers={"a": 6.0, "b": 0.5}), Subject("a", ()), Subject("b", ())]
+    peers = {"a": Rate((50.0,)), "b": Rate((100.0,))}
+    assert speed.table(rows, {"ours": Rate((90.0, 120.0, 110.0)), **peers}).splitlines()[2].endswith("| yes |")
+    assert speed.table(rows, {"ours": Rate((90.0, 91.0, 110.0)), **peers}).splitlines()[2].endswith("| no |")
+    slow = {"a": Rate((50.0,)), "b": Rate((1000.0,))}
+    assert speed.table(rows, {"ours": Rate((110.0,)), **slow}).splitlines()[2].endswith("| no |")
+
+
+def _cell(agent: str, errors: np.ndarray, successes: int) -> CellResults:
+    rows = [{"seed": i, "steady": float(e), "success": i < successes} for i, e in enumerate(errors)]
+    return CellResults(accuracy.ENV_ID, {}, agent, {}, rows=rows)
+
+
+def test_wanted_figures_are_computed_from_episodes() -> None:
+    errors = np.full(1000, 0.002)
+    found = {
+        (task.name, agent): _cell(agent, errors if agent != "oracle" else errors / 2, 980)
+        for task, agent in accuracy.cells()
+    }
+    lines = accuracy.wanted_table(found).splitlines()
+    assert any("| kf |" in line and "| 2.000 | at most 2.5 | yes |" in line for line in lines)
+    assert any("| lifted-kf |" in line and "| 2.000 | at most 1.5 | no |" in line for line in lines)
+    # Wilson's lower end of 980 of 1000 is 0.969: enough for 0.93 and 0.96, not for 0.97.
+    assert any("| oracle |" in line and line.endswith("lower end at least 0.97 | no |") for line in lines)
+    assert any("| lifted-kf |" in line and line.endswith("lower end at least 0.96 | yes |") for line in lines)
+
+
+def test_gaps_are_paired_with_the_informed_bound() -> None:
+    found = {
+        (accuracy.HEAVY.name, agent): _cell(agent, np.full(20, 0.001 if agent == accuracy.BOUND else 0.004), 20)
+        for agent in accuracy.HEAVY.agents
+    }
+    lines = accuracy.gap_table(found).splitlines()
+    assert lines[2].startswith(f"| {accuracy.BOUND} | 1.00 | 0.00 (0.00 to 0.00)")
+    assert any(line.startswith("| kf | 4.00 | 3.00 (3.00 to 3.00)") for line in lines)
+
+
+def test_stepping_needs_nothing_of_the_project() -> None:
+    source = speed.STEPPING.read_text(encoding="utf-8")
+    imported = {
+        line.split()[1].partition(".")[0] for line in source.splitlines() if line.startswith(("import", "from"))
+    }
+    assert imported - set(sys.stdlib_module_names) == {"numpy"}
