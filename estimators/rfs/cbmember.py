@@ -60,7 +60,7 @@ class GMCBMeMBer(GaussianSetFilter):
 
     def _empty(self, batch: int) -> CBMeMBerState:
         rules = self.reduction
-        pool = empty_mixture(batch, rules.tracks * rules.components, sum(self._sizes))
+        pool = empty_mixture(batch, rules.pool_size, sum(self._sizes))
         return CBMeMBerState(empty_tracks(batch, rules.tracks), pool, self._no_births(batch), np.ones(batch, np.int64))
 
     def _advance(
@@ -214,8 +214,9 @@ def _update(  # type: ignore[no-untyped-def]
             if existence[t] < least or existence[t] <= 0.0 or track == out_tracks.existence.shape[1]:
                 break
             members = rows[start[t] : start[t + 1]]
+            most = min(cap, room[0].shape[0] - filled)
             size = reduce_mixture(
-                model.pairwise, n, candidates, members, pool.covariance[b], posterior, prune, merge, cap, room, filled
+                model.pairwise, n, candidates, members, pool.covariance[b], posterior, prune, merge, most, room, filled
             )
             if size == 0:
                 continue

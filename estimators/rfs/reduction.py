@@ -26,6 +26,7 @@ class Reduction:
         components: Most components kept, the heaviest (J_max); per track in the multi-Bernoulli filters.
         existence: Tracks less probable than this are dropped (T_r); multi-Bernoulli filters only.
         tracks: Most tracks kept, the most probable (T_max); multi-Bernoulli filters only.
+        pool: Most components of all tracks together, those of the most probable; None: three per track.
 
     Raises:
         ValueError: Naming the argument that is out of range.
@@ -36,6 +37,7 @@ class Reduction:
     components: int = 100
     existence: float = 1e-3
     tracks: int = 100
+    pool: int | None = None
 
     def __post_init__(self) -> None:
         for name, value, top in (
@@ -45,9 +47,14 @@ class Reduction:
         ):
             if not 0.0 <= value < top:
                 raise ValueError(f"{name} must be at least 0 and below {top}, got {value!r}")
-        for name, count in (("components", self.components), ("tracks", self.tracks)):
+        for name, count in (("components", self.components), ("tracks", self.tracks), ("pool", self.pool_size)):
             if count < 1:
                 raise ValueError(f"{name} must be at least 1, got {count!r}")
+
+    @property
+    def pool_size(self) -> int:
+        """Room for the components of all tracks."""
+        return 3 * self.tracks if self.pool is None else self.pool
 
 
 @njit(cache=True, nogil=True)
