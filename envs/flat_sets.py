@@ -30,7 +30,7 @@ class _Scale:
         return self._low + 0.5 * (flat.reshape(*flat.shape[:-1], *self.shape) + 1.0) * self._span
 
 
-class FlatSets(gym.Wrapper[NDArray[np.float32], NDArray[np.float32], NDArray[Any], NDArray[Any]]):
+class FlatSets(gym.Wrapper[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any]]):
     """Observation and action of a tracking world as flat float32 vectors, every entry rescaled to [-1, 1].
 
     An unused row's zeros land inside (-1, 1) according to the bounds, and its existence at -1.
@@ -54,7 +54,7 @@ class FlatSets(gym.Wrapper[NDArray[np.float32], NDArray[np.float32], NDArray[Any
         observation, info = self.env.reset(seed=seed, options=options)
         return self._seen.flat(observation), info
 
-    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], Any, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[NDArray[np.float32], Any, bool, bool, dict[str, Any]]:
         """As the environment's, with a flat action in [-1, 1] (clipped) and a flat observation."""
         observation, reward, terminated, truncated, info = self.env.step(self._done.restored(action))
         return self._seen.flat(observation), reward, terminated, truncated, info
@@ -79,7 +79,7 @@ class VectorFlatSets(gym.vector.VectorWrapper):
         self.action_space = batch_space(self._done.space, env.num_envs)
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """As the environment's, with flat observations."""
         observations, infos = self.env.reset(seed=seed, options=options)

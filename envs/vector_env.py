@@ -45,6 +45,9 @@ class FrameSource(Protocol):
     def record(self) -> None:
         """Take the world's newest sample."""
 
+    def frame(self, **more: Any) -> NDArray[np.uint8]:
+        """Draw the present; what a world shows beyond it comes as keywords."""
+
 
 class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
     """A vector environment over a world that steps N scenes together.
@@ -89,7 +92,9 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
         self._seeds: list[int] = []
         self._over = np.ones(num_envs, np.bool_)
         self._started = False
-        self._recorders = [self._recorder(row) for row in range(num_envs)] if render_mode is not None else []
+        self._recorders: list[FrameSource] = (
+            [self._recorder(row) for row in range(num_envs)] if render_mode is not None else []
+        )
 
     @abstractmethod
     def _observe(self) -> Any:
@@ -107,9 +112,9 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
     def _recorder(self, row: int) -> FrameSource:
         """What remembers a row's past for its picture."""
 
-    @abstractmethod
-    def _frame(self, row: int) -> NDArray[np.uint8]:
-        """A row's picture."""
+    def _pictured(self, row: int) -> dict[str, Any]:
+        """What a picture shows beyond what its recorder knows: keywords of `FrameSource.frame`."""
+        return {}
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
@@ -210,7 +215,7 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
             return None
         if not self._started:
             raise ResetNeeded("there is nothing to draw yet: call reset() before render()")
-        return tuple(self._frame(row) for row in range(self.num_envs))
+        return tuple(recorder.frame(**self._pictured(row)) for row, recorder in enumerate(self._recorders))
 
     def privileged(self) -> dict[str, NDArray[np.float64]]:
         """What `VectorPrivilegedObservation` adds to the observations; see the world's `privileged`."""
@@ -227,7 +232,7 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
 
     def _final(self, ended: Mask, observations: Any, infos: dict[str, Any]) -> dict[str, Any]:
         rows = np.full(self.num_envs, None, dtype=object)
-        for row in np.flatnonzero(ended):
+        for row in np.flatnonzero(ended).tolist():
             rows[row] = _row_of(observations, row)
         return {"final_obs": rows, "_final_obs": ended.copy(), "final_info": infos, "_final_info": ended.copy()}
 

@@ -71,17 +71,10 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
     def _checked(self, actions: Any) -> NDArray[np.float64]:
         return check_actions(actions, (self.num_envs, 2))
 
-    def _pictured(self, row: int) -> dict[str, Any]:
-        """What a picture shows beyond the arm, in worlds that have more: arguments of `Recorder.frame`."""
-        return {}
-
     def _recorder(self, row: int) -> Recorder:
         from servotrack.envs.servo.recorder import Recorder, level_caption
 
         return Recorder(self.world, row, level_caption(self.level))
-
-    def _frame(self, row: int) -> NDArray[np.uint8]:
-        return self._recorders[row].frame(**self._pictured(row))
 
     def _infos(self, chosen: Mask) -> dict[str, Any]:
         world = self.world

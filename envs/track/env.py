@@ -78,7 +78,9 @@ class TrackEnv(gym.Env[Array, Array]):
     ) -> None:
         self.render_mode = check_render_mode(render_mode)
         self.world = world
-        self.observation_space, self.action_space = observation_space, action_space
+        # Gymnasium types Box without its dtype.
+        self.observation_space = observation_space  # type: ignore[assignment]
+        self.action_space = action_space  # type: ignore[assignment]
         self._running = self._started = False
         self._recorder = self._make_recorder() if render_mode is not None else None
         self._viewer: Any = None
@@ -232,7 +234,3 @@ class TrackVectorEnv(BatchedVectorEnv):
         if over.any():
             infos |= masked_infos({"ospa2": world.ospa2}, over)
         return infos
-
-    def _frame(self, row: int) -> NDArray[np.uint8]:
-        recorder: Any = self._recorders[row]
-        return recorder.frame()

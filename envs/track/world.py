@@ -86,7 +86,7 @@ class ClutterWorld:
         self.reward = -scores.gospa.total / self.config.cutoff
         self.steps = self.steps + running
         self.truncated = self.steps >= self.config.horizon
-        for row in np.flatnonzero(running & self.truncated):
+        for row in np.flatnonzero(running & self.truncated).tolist():
             self.ospa2[row] = self.scorer.trajectory_score(row, self.true_tracks(row))
         self._observe()
 

@@ -95,7 +95,8 @@ def _sequence(
     length = max((int(np.max(track.steps)) + 1 for track in everything if len(track.steps)), default=0)
     dimension = next((np.asarray(track.states).shape[1] for track in everything if len(track.steps)), 0)
     there, here = stack_tracks(truth, length, dimension), stack_tracks(estimate, length, dimension)
-    exists, reported = ~np.isnan(there).any(axis=2), ~np.isnan(here).any(axis=2)
+    exists = np.asarray(~np.isnan(there).any(axis=2))
+    reported = np.asarray(~np.isnan(here).any(axis=2))
     truth_ids: list[NDArray[np.intp]] = []
     estimate_ids: list[NDArray[np.intp]] = []
     similarities: list[Array] = []

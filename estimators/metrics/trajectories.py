@@ -115,8 +115,8 @@ def _check(truth: ArrayLike, estimate: ArrayLike, cutoff: float, order: float) -
 
 def _existing(tracks: Array) -> Array:
     """Tracks that exist at some step, with NaN in all numbers of a state or in none."""
-    absent = np.isnan(tracks).any(axis=2)
-    return np.where(absent[..., None], np.nan, tracks)[~absent.all(axis=1)]
+    absent = np.asarray(np.isnan(tracks).any(axis=2))
+    return np.where(absent[..., None], np.nan, tracks)[~np.asarray(absent.all(axis=1))]
 
 
 def _assignment_weights(gain: Array, switch_cost: float) -> Array:
