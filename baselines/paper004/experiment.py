@@ -158,21 +158,31 @@ def _tracks(labels: list[NDArray[np.int64]], positions: list[Array]) -> Array:
     return stack_tracks(tracks_from_rows(names, places), len(labels), 2)
 
 
-def time_step(name: str, condition: Condition, seeds: Sequence[int]) -> float:
-    """Median duration of a single step of a single run, s: filtering alone, compiled, unbatched."""
-    config = condition.config
-    filter_name, settings = METHODS[name]
-    durations = []
-    for number, episode in enumerate(draw_runs(config, seeds)):
-        tracker = Online(track_filter(filter_name, told(config), settings))
-        for scan in episode.measurements[:-1]:
-            z = scan[scan[:, 0] > 0.5, 1:]
-            begin = time.perf_counter()
-            tracker.step(z)
-            # The first run compiles, or loads what was compiled.
-            if number > 0:
+def time_steps(names: Sequence[str], condition: Condition, seeds: Sequence[int]) -> dict[str, Array]:
+    """Median durations of a single step: filtering alone, compiled, unbatched, all methods in turn on each run.
+
+    Args:
+        names: Methods.
+        condition: The world.
+        seeds: Of the runs; the first run only compiles, or loads what was compiled.
+
+    Returns:
+        One median for each run after the first, shape (len(seeds) - 1,), s.
+    """
+    found: dict[str, list[float]] = {name: [] for name in names}
+    scene = told(condition.config)
+    for episode in draw_runs(condition.config, seeds):
+        scans = [scan[scan[:, 0] > 0.5, 1:] for scan in episode.measurements[:-1]]
+        for name in names:
+            filter_name, settings = METHODS[name]
+            tracker = Online(track_filter(filter_name, scene, settings))
+            durations = []
+            for z in scans:
+                begin = time.perf_counter()
+                tracker.step(z)
                 durations.append(time.perf_counter() - begin)
-    return float(np.median(durations))
+            found[name].append(float(np.median(durations)))
+    return {name: np.array(medians[1:]) for name, medians in found.items()}
 
 
 class SingleRun(NamedTuple):

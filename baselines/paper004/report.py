@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 
 from servotrack.baselines import seeds
@@ -12,7 +14,7 @@ from servotrack.baselines.claims import SHIPPED, fill, read_claims, write_claims
 from servotrack.baselines.leaderboard.figure import save_figure
 from servotrack.baselines.leaderboard.table import as_markdown, as_rich
 from servotrack.baselines.paper004 import tables as grids
-from servotrack.baselines.paper004.experiment import draw_runs, single_run, time_step
+from servotrack.baselines.paper004.experiment import draw_runs, single_run, time_steps
 from servotrack.baselines.paper004.figures import draw_errors, draw_estimates, draw_numbers, draw_sweep, draw_truth
 from servotrack.baselines.paper004.findings import COMMAND, findings
 from servotrack.baselines.paper004.plan import (
@@ -29,7 +31,7 @@ from servotrack.baselines.paper004.plan import (
 from servotrack.baselines.paper004.runs import run_all
 from servotrack.baselines.results import atomic_path
 
-TIMED_RUNS = 4
+TIMED_RUNS = 6
 NOTE = (
     "Twelve targets, 100 scans, structure S1 with sigma_v = 5 m/s^1.5 and sigma_w = 1.5 m, paths drawn anew in every "
     "run, all methods on the same scans of test seeds. OSPA: c = 100 m, p = 1, positions, mean over scans and runs. "
@@ -50,15 +52,15 @@ def reproduce_pmm(output: Path, runs: int, console: Console, claims_path: Path |
     paper_world = next(condition for _, condition in conditions if condition.name == clutter_name(PAPER_RATE))
     with progress_bars() as progress:
         found = run_all(plan, output / "runs", progress)
-        bar = progress.add_task("timing", total=len(CLUTTER_RATES) * len(METHODS) + 1)
+        bar = progress.add_task("timing", total=len(CLUTTER_RATES) + 1)
         timed = seeds.take("tune", TIMED_RUNS)
-        seconds: dict[tuple[str, float], float] = {}
+        seconds: dict[tuple[str, float], NDArray[np.float64]] = {}
         for rate in CLUTTER_RATES:
             condition = next(c for _, c in conditions if c.name == clutter_name(rate))
-            for name in METHODS:
-                seconds[name, rate] = time_step(name, condition, timed)
-                progress.advance(bar)
-        seconds["SMC-PHD", PAPER_RATE] = time_step("SMC-PHD", paper_world, timed[:2])
+            for name, medians in time_steps(METHODS, condition, timed).items():
+                seconds[name, rate] = medians
+            progress.advance(bar)
+        seconds["SMC-PHD", PAPER_RATE] = time_steps(["SMC-PHD"], paper_world, timed[:2])["SMC-PHD"]
         progress.advance(bar)
     claims = fill(read_claims(claims_path or SHIPPED), findings(found, seconds))
     rates = [found[clutter_name(rate)] for rate in CLUTTER_RATES]
