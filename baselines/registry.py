@@ -40,7 +40,7 @@ def _observer(name: str, summary: str, information: Information = "calibrated", 
         information,
         summary,
         parameters=parameters,
-        in_default_suite=False,
+        tracks=True,
         **fields,
     )
 

@@ -78,7 +78,7 @@ def bench(
     results: Results = DEFAULT_RESULTS / "bench",
     agents: Annotated[str, typer.Option("--agents", "-a", help="Comma-separated; default: all.")] = "",
     levels: Annotated[str, typer.Option("--levels", "-l", help="Such as 0-5 or 0,3.")] = "0-5",
-    env: Annotated[str, typer.Option("--env", help="Servo id.")] = "UncalibServo-v0",
+    env: Annotated[str, typer.Option("--env", help="Servo or tracking id.")] = "UncalibServo-v0",
     episodes: Episodes = 100,
     split: Split = "test",
     jobs: Jobs = -1,
