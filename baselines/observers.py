@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.baselines.association_oracle import AssociationOracle
+from servotrack.baselines.patience import WaitingRows, allocate_patiently, no_rows
 from servotrack.baselines.track_filters import SMALLEST_CAPACITY, FilterSettings, track_filter
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.online import select_rows
 from servotrack.estimators.rfs import RowAllocation
-from servotrack.estimators.rfs.sets import RowState
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ class ObserverState(NamedTuple):
     """
 
     belief: Any
-    rows: RowState
+    rows: WaitingRows
 
 
 class SetObserver:
@@ -47,6 +47,7 @@ class SetObserver:
         self.estimator = estimator
         self._allocation = RowAllocation(rows, POSITION)
         self._low, self._high = low, high
+        self._state_size = estimator.model.packed.observation.shape[1]
 
     def predict(
         self,
@@ -79,12 +80,12 @@ class SetObserver:
             starts = np.broadcast_to(np.asarray(episode_start, dtype=np.bool_).reshape(-1), (count,))
             state = select_rows(starts, self._initial(measurement, count), state)
         belief, estimate = self.estimator.step(state.belief, measurement)
-        rows, answer = self._allocation.step(state.rows, estimate)
+        rows, answer = allocate_patiently(self._allocation, state.rows, estimate)
         answer = np.clip(answer, self._low, self._high)
         return (answer[0] if single else answer), ObserverState(belief, rows)
 
     def _initial(self, measurement: Any, count: int) -> ObserverState:
-        return ObserverState(self.estimator.initial(measurement), self._allocation.initial((count,)))
+        return ObserverState(self.estimator.initial(measurement), no_rows(self._allocation, count, self._state_size))
 
 
 class RawObserver:
