@@ -54,13 +54,13 @@ def predict_tracks(model, tracks, pool, survival, work, b, out_tracks, out_pool)
         out_tracks.size[b, i] = size
         row += size
     out_tracks.number[b] = tracks.number[b]
-    out_pool.count[b] = row
+    out_pool.number[b] = row
 
 
 @njit(cache=True, nogil=True)
 def owners_and_detection(tracks, pool, detection, b):  # type: ignore[no-untyped-def]
     """The track of each component of run b, and each track's mean detection probability <p, p_D>."""
-    owner = np.empty(pool.count[b], np.int64)
+    owner = np.empty(pool.number[b], np.int64)
     detectable = np.zeros(tracks.number[b])
     row = 0
     for i in range(tracks.number[b]):

@@ -107,7 +107,7 @@ def _predict(model, tracks, pool, births, spawns, survival, out_tracks, out_pool
     work = np.empty((n + m, n + m))
     for b in range(tracks.existence.shape[0]):
         predict_tracks(model, tracks, pool, survival, work, b, out_tracks, out_pool)
-        row = pool.count[b]
+        row = pool.number[b]
         track = tracks.number[b]
         for term in range(spawns[0].shape[0]):
             c = 0
@@ -120,8 +120,8 @@ def _predict(model, tracks, pool, births, spawns, survival, out_tracks, out_pool
                     out_pool.weight[b, row] = pool.weight[b, c]
                     c += 1
                     row += 1
-        out_pool.count[b] = append_births(model, births, b, row, out_pool)
-        for c in range(row, out_pool.count[b]):
+        out_pool.number[b] = append_births(model, births, b, row, out_pool)
+        for c in range(row, out_pool.number[b]):
             out_tracks.existence[b, track] = out_pool.weight[b, c]
             out_tracks.size[b, track] = 1
             out_pool.weight[b, c] = 1.0
@@ -152,7 +152,7 @@ def _update(  # type: ignore[no-untyped-def]
     innovation = np.empty(m)
     sound = True
     for b in range(tracks.existence.shape[0]):
-        count, T, Z = pool.count[b], tracks.number[b], number[b]
+        count, T, Z = pool.number[b], tracks.number[b], number[b]
         component, measurement, likelihood, gain, posterior, good = weigh_pairs(
             model, count, pool.mean[b], pool.covariance[b], z[b], Z, gate
         )
@@ -227,5 +227,5 @@ def _update(  # type: ignore[no-untyped-def]
             track += 1
             filled += size
         out_tracks.number[b] = track
-        out_pool.count[b] = filled
+        out_pool.number[b] = filled
     return sound

@@ -59,7 +59,7 @@ def extract_intensity(model, mixture, next_label, merge, rule, threshold, extrac
     batch = mixture.weight.shape[0]
     room = extraction.label.shape[1]
     for b in range(batch):
-        count = mixture.count[b]
+        count = mixture.number[b]
         weight, mean, cov = mixture.weight[b, :count].copy(), mixture.mean[b], mixture.covariance[b]
         head = np.arange(count)
         if model.pairwise:
@@ -106,7 +106,7 @@ def extract_intensity(model, mixture, next_label, merge, rule, threshold, extrac
             elif weight[i] >= HELD and label > 0 and row < room and not _seen(label, extraction.label[b], row):
                 _write(extraction, b, row, min(weight[i], 1.0), label, mean[i], cov[i], False)
                 row += 1
-        extraction.count[b] = row
+        extraction.number[b] = row
 
 
 @njit(cache=True, nogil=True)
@@ -166,4 +166,4 @@ def extract_tracks(n, tracks, mixture, next_label, rule, threshold, extraction):
                 extraction, b, row, existence[i], label, mixture.mean[b, best], mixture.covariance[b, best], reported
             )
             row += 1
-        extraction.count[b] = row
+        extraction.number[b] = row

@@ -112,9 +112,9 @@ class GlobalNearestNeighbor:
         extraction = empty_extraction(batch, self.capacity, n)
         for b in range(batch):
             self._assign(state, predicted, z[b, : number[b]], b, start[b], start_covariance[b], new)
-            count = new.tracks.count[b]
+            count = new.tracks.number[b]
             confirmed = new.tracks.weight[b, :count] > 0.0
-            extraction.count[b] = count
+            extraction.number[b] = count
             extraction.reported[b, :count] = confirmed
             extraction.existence[b, :count] = np.where(confirmed, 1.0, TENTATIVE_EXISTENCE)
             extraction.label[b, :count] = new.tracks.label[b, :count]
@@ -142,7 +142,7 @@ class GlobalNearestNeighbor:
         """One run's step: assignment, correction, confirmation and deletion, new tracks, written to row b of `new`."""
         model = self.model.packed
         n = model.observation.shape[1]
-        T, Z = int(predicted.count[b]), len(z)
+        T, Z = int(predicted.number[b]), len(z)
         track, measurement, likelihood, gain, posterior, sound = weigh_pairs(
             model, T, predicted.mean[b], predicted.covariance[b], z, Z, self._gate
         )
@@ -177,7 +177,7 @@ class GlobalNearestNeighbor:
         tracks.weight[b, fresh] = wanted == 1
         tracks.label[b, fresh] = state.next_label[b] + np.arange(len(left))
         new.hits[b, fresh], new.age[b, fresh] = 1, 1
-        tracks.count[b] = count + len(left)
+        tracks.number[b] = count + len(left)
         new.next_label[b] = state.next_label[b] + len(left)
 
 
@@ -191,9 +191,9 @@ def _predict(model, tracks, out):  # type: ignore[no-untyped-def]
     """Predict the tracks of every run."""
     size = model.transition.shape[0]
     work = np.empty((size, size))
-    for b in range(tracks.count.shape[0]):
+    for b in range(tracks.number.shape[0]):
         predict_components(model, tracks, b, work, out)
-        out.count[b] = tracks.count[b]
+        out.number[b] = tracks.number[b]
 
 
 @njit(cache=True, nogil=True)

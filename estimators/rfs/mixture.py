@@ -14,10 +14,10 @@ Array = NDArray[np.float64]
 
 
 class Mixture(NamedTuple):
-    """Gaussian components over (x, y) of several runs, N = n + m; the first `count` rows of a run are in use.
+    """Gaussian components over (x, y) of several runs, N = n + m; the first `number` rows of a run are in use.
 
     Attributes:
-        count: Shape (*batch,).
+        number: Shape (*batch,).
         weight: Shape (*batch, K).
         mean: Shape (*batch, K, N).
         covariance: Zero y blocks where y is known exactly or forgotten. Shape (*batch, K, N, N).
@@ -25,7 +25,7 @@ class Mixture(NamedTuple):
         label: Identity, 0 for none yet. Shape (*batch, K).
     """
 
-    count: NDArray[np.int64]
+    number: NDArray[np.int64]
     weight: Array
     mean: Array
     covariance: Array
@@ -46,7 +46,7 @@ def empty_mixture(batch: int, capacity: int, N: int) -> Mixture:
 
 
 def scratch_mixture(batch: int, capacity: int, N: int) -> Mixture:
-    """Uninitialized room for a prediction, which no caller sees beyond `count`."""
+    """Uninitialized room for a prediction, which no caller sees beyond `number`."""
     return Mixture(
         np.empty(batch, np.int64),
         np.empty((batch, capacity)),
@@ -60,7 +60,7 @@ def scratch_mixture(batch: int, capacity: int, N: int) -> Mixture:
 @njit(cache=True, nogil=True)
 def predict_components(model, mixture, b, work, out):  # type: ignore[no-untyped-def]
     """Predict the Gaussians and labels of run b into the same rows of `out`; weights are the filter's business."""
-    for i in range(mixture.count[b]):
+    for i in range(mixture.number[b]):
         predict_gaussian(
             model,
             mixture.mean[b, i],

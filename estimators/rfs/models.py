@@ -256,10 +256,12 @@ def constant_velocity(
     if dimensions < 1:
         raise ValueError(f"dimensions must be >= 1, got {dimensions!r}")
     axes, t = np.eye(dimensions), period
+    F, H = np.array([[1.0, t], [0.0, 1.0]]), np.array([[1.0, 0.0]])
+    Q = process_noise**2 * np.array([[t**3 / 3.0, t**2 / 2.0], [t**2 / 2.0, t]])
     return HiddenMarkovModel(
-        transition=np.kron(axes, [[1.0, t], [0.0, 1.0]]),
-        process_noise=np.kron(axes, process_noise**2 * np.array([[t**3 / 3.0, t**2 / 2.0], [t**2 / 2.0, t]])),
-        observation=np.kron(axes, [[1.0, 0.0]]),
+        transition=np.kron(axes, F).astype(np.float64),
+        process_noise=np.kron(axes, Q).astype(np.float64),
+        observation=np.kron(axes, H).astype(np.float64),
         measurement_noise=measurement_noise**2 * axes,
     )
 
@@ -311,6 +313,17 @@ def _pack(
     angular: tuple[bool, ...] | None = None,
 ) -> PackedModel:
     """Contiguous, writable copies: the kernels are compiled for one memory layout."""
-    matrices = (np.array(a, dtype=np.float64, order="C") for a in (transition, noise, observation, measurement_noise))
-    angles = np.array(angular or (False,) * observation.shape[0])
-    return PackedModel(kind, pairwise, *matrices, np.array(sensor, dtype=np.float64), angles)
+
+    def copy(matrix: ArrayLike) -> Array:
+        return np.array(matrix, dtype=np.float64, order="C")
+
+    return PackedModel(
+        kind,
+        pairwise,
+        copy(transition),
+        copy(noise),
+        copy(observation),
+        copy(measurement_noise),
+        copy(sensor),
+        np.array(angular or (False,) * observation.shape[0]),
+    )

@@ -139,7 +139,7 @@ def cluster_particles(  # type: ignore[no-untyped-def]
                 centers[t] /= mass[t]
         moved = 0
         for p in range(count):
-            best, least = owner[p], np.sum((position[p] - centers[owner[p]]) ** 2)
+            best, least = int(owner[p]), np.sum((position[p] - centers[owner[p]]) ** 2)
             for t in range(targets):
                 distance = np.sum((position[p] - centers[t]) ** 2)
                 if distance < least:
@@ -161,17 +161,17 @@ def cluster_particles(  # type: ignore[no-untyped-def]
             continue
         members = np.flatnonzero(owner == t)
         votes = np.unique(label[members])
-        best, most = 0, 0.0
+        identity, most = 0, 0.0
         for vote in votes:
             support = weight[members[label[members] == vote]].sum()
             if vote > 0 and support > most and not np.any(extraction.label[b, :row] == vote):
-                best, most = vote, support
-        if best == 0:
-            best = next_label
+                identity, most = int(vote), support
+        if identity == 0:
+            identity = int(next_label)
             next_label += 1
         for p in members:
             if label[p] == 0 or most == 0.0:
-                label[p] = best
+                label[p] = identity
         share = weight[members] / mass[t]
         for r in range(n):
             extraction.state[b, row, r] = np.sum(share * particles[members, r])
@@ -182,8 +182,8 @@ def cluster_particles(  # type: ignore[no-untyped-def]
                 )
                 extraction.covariance[b, row, r, c] = np.sum(share * spread)
         extraction.existence[b, row] = min(mass[t], 1.0)
-        extraction.label[b, row] = best
+        extraction.label[b, row] = identity
         extraction.reported[b, row] = True
         row += 1
-    extraction.count[b] = row
+    extraction.number[b] = row
     return next_label

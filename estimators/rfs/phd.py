@@ -93,15 +93,15 @@ def _predict_intensity(model, intensity, births, spawns, survival, out):  # type
     work = np.empty((n + m, n + m))
     for b in range(intensity.weight.shape[0]):
         predict_components(model, intensity, b, work, out)
-        row = intensity.count[b]
+        row = intensity.number[b]
         for i in range(row):
             out.weight[b, i] = survival[b, i] * intensity.weight[b, i]
         for term in range(spawns[0].shape[0]):
-            for i in range(intensity.count[b]):
+            for i in range(intensity.number[b]):
                 append_spawn(model, spawns, term, intensity.mean[b, i], intensity.covariance[b, i], b, row, out)
                 out.weight[b, row] = spawns[0][term] * intensity.weight[b, i]
                 row += 1
-        out.count[b] = append_births(model, births, b, row, out)
+        out.number[b] = append_births(model, births, b, row, out)
 
 
 @njit(cache=True, nogil=True)
@@ -113,7 +113,7 @@ def _update_intensity(  # type: ignore[no-untyped-def]
     innovation = np.empty(m)
     sound = True
     for b in range(predicted.weight.shape[0]):
-        count = predicted.count[b]
+        count = predicted.number[b]
         component, measurement, likelihood, gain, posterior, good = weigh_pairs(
             model, count, predicted.mean[b], predicted.covariance[b], z[b], number[b], gate
         )
@@ -148,7 +148,7 @@ def _update_intensity(  # type: ignore[no-untyped-def]
         next_label[b] += number[b]
         candidates = (weight[:total], mean[:total], source[:total], group[:total], label[:total])
         room = (out.weight[b], out.mean[b], out.covariance[b], out.detected[b], out.label[b])
-        out.count[b] = reduce_mixture(
+        out.number[b] = reduce_mixture(
             model.pairwise,
             n,
             candidates,

@@ -29,7 +29,7 @@ def predict_pmb(  # type: ignore[no-untyped-def]
     for b in range(tracks.existence.shape[0]):
         predict_tracks(model, tracks, pool, survival, work, b, out_tracks, out_pool)
         predict_components(model, hidden, b, work, out_hidden)
-        row = hidden.count[b]
+        row = hidden.number[b]
         for i in range(row):
             out_hidden.weight[b, i] = hidden_survival[b, i] * hidden.weight[b, i]
         for term in range(spawns[0].shape[0]):
@@ -40,7 +40,7 @@ def predict_pmb(  # type: ignore[no-untyped-def]
                     out_hidden.weight[b, row] = spawns[0][term] * tracks.existence[b, i] * pool.weight[b, c]
                     c += 1
                     row += 1
-        out_hidden.count[b] = append_births(model, births, b, row, out_hidden)
+        out_hidden.number[b] = append_births(model, births, b, row, out_hidden)
 
 
 @njit(cache=True, nogil=True)
@@ -75,7 +75,7 @@ def update_pmb(  # type: ignore[no-untyped-def]
     innovation = np.empty(m)
     sound = True
     for b in range(tracks.existence.shape[0]):
-        T, Z, count, unseen = tracks.number[b], number[b], pool.count[b], hidden.count[b]
+        T, Z, count, unseen = tracks.number[b], number[b], pool.number[b], hidden.number[b]
         component, measurement, likelihood, gain, posterior, good = weigh_pairs(
             model, count, pool.mean[b], pool.covariance[b], z[b], Z, gate
         )
@@ -202,14 +202,14 @@ def update_pmb(  # type: ignore[no-untyped-def]
             place += 1
             filled += size
         new.number[b] = place
-        into.count[b] = filled
+        into.number[b] = filled
         out.next_label[b] += Z
         left = hidden.weight[b, :unseen] * (1.0 - hidden_detection[b, :unseen])
         indices = np.arange(unseen)
         remaining = (left, hidden.mean[b], indices, np.full(unseen, -1, np.int64), np.zeros(unseen, np.int64))
         rest = out.undetected
         space = (rest.weight[b], rest.mean[b], rest.covariance[b], rest.detected[b], rest.label[b])
-        rest.count[b] = reduce_mixture(
+        rest.number[b] = reduce_mixture(
             model.pairwise,
             n,
             remaining,

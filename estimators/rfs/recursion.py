@@ -175,7 +175,7 @@ class GaussianSetFilter(ABC):
         """p_S or p_D at each component's mean. Shape (B, K)."""
         if not callable(probability):
             return np.full(mixture.weight.shape, float(probability))
-        used = np.arange(mixture.weight.shape[1]) < mixture.count[:, None]
+        used = np.arange(mixture.weight.shape[1]) < mixture.number[:, None]
         values = np.zeros(mixture.weight.shape)
         states = mixture.mean[used][:, : self._sizes[0]]
         values[used] = checked_values(name, probability(states), len(states), 1.0)
@@ -205,7 +205,7 @@ def add_axis(tree: Tree) -> Tree:
     """The same nested NamedTuples with a leading axis of one run."""
     if isinstance(tree, tuple):
         return type(tree)(*[add_axis(leaf) for leaf in tree])
-    return np.ascontiguousarray(tree).reshape(1, *np.shape(tree))  # type: ignore[return-value]
+    return np.ascontiguousarray(np.asarray(tree)[None])  # type: ignore[return-value]
 
 
 def first_row(tree: Tree) -> Tree:
@@ -213,3 +213,10 @@ def first_row(tree: Tree) -> Tree:
     if isinstance(tree, tuple):
         return type(tree)(*[first_row(leaf) for leaf in tree])
     return np.asarray(tree[0])  # type: ignore[index,return-value]
+
+
+def copied(tree: Tree) -> Tree:
+    """The same nested NamedTuples with arrays of their own."""
+    if isinstance(tree, tuple):
+        return type(tree)(*[copied(leaf) for leaf in tree])
+    return np.array(tree)  # type: ignore[return-value]

@@ -23,7 +23,7 @@ class Extraction(NamedTuple):
     """What a filter believes of each identity, most probable first, in arrays of fixed capacity.
 
     Attributes:
-        count: Rows in use. Shape (B,).
+        number: Rows in use. Shape (B,).
         existence: Shape (B, K).
         label: Identities, at least 1. Shape (B, K).
         state: Shape (B, K, n).
@@ -32,7 +32,7 @@ class Extraction(NamedTuple):
         expected: The filter's own expected number of targets. Shape (B,).
     """
 
-    count: NDArray[np.int64]
+    number: NDArray[np.int64]
     existence: Array
     label: Labels
     state: Array
@@ -84,7 +84,7 @@ class SetEstimate:
 
 def estimate_from_extraction(extraction: Extraction, single: bool) -> SetEstimate:
     """Split an extraction into reported and held rows, trimmed; without the batch axis for a single run."""
-    used = np.arange(extraction.label.shape[1]) < extraction.count[:, None]
+    used = np.arange(extraction.label.shape[1]) < extraction.number[:, None]
     reported, held = used & extraction.reported, used & ~extraction.reported
     if single:
         # One run needs no padding: take its rows.

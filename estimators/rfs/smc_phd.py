@@ -19,7 +19,7 @@ from servotrack.estimators.rfs.particles import (
     resample_systematically,
     weigh_particles,
 )
-from servotrack.estimators.rfs.recursion import add_axis, first_row
+from servotrack.estimators.rfs.recursion import add_axis, copied, first_row
 from servotrack.estimators.rfs.sets import (
     Extraction,
     SetEstimate,
@@ -36,7 +36,7 @@ class ParticlePHDState(NamedTuple):
     """State of a `ParticlePHD`.
 
     Attributes:
-        count: Particles in use. Shape (*batch,).
+        number: Particles in use. Shape (*batch,).
         weight: Shape (*batch, P).
         particle: States. Shape (*batch, P, n).
         label: Identities, 0 for none yet. Shape (*batch, P).
@@ -45,7 +45,7 @@ class ParticlePHDState(NamedTuple):
         time: Steps taken. Shape (*batch,).
     """
 
-    count: NDArray[np.int64]
+    number: NDArray[np.int64]
     weight: Array
     particle: Array
     label: NDArray[np.int64]
@@ -123,7 +123,7 @@ class ParticlePHD:
         if single:
             state = add_axis(state)
         check_runs(state.next_label.shape[0], z.shape[0])
-        new = ParticlePHDState(*(np.array(leaf) for leaf in state))
+        new = copied(state)
         room = min(self.capacity, max(round(self.capacity / self.particles), 1))
         extraction = empty_extraction(z.shape[0], room, n)
         for b in range(z.shape[0]):
@@ -139,7 +139,7 @@ class ParticlePHD:
         """One step of run b, in place."""
         model = self.model.packed
         n = model.observation.shape[1]
-        count = int(new.count[b])
+        count = int(new.number[b])
         old = new.particle[b, :count]
         eigenvalues, vectors = np.linalg.eigh(model.noise[:n, :n])
         root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
@@ -168,7 +168,7 @@ class ParticlePHD:
         kept = min(max(int(np.ceil(self.particles * total)), self.particles), self.capacity - self.birth_particles)
         chosen = resample_systematically(weight, kept, rng.random())
         kept = len(chosen)
-        new.count[b] = kept
+        new.number[b] = kept
         for array, values in ((new.particle, particles[chosen]), (new.label, label[chosen])):
             array[b] = 0
             array[b, :kept] = values

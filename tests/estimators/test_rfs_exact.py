@@ -104,7 +104,7 @@ def test_phd_is_the_textbook_recursion(spawn):
     for z, wanted in zip(measurements, reference_phd(measurements, 0.95, 0.9, places(), spawn), strict=True):
         tracker.step(z)
         mixture = tracker.state.intensity
-        assert int(mixture.count) == len(wanted)
+        assert int(mixture.number) == len(wanted)
         np.testing.assert_allclose(mixture.weight[: len(wanted)], [w for w, _, _ in wanted], rtol=1e-8, atol=1e-15)
         for i, (w, m, P) in enumerate(wanted[:15]):
             if i and abs(w - wanted[i - 1][0]) < 1e-9 * w:
