@@ -60,7 +60,7 @@ class Run:
         error: Tracking errors after each step. Shape (length,), m.
         transient: Mean error of the first 126 samples, m.
         steady: Mean error for t > 3 s, m.
-        seconds: Compute time of the agent over the episode, s.
+        seconds: Processor time of the agent over the episode, s.
     """
 
     tool: Array
@@ -161,9 +161,9 @@ def run(env_id: str, algorithm: Any, seed: int, world: Mapping[str, Any] = WORLD
         state: Any = None
         over = False
         while not over:
-            begin = time.perf_counter()
+            begin = time.process_time()
             action, state = agent.predict(observation, state)
-            seconds += time.perf_counter() - begin
+            seconds += time.process_time() - begin
             observation, _, terminated, truncated, info = env.step(action)
             tool.append(info["truth"]["tool"])
             target.append(info["truth"]["target"])

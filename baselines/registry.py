@@ -14,13 +14,13 @@ DEFAULT_LAW = "pi"
 LAWS = (DEFAULT_LAW, "proportional", "damped", "one-step")
 
 
-def _servo(name: str, information: Information, summary: str, **fields: Any) -> AgentCard:
+def _servo(name: str, information: Information, summary: str, law: str = DEFAULT_LAW, **fields: Any) -> AgentCard:
     return AgentCard(
         name,
         "servotrack.baselines.servo_agents:create_servo_agent",
         information,
         summary,
-        parameters={"estimator": name, "law": DEFAULT_LAW},
+        parameters={"estimator": name, "law": law},
         laws=True,
         **fields,
     )
@@ -65,11 +65,23 @@ _CARDS = (
     _servo("correntropy-kf", "model-free", "maximum-correntropy Kalman filter"),
     _servo("parametric-ekf", "structure", "extended Kalman filter of the arm's and camera's parameters, mounting bank"),
     _servo("parametric-ukf", "structure", "unscented Kalman filter of the same parameters, mounting bank"),
-    _servo("lifted-kf", "structure", "linear Kalman filter of the lifted planar arm"),
+    _servo("lifted-kf", "structure", "Kalman filter of the lifted planar arm, any target", law="one-step"),
+    _servo("lifted-kf-swinging", "prior", "the same, told that targets swing at 0.5 to 1.5 rad/s", law="one-step"),
     _servo("latency-bank-kf", "model-free", "Kalman filters, one per hypothesis on the unstamped latency"),
-    _servo("latency-bank-lifted-kf", "structure", "lifted Kalman filters, one per hypothesis on the unstamped latency"),
+    _servo(
+        "latency-bank-lifted-kf",
+        "structure",
+        "lifted Kalman filters, one per hypothesis on the unstamped latency",
+        law="one-step",
+    ),
     _servo("oracle", "privileged", "the analytic Jacobian: the upper anchor of every score", requires=_TRUTH),
-    _servo("informed-bound", "privileged", "told camera, links and latency, but not the future", requires=_TRUTH),
+    _servo(
+        "informed-bound",
+        "privileged",
+        "told camera, links and latency, but not the future",
+        law="one-step",
+        requires=_TRUTH,
+    ),
     _observer("gm-phd", "Gaussian-mixture PHD filter, pairwise Markov where the noises depend on each other"),
     _observer("gm-phd-hmm", "Gaussian-mixture PHD filter that takes the noises for independent"),
     _observer("gm-cbmember", "cardinality-balanced multi-Bernoulli filter (paper 004)"),
@@ -109,7 +121,7 @@ def agent_card(name: str) -> AgentCard:
         raise ValueError(f"agent {base!r} has no control law to choose, got {name!r}; use {base!r}")
     if law not in LAWS:
         raise ValueError(f"no control law is called {law!r}{_suggestion(law, LAWS)}")
-    if law == DEFAULT_LAW:
+    if law == card.parameters["law"]:
         return card
     return replace(card, name=name, summary=f"{card.summary}; {law} law", parameters={**card.parameters, "law": law})
 

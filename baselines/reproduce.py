@@ -118,13 +118,14 @@ DEFAULT_RUNS = {"servo": 10, "pmm": 500}
 
 def _runs(env_id: str, runs: int, seed: int, progress: Progress) -> dict[str, list[Run]]:
     bar = progress.add_task(env_id, total=runs * len(ALGORITHMS))
-    found: dict[str, list[Run]] = {}
+    found: dict[str, list[Run]] = {name: [] for name in ALGORITHMS}
     for name in ALGORITHMS:
         # The first run compiles and fills caches; its time would tell nothing.
         paper002.run(env_id, paper002.estimator(name), seed)
-        found[name] = []
-        for number in range(runs):
-            found[name].append(paper002.run(env_id, paper002.estimator(name, seed=number), seed))
+    # In turn, so that a machine that is busy for a while slows all of them down.
+    for number in range(runs):
+        for name, of_name in found.items():
+            of_name.append(paper002.run(env_id, paper002.estimator(name, seed=number), seed))
             progress.advance(bar)
     return found
 

@@ -18,13 +18,15 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import datetime, timezone
+from functools import lru_cache
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 FORMAT = "servotrack-results"
 FORMAT_VERSION = 1
-RECORDED_PACKAGES = ("servotrack", "gymnasium", "numpy", "scipy", "numba", "pymunk", "opencv-python-headless")
+RECORDED_PACKAGES = ("gymnasium", "numpy", "scipy", "numba", "pymunk", "opencv-python-headless")
 
 Row = dict[str, Any]
 
@@ -93,12 +95,26 @@ def describe_environment(env_id: str, env_kwargs: Mapping[str, Any]) -> str:
     return ",".join([env_id, *(f"{key}={arguments[key]}" for key in sorted(arguments))])
 
 
+@lru_cache(maxsize=1)
+def code_version() -> str:
+    """The package's version and a digest of the sources that decide what an episode's row holds."""
+    digest = hashlib.sha256()
+    for room in ("envs", "estimators", "baselines"):
+        folder = Path(str(find_spec(f"servotrack.{room}").origin)).parent  # type: ignore[union-attr]
+        # Tables and figures may change without making the rows stale.
+        for source in sorted(p for p in folder.rglob("*.py") if "leaderboard" not in p.parts):
+            digest.update(source.relative_to(folder).as_posix().encode())
+            digest.update(source.read_bytes())
+    return f"{metadata.version('servotrack')}+{digest.hexdigest()[:12]}"
+
+
 def provenance() -> dict[str, Any]:
     """Versions, machine, command and time of the present process."""
     versions = {"python": platform.python_version()}
     for package in RECORDED_PACKAGES:
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[package] = metadata.version(package)
+    versions["servotrack"] = code_version()
     return {
         "versions": versions,
         "machine": {
@@ -227,16 +243,16 @@ class ResultsFolder:
 
 
 def check_version(path: Path, cell: CellResults) -> None:
-    """Refuse to extend a file of another servotrack version: its rows would not be comparable.
+    """Refuse to extend a file that other code wrote: its rows would not be comparable.
 
     Raises:
         ResultsError: The versions differ.
     """
-    written, present = cell.provenance["versions"].get("servotrack"), metadata.version("servotrack")
+    written, present = cell.provenance["versions"].get("servotrack"), code_version()
     if written != present:
         raise ResultsError(
-            f"{path} was written by servotrack {written}, this is {present}; "
-            "choose another folder, or install that version to extend it"
+            f"{path} was written by servotrack {written}, this is {present} (after the + a digest of the sources); "
+            "choose another folder, or return to that version to extend it"
         )
 
 

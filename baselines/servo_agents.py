@@ -29,7 +29,7 @@ from servotrack.estimators.jacobian import (
 )
 from servotrack.estimators.jacobian.bank import HypothesisBank, Latencies, Mountings
 from servotrack.estimators.jacobian.informed import InformedKalman
-from servotrack.estimators.jacobian.lifted import LiftedKalman
+from servotrack.estimators.jacobian.lifted import SWINGING_MODELS, LiftedKalman
 from servotrack.estimators.jacobian.parametric import ParametricKalman
 
 
@@ -53,6 +53,7 @@ ESTIMATORS: Mapping[str, Callable[[], Any]] = {
     "parametric-ekf": lambda: HypothesisBank(ParametricKalman(), Mountings()),
     "parametric-ukf": lambda: HypothesisBank(ParametricKalman(unscented=True), Mountings()),
     "lifted-kf": LiftedKalman,
+    "lifted-kf-swinging": lambda: LiftedKalman(models=SWINGING_MODELS),
     "latency-bank-kf": lambda: HypothesisBank(KalmanJacobian(), Latencies()),
     "latency-bank-lifted-kf": lambda: HypothesisBank(LiftedKalman(), Latencies()),
     "oracle": OracleJacobian,

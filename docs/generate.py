@@ -1,6 +1,7 @@
-"""Write a page per environment from its docstring, its spaces and its configuration, and an index of them.
+"""Write a page per environment from its docstring, its spaces and its configuration, an index of them, and a picture.
 
-`python docs/generate.py` writes the pages; with `--check` it writes nothing and exits with 1 where a page is stale.
+`python docs/generate.py` writes the pages and the README's picture of the servo; with `--check` it writes nothing and
+exits with 1 where a page is stale.
 """
 
 from __future__ import annotations
@@ -15,11 +16,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import cv2
 import gymnasium as gym
 
+from servotrack.baselines import create_agent
 from servotrack.envs.registration import ENVIRONMENTS
 
 FOLDER = Path(__file__).parent / "environments"
+PICTURE = Path(__file__).parent / "images" / "servo.png"
+PICTURE_STEPS = 160
 LEVELS = range(7)
 
 
@@ -124,6 +129,21 @@ def _attributes(documented: type) -> dict[str, str]:
     return {name: " ".join(text.split()) for name, text in entries}
 
 
+def draw_servo() -> None:
+    """Write the README's picture: the lifted Kalman filter at level 3, eight seconds into the first train seed."""
+    env = gym.make("UncalibServo-v0", level=3, render_mode="rgb_array")
+    agent = create_agent("lifted-kf", env)
+    observation, _ = env.reset(seed=0)
+    state: Any = None
+    for _ in range(PICTURE_STEPS):
+        action, state = agent.predict(observation, state)
+        observation, *_ = env.step(action)
+    frame: Any = env.render()
+    env.close()
+    PICTURE.parent.mkdir(exist_ok=True)
+    cv2.imwrite(str(PICTURE), frame[..., ::-1])
+
+
 def main() -> int:
     """Write or check the pages; the exit status is the number of stale ones, at most 1."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -137,6 +157,8 @@ def main() -> int:
         if not check:
             FOLDER.mkdir(exist_ok=True)
             path.write_text(texts[path], encoding="utf-8") if path in texts else path.unlink()
+    if not check:
+        draw_servo()
     return int(check and bool(stale))
 
 

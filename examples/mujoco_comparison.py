@@ -118,7 +118,8 @@ Mean tracking error after 3 s, mm: median over {runs} noise seeds (lowest to hig
 Written by `python examples/mujoco_comparison.py` with {versions}.
 
 The two-link arm has pymunk's link lengths, camera and joint stops. The three-link arm is redundant: the law takes the
-smallest joint motion, and nothing keeps it away from its stops at 2.6 rad or from singular poses.
+smallest joint motion, and nothing keeps it away from its stops at 2.6 rad or from singular poses. The large errors
+there are runs in which the arm drifts to a stretched pose and its elbow swings through it at the rate limit.
 """
 
 

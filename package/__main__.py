@@ -103,14 +103,22 @@ def leaderboard(
     results: Annotated[Path, typer.Argument(help="Folder of results.")],
     output: Annotated[Path | None, typer.Option("--output", help="Where to write; default: into RESULTS.")] = None,
     details: Annotated[bool, typer.Option(help="Print every environment's own table, too.")] = False,
+    into: Annotated[
+        Path | None,
+        typer.Option(help="A document that has the marks <!-- leaderboard:begin --> and <!-- leaderboard:end -->."),
+    ] = None,
 ) -> None:
     """Tables, figure and page from a folder of results."""
+    from servotrack.baselines.leaderboard.embed import embed
     from servotrack.baselines.leaderboard.summary import summarize
+    from servotrack.baselines.leaderboard.table import markdown_overview
     from servotrack.baselines.results import ResultsFolder
 
     tasks = summarize(ResultsFolder(results).load_all())
     film = results / "best.webm"
     _show(tasks, output or results, film if output is None and film.exists() else None, details)
+    if into is not None:
+        embed(markdown_overview(tasks, _command()), into, "leaderboard")
 
 
 @app.command()

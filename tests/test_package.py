@@ -29,6 +29,8 @@ ROOMS = {
     "servotrack.baselines": "baselines",
 }
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "pygame", "numba", "cv2", "scipy", "pymunk", "rich", "typer"}
+OPTIONAL = {"torch", "stable_baselines3", "pygame", "mujoco", "pytest"}
+LEARNED = {"servotrack.baselines.sb3"}
 CACHES = {"__pycache__", ".mypy_cache", ".ruff_cache"}
 SECTIONS = [
     "Description",
@@ -89,6 +91,21 @@ def test_import_is_light() -> None:
     probe = "import sys, servotrack; print(*{name.partition('.')[0] for name in sys.modules})"
     modules = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=True).stdout.split()
     assert not HEAVY & set(modules)
+
+
+def test_no_module_needs_an_optional_library_to_be_imported() -> None:
+    modules = [
+        ".".join([name, *path.relative_to(ROOT / folder).with_suffix("").parts])
+        for name, folder in ROOMS.items()
+        for path in (ROOT / folder).rglob("*.py")
+        if path.stem not in {"__init__", "__main__"}
+    ]
+    probe = (
+        f"import importlib, sys; [importlib.import_module(name) for name in {sorted(set(modules) - LEARNED)}]; "
+        "print(*{name.partition('.')[0] for name in sys.modules})"
+    )
+    loaded = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=True).stdout.split()
+    assert not OPTIONAL & set(loaded)
 
 
 def test_import_is_fast() -> None:

@@ -10,13 +10,13 @@ import joblib
 import numpy as np
 
 from servotrack.baselines import seeds, statistics
+from servotrack.baselines.bench import default_agents
 from servotrack.baselines.evaluate import evaluate
-from servotrack.baselines.registry import AGENTS
 from servotrack.baselines.results import CellResults
 
 ENV_ID = "UncalibServo-v0"
 BOUND = "informed-bound"
-UNSKILLED = ("random", "fixed-jacobian")
+UNSKILLED = {"random", "fixed-jacobian"}
 
 Cells = Mapping[tuple[str, str], CellResults]
 
@@ -48,7 +48,7 @@ TASKS = (
     Task("level 3", {"level": 3}, {}, {"kf": 0.93, "lifted-kf": 0.96, "oracle": 0.97}),
     Task("level 5", {"level": 5}, {}, {"lifted-kf": 0.93}),
 )
-HEAVY = Task("level 6", {"level": 6}, {}, {name: 0.0 for name in AGENTS if name not in UNSKILLED})
+HEAVY = Task("level 6", {"level": 6}, {}, {name: 0.0 for name in sorted({*default_agents(), BOUND} - UNSKILLED)})
 
 
 def cells() -> list[tuple[Task, str]]:

@@ -104,6 +104,18 @@ def as_markdown(grid: Grid) -> str:
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
 
 
+def markdown_overview(tasks: Sequence[TaskSummary], command: str) -> str:
+    """The overview for a document of another kind, with the command that wrote it; "" where there are no scores."""
+    overview = overview_grid(tasks)
+    if not overview.rows:
+        return ""
+    episodes = max(row.episodes for task in tasks for row in task.rows)
+    return (
+        f"{as_markdown(overview)}\nMean score · success in percent, up to {episodes} episodes each. "
+        f"Written by `{command}`. {NOTE}\n"
+    )
+
+
 def markdown_report(tasks: Sequence[TaskSummary], command: str) -> str:
     """The whole leaderboard: the overview where there are scores, then every task."""
     parts = ["# Leaderboard\n", f"Written by `{command}`. {NOTE}\n"]

@@ -125,6 +125,9 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
     example `gym.make("UncalibServo-v0", level=5, pixel_noise=2.0, latency=(0, 2))`. `render_mode`: `rgb_array` or
     `human`.
 
+    A copy (`copy.deepcopy`) made in mid-episode does not continue to the bit: the physics engine does not copy what its
+    solver remembers. Plan on replays of the actions from the same seed instead.
+
     ## References
 
     Zhang Ying-bo, "Unscented Kalman filter for on-line estimation of Jacobian matrix", Journal of Computer

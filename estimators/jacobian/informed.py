@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from servotrack.estimators.camera import ground_points
 from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
-from servotrack.estimators.jacobian.lifted import LiftedEstimate, LiftedKalman, LiftedState
+from servotrack.estimators.jacobian.lifted import SWINGING_MODELS, LiftedEstimate, LiftedKalman, LiftedState
 from servotrack.estimators.jacobian.measurement import checked
 
 
@@ -57,7 +57,9 @@ class InformedKalman:
         target: The filter of the target; what it would learn about arm and camera is given to it instead.
     """
 
-    target: LiftedKalman = field(default_factory=lambda: LiftedKalman(drift=0.0, optics_error=0.0))
+    target: LiftedKalman = field(
+        default_factory=lambda: LiftedKalman(models=SWINGING_MODELS, drift=0.0, optics_error=0.0)
+    )
 
     def __post_init__(self) -> None:
         if self.target.drift != 0.0:

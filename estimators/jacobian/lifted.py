@@ -132,9 +132,9 @@ class LiftedKalman:
 
     Several models of the target run side by side (interacting multiple models), so that a smooth target is averaged
     over many frames and an abrupt manoeuvre is followed at once: a single frame far off is an outlier, the second in
-    a row is a manoeuvre. The default supposes that targets swing at some rate near 1 rad/s, or turn;
-    `ACCELERATING_MODELS` supposes less, at errors that are up to a half larger. Give one model, one noise level and
-    `outlier_rate=0` for the plain Kalman filter.
+    a row is a manoeuvre. The default supposes nothing of the target but inertia; `SWINGING_MODELS` also suppose that it
+    swings at some rate near 1 rad/s, and pay where it does. Give one model, one noise level and `outlier_rate=0` for
+    the plain Kalman filter.
 
     The defaults are one setting for all levels of the benchmark, from a random search on tune seeds at levels 0 to 5.
 
@@ -156,7 +156,7 @@ class LiftedKalman:
         alignment: Interpolates the encoders at the frames' instants.
     """
 
-    models: tuple[TargetModel, ...] = SWINGING_MODELS
+    models: tuple[TargetModel, ...] = ACCELERATING_MODELS
     model_stay: float = 0.98
     noise: tuple[float, ...] = (0.3, 0.7, 1.5, 3.0)
     noise_stay: float = 0.985
@@ -182,8 +182,8 @@ class LiftedKalman:
             if not all(0.0 <= value < np.inf for value in np.atleast_1d(getattr(self, name))):
                 raise ValueError(f"{name} must be finite and >= 0, got {getattr(self, name)}")
         for name in ("model_stay", "noise_stay"):
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} is a probability in (0, 1], got {getattr(self, name)}")
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise ValueError(f"{name} is a probability in (0, 1), got {getattr(self, name)}; 0.98 is usual")
         if not 0.0 <= self.outlier_rate < 1.0:
             raise ValueError(f"outlier_rate is a probability in [0, 1), got {self.outlier_rate}")
 

@@ -3,7 +3,7 @@
 Plane vectors are complex numbers u + iv here: every quantity of the filter turns and scales but never shears, so its
 mean is a complex vector, its covariance Hermitian, and half the work of the real form is gone.
 
-A row of the batch holds M models of the target (they differ in process noise only). Within each, the noise of a
+A row of the batch holds M models of the target (see `TargetModel`). Within each, the noise of a
 feature is a mixture over L standard deviations, whose weights are learned, and an outlier of fixed probability. All
 branches of one model share the direction of the gain, so that collapsing them to their exact mean and covariance
 costs nothing.
@@ -22,27 +22,35 @@ STATE_SIZE = 5
 
 @njit(cache=True, nogil=True)
 def _mix(mean, cov, weight, stay, mixed_mean, mixed_cov, predicted):  # type: ignore[no-untyped-def]
-    """Interaction (Blom and Bar-Shalom 1988): what each model believes after the others may have switched to it."""
+    """Interaction (Blom and Bar-Shalom 1988): what each model believes after the others may have switched to it.
+
+    All switches being equally likely, model j is a mixture of itself and of everybody: one pass over the models makes
+    everybody's moments, about their common mean so that nothing cancels, and a second one each model's own.
+    """
     models = weight.shape[0]
-    leave = (1.0 - stay) / max(models - 1, 1)
-    for j in range(models):
-        total = 0.0
-        for i in range(models):
-            total += (stay if i == j else leave) * weight[i]
-        predicted[j] = total
-        for s in range(STATE_SIZE):
-            mixed_mean[j, s] = 0.0
-            for i in range(models):
-                mixed_mean[j, s] += (stay if i == j else leave) * weight[i] / total * mean[i, s]
+    leave = (1.0 - stay) / (models - 1) if models > 1 else 0.0
+    own = stay - leave if models > 1 else 1.0
+    center = np.zeros(STATE_SIZE, dtype=np.complex128)
+    everybody = np.zeros((STATE_SIZE, STATE_SIZE), dtype=np.complex128)
+    for i in range(models):
+        for r in range(STATE_SIZE):
+            center[r] += weight[i] * mean[i, r]
+    for i in range(models):
         for r in range(STATE_SIZE):
             for c in range(r + 1):
-                value = 0.0 + 0.0j
-                for i in range(models):
-                    share = (stay if i == j else leave) * weight[i] / total
-                    spread = (mean[i, r] - mixed_mean[j, r]) * np.conj(mean[i, c] - mixed_mean[j, c])
-                    value += share * (cov[i, r, c] + spread)
-                mixed_cov[j, r, c] = value
-                mixed_cov[j, c, r] = np.conj(value)
+                spread = (mean[i, r] - center[r]) * np.conj(mean[i, c] - center[c])
+                mixed_cov[i, r, c] = cov[i, r, c] + spread
+                everybody[r, c] += weight[i] * mixed_cov[i, r, c]
+    for j in range(models):
+        predicted[j] = own * weight[j] + leave
+        from_own, from_all = own * weight[j] / predicted[j], leave / predicted[j]
+        for r in range(STATE_SIZE):
+            mixed_mean[j, r] = center[r] + from_own * (mean[j, r] - center[r])
+        for r in range(STATE_SIZE):
+            for c in range(r + 1):
+                shift = (mixed_mean[j, r] - center[r]) * np.conj(mixed_mean[j, c] - center[c])
+                mixed_cov[j, r, c] = from_own * mixed_cov[j, r, c] + from_all * everybody[r, c] - shift
+                mixed_cov[j, c, r] = np.conj(mixed_cov[j, r, c])
 
 
 @njit(cache=True, nogil=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -144,3 +145,16 @@ def test_arguments_that_json_changes_stay_one_environment(tmp_path: Path) -> Non
     assert folder.save(loaded) == path
     with pytest.raises(ValueError, match="env_kwargs must be numbers"):
         folder.file_of(ENV, {"latency": object()}, AGENT)
+
+
+def test_the_version_follows_the_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import servotrack.baselines.results as results
+
+    room = tmp_path / "room"
+    room.mkdir()
+    (room / "__init__.py").write_text("")
+    monkeypatch.setattr(results, "find_spec", lambda name: SimpleNamespace(origin=str(room / "__init__.py")))
+    before = results.code_version.__wrapped__()
+    assert before == results.code_version.__wrapped__()
+    (room / "law.py").write_text("GAIN = 0.6\n")
+    assert before != results.code_version.__wrapped__()

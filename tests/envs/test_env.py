@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from typing import Any
 
@@ -75,16 +74,6 @@ def test_observations_of_random_agents_stay_in_their_space(env_id: str, level: i
             observation, reward, terminated, truncated, _ = env.step(env.action_space.sample())
             assert 0.0 <= reward <= 1.0
             over = terminated or truncated
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_the_docstring_has_gymnasiums_sections(env_id: str) -> None:
-    doc = type(gym.make(env_id).unwrapped).__doc__
-    assert doc is not None
-    assert re.findall(r"^    ## (.*)$", doc, flags=re.MULTILINE) == [
-        "Description", "Action Space", "Observation Space", "Rewards", "Starting State", "Episode End", "Arguments",
-        "References", "Version History",
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("env_id", IDS)

@@ -17,10 +17,13 @@ from servotrack.estimators.jacobian import (
     ServoController,
     ServoMeasurement,
 )
+from servotrack.estimators.jacobian.lifted import SWINGING_MODELS
 
 ROWS = 8
 LINKS = np.array([0.45, 0.6])
-EXACT = LiftedKalman(noise=(0.01,), encoder_noise=0.0, optics_error=0.0, outlier_rate=0.0, drift=0.0)
+EXACT = LiftedKalman(
+    models=SWINGING_MODELS, noise=(0.01,), encoder_noise=0.0, optics_error=0.0, outlier_rate=0.0, drift=0.0
+)
 """Trusts what it sees, so that any error is the geometry's."""
 
 

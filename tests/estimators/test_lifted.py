@@ -191,6 +191,7 @@ def test_forgetting_keeps_the_mean():
         ({"arm_spread": 0.0}, "arm_spread must"),
         ({"drift": -1.0}, "drift must"),
         ({"model_stay": 0.0}, "model_stay is"),
+        ({"model_stay": 1.0}, "model_stay is"),
         ({"outlier_rate": 1.0}, "outlier_rate is"),
     ],
 )

@@ -14,12 +14,15 @@ from servotrack.estimators.jacobian import (
     Mountings,
     ParametricKalman,
     ServoMeasurement,
+    TargetModel,
 )
 
 ROWS, STEPS = 20, 60
 
 ESTIMATORS = {
     "lifted": LiftedKalman(),
+    "lifted-plain": LiftedKalman(models=(TargetModel(jerk=60.0),), noise=(1.0,), outlier_rate=0.0),
+    "lifted-without-outliers": LiftedKalman(noise_stay=0.999, model_stay=0.999, outlier_rate=0.0),
     "parametric-ekf": ParametricKalman(),
     "parametric-ukf": ParametricKalman(unscented=True),
     "mounting-bank": HypothesisBank(ParametricKalman(), Mountings(3)),
