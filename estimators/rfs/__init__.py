@@ -1,4 +1,15 @@
-"""Filters over random finite sets: a varying number of targets in clutter, one step at a time."""
+"""Filters over random finite sets: a varying number of targets in clutter, one step at a time.
+
+    model = pairwise_structure(constant_velocity(process_noise=5.0, measurement_noise=1.5), "S1")
+    tracker = Online(PMB(model, MeasurementBirth(), clutter_intensity=20 / 4000.0**2, detection=0.95))
+    for z in measurements:  # arrays of shape (number, 2), number may be 0
+        estimate = tracker.step(z)
+        print(estimate.labels, estimate.states, estimate.existence)
+
+`PMB` is the one to start with; `GMPHD` is the cheapest and the plainest; `GMCBMeMBer` is paper 004's. Every filter is a
+frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state, estimate)`; a state is a
+NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B independent filters at once.
+"""
 
 from servotrack.estimators.rfs.birth import Birth, MeasurementBirth, Spawn
 from servotrack.estimators.rfs.cbmember import GMCBMeMBer

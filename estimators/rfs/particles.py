@@ -156,10 +156,10 @@ def cluster_particles(  # type: ignore[no-untyped-def]
             mass[owner[p]] += weight[p]
     order = np.argsort(-mass, kind="mergesort")
     row = 0
-    for t in order:
-        if not mass[t] > 0.0:
+    for cluster in order:
+        if not mass[cluster] > 0.0:
             continue
-        members = np.flatnonzero(owner == t)
+        members = np.flatnonzero(owner == cluster)
         votes = np.unique(label[members])
         identity, most = 0, 0.0
         for vote in votes:
@@ -169,10 +169,10 @@ def cluster_particles(  # type: ignore[no-untyped-def]
         if identity == 0:
             identity = int(next_label)
             next_label += 1
-        for p in members:
-            if label[p] == 0 or most == 0.0:
-                label[p] = identity
-        share = weight[members] / mass[t]
+        for member in members:
+            if label[member] == 0 or most == 0.0:
+                label[member] = identity
+        share = weight[members] / mass[cluster]
         for r in range(n):
             extraction.state[b, row, r] = np.sum(share * particles[members, r])
         for r in range(n):
@@ -181,7 +181,7 @@ def cluster_particles(  # type: ignore[no-untyped-def]
                     particles[members, c] - extraction.state[b, row, c]
                 )
                 extraction.covariance[b, row, r, c] = np.sum(share * spread)
-        extraction.existence[b, row] = min(mass[t], 1.0)
+        extraction.existence[b, row] = min(mass[cluster], 1.0)
         extraction.label[b, row] = identity
         extraction.reported[b, row] = True
         row += 1

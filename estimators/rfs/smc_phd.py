@@ -78,9 +78,9 @@ class ParticlePHD:
     clutter_intensity: float
     survival: float = 0.99
     detection: float = 0.98
-    particles: int = 500
-    birth_particles: int = 200
-    capacity: int = 20_000
+    particles: int = 1000
+    birth_particles: int = 1000
+    capacity: int = 30_000
     seed: int = 0
 
     def __post_init__(self) -> None:
