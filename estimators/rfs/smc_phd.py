@@ -98,7 +98,7 @@ class ParticlePHD:
             if count < 1:
                 raise ValueError(f"{name} must be at least 1, got {count!r}")
         if self.capacity <= self.birth_particles:
-            raise ValueError(f"capacity must be above birth_particles, got {self.capacity!r}")
+            raise ValueError(f"capacity must be above birth_particles = {self.birth_particles}, got {self.capacity!r}")
 
     def initial(self, measurement: ArrayLike) -> ParticlePHDState:
         """State before the first measurement: no particles. The measurement gives the batch axis only."""

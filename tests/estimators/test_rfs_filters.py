@@ -45,7 +45,7 @@ def build(kind, hint, birth=None, **options):
     birth = known_birth(hint) if birth is None else birth
     options = {"clutter_intensity": hint.clutter_intensity, "detection": hint.detection_probability, **options}
     if kind is ParticlePHD:
-        return kind(hint.model, birth, particles=50, capacity=1000, **options)
+        return kind(hint.model, birth, particles=50, birth_particles=50, capacity=1000, **options)
     return kind(hint.model, birth, **options)
 
 
