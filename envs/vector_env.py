@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import gymnasium as gym
@@ -45,8 +45,9 @@ class FrameSource(Protocol):
     def record(self) -> None:
         """Take the world's newest sample."""
 
-    def frame(self, **more: Any) -> NDArray[np.uint8]:
-        """Draw the present; what a world shows beyond it comes as keywords."""
+    @property
+    def frame(self) -> Callable[..., NDArray[np.uint8]]:
+        """Draws the present; what a world shows beyond it comes as keywords."""
 
 
 class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):

@@ -120,8 +120,11 @@ def findings(found: Mapping[str, Mapping[str, Measures]], seconds: Mapping[tuple
 
 def _step_difference(seconds: Mapping[tuple[str, float], Array], first: str, second: str) -> PairedDifference:
     """Difference of the median step durations, paired by run, over all clutter rates, us."""
-    durations = [1e6 * np.concatenate([seconds[name, rate] for rate in CLUTTER_RATES]) for name in (first, second)]
-    return paired_difference(*durations)
+
+    def durations(name: str) -> Array:
+        return 1e6 * np.concatenate([seconds[name, rate] for rate in CLUTTER_RATES])
+
+    return paired_difference(durations(first), durations(second))
 
 
 def _verdict(holds: bool) -> Verdict:
