@@ -87,7 +87,7 @@ def draw(scene: TrackScene) -> Image:
     _draw_scene(_SCENE_PANEL.of(image), scene)
     most = max(4.0, *scene.true_numbers.tolist(), *scene.reported_numbers.tolist())
     numbers = _NUMBER_PANEL.of(image)
-    _curve(numbers, scene.true_numbers, most * 1.1, scene.horizon, SOFT_INK, 2)
+    _curve(numbers, scene.true_numbers, most * 1.1, scene.horizon, mix(FLOOR, INK, 0.3), 4)
     _curve(numbers, scene.reported_numbers, most * 1.1, scene.horizon, INK, 1)
     _curve(_ERROR_PANEL.of(image), scene.errors, scene.cutoff * 1.05, scene.horizon, _ERROR_COLOR, 1)
     return image
