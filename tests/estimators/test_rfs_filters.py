@@ -182,6 +182,26 @@ def test_the_pairwise_model_pays_on_pairwise_data():
         assert gain.mean() > 3.0 * gain.std(ddof=1) / np.sqrt(len(gain))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("axes", "most"),
+    [({"clutter_rate": float(rate)}, 2.3) for rate in (10, 20, 30, 40)] + [({"detection_probability": 0.9}, 3.8)],
+)
+def test_the_best_labelled_filter_reaches_the_wanted_errors(axes, most):
+    episodes = [scene(seed=SEED + i, **axes)[1] for i in range(100)]
+    assert score_runs(build(PMB, scene(**axes)[0]), episodes).mean() <= most
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", GAUSSIAN)
+@pytest.mark.parametrize("rate", [10.0, 20.0, 30.0, 40.0])
+def test_the_pairwise_model_pays_at_every_clutter_rate(kind, rate):
+    episodes = [scene(seed=SEED + i, clutter_rate=rate)[1] for i in range(100)]
+    hint, hidden = scene(clutter_rate=rate)[0], scene(structure="HMM", clutter_rate=rate)[0]
+    gain = score_runs(build(kind, hidden), episodes) - score_runs(build(kind, hint), episodes)
+    assert gain.mean() > 3.0 * gain.std(ddof=1) / np.sqrt(len(gain))
+
+
 @pytest.mark.parametrize("transform", ["ekf", "ukf"])
 @pytest.mark.parametrize("kind", [*GAUSSIAN, GlobalNearestNeighbor])
 def test_range_and_bearing_are_tracked(kind, transform):
