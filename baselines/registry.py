@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from servotrack.baselines.protocol import Agent, AgentCard, Information
+from servotrack.baselines.tuning_record import shipped_tuning_steps
 
 DEFAULT_LAW = "pi"
 LAWS = (DEFAULT_LAW, "proportional", "damped", "one-step")
@@ -22,6 +23,7 @@ def _servo(name: str, information: Information, summary: str, law: str = DEFAULT
         summary,
         parameters={"estimator": name, "law": law},
         laws=True,
+        tuning_steps=shipped_tuning_steps(name),
         **fields,
     )
 

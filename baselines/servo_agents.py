@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from servotrack.baselines.anchors import FixedJacobian, OracleJacobian
+from servotrack.baselines.hyper_parameters import with_values
 from servotrack.baselines.pixel_servo import PIXEL_KEYS, PixelServo
 from servotrack.baselines.servo import OBSERVATION_KEYS, JacobianServo
 from servotrack.estimators.jacobian import (
@@ -73,16 +74,22 @@ _NO_SUPERVISOR = frozenset({"fixed-jacobian"})
 """Agents for which learning anew would defeat their purpose."""
 
 
-def servo_controller(estimator: str, law: str, max_joint_rate: float) -> ServoController:
+def servo_controller(
+    estimator: str, law: str, max_joint_rate: float, values: Mapping[str, float] | None = None
+) -> ServoController:
     """The controller of an agent.
 
     Args:
         estimator: A key of `ESTIMATORS`.
         law: A key of `LAWS`.
         max_joint_rate: rad/s.
+        values: Numbers of the estimator that are not to be its defaults; see `with_values`.
+
+    Raises:
+        ValueError: `values` lead nowhere, or the estimator refuses one.
     """
     return ServoController(
-        estimator=ESTIMATORS[estimator](),
+        estimator=with_values(ESTIMATORS[estimator](), values or {}),
         law=LAWS[law](),
         excitation=Excitation(steps=0) if estimator in _NO_PROBING else Excitation(),
         supervisor=None if estimator in _NO_SUPERVISOR else Supervisor(),
@@ -90,7 +97,9 @@ def servo_controller(estimator: str, law: str, max_joint_rate: float) -> ServoCo
     )
 
 
-def create_servo_agent(env: Any, estimator: str, law: str) -> JacobianServo | PixelServo:
+def create_servo_agent(
+    env: Any, estimator: str, law: str, values: Mapping[str, float] | None = None
+) -> JacobianServo | PixelServo:
     """A servo agent for an environment, of which only `max_joint_rate` and the observation space are read.
 
     Where images are observed instead of features, a marker detector sits in front.
@@ -99,9 +108,10 @@ def create_servo_agent(env: Any, estimator: str, law: str) -> JacobianServo | Pi
         env: A servo environment or vector environment.
         estimator: A key of `ESTIMATORS`.
         law: A key of `LAWS`.
+        values: Numbers of the estimator that are not to be its defaults; see `with_values`.
 
     Raises:
-        ValueError: The environment is no servo.
+        ValueError: The environment is no servo; `values` do not fit the estimator.
     """
     space = getattr(env, "single_observation_space", env.observation_space)
     max_joint_rate = getattr(env.unwrapped, "max_joint_rate", None)
@@ -113,5 +123,5 @@ def create_servo_agent(env: Any, estimator: str, law: str) -> JacobianServo | Pi
             f"agent {estimator!r} needs an environment with max_joint_rate and the observations "
             f"{', '.join(OBSERVATION_KEYS)} (or image); {name} is none: choose UncalibServo-v0, or another agent"
         )
-    servo = JacobianServo(servo_controller(estimator, law, float(max_joint_rate)))
+    servo = JacobianServo(servo_controller(estimator, law, float(max_joint_rate), values))
     return PixelServo(servo) if sees_pixels else servo

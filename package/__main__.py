@@ -122,6 +122,43 @@ def leaderboard(
 
 
 @app.command()
+def tune(
+    agents: Annotated[list[str] | None, typer.Argument(help="Names; default: all with values of their own.")] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The record; agents that an earlier one holds are skipped.")
+    ] = DEFAULT_RESULTS / "tuning.json",
+    episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Tune seeds per level.")] = 16,
+    into: Annotated[
+        Path | None,
+        typer.Option(help="A document that has the marks <!-- tuning:begin --> and <!-- tuning:end -->."),
+    ] = None,
+) -> None:
+    """Search the servo agents' hyper-parameters on tune seeds, and count the environment steps that it takes."""
+    from servotrack.baselines import seeds
+    from servotrack.baselines.bench import progress_bars
+    from servotrack.baselines.leaderboard.embed import embed
+    from servotrack.baselines.leaderboard.table import as_rich
+    from servotrack.baselines.leaderboard.tuning_table import markdown_tuning, tuning_grid
+    from servotrack.baselines.tuning import FIRST_SEED, TuningProtocol
+    from servotrack.baselines.tuning import tune as run
+    from servotrack.baselines.tuning_grids import GRIDS
+
+    protocol = TuningProtocol(seeds=tuple(seeds.take("tune", episodes, FIRST_SEED)))
+    with progress_bars() as progress:
+        bars: list[Any] = []
+        record = run(
+            agents or list(GRIDS),
+            output,
+            protocol,
+            on_agent=lambda name, settings: bars.append(progress.add_task(name, total=settings)) if settings else None,
+            on_candidate=lambda: progress.advance(bars[-1]),
+        )
+    _console().print(as_rich(tuning_grid(record), str(output)))
+    if into is not None:
+        embed(markdown_tuning(record), into, "tuning")
+
+
+@app.command()
 def reproduce(
     paper: Annotated[
         str, typer.Argument(help="`servo`: paper 002, the UKF of the image Jacobian; `pmm`: paper 004, set filters.")

@@ -25,7 +25,8 @@ NOTE = (
     f"{PRIVILEGED_MARK} sees the truth. Brackets: 95 % intervals. "
     f"Differences are paired by seed against {REFERENCE}; * marks those below p = 0.05 after Holm's correction. "
     f"× bound: mean steady error over that of {BOUND}. "
-    "Tuning steps: environment steps spent on tuning, on seeds of their own; ? where nobody counted them."
+    "Tuning steps: environment steps of `servotrack tune` or of training, on seeds of their own, without the trials by "
+    "hand that came before; ? where nobody counted."
 )
 
 

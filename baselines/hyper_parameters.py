@@ -1,0 +1,53 @@
+"""Numbers inside an estimator by their path: "walk.joint_noise", or "models.0.jerk" for a member of a tuple."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+
+def value_at(estimator: Any, path: str) -> float:
+    """The number at a path.
+
+    Raises:
+        ValueError: Nothing is there.
+    """
+    found = estimator
+    for name in path.split("."):
+        found = _part(found, name, path)
+    return found
+
+
+def with_values(estimator: Any, values: Mapping[str, float]) -> Any:
+    """A copy of an estimator with other numbers; the estimator's own checks apply.
+
+    Args:
+        estimator: A dataclass, which may hold dataclasses and tuples of them.
+        values: Path to number.
+
+    Raises:
+        ValueError: A path leads nowhere, or the estimator refuses a number.
+    """
+    for path, value in values.items():
+        estimator = _replaced(estimator, path, path, value)
+    return estimator
+
+
+def _replaced(owner: Any, rest: str, path: str, value: float) -> Any:
+    name, dot, deeper = rest.partition(".")
+    old = _part(owner, name, path)
+    new = _replaced(old, deeper, path, value) if dot else value
+    if isinstance(owner, tuple):
+        return (*owner[: int(name)], new, *owner[int(name) + 1 :])
+    return replace(owner, **{name: new})
+
+
+def _part(owner: Any, name: str, path: str) -> Any:
+    if isinstance(owner, tuple) and name.isdigit() and int(name) < len(owner):
+        return owner[int(name)]
+    known = [field.name for field in fields(owner)] if is_dataclass(owner) else []
+    if name in known:
+        return getattr(owner, name)
+    has = ", ".join(known) or (f"{len(owner)} members" if isinstance(owner, tuple) else "no parts")
+    raise ValueError(f"values: {path!r} leads nowhere at {name!r}; {type(owner).__name__} has {has}")
