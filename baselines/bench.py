@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from servotrack.baselines import seeds as seed_ranges
 from servotrack.baselines.evaluate import evaluate
+from servotrack.baselines.leaderboard.summary import LOWER_ANCHOR
 from servotrack.baselines.registry import AGENTS, agent_card
 from servotrack.baselines.results import CellResults, ResultsFolder, provenance
 
@@ -34,9 +35,19 @@ class Cell:
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
 
 
-def default_agents() -> list[str]:
-    """Every registered agent that is measured by default, in the table's order."""
-    return [name for name, card in AGENTS.items() if card.in_default_suite]
+def is_tracking(env_id: str) -> bool:
+    """Whether an id is a tracking world, where observers answer with sets."""
+    return "Tracking" in env_id
+
+
+def default_agents(env_id: str = "UncalibServo-v0") -> list[str]:
+    """Every registered agent that is measured in a world by default, in the table's order."""
+    tracking = is_tracking(env_id)
+    return [
+        name
+        for name, card in AGENTS.items()
+        if card.in_default_suite and (card.tracks == tracking or name == LOWER_ANCHOR)
+    ]
 
 
 def servo_suite(
@@ -47,7 +58,7 @@ def servo_suite(
     Raises:
         ValueError: An unknown agent, or nothing to do.
     """
-    names = list(agents) if agents else default_agents()
+    names = list(agents) if agents else default_agents(env_id)
     for name in names:
         agent_card(name)
     if not levels:

@@ -1,4 +1,4 @@
-"""From a vector environment's steps to one row per episode: return and length of any, errors of servos."""
+"""From a vector environment's steps to one row per episode: return and length of any, errors of servos, set scores."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.baselines.results import Row
+from servotrack.baselines.track_episodes import SetScoreRecorder
 
 Array = NDArray[np.float64]
 
@@ -46,6 +47,7 @@ class EpisodeRecorder:
         self._returns = np.zeros(rows)
         self._lengths = np.zeros(rows, dtype=np.int64)
         self._successes: list[bool | None] = [None] * rows
+        self._sets: SetScoreRecorder | None = None
         self._times: list[Array] = []
         self._tracking: list[Array] = []
         self._features: list[Array] = []
@@ -72,6 +74,9 @@ class EpisodeRecorder:
         else:
             for row in np.flatnonzero(self._alive & self.ended):
                 self._successes[row] = _final_success(info, int(row))
+        if "ospa" in info:
+            self._sets = self._sets or SetScoreRecorder(len(self._seeds))
+            self._sets.record(info, self._alive & self.ended)
         self._alive &= ~self.ended
 
     def rows(self) -> list[Row]:
@@ -81,6 +86,8 @@ class EpisodeRecorder:
             row: Row = {"seed": seed, "return": float(self._returns[i]), "length": int(self._lengths[i])}
             if self.is_servo:
                 row |= self._servo_columns(i)
+            elif self._sets is not None:
+                row |= self._sets.columns(i, row["length"])
             elif self._successes[i] is not None:
                 row["success"] = self._successes[i]
             rows.append(row)

@@ -53,6 +53,7 @@ class AgentCard:
             counted them.
         summary: One line for people.
         laws: Whether a control law can be chosen ("name+law").
+        tracks: Whether it is an observer of the tracking worlds.
         in_default_suite: Whether `servotrack bench` measures it unless told otherwise.
     """
 
@@ -64,6 +65,7 @@ class AgentCard:
     requires: frozenset[str] = frozenset()
     tuning_steps: int | None = None
     laws: bool = False
+    tracks: bool = False
     in_default_suite: bool = True
 
     def as_record(self) -> dict[str, Any]:

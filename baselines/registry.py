@@ -30,6 +30,23 @@ def _servo(name: str, information: Information, summary: str, law: str = DEFAULT
 
 _TRUTH = frozenset({"truth"})
 
+
+def _observer(name: str, summary: str, information: Information = "calibrated", **fields: Any) -> AgentCard:
+    estimator = name.removesuffix("-hmm")
+    parameters: dict[str, Any] = {"estimator": estimator}
+    if estimator != name:
+        parameters["hidden_markov"] = True
+    return AgentCard(
+        name,
+        "servotrack.baselines.observers:create_observer",
+        information,
+        summary,
+        parameters=parameters,
+        tracks=True,
+        **fields,
+    )
+
+
 _CARDS = (
     AgentCard(
         "random",
@@ -67,6 +84,17 @@ _CARDS = (
         law="one-step",
         requires=_TRUTH,
     ),
+    _observer("gm-phd", "Gaussian-mixture PHD filter, pairwise Markov where the noises depend on each other"),
+    _observer("gm-phd-hmm", "Gaussian-mixture PHD filter that takes the noises for independent"),
+    _observer("gm-cbmember", "cardinality-balanced multi-Bernoulli filter (paper 004)"),
+    _observer("gm-cbmember-hmm", "the same with the noises taken for independent"),
+    _observer("pmb", "track-oriented Poisson multi-Bernoulli filter with belief propagation"),
+    _observer("pmb-hmm", "the same with the noises taken for independent"),
+    _observer("smc-phd", "particle PHD filter with k-means extraction"),
+    _observer("gnn", "Kalman tracks, nearest neighbors by one assignment, 3-of-5 confirmation"),
+    _observer("gnn-hmm", "the same with the noises taken for independent"),
+    _observer("raw-measurements", "reports every measurement as a target", "model-free"),
+    _observer("association-oracle", "told which measurement is whose: Kalman filters", "privileged", requires=_TRUTH),
 )
 
 AGENTS: dict[str, AgentCard] = {card.name: card for card in _CARDS}

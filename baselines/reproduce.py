@@ -35,13 +35,16 @@ ASSUMED = (
 )
 
 
-def reproduce_paper(paper: str, output: Path, runs: int, console: Console, claims_path: Path | None = None) -> None:
+def reproduce_paper(
+    paper: str, output: Path, runs: int | None, console: Console, claims_path: Path | None = None
+) -> None:
     """Reproduce one paper.
 
     Args:
-        paper: "servo" for paper 002.
+        paper: "servo" for paper 002, "pmm" for paper 004.
         output: Folder for the tables, figures and claims.
-        runs: Runs per algorithm; only the particle filter's differ, by its own random numbers.
+        runs: Runs per algorithm; None for as many as the paper has. In "servo" only the particle filter's differ, by
+            its own random numbers; in "pmm" all do.
         console: Where to print.
         claims_path: Claims file to fill in; None for a copy of the shipped one in `output`.
 
@@ -51,7 +54,7 @@ def reproduce_paper(paper: str, output: Path, runs: int, console: Console, claim
     """
     if paper not in PAPERS:
         raise ValueError(f"paper must be one of {', '.join(PAPERS)}, got {paper!r}")
-    PAPERS[paper](output, runs, console, claims_path)
+    PAPERS[paper](output, DEFAULT_RUNS[paper] if runs is None else runs, console, claims_path)
 
 
 def _reproduce_servo(output: Path, runs: int, console: Console, claims_path: Path | None) -> None:
@@ -76,14 +79,14 @@ def _reproduce_servo(output: Path, runs: int, console: Console, claims_path: Pat
     claims = fill(
         read_claims(claims_path or SHIPPED), _findings(audited, tracking, positioning, open_loop, closed_loop)
     )
-    tables["Claims"] = _claims_grid(claims)
+    tables["Claims"] = claims_grid([claim for claim in claims if claim.paper == "002"])
     for title, grid in tables.items():
         console.print(as_rich(grid, title))
     console.print(ASSUMED, style="dim")
 
     written = [output / "paper002.md", claims_path or output / "claims.yaml"]
     with atomic_path(written[0]) as temporary:
-        parts = [f"# Paper 002\n\nWritten by `{_command()}`. {ASSUMED}\n"]
+        parts = [f"# Paper 002\n\nWritten by `{command_line()}`. {ASSUMED}\n"]
         parts += [f"## {title}\n\n{as_markdown(grid)}" for title, grid in tables.items()]
         temporary.write_text("\n".join(parts), encoding="utf-8")
     write_claims(claims, written[1])
@@ -99,7 +102,18 @@ def _reproduce_servo(output: Path, runs: int, console: Console, claims_path: Pat
         console.print(str(path), soft_wrap=True)
 
 
-PAPERS: dict[str, Callable[[Path, int, Console, Path | None], None]] = {"servo": _reproduce_servo}
+def _reproduce_pmm(output: Path, runs: int, console: Console, claims_path: Path | None) -> None:
+    from servotrack.baselines.paper004.report import reproduce_pmm
+
+    reproduce_pmm(output, runs, console, claims_path)
+
+
+PAPERS: dict[str, Callable[[Path, int, Console, Path | None], None]] = {
+    "servo": _reproduce_servo,
+    "pmm": _reproduce_pmm,
+}
+DEFAULT_RUNS = {"servo": 10, "pmm": 500}
+"""As many as the paper has."""
 
 
 def _runs(env_id: str, runs: int, seed: int, progress: Progress) -> dict[str, list[Run]]:
@@ -189,7 +203,8 @@ def _scale_grid(scaled: Mapping[tuple[str, float], Run], tracking: Mapping[str, 
     return Grid(["algorithm", "process variance", "transient m", "steady m"], rows, 2)
 
 
-def _claims_grid(claims: Sequence[Claim]) -> Grid:
+def claims_grid(claims: Sequence[Claim]) -> Grid:
+    """The claims audit as a table."""
     rows = []
     for claim in claims:
         effect = claim.effect
@@ -261,5 +276,6 @@ def _effect(difference: PairedDifference, measured: str) -> dict[str, Any]:
     }
 
 
-def _command() -> str:
+def command_line() -> str:
+    """The command that this process runs."""
     return shlex.join(["servotrack", *sys.argv[1:]])

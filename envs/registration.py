@@ -19,6 +19,10 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
         "entry_point": "servotrack.envs.servo.pixels:UncalibServoPixelsEnv",
         "vector_entry_point": "servotrack.envs.servo.pixels:UncalibServoPixelsVectorEnv",
     },
+    "ClutterTracking-v0": {
+        "entry_point": "servotrack.envs.track.clutter:ClutterTrackingEnv",
+        "vector_entry_point": "servotrack.envs.track.clutter:ClutterTrackingVectorEnv",
+    },
 }
 
 

@@ -11,13 +11,20 @@ from numpy.typing import NDArray
 
 Observation = dict[str, NDArray[Any]]
 
+OBSERVATION_KEY = "observation"
+"""Where an observation that is no dictionary is found beside the truth."""
+
 
 def _widened(space: gym.Space[Any], extra: Observation) -> gym.spaces.Dict:
     """The observation space with one Box for each privileged array; the bounds are wide, but finite."""
-    if not isinstance(space, gym.spaces.Dict):
-        raise TypeError(f"PrivilegedObservation needs a Dict observation space, got {space}")
     boxes = {key: gym.spaces.Box(-1e9, 1e9, value.shape, np.float64) for key, value in extra.items()}
-    return gym.spaces.Dict({**space.spaces, **boxes})
+    own = space.spaces if isinstance(space, gym.spaces.Dict) else {OBSERVATION_KEY: space}
+    return gym.spaces.Dict({**own, **boxes})
+
+
+def _joined(observation: Any, extra: Observation) -> Observation:
+    own = observation if isinstance(observation, dict) else {OBSERVATION_KEY: observation}
+    return {**own, **extra}
 
 
 def _privileged(env: Any) -> Any:
@@ -34,7 +41,7 @@ class PrivilegedObservation(gym.ObservationWrapper[Observation, Any, Observation
         env: An environment with a method `privileged()` that returns a dictionary of float64 arrays.
 
     Raises:
-        TypeError: The environment has no such method, or its observation is no Dict.
+        TypeError: The environment has no such method.
     """
 
     def __init__(self, env: gym.Env[Observation, Any]) -> None:
@@ -44,7 +51,7 @@ class PrivilegedObservation(gym.ObservationWrapper[Observation, Any, Observation
 
     def observation(self, observation: Observation) -> Observation:
         """The observation and the truth beside it."""
-        return {**observation, **self._privileged()}
+        return _joined(observation, self._privileged())
 
 
 class VectorPrivilegedObservation(gym.vector.VectorObservationWrapper):
@@ -54,7 +61,7 @@ class VectorPrivilegedObservation(gym.vector.VectorObservationWrapper):
         env: Such a vector environment.
 
     Raises:
-        TypeError: The environment has no such method, or its observation is no Dict.
+        TypeError: The environment has no such method.
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
@@ -66,4 +73,4 @@ class VectorPrivilegedObservation(gym.vector.VectorObservationWrapper):
 
     def observations(self, observations: Observation) -> Observation:
         """The observations and the truth beside them."""
-        return {**observations, **self._privileged()}
+        return _joined(observations, self._privileged())

@@ -78,7 +78,7 @@ def bench(
     results: Results = DEFAULT_RESULTS / "bench",
     agents: Annotated[str, typer.Option("--agents", "-a", help="Comma-separated; default: all.")] = "",
     levels: Annotated[str, typer.Option("--levels", "-l", help="Such as 0-5 or 0,3.")] = "0-5",
-    env: Annotated[str, typer.Option("--env", help="Servo id.")] = "UncalibServo-v0",
+    env: Annotated[str, typer.Option("--env", help="Servo or tracking id.")] = "UncalibServo-v0",
     episodes: Episodes = 100,
     split: Split = "test",
     jobs: Jobs = -1,
@@ -160,11 +160,13 @@ def tune(
 
 @app.command()
 def reproduce(
-    paper: Annotated[str, typer.Argument(help="`servo`: paper 002, the UKF of the image Jacobian.")],
+    paper: Annotated[
+        str, typer.Argument(help="`servo`: paper 002, the UKF of the image Jacobian; `pmm`: paper 004, set filters.")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for tables, figures and claims.")] = Path(
         "results/reproduce"
     ),
-    runs: Annotated[int, typer.Option(min=1, help="Runs per algorithm, as the paper's ten.")] = 10,
+    runs: Annotated[int | None, typer.Option(min=1, help="Runs per algorithm; default: as many as the paper.")] = None,
     claims: Annotated[Path | None, typer.Option(help="Claims file to fill in; default: a copy in OUTPUT.")] = None,
 ) -> None:
     """A paper's tables and figures, ours beside the paper's, and its claims with a verdict each."""

@@ -178,7 +178,7 @@ def table(rows: Sequence[Subject], rates: Mapping[str, Rate]) -> str:
         ratios = {name: rate.median / rates[name].median for name in row.peers if rates[name].rounds}
         beside = "; ".join(f"{ratio:.2f} x {name} (wanted {row.peers[name]:g})" for name, ratio in ratios.items())
         reached = ""
-        if row.wanted:
+        if row.wanted or row.peers:
             enough = not row.peers or any(ratio >= row.peers[name] for name, ratio in ratios.items())
             reached = "yes" if rate.median >= row.wanted and enough else "no"
             if row.peers and not ratios:

@@ -13,6 +13,7 @@ from servotrack.baselines.results import CellResults
 from servotrack.baselines.statistics import Interval, PairedDifference
 
 REFERENCE = "ukf"
+TRACK_REFERENCE = "gm-phd"
 LOWER_ANCHOR, UPPER_ANCHOR = "random", "oracle"
 BOUND = "informed-bound"
 
@@ -33,7 +34,9 @@ class AgentSummary:
         score: Mean score; 0 is random, 1 the oracle.
         worst_score: Mean of the worst tenth of the scores.
         scores: Of all episodes, in the order of the rows.
-        difference: Steady error minus the reference's, paired by seed, m.
+        ospa: Mean OSPA over episodes, m.
+        ospa2: Mean OSPA(2) over episodes, where identity counts, m.
+        difference: Steady error, in tracking worlds OSPA(2), minus the reference's, paired by seed, m.
         adjusted_p: Its p-value after Holm's correction over the task's table.
         step_seconds: Median compute time of one step, s.
         tuning_steps: Environment steps spent on tuning or training; None where nobody counted them.
@@ -50,6 +53,8 @@ class AgentSummary:
     score: Interval | None
     worst_score: float | None
     scores: NDArray[np.float64] | None
+    ospa: Interval | None
+    ospa2: Interval | None
     difference: PairedDifference | None
     adjusted_p: float | None
     step_seconds: float | None
@@ -147,6 +152,8 @@ def _summarize_task(name: str, cells: list[CellResults], step_seconds: dict[tupl
 def _rank(row: AgentSummary) -> float:
     if row.score is not None:
         return -row.score.value
+    if row.ospa2 is not None:
+        return row.ospa2.value
     return row.steady.value if row.steady is not None else -row.mean_return.value
 
 
@@ -176,7 +183,10 @@ def _summarize_cell(
         score=None if scores is None else statistics.bootstrap_mean(scores),
         worst_score=None if scores is None else statistics.worst_tenth(scores, high_is_bad=False),
         scores=scores,
-        difference=_difference(cell, by_agent.get(REFERENCE)),
+        ospa=_mean_of(cell, "ospa"),
+        ospa2=_mean_of(cell, "ospa2"),
+        difference=_difference(cell, by_agent.get(REFERENCE), "steady")
+        or _difference(cell, by_agent.get(TRACK_REFERENCE), "ospa2"),
         adjusted_p=None,
         step_seconds=step_seconds.get((cell.env_id, cell.agent)),
         tuning_steps=cell.card["tuning_steps"],
@@ -184,18 +194,30 @@ def _summarize_cell(
 
 
 def _errors(cell: CellResults) -> NDArray[np.float64] | None:
-    if any("steady" not in row for row in cell.rows):
+    return _column(cell, "steady")
+
+
+def _column(cell: CellResults, name: str) -> NDArray[np.float64] | None:
+    """A column of the rows, if all of them have it."""
+    if any(name not in row for row in cell.rows):
         return None
-    return np.array([row["steady"] for row in cell.rows])
+    return np.array([row[name] for row in cell.rows])
 
 
-def _difference(cell: CellResults, reference: CellResults | None) -> PairedDifference | None:
-    if reference is None or reference.agent == cell.agent or _errors(cell) is None or _errors(reference) is None:
+def _mean_of(cell: CellResults, name: str) -> Interval | None:
+    values = _column(cell, name)
+    return None if values is None else statistics.bootstrap_mean(values)
+
+
+def _difference(cell: CellResults, reference: CellResults | None, name: str) -> PairedDifference | None:
+    if reference is None or reference.agent == cell.agent:
+        return None
+    if _column(cell, name) is None or _column(reference, name) is None:
         return None
     known = set(reference.seeds)
     common = [seed for seed in cell.seeds if seed in known]
     if not common:
         return None
     return statistics.paired_difference(
-        [row["steady"] for row in cell.select(common)], [row["steady"] for row in reference.select(common)]
+        [row[name] for row in cell.select(common)], [row[name] for row in reference.select(common)]
     )

@@ -10,6 +10,7 @@ from rich.table import Table
 from servotrack.baselines.leaderboard.summary import (
     BOUND,
     REFERENCE,
+    TRACK_REFERENCE,
     AgentSummary,
     OverallSummary,
     TaskSummary,
@@ -57,9 +58,11 @@ def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
 def task_grid(task: TaskSummary) -> Grid:
     """One task in full."""
     servo = any(row.steady for row in task.rows)
+    track = any(row.ospa for row in task.rows)
     bound = task.row(BOUND)
     headings = ["agent", "told", "n", "success %"]
     headings += ["score", "worst tenth", "steady mm", f"− {REFERENCE} mm", "× bound"] if servo else ["return"]
+    headings += ["OSPA m", "OSPA(2) m", f"− {TRACK_REFERENCE} m"] if track else []
     headings += ["µs/step", "tuning steps"]
     rows = []
     for row in task.rows:
@@ -75,6 +78,10 @@ def task_grid(task: TaskSummary) -> Grid:
             )
         else:
             cells.append(_interval(row.mean_return, 2))
+        if track:
+            cells.append(_interval(row.ospa, 2) if row.ospa else "")
+            cells.append(_interval(row.ospa2, 2) if row.ospa2 else "")
+            cells.append(_difference(row, 1.0, 2))
         cells.append("" if row.step_seconds is None else f"{row.step_seconds * 1e6:.0f}")
         cells.append("?" if row.tuning_steps is None else f"{row.tuning_steps:,}")
         rows.append(cells)
@@ -152,9 +159,10 @@ def _interval(interval: Interval, digits: int, factor: float = 1.0) -> str:
     return f"{value} [{low}, {high}]"
 
 
-def _difference(row: AgentSummary) -> str:
+def _difference(row: AgentSummary, factor: float = 1e3, digits: int = 1) -> str:
     if row.difference is None or row.adjusted_p is None:
         return ""
     mark = "*" if row.adjusted_p < SIGNIFICANCE else ""
     d = row.difference
-    return f"{d.value * 1e3:+.1f} [{d.low * 1e3:+.1f}, {d.high * 1e3:+.1f}]{mark}"
+    value, low, high = (f"{end * factor:+.{digits}f}" for end in d[:3])
+    return f"{value} [{low}, {high}]{mark}"

@@ -10,10 +10,12 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from servotrack.envs.arguments import RENDER_MODES, check_options, check_render_mode, check_seed
 from servotrack.envs.servo.episode import LEAD
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.targets import PERIOD
-from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld, check_actions, episode_seed
+from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld, check_actions
+from servotrack.envs.streams import episode_seed
 
 if TYPE_CHECKING:
     from servotrack.envs.servo.recorder import Recorder
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
 
 Observation = dict[str, NDArray[Any]]
 
-METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": round(1 / PERIOD)}
+METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": round(1 / PERIOD)}
 
 
 def action_space() -> gym.spaces.Box:
@@ -328,32 +330,3 @@ def _screen(
 
         viewer = Viewer(title, METADATA["render_fps"])
     return Recorder(world, caption=level_caption(level)), viewer
-
-
-def check_render_mode(render_mode: str | None) -> str | None:
-    """The render mode, if it is one; raises ValueError naming the known ones otherwise."""
-    if render_mode is not None and render_mode not in METADATA["render_modes"]:
-        raise ValueError(f"render_mode must be None or one of {METADATA['render_modes']}, got {render_mode!r}")
-    return render_mode
-
-
-def check_options(options: dict[str, Any] | None) -> None:
-    """Raises ValueError where reset options are given that do not exist."""
-    if options:
-        raise ValueError(f"reset options {sorted(options)} are not known; parameters are keywords of gym.make")
-
-
-def check_seed(seed: Any) -> int | None:
-    """A seed as a Python integer, or None.
-
-    Raises:
-        TypeError: Not an integer.
-        ValueError: Negative.
-    """
-    if seed is None:
-        return None
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
-        raise TypeError(f"seed must be None or an integer of at least 0, got {seed!r}")
-    if seed < 0:
-        raise ValueError(f"seed must be at least 0, got {seed!r}")
-    return int(seed)

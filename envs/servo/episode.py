@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from servotrack.envs.servo.levels import Range, ServoConfig
 from servotrack.envs.servo.targets import PERIOD, START, draw_path, solvable
+from servotrack.envs.streams import Streams
 from servotrack.estimators.camera import pack_camera, project_ground, project_points
 
 Array = NDArray[np.float64]
@@ -46,22 +47,8 @@ class Stream(IntEnum):
     FLOOR = 19
 
 
-class Streams:
-    """The random streams of one episode, each made when it is first used.
-
-    Args:
-        seed: The episode's seed, a non-negative integer.
-    """
-
-    def __init__(self, seed: int) -> None:
-        self.seed = seed
-        self._made: dict[Stream, np.random.Generator] = {}
-
-    def __getitem__(self, stream: Stream) -> np.random.Generator:
-        if stream not in self._made:
-            sequence = np.random.SeedSequence(self.seed, spawn_key=(int(stream),))
-            self._made[stream] = np.random.Generator(np.random.PCG64(sequence))
-        return self._made[stream]
+class ServoStreams(Streams):
+    """The random streams of one servo episode."""
 
     def uniform(self, stream: Stream, bounds: Range, size: int | None = None) -> float | Array:
         """Uniform draws; a range of no width uses no stream. Returns a float, or shape (size,)."""
@@ -91,7 +78,7 @@ class Episode:
         noise_levels: Standard deviations of encoder noise (rad) and rate noise (rad/s) of this episode, shape (2,).
     """
 
-    streams: Streams
+    streams: ServoStreams
     links: Array
     camera: Array
     goal: Array
@@ -128,7 +115,7 @@ def draw_episode(config: ServoConfig, seed: int) -> Episode:
     Raises:
         ValueError: No solvable layout among many draws: the ranges contradict each other.
     """
-    streams = Streams(seed)
+    streams = ServoStreams(seed)
     links, camera, path = _draw_layout(config, streams)
     count = samples(config)
     u, v, _ = project_ground(camera, 0.0, 0.0)
@@ -156,7 +143,7 @@ _NEVER = np.zeros(0, dtype=np.bool_)
 _NONE = np.zeros((0, 2))
 
 
-def _draw_layout(config: ServoConfig, streams: Streams) -> tuple[Array, Array, Array]:
+def _draw_layout(config: ServoConfig, streams: ServoStreams) -> tuple[Array, Array, Array]:
     if _is_fixed(config):
         return _fixed_layout(config)
     times = sample_times(config)
@@ -193,14 +180,14 @@ def _is_fixed(config: ServoConfig) -> bool:
 @lru_cache(maxsize=32)
 def _fixed_layout(config: ServoConfig) -> tuple[Array, Array, Array]:
     links = np.full(2, config.links[0])
-    camera = _draw_camera(config, Streams(0))
+    camera = _draw_camera(config, ServoStreams(0))
     path = draw_path(config, None, links, sample_times(config))
     for table in (links, camera, path):
         table.setflags(write=False)
     return links, camera, path
 
 
-def _draw_camera(config: ServoConfig, streams: Streams) -> Array:
+def _draw_camera(config: ServoConfig, streams: ServoStreams) -> Array:
     middle = config.camera_size / 2.0
 
     def around(stream: Stream, half: float, size: int | None = None) -> float | Array:
@@ -218,7 +205,7 @@ def _draw_camera(config: ServoConfig, streams: Streams) -> Array:
     )
 
 
-def _gaussian_block(streams: Streams, stream: Stream, level: Range, count: int) -> tuple[Array, float]:
+def _gaussian_block(streams: ServoStreams, stream: Stream, level: Range, count: int) -> tuple[Array, float]:
     """White noise for both joints at every sample, of a level drawn for the episode: (count, 2), and the level."""
     if level == (0.0, 0.0):
         return _NONE, 0.0
@@ -226,7 +213,7 @@ def _gaussian_block(streams: Streams, stream: Stream, level: Range, count: int) 
     return sigma * streams[stream].standard_normal((count, 2)), sigma
 
 
-def _feature_noise(config: ServoConfig, streams: Streams, count: int) -> Array:
+def _feature_noise(config: ServoConfig, streams: ServoStreams, count: int) -> Array:
     noise = _NONE
     if config.pixel_noise > 0:
         rng, sigma = streams[Stream.PIXEL_NOISE], config.pixel_noise

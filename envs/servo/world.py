@@ -186,11 +186,6 @@ class ServoWorld:
         )
 
 
-def episode_seed(rng: np.random.Generator) -> int:
-    """The seed of the next episode, drawn from an environment's own generator."""
-    return int(rng.integers(0, 2**63))
-
-
 def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
     """Actions as float64 of the right shape.
 

@@ -23,7 +23,7 @@ MISTAKES = [
     (["bench", "-a", "zebra"], "no agent is called 'zebra'"),
     (["bench", "-l", "low"], "levels must look like 0-5 or 0,3, got 'low'"),
     (["leaderboard", "nowhere"], "nowhere holds no results"),
-    (["reproduce", "chess"], "paper must be one of servo, got 'chess'"),
+    (["reproduce", "chess"], "paper must be one of servo, pmm, got 'chess'"),
     (["play", "--video", "film.webm"], "needs an agent"),
     (["play", "--agent", "kf", "--video", "film.mov"], "video must end in .webm"),
 ]

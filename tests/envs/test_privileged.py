@@ -83,12 +83,13 @@ def test_worlds_without_truth_are_named() -> None:
         PrivilegedObservation(gym.make("CartPole-v1"))
 
 
-def test_observations_without_keys_are_named() -> None:
+def test_observations_without_keys_get_one() -> None:
     class Flat(gym.Env[Any, Any]):
         observation_space, action_space = gym.spaces.Box(0, 1, (2,)), gym.spaces.Discrete(2)
 
         def privileged(self) -> dict[str, Any]:
             return {"true_state": np.zeros(2)}
 
-    with pytest.raises(TypeError, match="needs a Dict observation space, got Box"):
-        PrivilegedObservation(Flat())
+    env = PrivilegedObservation(Flat())
+    assert set(env.observation_space.spaces) == {"observation", "true_state"}
+    assert env.observation(np.ones(2))["observation"].tolist() == [1.0, 1.0]

@@ -1,0 +1,1 @@
+"""Paper 004 reproduced: set filters under hidden and pairwise Markov models."""

@@ -1,0 +1,118 @@
+"""The set estimators behind the observers' names, made of what a world tells its agents."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from servotrack.envs.track.told import SceneModel
+from servotrack.estimators.rfs import (
+    GMPHD,
+    PMB,
+    Birth,
+    GlobalNearestNeighbor,
+    GMCBMeMBer,
+    MeasurementBirth,
+    ParticlePHD,
+    RawMeasurements,
+    Reduction,
+)
+
+SMALLEST_CAPACITY = 100
+"""Components of a PHD and tracks of a multi-Bernoulli are capped at this, or at five times the most targets."""
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """What does not follow from the scene.
+
+    Attributes:
+        hidden_markov: Ignore the dependence of the noises, where there is one.
+        extraction: "threshold", "sum" or "map".
+        capacity: Most components of a PHD, most tracks of a multi-Bernoulli.
+    """
+
+    hidden_markov: bool = False
+    extraction: str = "threshold"
+    capacity: int = SMALLEST_CAPACITY
+
+
+def track_filter(name: str, scene: SceneModel, settings: FilterSettings | None = None) -> Any:
+    """A set estimator for a scene.
+
+    Args:
+        name: One of `TRACK_FILTERS`.
+        scene: What agents are told.
+        settings: The rest.
+
+    Raises:
+        ValueError: An unknown name.
+    """
+    if name not in TRACK_FILTERS:
+        raise ValueError(f"no tracking filter is called {name!r}; known are {', '.join(TRACK_FILTERS)}")
+    return TRACK_FILTERS[name](scene, settings or FilterSettings())
+
+
+def _birth(scene: SceneModel) -> Birth | MeasurementBirth:
+    if scene.birth_means is None:
+        return MeasurementBirth(float(scene.birth_weights.sum()), np.sqrt(np.diag(scene.birth_covariance)))
+    return Birth(scene.birth_weights, scene.birth_means, scene.birth_covariance)
+
+
+def _gaussian(filter_class: Callable[..., Any], reduction: Callable[[int], Reduction]) -> Callable[..., Any]:
+    def make(scene: SceneModel, settings: FilterSettings) -> Any:
+        return filter_class(
+            scene.hidden_markov if settings.hidden_markov else scene.model,
+            _birth(scene),
+            clutter_intensity=scene.clutter_intensity,
+            survival=scene.survival_probability,
+            detection=scene.detection_probability,
+            extraction=settings.extraction,
+            reduction=reduction(settings.capacity),
+        )
+
+    return make
+
+
+def _particle(scene: SceneModel, settings: FilterSettings) -> ParticlePHD:
+    birth = _birth(scene)
+    if isinstance(birth, MeasurementBirth):
+        # Particles need places to be drawn from: one Gaussian with the variance of the uniform region.
+        covariance = scene.birth_covariance.copy()
+        covariance[[0, 2], [0, 2]] = scene.half_width**2 / 3.0
+        birth = Birth(scene.birth_weights, np.zeros((1, 4)), covariance)
+    return ParticlePHD(
+        scene.hidden_markov,
+        birth,
+        clutter_intensity=scene.clutter_intensity,
+        survival=scene.survival_probability,
+        detection=scene.detection_probability,
+    )
+
+
+def _velocity_deviation(scene: SceneModel) -> float:
+    return float(np.sqrt(scene.birth_covariance[1, 1]))
+
+
+def _nearest(scene: SceneModel, settings: FilterSettings) -> GlobalNearestNeighbor:
+    return GlobalNearestNeighbor(
+        scene.hidden_markov if settings.hidden_markov else scene.model, hidden_deviation=_velocity_deviation(scene)
+    )
+
+
+def _raw(scene: SceneModel, settings: FilterSettings) -> RawMeasurements:
+    return RawMeasurements(scene.model)
+
+
+TRACK_FILTERS: Mapping[str, Callable[[SceneModel, FilterSettings], Any]] = {
+    "gm-phd": _gaussian(GMPHD, lambda capacity: Reduction(components=capacity)),
+    "gm-cbmember": _gaussian(GMCBMeMBer, lambda capacity: Reduction(components=10, tracks=capacity)),
+    "pmb": _gaussian(PMB, lambda capacity: Reduction(components=5, tracks=capacity)),
+    "smc-phd": _particle,
+    "gnn": _nearest,
+    "raw-measurements": _raw,
+}
+"""From an observer's name to what makes its estimator."""

@@ -1,0 +1,96 @@
+"""Sets as flat vectors in [-1, 1], which is what reinforcement learning libraries like."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+
+class _Scale:
+    """Between a finite Box of any shape and the flat Box [-1, 1] of float32."""
+
+    def __init__(self, space: gym.Space[Any], name: str) -> None:
+        if not isinstance(space, gym.spaces.Box) or not space.is_bounded() or not (space.high > space.low).all():
+            raise TypeError(f"FlatSets needs a Box with finite bounds as {name} space, got {space}")
+        self.shape = space.shape
+        self._low, self._span = space.low.astype(np.float64), space.high.astype(np.float64) - space.low
+        self.space = gym.spaces.Box(-1.0, 1.0, (int(np.prod(space.shape)),), np.float32)
+
+    def flat(self, values: NDArray[Any]) -> NDArray[np.float32]:
+        scaled = 2.0 * (values - self._low) / self._span - 1.0
+        batch = values.shape[: values.ndim - len(self.shape)]
+        return scaled.reshape(*batch, -1).astype(np.float32)
+
+    def restored(self, values: NDArray[Any]) -> NDArray[np.float64]:
+        flat = np.clip(np.asarray(values, dtype=np.float64), -1.0, 1.0)
+        return self._low + 0.5 * (flat.reshape(*flat.shape[:-1], *self.shape) + 1.0) * self._span
+
+
+class FlatSets(gym.Wrapper[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any]]):
+    """Observation and action of a tracking world as flat float32 vectors, every entry rescaled to [-1, 1].
+
+    An unused row's zeros land inside (-1, 1) according to the bounds, and its existence at -1.
+
+    Args:
+        env: An environment whose observation and action are bounded boxes.
+
+    Raises:
+        TypeError: They are not.
+    """
+
+    def __init__(self, env: gym.Env[NDArray[Any], NDArray[Any]]) -> None:
+        super().__init__(env)
+        self._seen, self._done = _Scale(env.observation_space, "observation"), _Scale(env.action_space, "action")
+        self.observation_space, self.action_space = self._seen.space, self._done.space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """As the environment's, with a flat observation."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._seen.flat(observation), info
+
+    def step(self, action: NDArray[Any]) -> tuple[NDArray[np.float32], Any, bool, bool, dict[str, Any]]:
+        """As the environment's, with a flat action in [-1, 1] (clipped) and a flat observation."""
+        observation, reward, terminated, truncated, info = self.env.step(self._done.restored(action))
+        return self._seen.flat(observation), reward, terminated, truncated, info
+
+
+class VectorFlatSets(gym.vector.VectorWrapper):
+    """`FlatSets` for a vector environment.
+
+    Args:
+        env: A vector environment whose single observation and action are bounded boxes.
+
+    Raises:
+        TypeError: They are not.
+    """
+
+    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
+        super().__init__(env)
+        self._seen = _Scale(env.single_observation_space, "observation")
+        self._done = _Scale(env.single_action_space, "action")
+        self.single_observation_space, self.single_action_space = self._seen.space, self._done.space
+        self.observation_space = batch_space(self._seen.space, env.num_envs)
+        self.action_space = batch_space(self._done.space, env.num_envs)
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """As the environment's, with flat observations."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        return self._seen.flat(observations), infos
+
+    def step(self, actions: NDArray[np.float32]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """As the environment's, with flat actions in [-1, 1] (clipped) and flat observations, final ones too."""
+        observations, rewards, terminated, truncated, infos = self.env.step(self._done.restored(actions))
+        if "final_obs" in infos:
+            final = np.full(len(infos["final_obs"]), None, dtype=object)
+            for row in np.flatnonzero(infos["_final_obs"]):
+                final[row] = self._seen.flat(infos["final_obs"][row])
+            infos = {**infos, "final_obs": final}
+        return self._seen.flat(observations), rewards, terminated, truncated, infos

@@ -1,0 +1,236 @@
+"""What all tracking worlds share: sets as fixed arrays, an observer's answer, its score, and the picture of both."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from numpy.typing import ArrayLike, NDArray
+
+from servotrack.envs.arguments import RENDER_MODES, check_count, check_options, check_render_mode, check_seed
+from servotrack.envs.streams import episode_seed
+from servotrack.envs.vector_env import BatchedVectorEnv, Mask, masked_infos
+
+Array = NDArray[np.float64]
+
+METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 10}
+
+
+def set_space(rows: int, low: ArrayLike, high: ArrayLike) -> gym.spaces.Box:
+    """Sets of at most `rows` members as a Box of shape (rows, 1 + d): existence from 0 to 1, then the members.
+
+    Unused rows are zeros, so that bounds which leave zero out are widened to it.
+
+    Args:
+        rows: Most members.
+        low: Lowest member, shape (d,).
+        high: Highest member, shape (d,).
+    """
+    lowest = np.minimum(np.concatenate([[0.0], np.asarray(low, dtype=np.float64)]), 0.0)
+    highest = np.maximum(np.concatenate([[1.0], np.asarray(high, dtype=np.float64)]), 0.0)
+    return gym.spaces.Box(np.tile(lowest, (rows, 1)), np.tile(highest, (rows, 1)), dtype=np.float64)
+
+
+def check_answer(action: Any, shape: tuple[int, ...]) -> Array:
+    """An answer as float64 of the right shape.
+
+    Raises:
+        ValueError: Another shape, or a value that is not finite.
+    """
+    values = np.asarray(action, dtype=np.float64)
+    if values.shape != shape:
+        raise ValueError(
+            f"action must have shape {shape}, existence and state of every row, got {values.shape}; "
+            "leave rows that are not used at zero"
+        )
+    if not np.isfinite(values.sum()):
+        raise ValueError(
+            "action must be finite, got NaN or infinity; give unused rows existence 0 and any finite state"
+        )
+    return values
+
+
+class TrackEnv(gym.Env[Array, Array]):
+    """One scene and its observer. Subclasses give a batched world, the spaces, and a recorder for the picture.
+
+    Args:
+        world: A batched world with one row.
+        observation_space: As `set_space` makes it.
+        action_space: As `set_space` makes it.
+        render_mode: None, `rgb_array` or `human`.
+        title: Of the window.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = METADATA  # type: ignore[misc]
+
+    def __init__(
+        self,
+        world: Any,
+        observation_space: gym.spaces.Box,
+        action_space: gym.spaces.Box,
+        render_mode: str | None,
+        title: str,
+    ) -> None:
+        self.render_mode = check_render_mode(render_mode)
+        self.world = world
+        # Gymnasium types Box without its dtype.
+        self.observation_space = observation_space  # type: ignore[assignment]
+        self.action_space = action_space  # type: ignore[assignment]
+        self._running = self._started = False
+        self._recorder = self._make_recorder() if render_mode is not None else None
+        self._viewer: Any = None
+        if render_mode == "human":
+            from servotrack.envs.viewer import Viewer
+
+            self._viewer = Viewer(title, METADATA["render_fps"])
+
+    @abstractmethod
+    def _make_recorder(self) -> Any:
+        """What remembers the past for the picture."""
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Start a new episode.
+
+        Args:
+            seed: Decides this episode and, without further seeds, all later ones.
+            options: None are known.
+
+        Returns:
+            The first scan, and info.
+
+        Raises:
+            ValueError: `options` holds anything, or a negative seed.
+            TypeError: A seed that is no integer.
+        """
+        seed = check_seed(seed)
+        if seed is not None or self._np_random is None:
+            self._np_random, self._np_random_seed = seeding.np_random(seed)
+        check_options(options)
+        self.world.reset([0], [episode_seed(self.np_random)])
+        self._running = self._started = True
+        self._show()
+        return self.world.measurements[0].copy(), self._info()
+
+    def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Answer the newest scan.
+
+        Args:
+            action: The set believed in, shape of the action space; the row is the identity.
+
+        Returns:
+            The next scan, reward, terminated, truncated, info.
+
+        Raises:
+            ValueError: An action of another shape, or not finite.
+            gymnasium.error.ResetNeeded: No episode is running.
+        """
+        assert self.action_space.shape is not None
+        values = check_answer(action, self.action_space.shape)
+        if not self._running:
+            raise ResetNeeded("no episode is running: call reset() before the first step and after an episode's end")
+        world = self.world
+        world.step(values[None])
+        terminated, truncated = bool(world.terminated[0]), bool(world.truncated[0])
+        self._running = not (terminated or truncated)
+        self._show()
+        return world.measurements[0].copy(), float(world.reward[0]), terminated, truncated, self._info()
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """Draw the scan that was answered last (after a reset the first one) with the answer.
+
+        Returns:
+            With `rgb_array` a new RGB frame, uint8; with `human` None, for reset and step show the frames themselves;
+            None without a render mode.
+
+        Raises:
+            gymnasium.error.ResetNeeded: Before the first reset.
+        """
+        if self._recorder is None:
+            gym.logger.warn('render() draws nothing without a render mode; try gym.make(id, render_mode="rgb_array")')
+            return None
+        if not self._started:
+            raise ResetNeeded("there is nothing to draw yet: call reset() before render()")
+        return self._recorder.frame() if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._viewer is not None:
+            self._viewer.close()
+
+    def _show(self) -> None:
+        if self._recorder is not None:
+            self._recorder.record()
+        if self._recorder is not None and self._viewer is not None:
+            self._viewer.show(self._recorder.frame())
+
+    def _info(self) -> dict[str, Any]:
+        world = self.world
+        info: dict[str, Any] = {"truth": {key: value[0].copy() for key, value in world.truth().items()}}
+        if world.steps[0] > 0:
+            info |= {key: value[0].item() for key, value in world.scores().items()}
+        if world.truncated[0]:
+            info["ospa2"] = float(world.ospa2[0])
+        return info
+
+    def privileged(self) -> dict[str, Array]:
+        """What `PrivilegedObservation` adds: as the world's `privileged`, without the leading axis."""
+        return {key: value[0] for key, value in self.world.privileged().items()}
+
+
+class TrackVectorEnv(BatchedVectorEnv):
+    """N scenes and their observers. Subclasses give a batched world, the spaces, and recorders for the pictures.
+
+    Args:
+        world: A batched world with N rows.
+        num_envs: N, as `check_count` returned it.
+        observation_space: Of one scene.
+        action_space: Of one scene.
+        render_mode: None or `rgb_array`.
+        autoreset_mode: As a Gymnasium `AutoresetMode` or its value.
+        max_episode_steps: Shortens episodes, as `gym.make`'s argument of that name does.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = METADATA  # type: ignore[misc]
+
+    def __init__(
+        self,
+        world: Any,
+        num_envs: int,
+        observation_space: gym.spaces.Box,
+        action_space: gym.spaces.Box,
+        render_mode: str | None,
+        autoreset_mode: AutoresetMode | str,
+        max_episode_steps: int | None,
+    ) -> None:
+        super().__init__(
+            world,
+            check_count(num_envs),
+            action_space,
+            observation_space,
+            metadata=METADATA,
+            render_mode=render_mode,
+            autoreset_mode=autoreset_mode,
+            max_episode_steps=max_episode_steps,
+        )
+
+    def _observe(self) -> Array:
+        return self.world.measurements.copy()
+
+    def _checked(self, actions: Any) -> Array:
+        assert self.action_space.shape is not None
+        return check_answer(actions, self.action_space.shape)
+
+    def _infos(self, chosen: Mask) -> dict[str, Any]:
+        world = self.world
+        infos = masked_infos({"truth": world.truth()}, chosen)
+        answered, over = chosen & (world.steps > 0), chosen & world.truncated
+        if answered.any():
+            infos |= masked_infos(world.scores(), answered)
+        if over.any():
+            infos |= masked_infos({"ospa2": world.ospa2}, over)
+        return infos

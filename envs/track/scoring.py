@@ -1,0 +1,103 @@
+"""Scores of set-valued answers: identities out of rows, the reward, and OSPA(2) at an episode's end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.estimators.metrics import (
+    SetScores,
+    ospa2,
+    point_distances,
+    score_distances,
+    stack_tracks,
+    tracks_from_rows,
+)
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+REPORTED_FROM = 0.5
+"""Existence from which a row is reported."""
+HELD_FROM = 0.05
+"""Existence from which a row keeps its identity without being reported; below it the identity ends."""
+
+
+class SetScorer:
+    """Scores of N observers, step by step; a row of an answer is an identity.
+
+    Args:
+        count: Number of observers N.
+        rows: Rows of an answer.
+        dimension: Numbers of a state d.
+        horizon: Steps of an episode.
+        cutoff: The c of OSPA, GOSPA and OSPA(2).
+        distances: Base distances of two arrays of states, (N, n, d) and (N, k, d) to (N, n, k).
+
+    Attributes:
+        labels: Identity of each row, shape (N, rows), -1 where the row holds none.
+        reported: Which rows are reported, shape (N, rows).
+        estimates: States in the rows, shape (N, rows, d).
+    """
+
+    def __init__(
+        self,
+        count: int,
+        rows: int,
+        dimension: int,
+        horizon: int,
+        cutoff: float,
+        distances: Callable[[Array, Array], Array] = point_distances,
+    ) -> None:
+        self._cutoff, self._distances = cutoff, distances
+        self.labels = np.full((count, rows), -1, dtype=np.int64)
+        self.reported = np.zeros((count, rows), np.bool_)
+        self.estimates = np.zeros((count, rows, dimension))
+        self._next = np.zeros(count, np.int64)
+        self._label_history = np.full((count, horizon, rows), -1, dtype=np.int64)
+        self._state_history = np.zeros((count, horizon, rows, dimension))
+
+    def reset(self, row: int) -> None:
+        """Forget one observer's episode."""
+        self.labels[row], self.reported[row], self.estimates[row] = -1, False, 0.0
+        self._next[row] = 0
+        self._label_history[row] = -1
+
+    def score(
+        self, answers: Array, truth: Array, truth_exists: Mask, steps: Sequence[int] | NDArray[np.int64]
+    ) -> SetScores:
+        """Take one step's answers in.
+
+        Args:
+            answers: Shape (N, rows, 1 + d), existence first.
+            truth: Shape (N, n, d).
+            truth_exists: Shape (N, n).
+            steps: The step of each observer's episode that its answer is for, shape (N,); one beyond the horizon is
+                scored, but not remembered.
+        """
+        existence = answers[..., 0]
+        held = existence >= HELD_FROM
+        new = held & (self.labels < 0)
+        fresh = self._next[:, None] + np.cumsum(new, axis=1) - 1
+        self.labels = np.where(held, np.where(new, fresh, self.labels), -1)
+        self._next += new.sum(axis=1)
+        self.reported = existence >= REPORTED_FROM
+        self.estimates = answers[..., 1:].copy()
+        inside = np.flatnonzero(np.asarray(steps) < self._label_history.shape[1])
+        at = np.asarray(steps)[inside]
+        self._label_history[inside, at] = np.where(self.reported, self.labels, -1)[inside]
+        self._state_history[inside, at] = self.estimates[inside]
+        distances = self._distances(truth, self.estimates)
+        return score_distances(distances, truth_exists, self.reported, self._cutoff)
+
+    def trajectory_score(self, row: int, truth: Array) -> float:
+        """OSPA(2) of one observer's whole episode.
+
+        Args:
+            row: Which of the N.
+            truth: True tracks, shape (n, horizon, d), NaN where a target does not exist.
+        """
+        tracks = tracks_from_rows(self._label_history[row], self._state_history[row])
+        return ospa2(truth, stack_tracks(tracks, truth.shape[1], truth.shape[2]), self._cutoff)

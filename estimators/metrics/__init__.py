@@ -1,0 +1,34 @@
+"""Distances between sets and between sets of trajectories: what a tracker is judged by."""
+
+from servotrack.estimators.metrics.distances import box_distances, point_distances, wrapped_distances
+from servotrack.estimators.metrics.mot import MotScores, mot_scores
+from servotrack.estimators.metrics.sets import (
+    GospaParts,
+    SetScores,
+    gospa,
+    ospa,
+    score_distances,
+    score_points,
+)
+from servotrack.estimators.metrics.tracks import Track, stack_tracks, tracks_from_rows
+from servotrack.estimators.metrics.trajectories import TrajectoryGospaParts, ospa2, trajectory_gospa
+
+__all__ = [
+    "GospaParts",
+    "MotScores",
+    "SetScores",
+    "Track",
+    "TrajectoryGospaParts",
+    "box_distances",
+    "gospa",
+    "mot_scores",
+    "ospa",
+    "ospa2",
+    "point_distances",
+    "score_distances",
+    "score_points",
+    "stack_tracks",
+    "tracks_from_rows",
+    "trajectory_gospa",
+    "wrapped_distances",
+]

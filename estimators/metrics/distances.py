@@ -1,0 +1,90 @@
+"""Base distances between the members of two sets."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def point_distances(first: ArrayLike, second: ArrayLike) -> Array:
+    """Euclidean distances.
+
+    Args:
+        first: Points, shape (*batch, n, d).
+        second: Points, shape (*batch, k, d).
+
+    Returns:
+        Shape (*batch, n, k), in the points' unit.
+
+    Raises:
+        ValueError: The points differ in dimension.
+    """
+    a, b = _pair(first, second)
+    total = np.zeros((*np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), a.shape[-2], b.shape[-2]))
+    for axis in range(a.shape[-1]):
+        total += (a[..., :, None, axis] - b[..., None, :, axis]) ** 2
+    return np.sqrt(total)
+
+
+def box_distances(first: ArrayLike, second: ArrayLike) -> Array:
+    """One minus intersection over union of boxes (left, top, width, height).
+
+    Args:
+        first: Shape (*batch, n, 4), px.
+        second: Shape (*batch, k, 4), px.
+
+    Returns:
+        Shape (*batch, n, k), from 0 (equal) to 1 (apart). Boxes without an area are apart from everything.
+
+    Raises:
+        ValueError: Boxes that do not have four numbers.
+    """
+    a, b = _pair(first, second)
+    if a.shape[-1] != 4:
+        raise ValueError(f"boxes must be (left, top, width, height), got {a.shape[-1]} numbers each")
+    overlap = np.ones((*np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), a.shape[-2], b.shape[-2]))
+    for axis in (0, 1):
+        start = np.maximum(a[..., :, None, axis], b[..., None, :, axis])
+        stop = np.minimum(
+            a[..., :, None, axis] + a[..., :, None, axis + 2], b[..., None, :, axis] + b[..., None, :, axis + 2]
+        )
+        overlap *= np.maximum(stop - start, 0.0)
+    union = (a[..., 2] * a[..., 3])[..., :, None] + (b[..., 2] * b[..., 3])[..., None, :] - overlap
+    return 1.0 - np.divide(overlap, union, out=np.zeros_like(overlap), where=union > 0.0)
+
+
+def wrapped_distances(first: ArrayLike, second: ArrayLike, period: float) -> Array:
+    """Distances on a circle, for bearings.
+
+    Args:
+        first: Shape (*batch, n, 1).
+        second: Shape (*batch, k, 1).
+        period: Length of the circle, in the values' unit (360 for degrees).
+
+    Returns:
+        Shape (*batch, n, k), from 0 to `period` / 2.
+
+    Raises:
+        ValueError: More than one number each, or a period that is not positive.
+    """
+    a, b = _pair(first, second)
+    if a.shape[-1] != 1:
+        raise ValueError(f"bearings must be one number each, got {a.shape[-1]}")
+    if not period > 0.0:
+        raise ValueError(f"period must be positive, got {period!r}")
+    gap = np.abs(a[..., :, None, 0] - b[..., None, :, 0]) % period
+    return np.minimum(gap, period - gap)
+
+
+def _pair(first: ArrayLike, second: ArrayLike) -> tuple[Array, Array]:
+    a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    if a.ndim < 2 or b.ndim < 2:
+        raise ValueError(
+            f"first and second must have shapes (*batch, n, d) and (*batch, k, d), got {a.shape} and {b.shape}; "
+            "an empty set has shape (0, d)"
+        )
+    if a.shape[-1] != b.shape[-1]:
+        raise ValueError(f"first and second must have members of one dimension, got {a.shape[-1]} and {b.shape[-1]}")
+    return a, b

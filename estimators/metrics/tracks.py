@@ -1,0 +1,80 @@
+"""Tracks: what one identity was at which steps, as lists and as arrays with NaN where it did not exist."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+class Track(NamedTuple):
+    """One identity's states.
+
+    Attributes:
+        steps: The steps at which it existed, increasing; gaps are allowed. Shape (k,), int.
+        states: Shape (k, d).
+    """
+
+    steps: NDArray[np.int64]
+    states: Array
+
+
+def stack_tracks(tracks: Sequence[Track], length: int, dimension: int) -> Array:
+    """Tracks on one time axis.
+
+    Args:
+        tracks: Any number, also none.
+        length: Number of steps T.
+        dimension: Numbers of a state d.
+
+    Returns:
+        Shape (number of tracks, T, d), NaN where a track does not exist.
+
+    Raises:
+        ValueError: A track with steps outside 0..T - 1, or states of another shape.
+    """
+    stacked = np.full((len(tracks), length, dimension), np.nan)
+    for row, (steps, states) in enumerate(tracks):
+        steps, states = np.asarray(steps, dtype=np.int64), np.asarray(states, dtype=np.float64)
+        if states.shape != (len(steps), dimension):
+            raise ValueError(f"tracks[{row}].states must have shape ({len(steps)}, {dimension}), got {states.shape}")
+        if len(steps) and not (steps.min() >= 0 and steps.max() < length):
+            raise ValueError(
+                f"tracks[{row}].steps must lie in 0..{length - 1}, got {steps.min()}..{steps.max()}; raise length"
+            )
+        stacked[row, steps] = states
+    return stacked
+
+
+def tracks_from_rows(labels: ArrayLike, states: ArrayLike) -> list[Track]:
+    """Tracks out of labelled rows, step by step.
+
+    Args:
+        labels: Identity in each row at each step, negative where the row reports nothing. Shape (T, n), int.
+        states: Shape (T, n, d).
+
+    Returns:
+        One track per label, in the order of their first appearance.
+
+    Raises:
+        ValueError: Shapes that do not fit, or a label twice in a step.
+    """
+    names, values = np.asarray(labels, dtype=np.int64), np.asarray(states, dtype=np.float64)
+    if names.ndim != 2 or values.shape[:2] != names.shape or values.ndim != 3:
+        raise ValueError(
+            f"labels and states must have shapes (T, n) and (T, n, d), got {names.shape} and {values.shape}"
+        )
+    steps, rows = np.nonzero(names >= 0)
+    found = names[steps, rows]
+    _, first, inverse = np.unique(found, return_index=True, return_inverse=True)
+    tracks = []
+    for label in np.argsort(first, kind="stable"):
+        members = np.flatnonzero(inverse == label)
+        if np.any(np.diff(steps[members]) == 0):
+            raise ValueError(f"labels must be unique in every step, got {found[members[0]]} twice in one")
+        tracks.append(Track(steps[members].astype(np.int64), values[steps[members], rows[members]]))
+    return tracks

@@ -1,0 +1,218 @@
+"""OSPA(2) and trajectory GOSPA: distances between sets of trajectories, where identity counts."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from servotrack.estimators.metrics.assignment import assign
+
+Array = NDArray[np.float64]
+
+
+class TrajectoryGospaParts(NamedTuple):
+    """Trajectory GOSPA and its parts; `total ** order` is the sum of the others.
+
+    Attributes:
+        total: In the states' unit.
+        location: Errors of located targets to the power of `order`, summed over steps.
+        missed: `cutoff ** order / 2` for every step of a truth without an estimate.
+        false: The same for every step of an estimate without a truth.
+        switches: `switch_cost ** order` for every full switch of identity, half of it for the start or end of one.
+    """
+
+    total: float
+    location: float
+    missed: float
+    false: float
+    switches: float
+
+
+def ospa2(truth: ArrayLike, estimate: ArrayLike, cutoff: float, order: float = 1.0) -> float:
+    """OSPA(2) over the whole time axis (Beard, Vo and Vo, 2020, eqs. 13 and 17, equal weights).
+
+    The base distance of two tracks is the mean, over the steps at which either exists, of the distance cut at
+    `cutoff`, which also counts where only one exists; an OSPA of tracks follows.
+
+    Args:
+        truth: True tracks, shape (n, T, d), NaN where a track does not exist.
+        estimate: Estimated tracks, shape (k, T, d).
+        cutoff: The c of the metric, in the states' unit.
+        order: The p of the OSPA of tracks; the mean over time is of order one.
+
+    Returns:
+        From 0 to `cutoff`.
+
+    Raises:
+        ValueError: Shapes that do not fit, a cut-off that is not positive, an order below 1.
+    """
+    a, b = _check(truth, estimate, cutoff, order)
+    n, k = len(a), len(b)
+    low, high = min(n, k), max(n, k)
+    if high == 0:
+        return 0.0
+    total = cutoff**order * (high - low)
+    if low > 0:
+        base = _track_distances(a, b, cutoff) ** order
+        cost = np.ascontiguousarray(base if n <= k else base.T)
+        total += float(cost[np.arange(low), assign(cost, low, high)].sum())
+    return (total / high) ** (1.0 / order)
+
+
+def trajectory_gospa(
+    truth: ArrayLike, estimate: ArrayLike, cutoff: float, switch_cost: float, order: float = 1.0
+) -> TrajectoryGospaParts:
+    """The linear-programming metric of Garcia-Fernandez, Rahmathullah and Svensson (2020, eq. 23), alpha = 2.
+
+    Pairs of tracks that never come within the cut-off cannot lower the cost and get no variable; what remains falls
+    apart into independent programs.
+
+    Args:
+        truth: True tracks, shape (n, T, d), NaN where a track does not exist.
+        estimate: Estimated tracks, shape (k, T, d).
+        cutoff: The c of the metric, in the states' unit.
+        switch_cost: The gamma of the metric, in the states' unit.
+        order: The p of the metric.
+
+    Raises:
+        ValueError: Shapes that do not fit; a cut-off or switch cost that is not positive; an order below 1.
+    """
+    a, b = _check(truth, estimate, cutoff, order)
+    if not (math.isfinite(switch_cost) and switch_cost > 0.0):
+        raise ValueError(f"switch_cost must be positive and finite, got {switch_cost!r}")
+    full = cutoff**order
+    exist_a, exist_b = ~np.isnan(a[..., 0]), ~np.isnan(b[..., 0])
+    errors = _cut_distances(a, b, cutoff) ** order
+    located = errors < full
+    weights = _assignment_weights(np.where(located, errors - full, 0.0), switch_cost**order)
+    location = float((weights * np.where(located, errors, 0.0)).sum())
+    matched = float((weights * located).sum())
+    missed, false = 0.5 * full * (exist_a.sum() - matched), 0.5 * full * (exist_b.sum() - matched)
+    switches = 0.5 * switch_cost**order * float(np.abs(np.diff(weights, axis=2)).sum())
+    total = (location + missed + false + switches) ** (1.0 / order)
+    return TrajectoryGospaParts(float(total), location, float(missed), float(false), switches)
+
+
+def _check(truth: ArrayLike, estimate: ArrayLike, cutoff: float, order: float) -> tuple[Array, Array]:
+    a, b = np.asarray(truth, dtype=np.float64), np.asarray(estimate, dtype=np.float64)
+    if a.ndim != 3 or b.ndim != 3 or a.shape[1:] != b.shape[1:]:
+        raise ValueError(
+            f"truth and estimate must have shapes (n, T, d) and (k, T, d), got {a.shape} and {b.shape}; "
+            "stack_tracks makes them from lists of tracks"
+        )
+    if not (math.isfinite(cutoff) and cutoff > 0.0):
+        raise ValueError(f"cutoff must be positive and finite, got {cutoff!r}")
+    if not (math.isfinite(order) and order >= 1.0):
+        raise ValueError(f"order must be finite and at least 1, got {order!r}")
+    return _existing(a), _existing(b)
+
+
+def _existing(tracks: Array) -> Array:
+    """Tracks that exist at some step, with NaN in all numbers of a state or in none."""
+    absent = np.asarray(np.isnan(tracks).any(axis=2))
+    return np.where(absent[..., None], np.nan, tracks)[~np.asarray(absent.all(axis=1))]
+
+
+def _assignment_weights(gain: Array, switch_cost: float) -> Array:
+    """Optimal soft assignments W of the metric's linear program.
+
+    Args:
+        gain: What assigning a pair at a step changes, at most 0. Shape (n, k, T).
+        switch_cost: Of a change of W by two, gamma to the power of p.
+
+    Returns:
+        Shape (n, k, T), from 0 to 1.
+    """
+    n, k, steps = gain.shape
+    weights = np.zeros_like(gain)
+    ever = (gain < 0.0).any(axis=2)
+    links = sparse.coo_array(ever)
+    graph = sparse.coo_array((np.ones(links.nnz), (links.row, n + links.col)), shape=(n + k, n + k))
+    _, group = csgraph.connected_components(graph, directed=False)
+    for label in np.unique(group[links.row]):
+        rows, columns = np.nonzero(ever & (group[:n, None] == label))
+        if len(rows) == 1:
+            weights[rows[0], columns[0]] = 1.0
+            continue
+        useful = np.flatnonzero((gain[rows, columns] < 0.0).any(axis=0))
+        solved = _solve_program(gain[rows, columns][:, useful], rows, columns, switch_cost)
+        # Where nothing is to be gained the last assignment may stay, which costs no switch.
+        latest = np.clip(np.searchsorted(useful, np.arange(steps), side="right") - 1, 0, None)
+        weights[rows, columns] = solved[:, latest]
+    return weights
+
+
+def _solve_program(gain: Array, rows: NDArray[np.intp], columns: NDArray[np.intp], switch_cost: float) -> Array:
+    """The linear program of one group of pairs; gain and result have shape (pairs, steps)."""
+    from scipy.optimize import linprog
+
+    pairs, steps = gain.shape
+    size, changes = pairs * steps, pairs * (steps - 1)
+    index = np.arange(size).reshape(pairs, steps)
+    # Every track takes part in at most one pair at a step.
+    row_number = np.unique(rows, return_inverse=True)[1]
+    column_number = np.unique(columns, return_inverse=True)[1]
+    owners = np.concatenate([row_number, row_number.max() + 1 + column_number])
+    capacity_rows = (owners[:, None] * steps + np.arange(steps)).ravel()
+    capacity = sparse.coo_array(
+        (np.ones(2 * size), (capacity_rows, np.concatenate([index.ravel(), index.ravel()]))),
+        shape=((owners.max() + 1) * steps, size + changes),
+    )
+    # A change of W, up or down, is bounded by its own variable.
+    number = np.arange(changes)
+    after, before = index[:, 1:].ravel(), index[:, :-1].ravel()
+    one = np.ones(changes)
+    blocks = [
+        sparse.coo_array(
+            (
+                np.concatenate([sign * one, -sign * one, -one]),
+                (np.concatenate([number] * 3), np.concatenate([after, before, size + number])),
+            ),
+            shape=(changes, size + changes),
+        )
+        for sign in (1.0, -1.0)
+    ]
+    limits = np.concatenate([np.ones(capacity.shape[0]), np.zeros(2 * changes)])
+    price = np.concatenate([gain.ravel(), np.full(changes, 0.5 * switch_cost)])
+    found = linprog(price, A_ub=sparse.vstack([capacity, *blocks], format="csr"), b_ub=limits, method="highs")
+    if found.x is None:
+        raise ArithmeticError(f"the linear program of trajectory GOSPA was not solved: {found.message}")
+    return found.x[:size].reshape(pairs, steps)
+
+
+@njit(cache=True, nogil=True)
+def _cut_distances(a, b, cutoff):  # type: ignore[no-untyped-def]
+    """Distances cut at the cut-off, which also stands where either track does not exist; shape (n, k, T)."""
+    out = np.full((a.shape[0], b.shape[0], a.shape[1]), cutoff)
+    for i in range(a.shape[0]):
+        for j in range(b.shape[0]):
+            for t in range(a.shape[1]):
+                squared = 0.0
+                for axis in range(a.shape[2]):
+                    squared += (a[i, t, axis] - b[j, t, axis]) ** 2
+                # False for NaN.
+                if squared < cutoff * cutoff:
+                    out[i, j, t] = math.sqrt(squared)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _track_distances(a, b, cutoff):  # type: ignore[no-untyped-def]
+    """Mean cut distance over the steps at which either track exists, shape (n, k)."""
+    errors = _cut_distances(a, b, cutoff)
+    out = np.empty((a.shape[0], b.shape[0]))
+    for i in range(a.shape[0]):
+        for j in range(b.shape[0]):
+            total, steps = 0.0, 0
+            for t in range(a.shape[1]):
+                if not (math.isnan(a[i, t, 0]) and math.isnan(b[j, t, 0])):
+                    steps += 1
+                    total += errors[i, j, t]
+            out[i, j] = total / steps
+    return out

@@ -1,0 +1,55 @@
+"""Filters over random finite sets: a varying number of targets in clutter, one step at a time.
+
+    model = pairwise_structure(constant_velocity(process_noise=5.0, measurement_noise=1.5), "S1")
+    tracker = Online(PMB(model, MeasurementBirth(), clutter_intensity=20 / 4000.0**2, detection=0.95))
+    for z in measurements:  # arrays of shape (number, 2), number may be 0
+        estimate = tracker.step(z)
+        print(estimate.labels, estimate.states, estimate.existence)
+
+`PMB` is the one to start with; `GMPHD` is the cheapest and the plainest; `GMCBMeMBer` is paper 004's. Every filter is a
+frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state, estimate)`; a state is a
+NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B independent filters at once.
+"""
+
+from servotrack.estimators.rfs.birth import Birth, MeasurementBirth, Spawn
+from servotrack.estimators.rfs.cbmember import GMCBMeMBer
+from servotrack.estimators.rfs.gnn import GlobalNearestNeighbor
+from servotrack.estimators.rfs.models import (
+    STRUCTURES,
+    HiddenMarkovModel,
+    PairwiseMarkovModel,
+    RangeBearingModel,
+    constant_velocity,
+    definiteness_margin,
+    pairwise_structure,
+)
+from servotrack.estimators.rfs.phd import GMPHD
+from servotrack.estimators.rfs.pmb import PMB
+from servotrack.estimators.rfs.raw import RawMeasurements
+from servotrack.estimators.rfs.reduction import Reduction
+from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
+from servotrack.estimators.rfs.smc_phd import ParticlePHD
+
+__all__ = [
+    "GMPHD",
+    "PMB",
+    "STRUCTURES",
+    "Birth",
+    "GMCBMeMBer",
+    "GlobalNearestNeighbor",
+    "HiddenMarkovModel",
+    "MeasurementBirth",
+    "PairwiseMarkovModel",
+    "ParticlePHD",
+    "RangeBearingModel",
+    "RawMeasurements",
+    "Reduction",
+    "RowAllocation",
+    "SetEstimate",
+    "Spawn",
+    "constant_velocity",
+    "definiteness_margin",
+    "measurements_to_rows",
+    "pairwise_structure",
+    "rows_to_tracks",
+]

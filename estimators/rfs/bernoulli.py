@@ -1,0 +1,98 @@
+"""Tables of Bernoulli tracks: each exists with a probability and has a Gaussian mixture of its own in a shared pool."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servotrack.estimators.rfs.mixture import predict_components
+
+Array = NDArray[np.float64]
+
+
+class Tracks(NamedTuple):
+    """Bernoulli tracks of several runs; the first `number` rows of a run are in use.
+
+    The components of a track are consecutive rows of the pool, in order of the tracks, and their weights sum to one.
+
+    Attributes:
+        number: Shape (*batch,).
+        existence: Shape (*batch, T).
+        label: Identity, 0 for none yet. Shape (*batch, T).
+        size: Number of components. Shape (*batch, T).
+    """
+
+    number: NDArray[np.int64]
+    existence: Array
+    label: NDArray[np.int64]
+    size: NDArray[np.int64]
+
+
+def empty_tracks(batch: int, capacity: int) -> Tracks:
+    """No tracks yet, all entries zero."""
+    shape = (batch, capacity)
+    return Tracks(np.zeros(batch, np.int64), np.zeros(shape), np.zeros(shape, np.int64), np.zeros(shape, np.int64))
+
+
+@njit(cache=True, nogil=True)
+def predict_tracks(model, tracks, pool, survival, work, b, out_tracks, out_pool):  # type: ignore[no-untyped-def]
+    """Predict the tracks of run b: r' = r <p, p_S>, densities weighed by p_S (Vo, Vo and Cantoni 2009)."""
+    predict_components(model, pool, b, work, out_pool)
+    row = 0
+    for i in range(tracks.number[b]):
+        size = tracks.size[b, i]
+        alive = 0.0
+        for c in range(row, row + size):
+            alive += survival[b, c] * pool.weight[b, c]
+        for c in range(row, row + size):
+            out_pool.weight[b, c] = survival[b, c] * pool.weight[b, c] / alive if alive > 0.0 else pool.weight[b, c]
+        out_tracks.existence[b, i] = tracks.existence[b, i] * min(alive, 1.0)
+        out_tracks.label[b, i] = tracks.label[b, i]
+        out_tracks.size[b, i] = size
+        row += size
+    out_tracks.number[b] = tracks.number[b]
+    out_pool.number[b] = row
+
+
+@njit(cache=True, nogil=True)
+def owners_and_detection(tracks, pool, detection, b):  # type: ignore[no-untyped-def]
+    """The track of each component of run b, and each track's mean detection probability <p, p_D>."""
+    owner = np.empty(pool.number[b], np.int64)
+    detectable = np.zeros(tracks.number[b])
+    row = 0
+    for i in range(tracks.number[b]):
+        for c in range(row, row + tracks.size[b, i]):
+            owner[c] = i
+            detectable[i] += detection[b, c] * pool.weight[b, c]
+        row += tracks.size[b, i]
+        detectable[i] = min(detectable[i], 1.0)
+    return owner, detectable
+
+
+@njit(cache=True, nogil=True)
+def rows_by_key(key, keys):  # type: ignore[no-untyped-def]
+    """Rows grouped by key 0 <= key < keys, in their order: the rows, and where each group starts (keys + 1,)."""
+    start = np.zeros(keys + 1, np.int64)
+    for row in range(key.shape[0]):
+        start[key[row] + 1] += 1
+    for k in range(keys):
+        start[k + 1] += start[k]
+    rows = np.empty(key.shape[0], np.int64)
+    fill = start.copy()
+    for row in range(key.shape[0]):
+        rows[fill[key[row]]] = row
+        fill[key[row]] += 1
+    return rows, start
+
+
+@njit(cache=True, nogil=True)
+def normalize(weight, start, count):  # type: ignore[no-untyped-def]
+    """Scale some weights to sum to one."""
+    total = 0.0
+    for c in range(start, start + count):
+        total += weight[c]
+    for c in range(start, start + count):
+        weight[c] /= total

@@ -1,0 +1,217 @@
+"""Where targets come from: known places, the last measurements, or other targets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from servotrack.estimators.rfs.models import RangeBearingModel, TargetModel, checked_covariance
+
+Array = NDArray[np.float64]
+
+
+class BirthMixture(NamedTuple):
+    """Gaussians over the state of targets that appear at the next step; weight 0 marks an unused row.
+
+    Attributes:
+        weight: Expected number of targets, or a track's probability of existence. Shape (*batch, K).
+        mean: Shape (*batch, K, n).
+        covariance: Shape (*batch, K, n, n).
+    """
+
+    weight: Array
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Birth:
+    """Targets appear at known places, every step alike.
+
+    Args:
+        weights: Expected number of births per step at each place, in (0, 1]. Shape (K,).
+        means: Shape (K, n).
+        covariances: Positive definite. Shape (K, n, n), or (n, n) for all places alike.
+
+    Raises:
+        ValueError: Naming the argument that is wrong.
+    """
+
+    weights: Array
+    means: Array
+    covariances: Array
+
+    def __post_init__(self) -> None:
+        means = np.array(self.means, dtype=np.float64)
+        if means.ndim != 2 or not np.all(np.isfinite(means)):
+            raise ValueError(f"means must be finite with shape (K, n), got shape {means.shape}")
+        places, n = means.shape
+        weights = np.broadcast_to(np.asarray(self.weights, dtype=np.float64), (places,)).copy()
+        if not np.all((weights > 0.0) & (weights <= 1.0)):
+            raise ValueError(f"weights must be in (0, 1], got {weights.tolist()}; leave out places without births")
+        covariances = np.asarray(self.covariances, dtype=np.float64)
+        if covariances.shape not in ((n, n), (places, n, n)):
+            raise ValueError(f"covariances must have shape ({n}, {n}) or ({places}, {n}, {n}), got {covariances.shape}")
+        covariances = np.broadcast_to(covariances, (places, n, n)).copy()
+        for matrix in covariances:
+            checked_covariance("covariances", matrix, n, definite=True)
+        object.__setattr__(self, "weights", weights)
+        object.__setattr__(self, "means", means)
+        object.__setattr__(self, "covariances", covariances)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasurementBirth:
+    """Targets appear where the last measurements were that nothing known explains (Reuter et al. 2014, section IV).
+
+    The expected number of births is shared among the last measurements by their probability of being unexplained. The
+    state is the measurement's position; what a measurement says nothing about starts at zero with the given deviation.
+
+    Args:
+        expected: Expected number of births per step, > 0.
+        hidden_deviation: Standard deviation of unmeasured state entries (velocities), > 0, in the state's unit. A
+            number, or shape (n,) of which the unmeasured entries count.
+        largest: Largest weight one measurement can get, in (0, 1].
+        places: Most measurements that births are put at, the least explained.
+
+    Raises:
+        ValueError: Naming the argument that is out of range.
+    """
+
+    expected: float = 0.1
+    hidden_deviation: ArrayLike = 10.0
+    largest: float = 0.1
+    places: int = 100
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.expected) and self.expected > 0.0):
+            raise ValueError(f"expected must be finite and > 0, got {self.expected!r}")
+        deviation = np.asarray(self.hidden_deviation, dtype=np.float64)
+        if not (np.all(np.isfinite(deviation)) and np.all(deviation > 0.0)):
+            raise ValueError(f"hidden_deviation must be finite and > 0, got {self.hidden_deviation!r}")
+        if not 0.0 < self.largest <= 1.0:
+            raise ValueError(f"largest must be in (0, 1], got {self.largest!r}")
+        if self.places < 1:
+            raise ValueError(f"places must be at least 1, got {self.places!r}")
+
+    def empty(self, batch: int, n: int) -> BirthMixture:
+        """No births yet, for `batch` runs."""
+        return BirthMixture(
+            np.zeros((batch, self.places)), np.zeros((batch, self.places, n)), np.zeros((batch, self.places, n, n))
+        )
+
+    def next(self, model: TargetModel, measurements: Array, unexplained: Array) -> BirthMixture:
+        """Births at the next step, already predicted to it.
+
+        Args:
+            model: The targets' model.
+            measurements: Shape (batch, Z, m).
+            unexplained: Probability that a measurement is clutter or new; 0 for unused rows. Shape (batch, Z).
+        """
+        kept = min(self.places, measurements.shape[1])
+        order = np.argsort(-unexplained, axis=1, kind="stable")[:, :kept]
+        unexplained = np.take_along_axis(unexplained, order, axis=1)
+        z = np.take_along_axis(measurements, order[:, :, None], axis=1)
+        mean, covariance = state_from_measurement(model, z, self.hidden_deviation)
+        n = mean.shape[-1]
+        packed = model.packed
+        # A target's first measurement is known, so under a pairwise model it pushes the next state.
+        B, sigma = packed.transition[:n], packed.noise[:n, :n]
+        known = np.concatenate([mean, z], axis=-1)
+        births = self.empty(measurements.shape[0], n)
+        if kept == 0:
+            return births
+        # A running sum gives the same bits however many unused rows follow.
+        total = np.cumsum(unexplained, axis=1)[:, -1:]
+        share = np.divide(self.expected * unexplained, total, out=np.zeros_like(unexplained), where=total > 0.0)
+        births.weight[:, :kept] = np.minimum(share, self.largest)
+        used = share > 0.0
+        births.mean[:, :kept] = np.where(used[..., None], np.einsum("rk,bzk->bzr", B, known), 0.0)
+        moved = np.einsum("rk,bzkl,cl->bzrc", B[:, :n], covariance, B[:, :n]) + sigma
+        births.covariance[:, :kept] = np.where(used[..., None, None], 0.5 * (moved + np.swapaxes(moved, -1, -2)), 0.0)
+        return births
+
+
+@dataclass(frozen=True, eq=False)
+class Spawn:
+    """Every target may split: N(d + F_beta x, Q_beta + F_beta P F_beta^T) with weight w_beta (paper 000, step 2.2).
+
+    Args:
+        weight: w_beta, expected number of targets split off per target and step, in (0, 1].
+        noise: Q_beta, positive definite. Shape (n, n).
+        transition: F_beta; None for the identity. Shape (n, n).
+        offset: d; None for zero. Shape (n,).
+
+    Raises:
+        ValueError: Naming the argument that is wrong.
+    """
+
+    weight: float
+    noise: Array
+    transition: Array | None = None
+    offset: Array | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.weight <= 1.0:
+            raise ValueError(f"weight must be in (0, 1], got {self.weight!r}")
+        n = np.asarray(self.noise).shape[0]
+        noise = np.array(checked_covariance("noise", self.noise, n, definite=True))
+        transition = np.eye(n) if self.transition is None else np.array(self.transition, dtype=np.float64)
+        offset = np.zeros(n) if self.offset is None else np.array(self.offset, dtype=np.float64)
+        if transition.shape != (n, n) or offset.shape != (n,):
+            raise ValueError(
+                f"transition and offset must match noise of shape ({n}, {n}), got {transition.shape}, {offset.shape}"
+            )
+        object.__setattr__(self, "noise", noise)
+        object.__setattr__(self, "transition", transition)
+        object.__setattr__(self, "offset", offset)
+
+
+def pack_spawns(spawns: Sequence[Spawn], n: int) -> tuple[Array, Array, Array, Array]:
+    """Spawn terms as the kernels read them: weights (S,), offsets (S, n), transitions (S, n, n), noises (S, n, n)."""
+    for spawn in spawns:
+        if spawn.noise.shape != (n, n):
+            raise ValueError(f"spawn noise must have shape ({n}, {n}), got {spawn.noise.shape}")
+    terms = len(spawns)
+    return (
+        np.array([s.weight for s in spawns]),
+        np.array([s.offset for s in spawns], dtype=np.float64).reshape(terms, n),
+        np.array([s.transition for s in spawns], dtype=np.float64).reshape(terms, n, n),
+        np.array([s.noise for s in spawns], dtype=np.float64).reshape(terms, n, n),
+    )
+
+
+def state_from_measurement(model: TargetModel, z: Array, hidden_deviation: ArrayLike) -> tuple[Array, Array]:
+    """What one measurement alone says about the state.
+
+    Args:
+        model: The targets' model.
+        z: Shape (*batch, m).
+        hidden_deviation: Standard deviation of what the measurement says nothing about; a number or shape (n,).
+
+    Returns:
+        mean (*batch, n) with zeros where nothing is known, covariance (*batch, n, n).
+    """
+    packed = model.packed
+    H = packed.observation
+    inverse = np.linalg.pinv(H)
+    deviation = np.broadcast_to(np.asarray(hidden_deviation, dtype=np.float64), (H.shape[1],))
+    blind = np.eye(H.shape[1]) - inverse @ H
+    hidden = blind @ np.diag(deviation**2) @ blind.T
+    if isinstance(model, RangeBearingModel):
+        distance, bearing = z[..., 0], z[..., 1]
+        cosine, sine = np.cos(bearing), np.sin(bearing)
+        position = packed.sensor + np.stack([distance * cosine, distance * sine], axis=-1)
+        polar = np.stack(
+            [np.stack([cosine, -distance * sine], axis=-1), np.stack([sine, distance * cosine], axis=-1)], axis=-2
+        )
+        noise = np.einsum("...ij,jk,...lk->...il", polar, packed.measurement_noise, polar)
+    else:
+        position = z
+        noise = np.broadcast_to(packed.measurement_noise, (*z.shape[:-1], *packed.measurement_noise.shape))
+    mean = np.einsum("rk,...k->...r", inverse, position)
+    return mean, hidden + np.einsum("rk,...kl,cl->...rc", inverse, noise, inverse)

@@ -1,0 +1,231 @@
+"""GM cardinality-balanced multi-target multi-Bernoulli filter (Vo, Vo and Cantoni 2009; paper 004 for PMM)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servotrack.estimators.rfs.bernoulli import (
+    Tracks,
+    empty_tracks,
+    normalize,
+    owners_and_detection,
+    predict_tracks,
+    rows_by_key,
+)
+from servotrack.estimators.rfs.birth import BirthMixture
+from servotrack.estimators.rfs.extraction import RULES, extract_tracks
+from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
+from servotrack.estimators.rfs.mixture import Mixture, append_births, append_spawn, empty_mixture, scratch_mixture
+from servotrack.estimators.rfs.recursion import GaussianSetFilter, check_sound
+from servotrack.estimators.rfs.reduction import Reduction, reduce_mixture
+from servotrack.estimators.rfs.sets import Extraction, empty_extraction
+
+Array = NDArray[np.float64]
+
+LARGEST_EXISTENCE = 0.999
+"""Existence is clipped here before r / (1 - r)."""
+
+
+class CBMeMBerState(NamedTuple):
+    """State of a `GMCBMeMBer`.
+
+    Attributes:
+        tracks: The posterior tracks.
+        pool: Their components.
+        births: Births at the next step, where they depend on the measurements.
+        next_label: The next new identity. Shape (*batch,).
+    """
+
+    tracks: Tracks
+    pool: Mixture
+    births: BirthMixture
+    next_label: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class GMCBMeMBer(GaussianSetFilter):
+    """GM-CBMeMBer filter; arguments as in `GaussianSetFilter`, and:
+
+    Args:
+        balanced: False gives the MeMBer update before its balancing, which over-estimates the number of targets.
+    """  # noqa: D415
+
+    reduction: Reduction = field(default_factory=lambda: Reduction(components=10))
+    balanced: bool = True
+
+    def _empty(self, batch: int) -> CBMeMBerState:
+        rules = self.reduction
+        pool = empty_mixture(batch, rules.pool_size, sum(self._sizes))
+        return CBMeMBerState(empty_tracks(batch, rules.tracks), pool, self._no_births(batch), np.ones(batch, np.int64))
+
+    def _advance(
+        self, state: CBMeMBerState, births: BirthMixture, z: Array, number: NDArray[np.int64], clutter: Array
+    ) -> tuple[CBMeMBerState, Extraction, Array]:
+        model, rules, batch = self.model.packed, self.reduction, z.shape[0]
+        n, m = self._sizes
+        copies, arrivals = 1 + len(self.spawn), births.weight.shape[1]
+        predicted = empty_tracks(batch, rules.tracks * copies + arrivals)
+        components = scratch_mixture(batch, state.pool.weight.shape[1] * copies + arrivals, n + m)
+        survival = self._evaluate("survival", self.survival, state.pool)
+        _predict(model, state.tracks, state.pool, births, self._spawns, survival, predicted, components)
+        detection = self._evaluate("detection", self.detection, components)
+        new = self._empty(batch)
+        next_label = state.next_label.copy()
+        unexplained = np.zeros(z.shape[:2])
+        limits = (rules.prune, rules.merge, rules.components, rules.existence)
+        sound = _update(
+            model,
+            predicted,
+            components,
+            z,
+            number,
+            clutter,
+            detection,
+            self._gate,
+            limits,
+            self.balanced,
+            next_label,
+            new.tracks,
+            new.pool,
+            unexplained,
+        )
+        check_sound(sound)
+        extraction = empty_extraction(batch, rules.tracks, n)
+        extract_tracks(n, new.tracks, new.pool, next_label, RULES[self.extraction], self.threshold, extraction)
+        return CBMeMBerState(new.tracks, new.pool, state.births, next_label), extraction, unexplained
+
+
+@njit(cache=True, nogil=True)
+def _predict(model, tracks, pool, births, spawns, survival, out_tracks, out_pool):  # type: ignore[no-untyped-def]
+    """Predicted tracks of every run: survivors, split-off tracks, and one track per birth."""
+    m, n = model.observation.shape
+    work = np.empty((n + m, n + m))
+    for b in range(tracks.existence.shape[0]):
+        predict_tracks(model, tracks, pool, survival, work, b, out_tracks, out_pool)
+        row = pool.number[b]
+        track = tracks.number[b]
+        for term in range(spawns[0].shape[0]):
+            c = 0
+            for i in range(tracks.number[b]):
+                out_tracks.existence[b, track] = spawns[0][term] * tracks.existence[b, i]
+                out_tracks.size[b, track] = tracks.size[b, i]
+                track += 1
+                for _ in range(tracks.size[b, i]):
+                    append_spawn(model, spawns, term, pool.mean[b, c], pool.covariance[b, c], b, row, out_pool)
+                    out_pool.weight[b, row] = pool.weight[b, c]
+                    c += 1
+                    row += 1
+        out_pool.number[b] = append_births(model, births, b, row, out_pool)
+        for c in range(row, out_pool.number[b]):
+            out_tracks.existence[b, track] = out_pool.weight[b, c]
+            out_tracks.size[b, track] = 1
+            out_pool.weight[b, c] = 1.0
+            track += 1
+        out_tracks.number[b] = track
+
+
+@njit(cache=True, nogil=True)
+def _update(  # type: ignore[no-untyped-def]
+    model,
+    tracks,
+    pool,
+    z,
+    number,
+    clutter,
+    detection,
+    gate,
+    limits,
+    balanced,
+    next_label,
+    out_tracks,
+    out_pool,
+    unexplained,
+):
+    """Posterior tracks of every run: legacy ones, and an updated one per measurement (Vo et al. 2009, eqs 12 to 19)."""
+    m, n = model.observation.shape
+    prune, merge, cap, least = limits
+    innovation = np.empty(m)
+    sound = True
+    for b in range(tracks.existence.shape[0]):
+        count, T, Z = pool.number[b], tracks.number[b], number[b]
+        component, measurement, likelihood, gain, posterior, good = weigh_pairs(
+            model, count, pool.mean[b], pool.covariance[b], z[b], Z, gate
+        )
+        sound = sound and good
+        pairs = component.shape[0]
+        owner, detectable = owners_and_detection(tracks, pool, detection, b)
+        existence = np.empty(T + Z)
+        label = np.zeros(T + Z, np.int64)
+        r = np.empty(T)
+        for i in range(T):
+            r[i] = min(tracks.existence[b, i], LARGEST_EXISTENCE)
+            existence[i] = r[i] * (1.0 - detectable[i]) / (1.0 - r[i] * detectable[i])
+            label[i] = tracks.label[b, i]
+        weight = np.empty(count + pairs)
+        mean = np.empty((count + pairs, n + m))
+        source = np.empty(count + pairs, np.int64)
+        group = np.empty(count + pairs, np.int64)
+        for c in range(count):
+            i = owner[c]
+            missed = 1.0 - detectable[i]
+            weight[c] = pool.weight[b, c] * (1.0 - detection[b, c]) / missed if missed > 0.0 else 0.0
+            mean[c] = pool.mean[b, c]
+            source[c], group[c] = c, -1
+        numerator = np.zeros(Z)
+        evidence = clutter[b, :Z].copy()
+        density = np.zeros(Z)
+        heaviest = np.zeros(Z)
+        for p in range(pairs):
+            c, j = component[p], measurement[p]
+            i = owner[c]
+            rho = detection[b, c] * pool.weight[b, c] * likelihood[p]
+            absent = 1.0 - r[i] * detectable[i]
+            evidence[j] += r[i] * rho / absent
+            numerator[j] += r[i] * (1.0 - r[i]) * rho / (absent * absent) if balanced else r[i] * rho / absent
+            weight[count + p] = r[i] / (1.0 - r[i]) * rho
+            density[j] += weight[count + p]
+            source[count + p], group[count + p] = c, j
+            if weight[count + p] > heaviest[j]:
+                heaviest[j] = weight[count + p]
+                label[T + j] = label[i] if label[i] > 0 else next_label[b] + j
+        next_label[b] += Z
+        for j in range(Z):
+            existence[T + j] = min(numerator[j] / evidence[j], 1.0) if evidence[j] > 0.0 else 0.0
+            unexplained[b, j] = clutter[b, j] / evidence[j] if evidence[j] > 0.0 else 1.0
+        for p in range(pairs):
+            c, j = component[p], measurement[p]
+            weight[count + p] = weight[count + p] / density[j] if density[j] > 0.0 else 0.0
+            if weight[count + p] > prune and existence[T + j] >= least:
+                detected_mean(model, pool.mean[b, c], gain[c], z[b, j], innovation, mean[count + p])
+        key = np.empty(count + pairs, np.int64)
+        key[:count] = owner
+        key[count:] = T + measurement
+        rows, start = rows_by_key(key, T + Z)
+        candidates = (weight, mean, source, group, np.zeros(count + pairs, np.int64))
+        room = (out_pool.weight[b], out_pool.mean[b], out_pool.covariance[b], out_pool.detected[b], out_pool.label[b])
+        track = 0
+        filled = 0
+        for t in np.argsort(-existence, kind="mergesort"):
+            if existence[t] < least or existence[t] <= 0.0 or track == out_tracks.existence.shape[1]:
+                break
+            members = rows[start[t] : start[t + 1]]
+            most = min(cap, room[0].shape[0] - filled)
+            size = reduce_mixture(
+                model.pairwise, n, candidates, members, pool.covariance[b], posterior, prune, merge, most, room, filled
+            )
+            if size == 0:
+                continue
+            normalize(room[0], filled, size)
+            out_tracks.existence[b, track] = existence[t]
+            out_tracks.label[b, track] = label[t]
+            out_tracks.size[b, track] = size
+            track += 1
+            filled += size
+        out_tracks.number[b] = track
+        out_pool.number[b] = filled
+    return sound

@@ -1,0 +1,257 @@
+"""Compiled pieces of every Gaussian filter here: predict, condition on a measurement, weigh the pairs.
+
+A target is the pair xi = (x, y) of its state and its measurement (Pieczynski and Desbouvries 2003). A component is a
+Gaussian over xi. After a detection its y is known exactly: its y block is zero and its mean's y is the measurement (a
+Dirac). Under a hidden Markov model y carries nothing from one step to the next, the y columns of the transition are
+zero, and the same code runs over the x columns alone. So the recursion is written once for both:
+
+    predict     mu = B xi,  P = B P B^T + Sigma, over the x columns alone for a Dirac
+    condition   K = P_xy P_yy^-1,  m = mu_x + K (z - mu_y),  P_xx - K P_yx
+
+A non-linear measurement replaces the y rows: they are computed from the predicted x by an extended or an unscented
+transform.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servotrack.estimators.rfs.range_bearing import linearized_range_bearing, unscented_range_bearing
+
+Array = NDArray[np.float64]
+
+LINEAR, EXTENDED, UNSCENTED = 0, 1, 2
+"""How the measurement depends on the state: linearly, or as range and bearing through an EKF or a UKF."""
+
+SMALLEST_LIKELIHOOD = 1e-300
+
+
+class PackedModel(NamedTuple):
+    """A model as the kernels read it; N = n + m.
+
+    Attributes:
+        kind: LINEAR, EXTENDED or UNSCENTED.
+        pairwise: Whether y influences the next step.
+        transition: B. Shape (N, N).
+        noise: Sigma. Shape (N, N).
+        observation: H of y = H x + noise; for range and bearing the rows that select the position. Shape (m, n).
+        measurement_noise: R. Shape (m, m).
+        sensor: Position of a range-bearing sensor. Shape (2,), m.
+        angular: Which entries of y are angles, whose innovations wrap. Shape (m,), bool.
+    """
+
+    kind: int
+    pairwise: bool
+    transition: Array
+    noise: Array
+    observation: Array
+    measurement_noise: Array
+    sensor: Array
+    angular: NDArray[np.bool_]
+
+
+@njit(cache=True, nogil=True)
+def cholesky_inverse(matrix, size, offset, inverse):  # type: ignore[no-untyped-def]
+    """Invert the Cholesky factor of a diagonal block; returns the factor's summed log diagonal, NaN if not SPD."""
+    log_diagonal = 0.0
+    for r in range(size):
+        for c in range(r + 1):
+            value = matrix[offset + r, offset + c]
+            for k in range(c):
+                value -= inverse[r, k] * inverse[c, k]
+            if r == c:
+                if not value > 0.0:
+                    return np.nan
+                inverse[r, r] = math.sqrt(value)
+                log_diagonal += math.log(inverse[r, r])
+            else:
+                inverse[r, c] = value / inverse[c, c]
+    for c in range(size):
+        inverse[c, c] = 1.0 / inverse[c, c]
+        for r in range(c + 1, size):
+            value = 0.0
+            for k in range(c, r):
+                value -= inverse[r, k] * inverse[k, c]
+            inverse[r, c] = value / inverse[r, r]
+            inverse[c, r] = 0.0
+    return log_diagonal
+
+
+@njit(cache=True, nogil=True)
+def attach_measurement(model, mean, cov):  # type: ignore[no-untyped-def]
+    """Fill the y blocks of a component from its x block: what the state says about the measurement."""
+    m, n = model.observation.shape
+    if model.kind == EXTENDED:
+        linearized_range_bearing(model.observation, model.measurement_noise, model.sensor, mean, cov)
+    elif model.kind == UNSCENTED:
+        unscented_range_bearing(model.observation, model.measurement_noise, model.sensor, mean, cov)
+    else:
+        H = model.observation
+        for r in range(m):
+            mean[n + r] = 0.0
+            for k in range(n):
+                mean[n + r] += H[r, k] * mean[k]
+            for c in range(n):
+                cov[n + r, c] = 0.0
+                for k in range(n):
+                    cov[n + r, c] += H[r, k] * cov[k, c]
+                cov[c, n + r] = cov[n + r, c]
+        for r in range(m):
+            for c in range(r + 1):
+                value = model.measurement_noise[r, c]
+                for k in range(n):
+                    value += cov[n + r, k] * H[c, k]
+                cov[n + r, n + c] = value
+                cov[n + c, n + r] = value
+
+
+@njit(cache=True, nogil=True)
+def predict_gaussian(model, mean, cov, detected, work, out_mean, out_cov):  # type: ignore[no-untyped-def]
+    """Predict one component: mu = B xi, P = B P B^T + Sigma, over the x columns alone where y is exact or forgotten."""
+    m, n = model.observation.shape
+    rows = n + m if model.kind == LINEAR else n
+    mean_columns = n + m if model.pairwise else n
+    columns = n + m if model.pairwise and not detected else n
+    B = model.transition
+    for r in range(rows):
+        value = 0.0
+        for k in range(mean_columns):
+            value += B[r, k] * mean[k]
+        out_mean[r] = value
+        for c in range(columns):
+            work[r, c] = 0.0
+        for k in range(columns):
+            if B[r, k] != 0.0:
+                for c in range(columns):
+                    work[r, c] += B[r, k] * cov[k, c]
+    for r in range(rows):
+        for c in range(r + 1):
+            value = model.noise[r, c]
+            for k in range(columns):
+                value += work[r, k] * B[c, k]
+            out_cov[r, c] = value
+            out_cov[c, r] = value
+    if model.kind != LINEAR:
+        attach_measurement(model, out_mean, out_cov)
+
+
+@njit(cache=True, nogil=True)
+def condition_gaussian(model, cov, root, gain, posterior):  # type: ignore[no-untyped-def]
+    """What conditioning on y needs from a predicted component, whatever the measurement's value.
+
+    Args:
+        model: The packed model.
+        cov: Predicted covariance. Shape (N, N).
+        root: Receives the inverse Cholesky factor of P_yy. Shape (m, m).
+        gain: Receives K. Shape (n, m).
+        posterior: Receives P_xx - K P_yx. Shape (n, n).
+
+    Returns:
+        log of (2 pi)^(-m/2) det(P_yy)^(-1/2); NaN where P_yy is not positive definite.
+    """
+    m, n = model.observation.shape
+    log_diagonal = cholesky_inverse(cov, m, n, root)
+    whitened = np.empty((n, m))
+    for r in range(n):
+        for c in range(m):
+            value = 0.0
+            for k in range(c + 1):
+                value += cov[r, n + k] * root[c, k]
+            whitened[r, c] = value
+        for c in range(m):
+            value = 0.0
+            for k in range(c, m):
+                value += whitened[r, k] * root[k, c]
+            gain[r, c] = value
+        for c in range(r + 1):
+            value = cov[r, c]
+            for k in range(m):
+                value -= whitened[r, k] * whitened[c, k]
+            posterior[r, c] = value
+            posterior[c, r] = value
+    return -log_diagonal - 0.5 * m * math.log(2.0 * math.pi)
+
+
+@njit(cache=True, nogil=True)
+def innovate(model, z, mean, innovation):  # type: ignore[no-untyped-def]
+    """Innovation z - mu_y, angles wrapped to [-pi, pi)."""
+    m, n = model.observation.shape
+    for r in range(m):
+        innovation[r] = z[r] - mean[n + r]
+        if model.angular[r]:
+            innovation[r] -= 2.0 * math.pi * math.floor(innovation[r] / (2.0 * math.pi) + 0.5)
+
+
+@njit(cache=True, nogil=True)
+def weigh_pairs(model, count, mean, cov, measurements, number, gate):  # type: ignore[no-untyped-def]
+    """Likelihoods q_i(z_j) of all pairs of a component and a measurement inside the gate.
+
+    Args:
+        model: The packed model.
+        count: Components in use, J.
+        mean: Predicted means. Shape (>= J, N).
+        cov: Predicted covariances. Shape (>= J, N, N).
+        measurements: Shape (>= Z, m).
+        number: Measurements in use, Z.
+        gate: Largest squared Mahalanobis distance considered.
+
+    Returns:
+        component (pairs,), measurement (pairs,), likelihood (pairs,): pairs in order of components, then of
+        measurements; gain (J, n, m); posterior (J, n, n); and whether every P_yy was positive definite.
+    """
+    m, n = model.observation.shape
+    component = np.empty(count * number, np.int32)
+    measurement = np.empty(count * number, np.int32)
+    likelihood = np.empty(count * number)
+    gain = np.empty((count, n, m))
+    posterior = np.empty((count, n, n))
+    root = np.empty((m, m))
+    innovation = np.empty(m)
+    pairs = 0
+    sound = True
+    for i in range(count):
+        log_norm = condition_gaussian(model, cov[i], root, gain[i], posterior[i])
+        if math.isnan(log_norm):
+            sound = False
+            continue
+        reach = gate * cov[i, n, n]
+        wraps = model.angular[0]
+        for j in range(number):
+            # d^2 is at least the first entry's squared innovation over its variance: most pairs end here.
+            first = measurements[j, 0] - mean[i, n]
+            if first * first > reach and not wraps:
+                continue
+            innovate(model, measurements[j], mean[i], innovation)
+            distance = 0.0
+            for r in range(m):
+                value = 0.0
+                for k in range(r + 1):
+                    value += root[r, k] * innovation[k]
+                distance += value * value
+            if distance <= gate:
+                q = math.exp(log_norm - 0.5 * distance)
+                if q > SMALLEST_LIKELIHOOD:
+                    component[pairs] = i
+                    measurement[pairs] = j
+                    likelihood[pairs] = q
+                    pairs += 1
+    return component[:pairs], measurement[:pairs], likelihood[:pairs], gain, posterior, sound
+
+
+@njit(cache=True, nogil=True)
+def detected_mean(model, mean, gain, z, innovation, out_mean):  # type: ignore[no-untyped-def]
+    """Mean after a detection: x corrected by the gain, y equal to the measurement."""
+    m, n = model.observation.shape
+    innovate(model, z, mean, innovation)
+    for r in range(n):
+        value = mean[r]
+        for k in range(m):
+            value += gain[r, k] * innovation[k]
+        out_mean[r] = value
+    for r in range(m):
+        out_mean[n + r] = z[r]

@@ -1,0 +1,212 @@
+"""Global nearest neighbor: Kalman tracks, one assignment per step, M-of-N confirmation (Blackman and Popoli 1999)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.special import chdtri
+
+from servotrack.estimators.rfs.birth import state_from_measurement
+from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
+from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, predict_components
+from servotrack.estimators.rfs.models import TargetModel
+from servotrack.estimators.rfs.recursion import add_axis, check_sound, first_row
+from servotrack.estimators.rfs.sets import (
+    SetEstimate,
+    check_runs,
+    empty_extraction,
+    estimate_from_extraction,
+    read_measurements,
+)
+
+Array = NDArray[np.float64]
+
+TENTATIVE_EXISTENCE = 0.25
+"""Existence given for an unconfirmed track: its identity is held, not reported."""
+
+FORBIDDEN_COST = 1e9
+"""Cost of a pair outside the gate, beyond any negative log likelihood inside it."""
+
+
+class GNNState(NamedTuple):
+    """State of a `GlobalNearestNeighbor`.
+
+    Attributes:
+        tracks: One Gaussian per track; its weight is 1 where the track is confirmed, else 0.
+        hits: Which of the last steps detected the track, the newest in bit 0. Shape (*batch, T).
+        age: Steps since the track's first measurement, that one included. Shape (*batch, T).
+        next_label: The next new identity. Shape (*batch,).
+    """
+
+    tracks: Mixture
+    hits: NDArray[np.int64]
+    age: NDArray[np.int64]
+    next_label: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class GlobalNearestNeighbor:
+    """Hard assignment of measurements to Kalman tracks; new tracks start on what is left over.
+
+    Args:
+        model: Motion and measurement of one target.
+        hidden_deviation: Standard deviation of unmeasured state entries (velocities) of a new track, in the state's
+            unit.
+        gate_probability: Probability that a target's measurement lies in its gate, in (0, 1).
+        confirm: A track is confirmed once M of its first or last N steps detected it.
+        misses: A confirmed track ends after this many steps without a detection.
+        capacity: Most tracks; measurements beyond start none.
+
+    Raises:
+        ValueError: Naming the argument that is out of range.
+    """
+
+    model: TargetModel
+    hidden_deviation: float = 10.0
+    gate_probability: float = 0.999
+    confirm: tuple[int, int] = (3, 5)
+    misses: int = 4
+    capacity: int = 200
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.hidden_deviation) and self.hidden_deviation > 0.0):
+            raise ValueError(f"hidden_deviation must be finite and > 0, got {self.hidden_deviation!r}")
+        if not 0.0 < self.gate_probability < 1.0:
+            raise ValueError(f"gate_probability must be in (0, 1), got {self.gate_probability!r}")
+        wanted, window = self.confirm
+        if not 1 <= wanted <= window <= 60:
+            raise ValueError(f"confirm must be (M, N) with 1 <= M <= N <= 60, got {self.confirm!r}")
+        if not 1 <= self.misses <= 60:
+            raise ValueError(f"misses must be from 1 to 60, got {self.misses!r}")
+        if self.capacity < 1:
+            raise ValueError(f"capacity must be at least 1, got {self.capacity!r}")
+
+    @cached_property
+    def _gate(self) -> float:
+        return float(chdtri(self.model.packed.observation.shape[0], 1.0 - self.gate_probability))
+
+    def initial(self, measurement: ArrayLike) -> GNNState:
+        """State before the first measurement: no tracks. The measurement gives the batch axis only."""
+        z, _, single = read_measurements(measurement, self.model.packed.observation.shape[0])
+        state = self._empty(z.shape[0])
+        return first_row(state) if single else state
+
+    def step(self, state: GNNState, measurement: ArrayLike) -> tuple[GNNState, SetEstimate]:
+        """Predict, assign, update; shapes and errors as in `GaussianSetFilter.step`."""
+        m, n = self.model.packed.observation.shape
+        z, number, single = read_measurements(measurement, m)
+        if single:
+            state = add_axis(state)
+        check_runs(state.next_label.shape[0], z.shape[0])
+        batch = z.shape[0]
+        predicted = empty_mixture(batch, self.capacity, n + m)
+        _predict(self.model.packed, state.tracks, predicted)
+        start, start_covariance = state_from_measurement(self.model, z, self.hidden_deviation)
+        new = self._empty(batch)
+        extraction = empty_extraction(batch, self.capacity, n)
+        for b in range(batch):
+            self._assign(state, predicted, z[b, : number[b]], b, start[b], start_covariance[b], new)
+            count = new.tracks.number[b]
+            confirmed = new.tracks.weight[b, :count] > 0.0
+            extraction.number[b] = count
+            extraction.reported[b, :count] = confirmed
+            extraction.existence[b, :count] = np.where(confirmed, 1.0, TENTATIVE_EXISTENCE)
+            extraction.label[b, :count] = new.tracks.label[b, :count]
+            extraction.state[b, :count] = new.tracks.mean[b, :count, :n]
+            extraction.covariance[b, :count] = new.tracks.covariance[b, :count, :n, :n]
+            extraction.expected[b] = confirmed.sum()
+        return (first_row(new) if single else new), estimate_from_extraction(extraction, single)
+
+    def _empty(self, batch: int) -> GNNState:
+        m, n = self.model.packed.observation.shape
+        shape = (batch, self.capacity)
+        tracks = empty_mixture(batch, self.capacity, n + m)
+        return GNNState(tracks, np.zeros(shape, np.int64), np.zeros(shape, np.int64), np.ones(batch, np.int64))
+
+    def _assign(
+        self,
+        state: GNNState,
+        predicted: Mixture,
+        z: Array,
+        b: int,
+        start: Array,
+        start_covariance: Array,
+        new: GNNState,
+    ) -> None:
+        """One run's step: assignment, correction, confirmation and deletion, new tracks, written to row b of `new`."""
+        model = self.model.packed
+        n = model.observation.shape[1]
+        T, Z = int(predicted.number[b]), len(z)
+        track, measurement, likelihood, gain, posterior, sound = weigh_pairs(
+            model, T, predicted.mean[b], predicted.covariance[b], z, Z, self._gate
+        )
+        check_sound(sound)
+        cost = np.full((T, Z), FORBIDDEN_COST)
+        cost[track, measurement] = -np.log(likelihood)
+        rows, columns = linear_sum_assignment(cost)
+        inside = cost[rows, columns] < FORBIDDEN_COST
+        partner = np.full(T, -1)
+        partner[rows[inside]] = columns[inside]
+        _correct(model, partner, gain, posterior, z, b, predicted)
+
+        wanted, window = self.confirm
+        hits = (state.hits[b, :T] << 1 | (partner >= 0)) & ((1 << max(window, self.misses)) - 1)
+        age = state.age[b, :T] + 1
+        recent = _count_bits(hits & ((1 << window) - 1))
+        confirmed = (state.tracks.weight[b, :T] > 0.0) | (recent >= wanted)
+        hopeful = recent + np.maximum(window - age, 0) >= wanted
+        keep = np.flatnonzero(np.where(confirmed, (hits & ((1 << self.misses) - 1)) != 0, hopeful))
+        count = len(keep)
+        tracks = new.tracks
+        tracks.mean[b, :count], tracks.covariance[b, :count] = predicted.mean[b, keep], predicted.covariance[b, keep]
+        tracks.detected[b, :count], tracks.label[b, :count] = predicted.detected[b, keep], predicted.label[b, keep]
+        tracks.weight[b, :count] = confirmed[keep]
+        new.hits[b, :count], new.age[b, :count] = hits[keep], age[keep]
+
+        left = np.setdiff1d(np.arange(Z), partner)[: self.capacity - count]
+        fresh = slice(count, count + len(left))
+        tracks.mean[b, fresh, :n], tracks.mean[b, fresh, n:] = start[left], z[left]
+        tracks.covariance[b, fresh, :n, :n] = start_covariance[left]
+        tracks.detected[b, fresh] = True
+        tracks.weight[b, fresh] = wanted == 1
+        tracks.label[b, fresh] = state.next_label[b] + np.arange(len(left))
+        new.hits[b, fresh], new.age[b, fresh] = 1, 1
+        tracks.number[b] = count + len(left)
+        new.next_label[b] = state.next_label[b] + len(left)
+
+
+def _count_bits(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number of ones in each value."""
+    return ((values[:, None] >> np.arange(60)) & 1).sum(axis=1)
+
+
+@njit(cache=True, nogil=True)
+def _predict(model, tracks, out):  # type: ignore[no-untyped-def]
+    """Predict the tracks of every run."""
+    size = model.transition.shape[0]
+    work = np.empty((size, size))
+    for b in range(tracks.number.shape[0]):
+        predict_components(model, tracks, b, work, out)
+        out.number[b] = tracks.number[b]
+
+
+@njit(cache=True, nogil=True)
+def _correct(model, partner, gain, posterior, z, b, tracks):  # type: ignore[no-untyped-def]
+    """Correct the tracks of run b that have a partner by it; the others keep their prediction."""
+    m, n = model.observation.shape
+    innovation = np.empty(m)
+    corrected = np.empty(n + m)
+    for i in range(partner.shape[0]):
+        tracks.detected[b, i] = partner[i] >= 0
+        if partner[i] < 0:
+            continue
+        detected_mean(model, tracks.mean[b, i], gain[i], z[partner[i]], innovation, corrected)
+        tracks.mean[b, i] = corrected
+        tracks.covariance[b, i] = 0.0
+        tracks.covariance[b, i, :n, :n] = posterior[i]

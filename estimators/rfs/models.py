@@ -1,0 +1,329 @@
+"""Models of one target as values: hidden Markov, pairwise Markov, and a range-bearing sensor.
+
+The pairwise Markov model (PMM) makes the pair of state and measurement a Markov chain,
+
+    (x_k, y_k) = B (x_{k-1}, y_{k-1}) + w_k,   w_k ~ N(0, Sigma)                    (Pieczynski and Desbouvries 2003)
+
+and the hidden Markov model (HMM) is the case whose B has zero y columns. `PairwiseMarkovModel.from_hidden_markov`
+makes the PMM that keeps an HMM's p(x_k | x_{k-1}) and p(y_k | x_k) for free F2 and H2 (paper 004, section 3.1; Petetin
+and Desbouvries 2013); `STRUCTURES` names the readings S1 to S6 of the paper's letters a, b, c, d.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from servotrack.estimators.rfs.gaussians import EXTENDED, LINEAR, UNSCENTED, PackedModel
+
+Array = NDArray[np.float64]
+Structure = Literal["S1", "S2", "S3", "S4", "S5", "S6"]
+
+STRUCTURES: tuple[Structure, ...] = ("S1", "S2", "S3", "S4", "S5", "S6")
+"""Readings of the letters a, b, c, d in paper 004; `pairwise_structure` says which is which."""
+
+
+class TargetModel(Protocol):
+    """What a filter needs of a model."""
+
+    @property
+    def packed(self) -> PackedModel:
+        """The model as the kernels read it."""
+
+
+def checked_matrix(name: str, value: ArrayLike, shape: tuple[int | None, int | None]) -> Array:
+    """A finite float64 matrix of the wanted shape (None: any size), or a ValueError that names the argument."""
+    matrix = np.array(value, dtype=np.float64)
+    wanted = tuple("any" if size is None else size for size in shape)
+    if matrix.ndim != 2 or any(size not in (None, got) for size, got in zip(shape, matrix.shape, strict=True)):
+        raise ValueError(f"{name} must be a matrix of shape {wanted}, got shape {matrix.shape}")
+    if not np.all(np.isfinite(matrix)):
+        raise ValueError(f"{name} must be finite, got {matrix.tolist()}")
+    matrix.setflags(write=False)
+    return matrix
+
+
+def checked_covariance(name: str, value: ArrayLike, size: int, *, definite: bool) -> Array:
+    """A symmetric positive (semi)definite matrix, or a ValueError naming the argument and its smallest eigenvalue."""
+    matrix = checked_matrix(name, value, (size, size))
+    scale = float(np.abs(matrix).max(initial=0.0))
+    if not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-12 * scale):
+        raise ValueError(f"{name} must be symmetric, got {matrix.tolist()}")
+    smallest = float(np.linalg.eigvalsh(matrix).min())
+    # Rounding alone moves the eigenvalues by this much.
+    tolerance = 1e-13 * size * scale
+    if smallest < -tolerance or (definite and smallest <= tolerance):
+        wanted = "positive definite" if definite else "positive semidefinite"
+        raise ValueError(
+            f"{name} must be {wanted}, got smallest eigenvalue {smallest:.3g}; add variance to its diagonal"
+        )
+    return matrix
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenMarkovModel:
+    """x_k = F x_{k-1} + u, y_k = H x_k + v with independent Gaussian u and v.
+
+    Args:
+        transition: F. Shape (n, n).
+        process_noise: Q, positive semidefinite. Shape (n, n).
+        observation: H. Shape (m, n).
+        measurement_noise: R, positive definite. Shape (m, m).
+
+    Raises:
+        ValueError: Naming the matrix whose shape, symmetry or definiteness is wrong.
+    """
+
+    transition: Array
+    process_noise: Array
+    observation: Array
+    measurement_noise: Array
+
+    def __post_init__(self) -> None:
+        F = checked_matrix("transition", self.transition, (None, None))
+        n = F.shape[0]
+        H = checked_matrix("observation", self.observation, (None, n))
+        object.__setattr__(self, "transition", checked_matrix("transition", F, (n, n)))
+        object.__setattr__(self, "observation", H)
+        Q = checked_covariance("process_noise", self.process_noise, n, definite=False)
+        R = checked_covariance("measurement_noise", self.measurement_noise, H.shape[0], definite=True)
+        object.__setattr__(self, "process_noise", Q)
+        object.__setattr__(self, "measurement_noise", R)
+
+    @property
+    def joint_noise(self) -> Array:
+        """Sigma_HMM = [[Q, Q H^T], [H Q, H Q H^T + R]]. Shape (n + m, n + m)."""
+        Q, H, R = self.process_noise, self.observation, self.measurement_noise
+        return np.block([[Q, Q @ H.T], [H @ Q, H @ Q @ H.T + R]])
+
+    @cached_property
+    def packed(self) -> PackedModel:
+        """The model as the kernels read it."""
+        F, H = self.transition, self.observation
+        m, n = H.shape
+        B = np.block([[F, np.zeros((n, m))], [H @ F, np.zeros((m, m))]])
+        return _pack(LINEAR, False, B, self.joint_noise, H, self.measurement_noise)
+
+
+@dataclass(frozen=True, eq=False)
+class PairwiseMarkovModel:
+    """(x_k, y_k) = B (x_{k-1}, y_{k-1}) + w_k, w_k ~ N(0, Sigma), and y | x ~ N(H x, R) at a target's birth.
+
+    Args:
+        transition: B. Shape (n + m, n + m).
+        noise: Sigma, positive definite. Shape (n + m, n + m).
+        observation: H. Shape (m, n).
+        measurement_noise: R, positive definite. Shape (m, m).
+
+    Raises:
+        ValueError: Naming the matrix whose shape, symmetry or definiteness is wrong.
+    """
+
+    transition: Array
+    noise: Array
+    observation: Array
+    measurement_noise: Array
+
+    def __post_init__(self) -> None:
+        H = checked_matrix("observation", self.observation, (None, None))
+        m, n = H.shape
+        object.__setattr__(self, "observation", H)
+        object.__setattr__(self, "transition", checked_matrix("transition", self.transition, (n + m, n + m)))
+        object.__setattr__(self, "noise", checked_covariance("noise", self.noise, n + m, definite=True))
+        R = checked_covariance("measurement_noise", self.measurement_noise, m, definite=True)
+        object.__setattr__(self, "measurement_noise", R)
+
+    @classmethod
+    def from_hidden_markov(cls, model: HiddenMarkovModel, F2: ArrayLike, H2: ArrayLike) -> PairwiseMarkovModel:
+        """The PMM that keeps the HMM's p(x_k | x_{k-1}) and p(y_k | x_k) (paper 004, section 3.1).
+
+        F1 = F - F2 H, H1 = H F - H2 H, Sigma = Sigma_HMM - G R G^T with G = [F2; H2].
+
+        Args:
+            model: The HMM, with positive definite Q.
+            F2: How y_{k-1} enters x_k. Shape (n, m).
+            H2: How y_{k-1} enters y_k. Shape (m, m).
+
+        Raises:
+            ValueError: Where Sigma is not positive definite, naming the condition that F2 and H2 break.
+        """
+        F, H, R = model.transition, model.observation, model.measurement_noise
+        m, n = H.shape
+        F2, H2 = checked_matrix("F2", F2, (n, m)), checked_matrix("H2", H2, (m, m))
+        margin = definiteness_margin(model, F2, H2)
+        if margin <= 0.0:
+            raise ValueError(
+                "F2 and H2 must keep R^-1 - F2^T Q^-1 F2 - (H2 - H F2)^T R^-1 (H2 - H F2) positive definite, got its "
+                f"smallest eigenvalue over that of R^-1 as {margin:.3g}; raise the process noise Q or shrink F2 and H2"
+            )
+        G = np.vstack([F2, H2])
+        B = np.block([[F - F2 @ H, F2], [H @ F - H2 @ H, H2]])
+        sigma = model.joint_noise - G @ R @ G.T
+        return cls(B, 0.5 * (sigma + sigma.T), H, R)
+
+    @cached_property
+    def packed(self) -> PackedModel:
+        """The model as the kernels read it."""
+        return _pack(LINEAR, True, self.transition, self.noise, self.observation, self.measurement_noise)
+
+
+@dataclass(frozen=True, eq=False)
+class RangeBearingModel:
+    """x_k = F x_{k-1} + u; y is range and bearing of the position from a sensor, with Gaussian noise.
+
+    Args:
+        transition: F. Shape (n, n).
+        process_noise: Q, positive semidefinite. Shape (n, n).
+        position: Rows that select the position from the state. Shape (2, n).
+        measurement_noise: R of range (m^2) and bearing (rad^2), positive definite. Shape (2, 2).
+        sensor: Position of the sensor. Shape (2,), m.
+        transform: "ekf" linearizes at the mean, "ukf" sends sigma points through.
+
+    Raises:
+        ValueError: Naming the argument that is wrong.
+    """
+
+    transition: Array
+    process_noise: Array
+    position: Array
+    measurement_noise: Array
+    sensor: tuple[float, float] = (0.0, 0.0)
+    transform: Literal["ekf", "ukf"] = "ukf"
+
+    def __post_init__(self) -> None:
+        # The dynamics and the selection obey the same rules as an HMM's.
+        linear = HiddenMarkovModel(self.transition, self.process_noise, self.position, self.measurement_noise)
+        if linear.observation.shape[0] != 2:
+            raise ValueError(f"position must select 2 coordinates, got {linear.observation.shape[0]} rows")
+        object.__setattr__(self, "transition", linear.transition)
+        object.__setattr__(self, "process_noise", linear.process_noise)
+        object.__setattr__(self, "position", linear.observation)
+        object.__setattr__(self, "measurement_noise", linear.measurement_noise)
+        sensor = np.asarray(self.sensor, dtype=np.float64)
+        if sensor.shape != (2,) or not np.all(np.isfinite(sensor)):
+            raise ValueError(f"sensor must be two finite coordinates, got {self.sensor!r}")
+        if self.transform not in ("ekf", "ukf"):
+            raise ValueError(f'transform must be "ekf" or "ukf", got {self.transform!r}')
+
+    @cached_property
+    def packed(self) -> PackedModel:
+        """The model as the kernels read it."""
+        n = self.transition.shape[0]
+        B, sigma = np.zeros((n + 2, n + 2)), np.zeros((n + 2, n + 2))
+        B[:n, :n], sigma[:n, :n] = self.transition, self.process_noise
+        kind = EXTENDED if self.transform == "ekf" else UNSCENTED
+        return _pack(kind, False, B, sigma, self.position, self.measurement_noise, self.sensor, (False, True))
+
+
+def definiteness_margin(model: HiddenMarkovModel, F2: ArrayLike, H2: ArrayLike) -> float:
+    """Smallest generalized eigenvalue of the condition on F2, H2; Sigma is positive definite where it is above 0.
+
+    With R = L L^T it is the smallest eigenvalue of L^T (R^-1 - F2^T Q^-1 F2 - Phi^T R^-1 Phi) L, Phi = H2 - H F2; 1 at
+    F2 = 0, H2 = 0. A singular Q leaves no room for any PMM: minus infinity.
+    """
+    Q, H, R = model.process_noise, model.observation, model.measurement_noise
+    F2, H2 = np.asarray(F2, dtype=np.float64), np.asarray(H2, dtype=np.float64)
+    eigenvalues = np.linalg.eigvalsh(Q)
+    if eigenvalues.min() <= 1e-13 * Q.shape[0] * eigenvalues.max():
+        return -np.inf
+    L = np.linalg.cholesky(R)
+    memory = np.linalg.solve(L, (H2 - H @ F2) @ L)
+    push = np.linalg.solve(np.linalg.cholesky(Q), F2 @ L)
+    return float(np.linalg.eigvalsh(np.eye(R.shape[0]) - push.T @ push - memory.T @ memory).min())
+
+
+def constant_velocity(
+    process_noise: float, measurement_noise: float, *, period: float = 1.0, dimensions: int = 2
+) -> HiddenMarkovModel:
+    """Nearly constant velocity with full-rank Q, positions measured; the state is [x, vx, y, vy, ...].
+
+    Args:
+        process_noise: sigma_v, so that Q = sigma_v^2 [[t^3/3, t^2/2], [t^2/2, t]] per axis, m/s^1.5.
+        measurement_noise: sigma_w, standard deviation of a measured coordinate, m.
+        period: t, s.
+        dimensions: Axes of space.
+
+    Raises:
+        ValueError: For a value that is not positive.
+    """
+    for name, value in (("process_noise", process_noise), ("measurement_noise", measurement_noise), ("period", period)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} must be finite and > 0, got {value!r}")
+    if dimensions < 1:
+        raise ValueError(f"dimensions must be >= 1, got {dimensions!r}")
+    axes, t = np.eye(dimensions), period
+    F, H = np.array([[1.0, t], [0.0, 1.0]]), np.array([[1.0, 0.0]])
+    Q = process_noise**2 * np.array([[t**3 / 3.0, t**2 / 2.0], [t**2 / 2.0, t]])
+    return HiddenMarkovModel(
+        transition=np.kron(axes, F).astype(np.float64),
+        process_noise=np.kron(axes, Q).astype(np.float64),
+        observation=np.kron(axes, H).astype(np.float64),
+        measurement_noise=measurement_noise**2 * axes,
+    )
+
+
+def pairwise_structure(
+    model: HiddenMarkovModel,
+    structure: Structure = "S1",
+    letters: tuple[float, float, float, float] = (0.7, 0.7, 0.1, 0.1),
+) -> PairwiseMarkovModel:
+    """The PMM of a planar constant-velocity HMM under one reading of paper 004's letters a, b, c, d.
+
+    S1: F2 a, b on the positions, H2 = diag(c, d). S2: F2 a on positions and b on velocities, H2 = diag(c, d). S3: F2 a,
+    b on positions and c, d on velocities, H2 = 0. S4: as S1 with (c, d) and (a, b) swapped. S5: as S2 swapped. S6: F2 =
+    0, H2 = diag(a, b), colored measurement noise alone.
+
+    Args:
+        model: State [x, vx, y, vy], measurement [x, y], as `constant_velocity` makes it.
+        structure: "S1" to "S6".
+        letters: a, b, c, d.
+
+    Raises:
+        ValueError: For an unknown structure, another state, or where the noise is not positive definite.
+    """
+    if structure not in STRUCTURES:
+        raise ValueError(f"structure must be one of {', '.join(STRUCTURES)}, got {structure!r}")
+    if model.observation.shape != (2, 4):
+        raise ValueError(f"model must have 4 states and 2 measurements, got observation {model.observation.shape}")
+    a, b, c, d = letters
+    position_x, position_y, velocity_x, velocity_y, memory = {
+        "S1": (a, b, 0.0, 0.0, (c, d)),
+        "S2": (a, a, b, b, (c, d)),
+        "S3": (a, b, c, d, (0.0, 0.0)),
+        "S4": (c, d, 0.0, 0.0, (a, b)),
+        "S5": (c, c, d, d, (a, b)),
+        "S6": (0.0, 0.0, 0.0, 0.0, (a, b)),
+    }[structure]
+    F2 = np.array([[position_x, 0.0], [velocity_x, 0.0], [0.0, position_y], [0.0, velocity_y]])
+    return PairwiseMarkovModel.from_hidden_markov(model, F2, np.diag(memory))
+
+
+def _pack(
+    kind: int,
+    pairwise: bool,
+    transition: Array,
+    noise: Array,
+    observation: Array,
+    measurement_noise: Array,
+    sensor: tuple[float, float] = (0.0, 0.0),
+    angular: tuple[bool, ...] | None = None,
+) -> PackedModel:
+    """Contiguous, writable copies: the kernels are compiled for one memory layout."""
+
+    def copy(matrix: ArrayLike) -> Array:
+        return np.array(matrix, dtype=np.float64, order="C")
+
+    return PackedModel(
+        kind,
+        pairwise,
+        copy(transition),
+        copy(noise),
+        copy(observation),
+        copy(measurement_noise),
+        copy(sensor),
+        np.array(angular or (False,) * observation.shape[0]),
+    )

@@ -1,0 +1,164 @@
+"""Gaussian-mixture probability hypothesis density filter (Vo and Ma 2006), under hidden and pairwise Markov models.
+
+The state is the intensity of the set of targets; spec of the pairwise form: Petetin and Desbouvries (2013). Labels
+follow Clark, Panta and Vo (2006): a component keeps its identity through prediction, update and merging.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servotrack.estimators.rfs.birth import BirthMixture
+from servotrack.estimators.rfs.extraction import RULES, extract_intensity
+from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
+from servotrack.estimators.rfs.mixture import (
+    Mixture,
+    append_births,
+    append_spawn,
+    empty_mixture,
+    predict_components,
+    scratch_mixture,
+)
+from servotrack.estimators.rfs.recursion import GaussianSetFilter, check_sound
+from servotrack.estimators.rfs.reduction import reduce_mixture
+from servotrack.estimators.rfs.sets import Extraction, empty_extraction
+
+Array = NDArray[np.float64]
+
+
+class PHDState(NamedTuple):
+    """State of a `GMPHD`.
+
+    Attributes:
+        intensity: The posterior intensity.
+        births: Births at the next step, where they depend on the measurements.
+        next_label: The next new identity. Shape (*batch,).
+    """
+
+    intensity: Mixture
+    births: BirthMixture
+    next_label: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class GMPHD(GaussianSetFilter):
+    """GM-PHD filter; arguments as in `GaussianSetFilter`."""
+
+    def _empty(self, batch: int) -> PHDState:
+        N = sum(self._sizes)
+        intensity = empty_mixture(batch, self.reduction.components, N)
+        return PHDState(intensity, self._no_births(batch), np.ones(batch, np.int64))
+
+    def _advance(
+        self, state: PHDState, births: BirthMixture, z: Array, number: NDArray[np.int64], clutter: Array
+    ) -> tuple[PHDState, Extraction, Array]:
+        model, rules, batch = self.model.packed, self.reduction, z.shape[0]
+        n, m = self._sizes
+        room = rules.components * (1 + len(self.spawn)) + births.weight.shape[1]
+        predicted = scratch_mixture(batch, room, n + m)
+        survival = self._evaluate("survival", self.survival, state.intensity)
+        _predict_intensity(model, state.intensity, births, self._spawns, survival, predicted)
+        detection = self._evaluate("detection", self.detection, predicted)
+        intensity = empty_mixture(batch, rules.components, n + m)
+        next_label = state.next_label.copy()
+        unexplained = np.zeros(z.shape[:2])
+        sound = _update_intensity(
+            model,
+            predicted,
+            z,
+            number,
+            clutter,
+            detection,
+            self._gate,
+            (rules.prune, rules.merge, rules.components),
+            next_label,
+            intensity,
+            unexplained,
+        )
+        check_sound(sound)
+        extraction = empty_extraction(batch, rules.components, n)
+        extract_intensity(model, intensity, next_label, rules.merge, RULES[self.extraction], self.threshold, extraction)
+        return PHDState(intensity, state.births, next_label), extraction, unexplained
+
+
+@njit(cache=True, nogil=True)
+def _predict_intensity(model, intensity, births, spawns, survival, out):  # type: ignore[no-untyped-def]
+    """Predicted intensity: survivors, births, and what the targets of the last step split off (paper 000, eq. 3)."""
+    m, n = model.observation.shape
+    work = np.empty((n + m, n + m))
+    for b in range(intensity.weight.shape[0]):
+        predict_components(model, intensity, b, work, out)
+        row = intensity.number[b]
+        for i in range(row):
+            out.weight[b, i] = survival[b, i] * intensity.weight[b, i]
+        for term in range(spawns[0].shape[0]):
+            for i in range(intensity.number[b]):
+                append_spawn(model, spawns, term, intensity.mean[b, i], intensity.covariance[b, i], b, row, out)
+                out.weight[b, row] = spawns[0][term] * intensity.weight[b, i]
+                row += 1
+        out.number[b] = append_births(model, births, b, row, out)
+
+
+@njit(cache=True, nogil=True)
+def _update_intensity(  # type: ignore[no-untyped-def]
+    model, predicted, z, number, clutter, detection, gate, limits, next_label, out, unexplained
+):
+    """Posterior intensity of every run: components missed, and corrected by each measurement (paper 000, eq. 4)."""
+    m, n = model.observation.shape
+    innovation = np.empty(m)
+    sound = True
+    for b in range(predicted.weight.shape[0]):
+        count = predicted.number[b]
+        component, measurement, likelihood, gain, posterior, good = weigh_pairs(
+            model, count, predicted.mean[b], predicted.covariance[b], z[b], number[b], gate
+        )
+        sound = sound and good
+        pairs = component.shape[0]
+        evidence = clutter[b, : number[b]].copy()
+        for p in range(pairs):
+            i = component[p]
+            likelihood[p] *= detection[b, i] * predicted.weight[b, i]
+            evidence[measurement[p]] += likelihood[p]
+        for j in range(number[b]):
+            unexplained[b, j] = clutter[b, j] / evidence[j] if evidence[j] > 0.0 else 1.0
+        weight = np.empty(count + pairs)
+        mean = np.empty((count + pairs, n + m))
+        source = np.empty(count + pairs, np.int64)
+        group = np.empty(count + pairs, np.int64)
+        label = np.empty(count + pairs, np.int64)
+        total = 0
+        for i in range(count):
+            missed = (1.0 - detection[b, i]) * predicted.weight[b, i]
+            if missed > limits[0]:
+                weight[total], source[total], group[total], label[total] = missed, i, -1, predicted.label[b, i]
+                mean[total] = predicted.mean[b, i]
+                total += 1
+        for p in range(pairs):
+            i, j = component[p], measurement[p]
+            if likelihood[p] > limits[0] * evidence[j]:
+                weight[total], source[total], group[total] = likelihood[p] / evidence[j], i, j
+                label[total] = predicted.label[b, i] if predicted.label[b, i] > 0 else next_label[b] + j
+                detected_mean(model, predicted.mean[b, i], gain[i], z[b, j], innovation, mean[total])
+                total += 1
+        next_label[b] += number[b]
+        candidates = (weight[:total], mean[:total], source[:total], group[:total], label[:total])
+        room = (out.weight[b], out.mean[b], out.covariance[b], out.detected[b], out.label[b])
+        out.number[b] = reduce_mixture(
+            model.pairwise,
+            n,
+            candidates,
+            np.arange(total),
+            predicted.covariance[b],
+            posterior,
+            limits[0],
+            limits[1],
+            limits[2],
+            room,
+            0,
+        )
+    return sound

@@ -1,0 +1,108 @@
+"""Track-oriented Poisson multi-Bernoulli filter (Williams 2015), under hidden and pairwise Markov models, labelled.
+
+Targets never detected are a Poisson intensity; each detected one is a Bernoulli track with an identity. The
+association of tracks to measurements is summed over by loopy belief propagation, and a track keeps the mixture of its
+hypotheses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
+from servotrack.estimators.rfs.birth import BirthMixture
+from servotrack.estimators.rfs.extraction import RULES, extract_tracks
+from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, scratch_mixture
+from servotrack.estimators.rfs.pmb_kernel import predict_pmb, update_pmb
+from servotrack.estimators.rfs.recursion import GaussianSetFilter, check_sound
+from servotrack.estimators.rfs.reduction import Reduction
+from servotrack.estimators.rfs.sets import Extraction, empty_extraction
+
+Array = NDArray[np.float64]
+
+
+class PMBState(NamedTuple):
+    """State of a `PMB`.
+
+    Attributes:
+        tracks: Tracks of targets detected at least once.
+        pool: Their components.
+        undetected: Intensity of targets never detected.
+        births: Births at the next step, where they depend on the measurements.
+        next_label: The next new identity. Shape (*batch,).
+    """
+
+    tracks: Tracks
+    pool: Mixture
+    undetected: Mixture
+    births: BirthMixture
+    next_label: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class PMB(GaussianSetFilter):
+    """Poisson multi-Bernoulli filter; arguments as in `GaussianSetFilter`, and:
+
+    Args:
+        undetected: Most components of the intensity of undetected targets.
+    """  # noqa: D415
+
+    reduction: Reduction = field(default_factory=lambda: Reduction(components=5))
+    undetected: int = 100
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.undetected < 1:
+            raise ValueError(f"undetected must be at least 1, got {self.undetected!r}")
+
+    def _empty(self, batch: int) -> PMBState:
+        rules, N = self.reduction, sum(self._sizes)
+        return PMBState(
+            empty_tracks(batch, rules.tracks),
+            empty_mixture(batch, rules.pool_size, N),
+            empty_mixture(batch, self.undetected, N),
+            self._no_births(batch),
+            np.ones(batch, np.int64),
+        )
+
+    def _advance(
+        self, state: PMBState, births: BirthMixture, z: Array, number: NDArray[np.int64], clutter: Array
+    ) -> tuple[PMBState, Extraction, Array]:
+        model, rules, batch = self.model.packed, self.reduction, z.shape[0]
+        n, m = self._sizes
+        predicted = empty_tracks(batch, rules.tracks)
+        components = scratch_mixture(batch, state.pool.weight.shape[1], n + m)
+        room = self.undetected + births.weight.shape[1] + len(self.spawn) * state.pool.weight.shape[1]
+        hidden = scratch_mixture(batch, room, n + m)
+        survival = self._evaluate("survival", self.survival, state.pool)
+        hidden_survival = self._evaluate("survival", self.survival, state.undetected)
+        predict_pmb(model, state, births, self._spawns, survival, hidden_survival, predicted, components, hidden)
+        detection = self._evaluate("detection", self.detection, components)
+        hidden_detection = self._evaluate("detection", self.detection, hidden)
+        new = self._empty(batch)._replace(births=state.births, next_label=state.next_label.copy())
+        unexplained = np.zeros(z.shape[:2])
+        limits = (rules.prune, rules.merge, rules.components, rules.existence)
+        sound = update_pmb(
+            model,
+            predicted,
+            components,
+            hidden,
+            z,
+            number,
+            clutter,
+            detection,
+            hidden_detection,
+            self._gate,
+            limits,
+            new,
+            unexplained,
+        )
+        check_sound(sound)
+        extraction = empty_extraction(batch, rules.tracks, n)
+        rule = RULES[self.extraction]
+        extract_tracks(n, new.tracks, new.pool, new.next_label, rule, self.threshold, extraction)
+        return new, extraction, unexplained

@@ -1,0 +1,225 @@
+"""Compiled recursion of the Poisson multi-Bernoulli filter (Williams 2015)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from servotrack.estimators.rfs.association import association_marginals
+from servotrack.estimators.rfs.bernoulli import normalize, owners_and_detection, predict_tracks, rows_by_key
+from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
+from servotrack.estimators.rfs.mixture import append_births, append_spawn, predict_components
+from servotrack.estimators.rfs.reduction import reduce_mixture
+
+SMALLEST_ABSENCE = 1e-12
+"""Floor of 1 - r p_D, which is zero for a certain target and a perfect sensor."""
+
+SMALLEST_EVIDENCE = 1e-30
+"""Floor of a measurement's intensity under clutter and undetected targets, zero without both."""
+
+
+@njit(cache=True, nogil=True)
+def predict_pmb(  # type: ignore[no-untyped-def]
+    model, state, births, spawns, survival, hidden_survival, out_tracks, out_pool, out_hidden
+):
+    """Predicted tracks and undetected targets of every run; births and split-off targets are undetected ones."""
+    m, n = model.observation.shape
+    work = np.empty((n + m, n + m))
+    tracks, pool, hidden = state.tracks, state.pool, state.undetected
+    for b in range(tracks.existence.shape[0]):
+        predict_tracks(model, tracks, pool, survival, work, b, out_tracks, out_pool)
+        predict_components(model, hidden, b, work, out_hidden)
+        row = hidden.number[b]
+        for i in range(row):
+            out_hidden.weight[b, i] = hidden_survival[b, i] * hidden.weight[b, i]
+        for term in range(spawns[0].shape[0]):
+            c = 0
+            for i in range(tracks.number[b]):
+                for _ in range(tracks.size[b, i]):
+                    append_spawn(model, spawns, term, pool.mean[b, c], pool.covariance[b, c], b, row, out_hidden)
+                    out_hidden.weight[b, row] = spawns[0][term] * tracks.existence[b, i] * pool.weight[b, c]
+                    c += 1
+                    row += 1
+        out_hidden.number[b] = append_births(model, births, b, row, out_hidden)
+
+
+@njit(cache=True, nogil=True)
+def _track_pairs(component, measurement, likelihood, owner, tracks, measurements):  # type: ignore[no-untyped-def]
+    """Sum the components' pairs over tracks: track (P,), measurement (P,), sum (P,), and each pair's row of these."""
+    pairs = component.shape[0]
+    track = np.empty(pairs, np.int64)
+    to = np.empty(pairs, np.int64)
+    value = np.empty(pairs)
+    row = np.empty(pairs, np.int64)
+    last = np.full(measurements, -1, np.int64)
+    number = 0
+    for p in range(pairs):
+        i, j = owner[component[p]], measurement[p]
+        # Pairs come in order of components, those of one track together: a slot of this track is still the last.
+        if last[j] < 0 or track[last[j]] != i:
+            last[j] = number
+            track[number], to[number], value[number] = i, j, 0.0
+            number += 1
+        row[p] = last[j]
+        value[last[j]] += likelihood[p]
+    return track[:number], to[:number], value[:number], row
+
+
+@njit(cache=True, nogil=True)
+def update_pmb(  # type: ignore[no-untyped-def]
+    model, tracks, pool, hidden, z, number, clutter, detection, hidden_detection, gate, limits, out, unexplained
+):
+    """Posterior of every run: old tracks, a new one per measurement, and what stays undetected (Williams 2015)."""
+    m, n = model.observation.shape
+    prune, merge, cap, least = limits
+    innovation = np.empty(m)
+    sound = True
+    for b in range(tracks.existence.shape[0]):
+        T, Z, count, unseen = tracks.number[b], number[b], pool.number[b], hidden.number[b]
+        component, measurement, likelihood, gain, posterior, good = weigh_pairs(
+            model, count, pool.mean[b], pool.covariance[b], z[b], Z, gate
+        )
+        hidden_component, hidden_measurement, hidden_likelihood, hidden_gain, hidden_posterior, hidden_good = (
+            weigh_pairs(model, unseen, hidden.mean[b], hidden.covariance[b], z[b], Z, gate)
+        )
+        sound = sound and good and hidden_good
+        pairs, fresh_pairs = component.shape[0], hidden_component.shape[0]
+        owner, detectable = owners_and_detection(tracks, pool, detection, b)
+
+        first_seen = np.zeros(Z)
+        for p in range(fresh_pairs):
+            i = hidden_component[p]
+            hidden_likelihood[p] *= hidden_detection[b, i] * hidden.weight[b, i]
+            first_seen[hidden_measurement[p]] += hidden_likelihood[p]
+        for p in range(pairs):
+            likelihood[p] *= detection[b, component[p]] * pool.weight[b, component[p]]
+        track, to, detected, row = _track_pairs(component, measurement, likelihood, owner, T, Z)
+        psi = np.empty(track.shape[0])
+        for p in range(track.shape[0]):
+            r = tracks.existence[b, track[p]]
+            evidence = max(clutter[b, to[p]] + first_seen[to[p]], SMALLEST_EVIDENCE)
+            psi[p] = r * detected[p] / (max(1.0 - r * detectable[track[p]], SMALLEST_ABSENCE) * evidence)
+        missed, assigned, fresh = association_marginals(track, to, psi, T, Z)
+
+        existence = np.zeros(T + Z)
+        weight = np.empty(count + pairs)
+        mean = np.empty((count + pairs, n + m))
+        source = np.empty(count + pairs, np.int64)
+        group = np.empty(count + pairs, np.int64)
+        for i in range(T):
+            r = tracks.existence[b, i]
+            existence[i] = missed[i] * r * (1.0 - detectable[i]) / max(1.0 - r * detectable[i], SMALLEST_ABSENCE)
+        for c in range(count):
+            unlikely = 1.0 - detectable[owner[c]]
+            share = pool.weight[b, c] * (1.0 - detection[b, c]) / unlikely if unlikely > 0.0 else 0.0
+            weight[c], source[c], group[c] = existence[owner[c]] * share, c, -1
+            mean[c] = pool.mean[b, c]
+        for p in range(track.shape[0]):
+            existence[track[p]] += assigned[p]
+        for i in range(T):
+            existence[i] = min(existence[i], 1.0)
+        for p in range(pairs):
+            c, j = component[p], measurement[p]
+            weight[count + p] = assigned[row[p]] * likelihood[p] / detected[row[p]] if detected[row[p]] > 0.0 else 0.0
+            source[count + p], group[count + p] = c, j
+            detected_mean(model, pool.mean[b, c], gain[c], z[b, j], innovation, mean[count + p])
+        for c in range(count):
+            weight[c] /= max(existence[owner[c]], least)
+        for p in range(pairs):
+            weight[count + p] /= max(existence[owner[component[p]]], least)
+
+        fresh_mean = np.empty((fresh_pairs, n + m))
+        for p in range(fresh_pairs):
+            i, j = hidden_component[p], hidden_measurement[p]
+            detected_mean(model, hidden.mean[b, i], hidden_gain[i], z[b, j], innovation, fresh_mean[p])
+        for j in range(Z):
+            evidence = clutter[b, j] + first_seen[j]
+            real = first_seen[j] / evidence if evidence > 0.0 else 0.0
+            existence[T + j] = fresh[j] * real
+            unexplained[b, j] = fresh[j] * (1.0 - real)
+        for p in range(fresh_pairs):
+            j = hidden_measurement[p]
+            hidden_likelihood[p] = hidden_likelihood[p] / first_seen[j] if first_seen[j] > 0.0 else 0.0
+
+        key = np.empty(count + pairs, np.int64)
+        key[:count] = owner
+        for p in range(pairs):
+            key[count + p] = owner[component[p]]
+        rows, start = rows_by_key(key, T)
+        fresh_rows, fresh_start = rows_by_key(hidden_measurement.astype(np.int64), Z)
+        candidates = (weight, mean, source, group, np.zeros(count + pairs, np.int64))
+        arrivals = (
+            hidden_likelihood,
+            fresh_mean,
+            hidden_component.astype(np.int64),
+            hidden_measurement.astype(np.int64),
+            np.zeros(fresh_pairs, np.int64),
+        )
+        new, into = out.tracks, out.pool
+        room = (into.weight[b], into.mean[b], into.covariance[b], into.detected[b], into.label[b])
+        filled = 0
+        place = 0
+        for t in np.argsort(-existence, kind="mergesort"):
+            if existence[t] < least or existence[t] <= 0.0 or place == new.existence.shape[1]:
+                break
+            most = min(cap, room[0].shape[0] - filled)
+            if t < T:
+                members = rows[start[t] : start[t + 1]]
+                size = reduce_mixture(
+                    model.pairwise,
+                    n,
+                    candidates,
+                    members,
+                    pool.covariance[b],
+                    posterior,
+                    prune,
+                    merge,
+                    most,
+                    room,
+                    filled,
+                )
+            else:
+                members = fresh_rows[fresh_start[t - T] : fresh_start[t - T + 1]]
+                size = reduce_mixture(
+                    model.pairwise,
+                    n,
+                    arrivals,
+                    members,
+                    hidden.covariance[b],
+                    hidden_posterior,
+                    prune,
+                    merge,
+                    most,
+                    room,
+                    filled,
+                )
+            if size == 0:
+                continue
+            normalize(room[0], filled, size)
+            new.existence[b, place] = existence[t]
+            new.label[b, place] = tracks.label[b, t] if t < T else out.next_label[b] + t - T
+            new.size[b, place] = size
+            place += 1
+            filled += size
+        new.number[b] = place
+        into.number[b] = filled
+        out.next_label[b] += Z
+        left = hidden.weight[b, :unseen] * (1.0 - hidden_detection[b, :unseen])
+        indices = np.arange(unseen)
+        remaining = (left, hidden.mean[b], indices, np.full(unseen, -1, np.int64), np.zeros(unseen, np.int64))
+        rest = out.undetected
+        space = (rest.weight[b], rest.mean[b], rest.covariance[b], rest.detected[b], rest.label[b])
+        rest.number[b] = reduce_mixture(
+            model.pairwise,
+            n,
+            remaining,
+            indices,
+            hidden.covariance[b],
+            hidden_posterior,
+            prune,
+            merge,
+            rest.weight.shape[1],
+            space,
+            0,
+        )
+    return sound

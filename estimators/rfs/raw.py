@@ -1,0 +1,59 @@
+"""The observer without memory: every measurement is a target, and none has an identity that lasts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from servotrack.estimators.rfs.birth import state_from_measurement
+from servotrack.estimators.rfs.models import TargetModel
+from servotrack.estimators.rfs.recursion import add_axis, first_row
+from servotrack.estimators.rfs.sets import (
+    Extraction,
+    SetEstimate,
+    check_runs,
+    estimate_from_extraction,
+    read_measurements,
+)
+
+
+class RawState(NamedTuple):
+    """The next new identity. Shape (*batch,)."""
+
+    next_label: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class RawMeasurements:
+    """Reports the raw measurements, a new identity each.
+
+    Args:
+        model: Of which the measurement is used.
+        hidden_deviation: Standard deviation of unmeasured state entries, in the state's unit; they are reported as 0.
+    """
+
+    model: TargetModel
+    hidden_deviation: float = 10.0
+
+    def initial(self, measurement: ArrayLike) -> RawState:
+        """No identities given yet; the measurement gives the batch axis only."""
+        z, _, single = read_measurements(measurement, self.model.packed.observation.shape[0])
+        state = RawState(np.ones(z.shape[0], np.int64))
+        return first_row(state) if single else state
+
+    def step(self, state: RawState, measurement: ArrayLike) -> tuple[RawState, SetEstimate]:
+        """Report one step's measurements; shapes and errors as in `GaussianSetFilter.step`."""
+        z, number, single = read_measurements(measurement, self.model.packed.observation.shape[0])
+        if single:
+            state = add_axis(state)
+        check_runs(state.next_label.shape[0], z.shape[0])
+        used = np.arange(z.shape[1]) < number[:, None]
+        mean, covariance = state_from_measurement(self.model, z, self.hidden_deviation)
+        label = state.next_label[:, None] + np.arange(z.shape[1])
+        expected = number.astype(np.float64)
+        extraction = Extraction(number, used.astype(np.float64), label, mean, covariance, used, expected)
+        new = RawState(state.next_label + number)
+        return (first_row(new) if single else new), estimate_from_extraction(extraction, single)

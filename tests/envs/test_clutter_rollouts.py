@@ -1,0 +1,81 @@
+"""Short stored rollouts of the tracking world: nobody changes it by accident.
+
+A change of behavior means a new version of the id. Where one is meant, `python tests/envs/test_clutter_rollouts.py`
+stores them anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import servotrack  # noqa: F401
+
+STORED = Path(__file__).with_name("clutter_rollouts.npz")
+ENV_ID = "ClutterTracking-v0"
+LEVELS = (0, 1, 3, 4, 7)
+SEED, STEPS = 11, 12
+
+
+def answer_to(scan: Any, env: Any) -> Any:
+    """The measurements themselves, shrunk a little so that every score has a part in it."""
+    answer = np.zeros(env.action_space.shape)
+    kept = min(len(answer), len(scan))
+    answer[:kept] = scan[:kept]
+    answer[:, 1:] *= 0.99
+    return answer
+
+
+def rollout(level: int) -> dict[str, Any]:
+    """Everything that comes back, one array for each quantity."""
+    env = gym.make(ENV_ID, level=level, horizon=STEPS)
+    scan, info = env.reset(seed=SEED)
+    rows = []
+    for _ in range(STEPS):
+        truth = info["truth"]
+        scan, reward, _, _, info = env.step(answer_to(scan, env))
+        rows.append({"scan": scan, "reward": reward, **truth, "ospa": info["ospa"], "gospa": info["gospa"]})
+    arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return arrays | {"ospa2": np.array(info["ospa2"])}
+
+
+def digests() -> list[str]:
+    found = []
+    for level in LEVELS:
+        sha = hashlib.sha256()
+        for name, values in sorted(rollout(level).items()):
+            sha.update(name.encode() + np.ascontiguousarray(values).tobytes())
+        found.append(sha.hexdigest())
+    return found
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_the_stored_rollout_comes_out_again(level: int) -> None:
+    history = rollout(level)
+    with np.load(STORED) as stored:
+        assert {name.split("/")[1] for name in stored if name.startswith(f"{level}/")} == history.keys()
+        for name, values in history.items():
+            np.testing.assert_allclose(values, stored[f"{level}/{name}"], rtol=1e-6, atol=1e-9, err_msg=name)
+
+
+def test_another_process_gets_the_same_bits() -> None:
+    out = subprocess.run(
+        [sys.executable, __file__, "--digests"], capture_output=True, text=True, check=True, timeout=300
+    )
+    assert out.stdout.split() == digests()
+
+
+if __name__ == "__main__":
+    if "--digests" in sys.argv:
+        print("\n".join(digests()))
+    else:
+        np.savez_compressed(
+            STORED, **{f"{level}/{name}": values for level in LEVELS for name, values in rollout(level).items()}
+        )
