@@ -1,6 +1,6 @@
-"""Write a page per environment from its docstring, its spaces and its configuration, an index of them, and a picture.
+"""Write a page per environment from its docstring, its spaces and its configuration, an index of them, and pictures.
 
-`python docs/generate.py` writes the pages and the README's picture of the servo; with `--check` it writes nothing and
+`python docs/generate.py` writes the pages and the README's pictures of worlds; with `--check` it writes nothing and
 exits with 1 where a page is stale.
 """
 
@@ -14,7 +14,7 @@ import itertools
 import re
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import gymnasium as gym
@@ -23,9 +23,24 @@ from servotrack.baselines import create_agent
 from servotrack.envs.registration import ENVIRONMENTS
 
 FOLDER = Path(__file__).parent / "environments"
-PICTURE = Path(__file__).parent / "images" / "servo.png"
-PICTURE_STEPS = 160
+IMAGES = Path(__file__).parent / "images"
 LEVELS = range(7)
+
+
+class Picture(NamedTuple):
+    """A picture of the README: an agent in an environment with these arguments, after some steps."""
+
+    name: str
+    env_id: str
+    arguments: dict[str, Any]
+    agent: str
+    steps: int
+
+
+PICTURES = (
+    Picture("servo.png", "UncalibServo-v0", {"level": 3}, "lifted-kf", 160),
+    Picture("clutter-tracking.png", "ClutterTracking-v0", {}, "pmb", 88),
+)
 
 
 def pages() -> dict[Path, str]:
@@ -129,19 +144,19 @@ def _attributes(documented: type) -> dict[str, str]:
     return {name: " ".join(text.split()) for name, text in entries}
 
 
-def draw_servo() -> None:
-    """Write the README's picture: the lifted Kalman filter at level 3, eight seconds into the first train seed."""
-    env = gym.make("UncalibServo-v0", level=3, render_mode="rgb_array")
-    agent = create_agent("lifted-kf", env)
+def draw(picture: Picture) -> None:
+    """Write a picture of an agent at work, some steps into the first train seed."""
+    env = gym.make(picture.env_id, render_mode="rgb_array", **picture.arguments)
+    agent = create_agent(picture.agent, env)
     observation, _ = env.reset(seed=0)
     state: Any = None
-    for _ in range(PICTURE_STEPS):
+    for _ in range(picture.steps):
         action, state = agent.predict(observation, state)
         observation, *_ = env.step(action)
     frame: Any = env.render()
     env.close()
-    PICTURE.parent.mkdir(exist_ok=True)
-    cv2.imwrite(str(PICTURE), frame[..., ::-1])
+    IMAGES.mkdir(exist_ok=True)
+    cv2.imwrite(str(IMAGES / picture.name), frame[..., ::-1])
 
 
 def main() -> int:
@@ -158,7 +173,8 @@ def main() -> int:
             FOLDER.mkdir(exist_ok=True)
             path.write_text(texts[path], encoding="utf-8") if path in texts else path.unlink()
     if not check:
-        draw_servo()
+        for picture in PICTURES:
+            draw(picture)
     return int(check and bool(stale))
 
 

@@ -5,22 +5,40 @@ from __future__ import annotations
 import argparse
 import os
 import platform
+import sys
+import tempfile
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 
-from servotrack.baselines.benchmark import accuracy, speed
+from servotrack.baselines.benchmark import accuracy, clutter, speed
 from servotrack.baselines.results import provenance
 
 
-def speed_report(pusht_python: str | None, rounds: int, seconds: float, console: Console) -> str:
-    """The table of rates."""
-    rows = speed.subjects(pusht_python)
-    with Progress(console=console, transient=True) as progress:
-        bar = progress.add_task("rates", total=len(rows) * rounds)
-        rates = speed.measure(rows, rounds, seconds, lambda name: progress.update(bar, advance=1, description=name))
-    return f"## Speed\n\nMedian of {rounds} rounds of {seconds:g} s.\n\n{speed.table(rows, rates)}\n"
+def speed_report(
+    pusht_python: str | None, stone_soup_python: str | None, rounds: int, seconds: float, console: Console
+) -> str:
+    """The tables of rates: worlds and Jacobian filters, then set filters."""
+
+    def table(rows: list[speed.Subject]) -> str:
+        with Progress(console=console, transient=True) as progress:
+            bar = progress.add_task("rates", total=len(rows) * rounds)
+            rates = speed.measure(rows, rounds, seconds, lambda name: progress.update(bar, advance=1, description=name))
+        return speed.table(rows, rates)
+
+    with tempfile.TemporaryDirectory() as folder:
+        scans = clutter.write_scans(Path(folder) / "scans.npz")
+        parts = [
+            f"## Speed\n\nMedian of {rounds} rounds of {seconds:g} s.\n\n{table(speed.subjects(pusht_python))}\n",
+            "## Set filters\n\nScans of paper 004's scenario filtered per second, a batch's runs added up.\n\n"
+            f"{table(clutter.subjects(scans, stone_soup_python))}\n",
+        ]
+        if stone_soup_python is not None:
+            found = clutter.errors(scans, stone_soup_python, sys.executable)
+            listed = ", ".join(f"{name} {error:.3f} m" for name, error in found.items())
+            parts.append(f"Mean OSPA (c = 100 m, p = 1) on the same scans: {listed}.\n")
+    return "\n".join(parts)
 
 
 def accuracy_report(episodes: int, jobs: int, console: Console) -> str:
@@ -51,6 +69,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=1000, help="test seeds per agent (default 1000)")
     parser.add_argument("--jobs", type=int, default=2, help="processes that evaluate agents (default 2)")
     parser.add_argument("--pusht-python", help="interpreter that has gym-pusht and pymunk<7")
+    parser.add_argument("--stone-soup-python", help="interpreter that has stonesoup")
     parser.add_argument("--write", type=Path, help="also write the report to this file")
     arguments = parser.parse_args()
     for name in ("rounds", "seconds", "episodes", "jobs"):
@@ -61,7 +80,9 @@ def main() -> None:
     if arguments.accuracy:
         body = accuracy_report(arguments.episodes, arguments.jobs, console)
     else:
-        body = speed_report(arguments.pusht_python, arguments.rounds, arguments.seconds, console)
+        body = speed_report(
+            arguments.pusht_python, arguments.stone_soup_python, arguments.rounds, arguments.seconds, console
+        )
     report = f"{top}\n{body}"
     print(report)
     if arguments.write:

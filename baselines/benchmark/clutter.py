@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 SET_FILTERING = Path(__file__).with_name("set_filtering.py")
 STONE_SOUP = Path(__file__).with_name("stone_soup.py")
 PEER = "Stone Soup, GM-PHD"
-REMEDY = "make a virtual environment with stonesoup and pass its interpreter"
+REMEDY = "give --stone-soup-python, an interpreter that has stonesoup"
 
 ACCELERATION_NOISE, POSITION_NOISE = 5.0, 10.0
 """sigma_v and sigma_w of the scans, m/s^1.5 and m: a hidden Markov model, which is what Stone Soup assumes."""

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.envs.glyphs import put_text
 from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, IVORY, PAPER, SOFT_INK, Color, Image, Panel, mix
 
 Array = NDArray[np.float64]
@@ -25,6 +26,8 @@ _SCENE_PANEL = Panel(_MARGIN, _MARGIN, 512, 512)
 _NUMBER_PANEL = Panel(544, _MARGIN, 240, 248)
 _ERROR_PANEL = Panel(544, 280, 240, 248)
 _INSET = 14
+_TITLE = 26
+"""Height of a plot's title line, px."""
 _GRID_LINES = 8
 _BANDS = 5
 _SHIFT = 4
@@ -89,7 +92,11 @@ def draw(scene: TrackScene) -> Image:
     numbers = _NUMBER_PANEL.of(image)
     _curve(numbers, scene.true_numbers, most * 1.1, scene.horizon, mix(FLOOR, INK, 0.3), 4)
     _curve(numbers, scene.reported_numbers, most * 1.1, scene.horizon, INK, 1)
-    _curve(_ERROR_PANEL.of(image), scene.errors, scene.cutoff * 1.05, scene.horizon, _ERROR_COLOR, 1)
+    errors = _ERROR_PANEL.of(image)
+    _curve(errors, scene.errors, scene.cutoff * 1.05, scene.horizon, _ERROR_COLOR, 1)
+    if len(scene.reported_numbers) and len(scene.errors):
+        _value(numbers, f"{scene.reported_numbers[-1]:.0f} of {scene.true_numbers[-1]:.0f}")
+        _value(errors, f"{scene.errors[-1]:.1f} m")
     return image
 
 
@@ -116,8 +123,10 @@ def _backdrop() -> Image:
     for panel in (_NUMBER_PANEL, _ERROR_PANEL):
         part = panel.of(image)
         for quarter in range(5):
-            at = _INSET + round(quarter * (panel.height - 2 * _INSET) / 4)
+            at = _INSET + _TITLE + round(quarter * (panel.height - 2 * _INSET - _TITLE) / 4)
             part[at, _INSET : panel.width - _INSET] = FLOOR_GRID
+    put_text(_NUMBER_PANEL.of(image), "targets reported", _INSET, _INSET + 8, SOFT_INK)
+    put_text(_ERROR_PANEL.of(image), "ospa", _INSET, _INSET + 8, SOFT_INK)
     image.setflags(write=False)
     return image
 
@@ -165,13 +174,18 @@ def _curve(panel: Image, values: Array, top: float, horizon: int, color: Color, 
     """Values from 0 to `top` against scans, in steps."""
     if len(values) == 0:
         return
-    height, width = panel.shape[0] - 2 * _INSET, panel.shape[1] - 2 * _INSET
+    height, width = panel.shape[0] - 2 * _INSET - _TITLE, panel.shape[1] - 2 * _INSET
     x = _INSET + width * np.arange(len(values) + 1) / horizon
-    y = _INSET + height * (1.0 - np.minimum(values / top, 1.0))
+    y = _INSET + _TITLE + height * (1.0 - np.minimum(values / top, 1.0))
     corners = np.stack([np.repeat(x, 2)[1:-1], np.repeat(y, 2)], axis=1)
     cv2.polylines(
         panel, [np.rint(corners * (1 << _SHIFT)).astype(np.int32)], False, color, thickness, cv2.LINE_AA, _SHIFT
     )
+
+
+def _value(panel: Image, text: str) -> None:
+    """The newest value of a plot, at the right of its title."""
+    put_text(panel, text, panel.shape[1] - _INSET, _INSET + 8, INK, align="right")
 
 
 def _pixels(points: Array, half_width: float) -> NDArray[np.int32]:

@@ -42,7 +42,7 @@ def mot_scores(
     cutoff: float = 1.0,
     threshold: float = 0.5,
 ) -> MotScores:
-    """Score tracks against the truth with `trackeval` (the optional extra `mot`).
+    """Score tracks against the truth with `trackeval`, installed without its own requirements.
 
     Args:
         truth: True tracks.
@@ -81,7 +81,8 @@ def _reference_metrics(threshold: float) -> tuple[Any, Any, Any]:
             from trackeval.metrics import CLEAR, HOTA, Identity
         except ImportError as error:
             raise ImportError(
-                "mot_scores needs trackeval, which is not installed: pip install 'servotrack[mot]'"
+                "mot_scores needs trackeval, which is not installed: pip install --no-deps 'trackeval>=1.3,<2' "
+                "(what it would pull in replaces opencv-python-headless, and is not needed)"
             ) from error
         config = {"THRESHOLD": threshold, "PRINT_CONFIG": False}
         return CLEAR(config), Identity(config), HOTA()
