@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from servotrack.baselines.leaderboard.table import Grid, as_markdown
 from servotrack.baselines.registry import AGENTS
+from servotrack.baselines.tuning_grids import BORROWED, GRIDS, UNTUNED
 from servotrack.baselines.tuning_record import TunedAgent, TuningRecord
 
 
@@ -22,8 +23,9 @@ def tuning_grid(record: TuningRecord) -> Grid:
 
 
 def steps_grid(record: TuningRecord) -> Grid:
-    """Environment steps behind every registered agent's values, borrowed ones included."""
-    steps = {name: record.tuning_steps(name) for name in AGENTS}
+    """Environment steps behind every servo agent's values, borrowed ones included."""
+    servos = GRIDS.keys() | BORROWED.keys() | UNTUNED
+    steps = {name: record.tuning_steps(name) for name in AGENTS if name in servos}
     return Grid(["agent", "tuning steps"], [[n, "?" if s is None else f"{s:,}"] for n, s in steps.items()], 1)
 
 
