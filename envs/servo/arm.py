@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import pymunk
+import pymunk.batch
 from numpy.typing import NDArray
 
 from servotrack.envs.servo.levels import ServoConfig
@@ -19,6 +20,9 @@ Array = NDArray[np.float64]
 LINK_MASS = 1.0
 CAMERA_MASS = 0.2
 _PIVOT_BIAS = 0.01**60
+_ANGLES = pymunk.batch.BodyFields.BODY_ID | pymunk.batch.BodyFields.ANGLE
+_set_rate = pymunk.SimpleMotor.rate.fset  # type: ignore[attr-defined]
+"""What `motor.rate = ...` ends in, without pymunk's detour over `__setattr__`, which costs as much again."""
 
 
 class _Arm:
@@ -85,6 +89,10 @@ class ArmSpace:
         self._space.iterations = config.solver_iterations
         self._substep = PERIOD / config.substeps
         self._arms: list[_Arm | None] = [None] * count
+        self._motors: list[pymunk.SimpleMotor] = []
+        self._body_ids = np.zeros((count, 2), np.int64)
+        self._places: NDArray[np.intp] | None = None
+        self._buffer = pymunk.batch.Buffer()
         self.angles = np.tile(START, (count, 1))
         """Joint angles, shape (N, 2), rad; the solver's truth, written by every `step`."""
 
@@ -96,19 +104,30 @@ class ArmSpace:
         arm = _Arm(self._space, links, self._config.max_motor_torque)
         arm.add_to(self._space)
         self._arms[row] = arm
+        self._body_ids[row] = [body.id for body in arm.bodies]
+        self._places = None
         self.angles[row] = START
 
     def step(self, rates: Array) -> None:
         """Drive all joints at `rates` (N, 2) rad/s for one control period and read the angles."""
-        arms = self._present()
+        if self._places is None:
+            self._motors = [motor for arm in self._present() for motor in arm.motors]
         # Chipmunk's motors turn the second body against the sign of their rate.
-        for arm, (rate1, rate2) in zip(arms, (-rates).tolist(), strict=True):
-            first, second = arm.motors
-            first.rate = rate1
-            second.rate = rate2
+        for motor, rate in zip(self._motors, (-rates).ravel().tolist(), strict=True):
+            _set_rate(motor, rate)
         for _ in range(self._config.substeps):
             self._space.step(self._substep)
-        angles = np.array([body.angle for arm in arms for body in arm.bodies]).reshape(-1, 2)
+        self._read_angles()
+
+    def _read_angles(self) -> None:
+        """All bodies' angles in one call; the Space lists them in an order that changes when an arm is replaced."""
+        self._buffer.clear()
+        pymunk.batch.get_space_bodies(self._space, _ANGLES, self._buffer)
+        if self._places is None:
+            ids = np.frombuffer(self._buffer.int_buf(), np.int64)
+            order = np.argsort(ids)
+            self._places = order[np.searchsorted(ids[order], self._body_ids)]
+        angles = np.frombuffer(self._buffer.float_buf(), np.float64)[self._places]
         self.angles[:, 0] = angles[:, 0]
         self.angles[:, 1] = angles[:, 1] - angles[:, 0]
 
