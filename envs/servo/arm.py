@@ -26,52 +26,64 @@ _set_rate = pymunk.SimpleMotor.rate.fset  # type: ignore[attr-defined]
 
 
 class _Arm:
-    """One arm's bodies and constraints in a Space, and the order in which to add and remove them."""
+    """One arm in a Space: its two bodies for good, and constraints that every start makes anew."""
 
-    def __init__(self, space: pymunk.Space, links: Array, max_motor_torque: float) -> None:
+    def __init__(self, space: pymunk.Space, max_motor_torque: float) -> None:
+        self._space = space
+        self._max_motor_torque = max_motor_torque
+        self.bodies = (pymunk.Body(1.0, 1.0), pymunk.Body(1.0, 1.0))
+        self.motors: tuple[pymunk.SimpleMotor, ...] = ()
+        self.pivots: tuple[pymunk.PivotJoint, ...] = ()
+        self._constraints: tuple[pymunk.Constraint, ...] = ()
+        space.add(*self.bodies)
+
+    def start(self, links: Array) -> None:
+        """Rest at the start pose with links (2,) m; the bits that follow are those of an arm in a fresh Space."""
+        # Removing a constraint moves the Space's last one into its slot; in reverse order a whole arm moves, in order.
+        for constraint in reversed(self._constraints):
+            self._space.remove(constraint)
         l1, l2 = float(links[0]), float(links[1])
-        ground = space.static_body
         # The camera sits at the far end of link 2: center of gravity and moment of inertia move with it.
         mass = LINK_MASS + CAMERA_MASS
         center = (LINK_MASS * l2 / 2 + CAMERA_MASS * l2) / mass
         moment = LINK_MASS * (l2 * l2 / 12 + (center - l2 / 2) ** 2) + CAMERA_MASS * (l2 - center) ** 2
         theta1, theta2 = float(START[0]), float(START[1])
-        upper = pymunk.Body(LINK_MASS, LINK_MASS * l1 * l1 / 12)
-        upper.angle = theta1
-        upper.position = (l1 / 2 * np.cos(theta1), l1 / 2 * np.sin(theta1))
-        lower = pymunk.Body(mass, moment)
-        lower.angle = theta1 + theta2
-        lower.position = (
-            l1 * np.cos(theta1) + center * np.cos(theta1 + theta2),
-            l1 * np.sin(theta1) + center * np.sin(theta1 + theta2),
+        upper, lower = self.bodies
+        _rest(upper, LINK_MASS, LINK_MASS * l1 * l1 / 12, theta1, (l1 / 2 * np.cos(theta1), l1 / 2 * np.sin(theta1)))
+        _rest(
+            lower,
+            mass,
+            moment,
+            theta1 + theta2,
+            (
+                l1 * np.cos(theta1) + center * np.cos(theta1 + theta2),
+                l1 * np.sin(theta1) + center * np.sin(theta1 + theta2),
+            ),
         )
-        self.bodies = (upper, lower)
+        # Constraints remember impulses that nothing can clear, so they are made anew.
+        ground = self._space.static_body
         self.motors = (pymunk.SimpleMotor(ground, upper, 0.0), pymunk.SimpleMotor(upper, lower, 0.0))
         for motor in self.motors:
-            motor.max_force = max_motor_torque
+            motor.max_force = self._max_motor_torque
         stops = (
             pymunk.RotaryLimitJoint(ground, upper, JOINT_LOW[0], JOINT_HIGH[0]),
             pymunk.RotaryLimitJoint(upper, lower, JOINT_LOW[1], JOINT_HIGH[1]),
         )
-        pivots = (
+        self.pivots = (
             pymunk.PivotJoint(ground, upper, (0.0, 0.0), (-l1 / 2, 0.0)),
             pymunk.PivotJoint(upper, lower, (l1 / 2, 0.0), (-center, 0.0)),
         )
-        for pivot in pivots:
+        for pivot in self.pivots:
             pivot.error_bias = _PIVOT_BIAS
-        self.constraints = (*self.motors, *stops, *pivots)
+        self._constraints = (*self.motors, *stops, *self.pivots)
+        self._space.add(*self._constraints)
 
-    def add_to(self, space: pymunk.Space) -> None:
-        space.add(*self.bodies)
-        for constraint in self.constraints:
-            space.add(constraint)
 
-    def remove_from(self, space: pymunk.Space) -> None:
-        # Removing a constraint moves the Space's last one into its slot; in reverse order a whole arm moves, in order.
-        for constraint in reversed(self.constraints):
-            space.remove(constraint)
-        for body in reversed(self.bodies):
-            space.remove(body)
+def _rest(body: pymunk.Body, mass: float, moment: float, angle: float, position: tuple[float, float]) -> None:
+    body.mass, body.moment = mass, moment
+    body.angle, body.position = angle, position
+    body.velocity, body.angular_velocity = (0.0, 0.0), 0.0
+    body.force, body.torque = (0.0, 0.0), 0.0
 
 
 class ArmSpace:
@@ -89,7 +101,8 @@ class ArmSpace:
         self._space.iterations = config.solver_iterations
         self._substep = PERIOD / config.substeps
         self._arms: list[_Arm | None] = [None] * count
-        self._motors: list[pymunk.SimpleMotor] = []
+        self._missing = count
+        self._motors: list[pymunk.SimpleMotor | None] = [None] * (2 * count)
         self._body_ids = np.zeros((count, 2), np.int64)
         self._places: NDArray[np.intp] | None = None
         self._buffer = pymunk.batch.Buffer()
@@ -97,21 +110,20 @@ class ArmSpace:
         """Joint angles, shape (N, 2), rad; the solver's truth, written by every `step`."""
 
     def reset(self, row: int, links: Array) -> None:
-        """Replace one arm by a fresh one of the given links (2,) m at the start pose; the others keep their bits."""
-        old = self._arms[row]
-        if old is not None:
-            old.remove_from(self._space)
-        arm = _Arm(self._space, links, self._config.max_motor_torque)
-        arm.add_to(self._space)
-        self._arms[row] = arm
-        self._body_ids[row] = [body.id for body in arm.bodies]
-        self._places = None
+        """Start one arm anew with links (2,) m at the start pose; the others keep their bits."""
+        arm = self._arms[row]
+        if arm is None:
+            arm = self._arms[row] = _Arm(self._space, self._config.max_motor_torque)
+            self._body_ids[row] = [body.id for body in arm.bodies]
+            self._missing -= 1
+        arm.start(links)
+        self._motors[2 * row : 2 * row + 2] = arm.motors
         self.angles[row] = START
 
     def step(self, rates: Array) -> None:
         """Drive all joints at `rates` (N, 2) rad/s for one control period and read the angles."""
-        if self._places is None:
-            self._motors = [motor for arm in self._present() for motor in arm.motors]
+        if self._missing:
+            raise RuntimeError(f"arms {[row for row, arm in enumerate(self._arms) if arm is None]} were never reset")
         # Chipmunk's motors turn the second body against the sign of their rate.
         for motor, rate in zip(self._motors, (-rates).ravel().tolist(), strict=True):
             _set_rate(motor, rate)
@@ -120,7 +132,7 @@ class ArmSpace:
         self._read_angles()
 
     def _read_angles(self) -> None:
-        """All bodies' angles in one call; the Space lists them in an order that changes when an arm is replaced."""
+        """All bodies' angles in one call; the Space lists them in an order of its own, the static body among them."""
         self._buffer.clear()
         pymunk.batch.get_space_bodies(self._space, _ANGLES, self._buffer)
         if self._places is None:
@@ -131,18 +143,11 @@ class ArmSpace:
         self.angles[:, 0] = angles[:, 0]
         self.angles[:, 1] = angles[:, 1] - angles[:, 0]
 
-    def _present(self) -> list[_Arm]:
-        missing = [row for row, arm in enumerate(self._arms) if arm is None]
-        if missing:
-            raise RuntimeError(f"arms {missing} were never reset")
-        return self._arms  # type: ignore[return-value]
-
     def tool_gap(self) -> float:
         """Largest distance between two ends that a pivot holds together, m: how far the solver let a joint open."""
         worst = 0.0
-        for arm in self._present():
-            for pivot in arm.constraints[4:]:
-                assert isinstance(pivot, pymunk.PivotJoint)
+        for arm in filter(None, self._arms):
+            for pivot in arm.pivots:
                 gap = pivot.a.local_to_world(pivot.anchor_a) - pivot.b.local_to_world(pivot.anchor_b)
                 worst = max(worst, gap.length)
         return worst
