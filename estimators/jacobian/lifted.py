@@ -116,6 +116,8 @@ class TargetModel:
 
 ACCELERATING_MODELS = (TargetModel(jerk=60.0), TargetModel(jerk=200.0, jump=200.0))
 """Nothing is supposed of the target but inertia: constant acceleration, calm and agile."""
+OCTAVE_MODELS = (*ACCELERATING_MODELS, *(TargetModel(jerk=15.0, recall=rate**2) for rate in (0.35, 0.7, 1.4, 2.8, 5.6)))
+"""Constant acceleration, or a swing at a rate that nobody knows: one model an octave, 0.35 to 5.6 rad/s."""
 SWINGING_MODELS = (
     TargetModel(jerk=8.0, recall=0.3),
     TargetModel(jerk=8.0, recall=1.0),
@@ -132,9 +134,9 @@ class LiftedKalman:
 
     Several models of the target run side by side (interacting multiple models), so that a smooth target is averaged
     over many frames and an abrupt manoeuvre is followed at once: a single frame far off is an outlier, the second in
-    a row is a manoeuvre. The default supposes nothing of the target but inertia; `SWINGING_MODELS` also suppose that it
-    swings at some rate near 1 rad/s, and pay where it does. Give one model, one noise level and `outlier_rate=0` for
-    the plain Kalman filter.
+    a row is a manoeuvre. The default lets the target accelerate or swing at any rate over four octaves;
+    `ACCELERATING_MODELS` suppose nothing but inertia and are faster; `SWINGING_MODELS` know the rates to be near
+    1 rad/s. Give one model, one noise level and `outlier_rate=0` for the plain Kalman filter.
 
     The defaults are one setting for all levels of the benchmark, from a random search on tune seeds at levels 0 to 5.
 
@@ -156,7 +158,7 @@ class LiftedKalman:
         alignment: Interpolates the encoders at the frames' instants.
     """
 
-    models: tuple[TargetModel, ...] = ACCELERATING_MODELS
+    models: tuple[TargetModel, ...] = OCTAVE_MODELS
     model_stay: float = 0.98
     noise: tuple[float, ...] = (0.3, 0.7, 1.5, 3.0)
     noise_stay: float = 0.985
