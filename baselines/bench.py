@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import gymnasium as gym
 from joblib import Parallel, delayed
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -56,13 +57,16 @@ def servo_suite(
     """Agents against levels.
 
     Raises:
-        ValueError: An unknown agent, or nothing to do.
+        ValueError: An unknown agent, a level that the environment does not have, or nothing to do.
     """
     names = list(agents) if agents else default_agents(env_id)
     for name in names:
         agent_card(name)
     if not levels:
         raise ValueError("levels must hold at least one level, got none")
+    for level in levels:
+        # Now, not after minutes of the levels before it: making one says what is wrong with it.
+        gym.make(env_id, level=level).close()
     return [Cell(env_id, name, {"level": level}) for level in levels for name in names]
 
 

@@ -283,7 +283,7 @@ def _env_kwargs(level: int | None, settings: list[str] | None) -> dict[str, Any]
         if key in kwargs:
             raise ValueError(f"{key} is given twice, got {setting!r} after {kwargs[key]!r}")
         try:
-            kwargs[key] = ast.literal_eval(value)
+            kwargs[key] = ast.literal_eval({"true": "True", "false": "False", "none": "None"}.get(value, value))
         except (ValueError, SyntaxError):
             kwargs[key] = value
     return kwargs

@@ -21,6 +21,7 @@ MISTAKES = [
     (["evaluate", "UncalibServo-v0", "kf", "-l", "9"], "level must be a whole number from 0 to 6, got 9"),
     (["evaluate", "UncalibServo-v0", "kf", "--split", "exam"], "split must be one of train, tune, test, got 'exam'"),
     (["bench", "-a", "zebra"], "no agent is called 'zebra'"),
+    (["bench", "-l", "5-9"], "level must be a whole number from 0 to 6, got 7"),
     (["bench", "-l", "low"], "levels must look like 0-5 or 0,3, got 'low'"),
     (["leaderboard", "nowhere"], "nowhere holds no results"),
     (["reproduce", "chess"], "paper must be one of servo, pmm, got 'chess'"),
@@ -111,3 +112,14 @@ def test_the_command_line_is_quick_to_ask_for_help(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_settings_take_true_and_false_as_a_shell_writes_them() -> None:
+    from servotrack.__main__ import _env_kwargs
+
+    assert _env_kwargs(3, ["stamped=false", "latency=2", "target=point"]) == {
+        "level": 3,
+        "stamped": False,
+        "latency": 2,
+        "target": "point",
+    }
