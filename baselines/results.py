@@ -256,6 +256,35 @@ def check_version(path: Path, cell: CellResults) -> None:
         )
 
 
+def read_document(path: Path, kind: str, version: int, otherwise: str, remedy: str) -> dict[str, Any]:
+    """Read a JSON file that says of itself what it is.
+
+    Args:
+        path: The file.
+        kind: What its `format` has to be.
+        version: What its `format_version` has to be.
+        otherwise: What it is where `format` is another.
+        remedy: What to do about a file that is not usable.
+
+    Raises:
+        ResultsError: The file is unreadable, corrupt, foreign or of another format version.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ResultsError(f"{path} cannot be read ({error.strerror}); check its permissions") from error
+    except ValueError as error:
+        raise ResultsError(f"{path} is corrupt ({error}); {remedy}") from error
+    if not isinstance(document, dict) or document.get("format") != kind:
+        raise ResultsError(f"{path} is {otherwise}; {remedy}")
+    if document.get("format_version") != version:
+        raise ResultsError(
+            f"{path} has format version {document.get('format_version')}, this servotrack reads {version}; "
+            f"use the servotrack that wrote it, or {remedy}"
+        )
+    return document
+
+
 def read_cell(path: Path) -> CellResults:
     """Read one file.
 
@@ -263,19 +292,7 @@ def read_cell(path: Path) -> CellResults:
         ResultsError: The file is unreadable, corrupt, foreign or of another format version.
     """
     remedy = "move it away or restore it; it has been left as it is"
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ResultsError(f"{path} cannot be read ({error.strerror}); check its permissions") from error
-    except ValueError as error:
-        raise ResultsError(f"{path} is corrupt ({error}); {remedy}") from error
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise ResultsError(f"{path} is not a servotrack result; {remedy}")
-    if document["format_version"] != FORMAT_VERSION:
-        raise ResultsError(
-            f"{path} has format version {document['format_version']}, this servotrack reads {FORMAT_VERSION}; "
-            "choose another folder, or use the servotrack that wrote it"
-        )
+    document = read_document(path, FORMAT, FORMAT_VERSION, "not a servotrack result", remedy)
     names = ("env_id", "env_kwargs", "agent", "card", "max_steps", "rows", "step_seconds", "provenance")
     missing = [name for name in names if name not in document]
     if missing:

@@ -9,7 +9,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from servotrack.baselines.results import ResultsError, atomic_path
+from servotrack.baselines.results import ResultsError, atomic_path, read_document
 from servotrack.baselines.tuning_grids import BORROWED, GRIDS, UNTUNED
 
 FORMAT = "servotrack-tuning"
@@ -109,19 +109,7 @@ def read_record(path: Path) -> TuningRecord:
         ResultsError: The file is unreadable, corrupt, foreign or of another format version.
     """
     remedy = "restore it, or move it away and run `servotrack tune` again"
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ResultsError(f"{path} cannot be read ({error.strerror}); check its permissions") from error
-    except ValueError as error:
-        raise ResultsError(f"{path} is corrupt ({error}); {remedy}") from error
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise ResultsError(f"{path} is no record of a tuning; {remedy}")
-    if document.get("format_version") != FORMAT_VERSION:
-        raise ResultsError(
-            f"{path} has format version {document.get('format_version')}, this servotrack reads {FORMAT_VERSION}; "
-            f"{remedy}"
-        )
+    document = read_document(path, FORMAT, FORMAT_VERSION, "no record of a tuning", remedy)
     try:
         agents = {name: _tuned(entry) for name, entry in document["agents"].items()}
         return TuningRecord(dict(document["protocol"]), agents)
