@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from joblib import Parallel, delayed
 from rich.progress import Progress
 
 from servotrack.baselines.paper004.experiment import METHODS, Condition, Measures, run_condition
-from servotrack.baselines.results import ResultsError, atomic_path
+from servotrack.baselines.results import ResultsError, atomic_path, code_version
 
 CHUNK = 25
 """Runs that are filtered as one batch and kept as one file."""
@@ -94,7 +93,7 @@ def _setting(condition: Condition, seeds: Sequence[int]) -> str:
     """All that a chunk's numbers depend on, in one line."""
     methods: dict[str, Any] = {name: [METHODS[name][0], asdict(METHODS[name][1])] for name in condition.methods}
     setting = {
-        "version": metadata.version("servotrack"),
+        "version": code_version(),
         "world": asdict(condition.config),
         "methods": methods,
         "trajectories": condition.trajectories,
