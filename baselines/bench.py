@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from servotrack.baselines import seeds as seed_ranges
 from servotrack.baselines.evaluate import evaluate
-from servotrack.baselines.leaderboard.summary import LOWER_ANCHOR
+from servotrack.baselines.protocol import world_of
 from servotrack.baselines.registry import AGENTS, agent_card
 from servotrack.baselines.results import CellResults, ResultsFolder, provenance
 
@@ -36,19 +36,10 @@ class Cell:
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
 
 
-def is_tracking(env_id: str) -> bool:
-    """Whether an id is a tracking world, where observers answer with sets."""
-    return "Tracking" in env_id
-
-
 def default_agents(env_id: str = "UncalibServo-v0") -> list[str]:
     """Every registered agent that is measured in a world by default, in the table's order."""
-    tracking = is_tracking(env_id)
-    return [
-        name
-        for name, card in AGENTS.items()
-        if card.in_default_suite and (card.tracks == tracking or name == LOWER_ANCHOR)
-    ]
+    world = world_of(env_id)
+    return [name for name, card in AGENTS.items() if card.in_default_suite and world in card.worlds]
 
 
 def servo_suite(

@@ -14,6 +14,22 @@ Observation: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
 Information = Literal["model-free", "structure", "prior", "calibrated", "privileged", "undeclared"]
 """What an agent was told: nothing; the model's structure; the randomization's ranges; this very system; the truth."""
 
+World = Literal["servo", "clutter", "video", "color"]
+"""Kinds of worlds: a robot; sets of points; boxes of people in frames, rendered or real; a box of a colored object."""
+
+
+def world_of(env_id: str) -> World:
+    """Which kind of world an id is; ids of other packages count as servos."""
+    return _WORLDS.get(env_id.partition("-v")[0].rpartition(":")[2], "servo")
+
+
+_WORLDS: Mapping[str, World] = {
+    "ClutterTracking": "clutter",
+    "PedestrianTracking": "video",
+    "VideoTracking": "video",
+    "ColorTracking": "color",
+}
+
 
 @runtime_checkable
 class Agent(Protocol):
@@ -53,7 +69,7 @@ class AgentCard:
             counted them.
         summary: One line for people.
         laws: Whether a control law can be chosen ("name+law").
-        tracks: Whether it is an observer of the tracking worlds.
+        worlds: Which worlds it can act in; a name of several means the same algorithm in each.
         in_default_suite: Whether `servotrack bench` measures it unless told otherwise.
     """
 
@@ -65,7 +81,7 @@ class AgentCard:
     requires: frozenset[str] = frozenset()
     tuning_steps: int | None = None
     laws: bool = False
-    tracks: bool = False
+    worlds: frozenset[World] = frozenset({"servo"})
     in_default_suite: bool = True
 
     def as_record(self) -> dict[str, Any]:

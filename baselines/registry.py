@@ -6,9 +6,9 @@ import difflib
 import importlib
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
-from servotrack.baselines.protocol import Agent, AgentCard, Information
+from servotrack.baselines.protocol import Agent, AgentCard, Information, World
 from servotrack.baselines.tuning_record import shipped_tuning_steps
 
 DEFAULT_LAW = "pi"
@@ -42,7 +42,7 @@ def _observer(name: str, summary: str, information: Information = "calibrated", 
         information,
         summary,
         parameters=parameters,
-        tracks=True,
+        worlds=frozenset({"clutter"}),
         **fields,
     )
 
@@ -54,6 +54,7 @@ _CARDS = (
         "model-free",
         "uniform actions: no skill",
         tuning_steps=0,
+        worlds=frozenset(get_args(World)),
     ),
     _servo("fixed-jacobian", "model-free", "the Jacobian found by probing at the start, never updated"),
     _servo("broyden", "model-free", "Broyden's rank-one update"),

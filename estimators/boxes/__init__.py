@@ -1,0 +1,1 @@
+"""Trackers of boxes in images: detections in, boxes with identities out; and detectors and trackers in one."""

@@ -1,0 +1,1 @@
+"""Trackers of one colored object: a frame in, its box out."""
