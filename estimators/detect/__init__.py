@@ -1,6 +1,19 @@
 """Detectors: images in, what was found in them out."""
 
+from servotrack.estimators.detect.appearance import box_appearance, box_histograms, color_bins
+from servotrack.estimators.detect.background import BackgroundState, MaskedBackground
+from servotrack.estimators.detect.blobs import BlobFinder
 from servotrack.estimators.detect.detections import Detections, detections_from_boxes
 from servotrack.estimators.detect.marker import MarkerDetector
 
-__all__ = ["Detections", "MarkerDetector", "detections_from_boxes"]
+__all__ = [
+    "BackgroundState",
+    "BlobFinder",
+    "Detections",
+    "MarkerDetector",
+    "MaskedBackground",
+    "box_appearance",
+    "box_histograms",
+    "color_bins",
+    "detections_from_boxes",
+]

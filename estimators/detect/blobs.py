@@ -1,0 +1,122 @@
+"""From a mask of foreground to detections: clean it, connect it, tell people who touch apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from servotrack.estimators.detect.appearance import run_appearance
+from servotrack.estimators.detect.bodies import BodySizes, body_line, find_bodies, learn_sizes, no_sizes
+from servotrack.estimators.detect.detections import Detections
+from servotrack.estimators.detect.images import Image, checked_image
+from servotrack.estimators.detect.runs import label_runs, measure_runs
+
+
+class CleanMask(NamedTuple):
+    """A mask on its way to detections.
+
+    Attributes:
+        opened: After the opening, which takes specks away. Shape (H, W), 0 or 255.
+        closed: And after the closing, which joins the parts of a body.
+    """
+
+    opened: Image
+    closed: Image
+
+
+@dataclass(frozen=True)
+class BlobFinder:
+    """Opening, closing, connected regions, and a model of how tall people are at each row of the image.
+
+    A region is one detection as long as nothing is known about sizes. The height of a person by the row of the feet is
+    learned from regions that look like one person; from then on, regions too large for one person are explained by
+    several (`split`), and parts that stand one above the other are joined.
+
+    Args:
+        opening: Side of the square of the opening, px; 1 for none.
+        closing: Width and height of the rectangle of the closing, px; (1, 1) for none. Taller than wide it joins head,
+            trunk and legs rather than people side by side.
+        smallest: Least number of a region's pixels.
+        split: Whether to learn sizes and tell people who touch apart.
+        bins: Bins per channel of the color histograms that serve as appearance, 0 for none.
+
+    Raises:
+        ValueError: A parameter out of range.
+    """
+
+    opening: int = 3
+    closing: tuple[int, int] = (3, 7)
+    smallest: int = 40
+    split: bool = True
+    bins: int = 8
+
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        if not (isinstance(self.opening, int) and self.opening >= 1):
+            raise ValueError(f"opening must be a whole number of at least 1 px, got {self.opening!r}")
+        if len(self.closing) != 2 or not all(isinstance(side, int) and side >= 1 for side in self.closing):
+            raise ValueError(f"closing must be two whole numbers of at least 1 px, got {self.closing!r}")
+        if not self.smallest >= 1:
+            raise ValueError(f"smallest must be at least 1 px, got {self.smallest!r}")
+        if not (isinstance(self.bins, int) and 0 <= self.bins <= 16):
+            raise ValueError(f"bins must be a whole number from 0 to 16, got {self.bins!r}")
+
+    def initial(self) -> BodySizes:
+        """Nothing is known about the sizes of people yet."""
+        return no_sizes()
+
+    def clean(self, mask: Image) -> CleanMask:
+        """The opening and the closing.
+
+        Args:
+            mask: Not 0 on the foreground. Shape (H, W), uint8.
+        """
+        opened = mask
+        if self.opening > 1:
+            opened = cv2.morphologyEx(mask, cv2.MORPH_OPEN, _rectangle(self.opening, self.opening))
+        closed = opened
+        if self.closing != (1, 1):
+            closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, _rectangle(*self.closing))
+        return CleanMask(opened, closed)
+
+    def step(self, state: BodySizes, mask: ArrayLike, image: ArrayLike) -> tuple[BodySizes, Detections]:
+        """Detections of one mask.
+
+        Args:
+            state: What is known about the sizes of people.
+            mask: Not 0 on the foreground. Shape (H, W), uint8.
+            image: The frame that the colors are taken from, RGB or gray, uint8. Shape (H, W, 3) or (H, W).
+
+        Returns:
+            State and detections.
+
+        Raises:
+            ValueError: Arrays of another type or shape.
+        """
+        checked = checked_image(image, "image")
+        return self.find(state, self.clean(checked_image(mask, "mask", checked.shape[:2])).closed, checked)
+
+    def find(self, state: BodySizes, cleaned: Image, image: Image) -> tuple[BodySizes, Detections]:
+        """As `step`, of a mask that is clean already."""
+        runs, regions = label_runs(cleaned)
+        boxes, centroids, areas = measure_runs(runs, regions)
+        keep = areas >= self.smallest
+        number = np.where(keep, np.cumsum(keep) - 1, -1)
+        runs[:, 3] = number[runs[:, 3]]
+        boxes, centroids, areas = boxes[keep], centroids[keep], areas[keep]
+        confidences = np.ones(len(boxes))
+        if self.split:
+            line = body_line(state, cleaned.shape[0])
+            state = learn_sizes(state, boxes, areas, cleaned.shape)
+            if line is not None:
+                runs, boxes, centroids, areas, confidences = find_bodies(runs, boxes, cleaned.shape, *line)
+        features = run_appearance(image, runs, len(boxes), self.bins) if self.bins else np.zeros((len(boxes), 0))
+        return state, Detections(boxes, centroids, areas, confidences, features)
+
+
+def _rectangle(width: int, height: int) -> NDArray[np.uint8]:
+    return np.ones((height, width), np.uint8)

@@ -1,0 +1,107 @@
+"""Connected regions of a mask as runs of pixels: what is sparse is cheap, and nothing the size of the image is made."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def label_runs(mask):  # type: ignore[no-untyped-def]
+    """Runs of a mask's pixels, joined where they touch, also at corners.
+
+    Args:
+        mask: Not 0 on what is looked for. Shape (H, W), uint8, rows contiguous.
+
+    Returns:
+        Runs, one row each: row, first column, column after the last, number of the region; shape (n, 4), int32, in the
+        order of the image; and the number of regions.
+    """
+    height, width = mask.shape
+    found = 0
+    for row in range(height):
+        line = mask[row]
+        before = 0
+        for column in range(width):
+            here = 1 if line[column] != 0 else 0
+            found += here & (1 - before)
+            before = here
+    runs = np.empty((found, 4), np.int32)
+    parent = np.arange(found)
+    count, above, above_stop = 0, 0, 0
+    for row in range(height):
+        line = mask[row]
+        start_of_row = count
+        column = 0
+        while column < width:
+            if line[column] == 0:
+                column += 1
+                continue
+            first = column
+            while column < width and line[column] != 0:
+                column += 1
+            runs[count, 0], runs[count, 1], runs[count, 2] = row, first, column
+            while above < above_stop and runs[above, 2] < first:
+                above += 1
+            touching = above
+            while touching < above_stop and runs[touching, 1] <= column:
+                a, b = _root(parent, count), _root(parent, touching)
+                if a < b:
+                    parent[b] = a
+                else:
+                    parent[a] = b
+                touching += 1
+            count += 1
+        above, above_stop = start_of_row, count
+    regions = 0
+    for n in range(count):
+        if parent[n] == n:
+            runs[n, 3] = regions
+            regions += 1
+        else:
+            # Roots come first, so they have their number already.
+            runs[n, 3] = runs[_root(parent, n), 3]
+    return runs, regions
+
+
+@njit(cache=True, nogil=True)
+def _root(parent, n):  # type: ignore[no-untyped-def]
+    while parent[n] != n:
+        parent[n] = parent[parent[n]]
+        n = parent[n]
+    return n
+
+
+@njit(cache=True, nogil=True)
+def measure_runs(runs, regions):  # type: ignore[no-untyped-def]
+    """Boxes, centroids and areas of regions.
+
+    Args:
+        runs: As `label_runs` gives them; a negative number belongs to no region.
+        regions: Number of regions k.
+
+    Returns:
+        Boxes (left, top, width, height), shape (k, 4); centroids, shape (k, 2); areas, shape (k,); all px, float64,
+        pixel i spanning i to i + 1. Zeros for a region without a pixel.
+    """
+    boxes, centroids, areas = np.zeros((regions, 4)), np.zeros((regions, 2)), np.zeros(regions)
+    for n in range(runs.shape[0]):
+        row, first, stop, k = runs[n, 0], runs[n, 1], runs[n, 2], runs[n, 3]
+        if k < 0:
+            continue
+        length = stop - first
+        if areas[k] == 0.0:
+            boxes[k, 0], boxes[k, 1], boxes[k, 2] = first, row, stop
+        boxes[k, 0] = min(boxes[k, 0], first)
+        boxes[k, 1] = min(boxes[k, 1], row)
+        boxes[k, 2] = max(boxes[k, 2], stop)
+        boxes[k, 3] = max(boxes[k, 3], row + 1)
+        centroids[k, 0] += length * (first + stop) / 2.0
+        centroids[k, 1] += length * (row + 0.5)
+        areas[k] += length
+    for k in range(regions):
+        boxes[k, 2] -= boxes[k, 0]
+        boxes[k, 3] -= boxes[k, 1]
+        if areas[k] > 0.0:
+            centroids[k] /= areas[k]
+    return boxes, centroids, areas
