@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -42,10 +43,19 @@ def default_agents(env_id: str = "UncalibServo-v0") -> list[str]:
     return [name for name, card in AGENTS.items() if card.in_default_suite and world in card.worlds]
 
 
-def servo_suite(
-    agents: Sequence[str] | None = None, levels: Sequence[int] = DEFAULT_LEVELS, env_id: str = "UncalibServo-v0"
+def suite_of(
+    env_id: str,
+    agents: Sequence[str] | None = None,
+    levels: Sequence[int] | None = None,
+    settings: Mapping[str, Any] | None = None,
 ) -> list[Cell]:
-    """Agents against levels.
+    """Agents against levels of one world.
+
+    Args:
+        env_id: Gymnasium id.
+        agents: Names; None for all that are measured in this world by default.
+        levels: None for `DEFAULT_LEVELS`, or for the world as it is where it has no levels.
+        settings: Arguments of the environment besides its level.
 
     Raises:
         ValueError: An unknown agent, a level that the environment does not have, or nothing to do.
@@ -53,12 +63,22 @@ def servo_suite(
     names = list(agents) if agents else default_agents(env_id)
     for name in names:
         agent_card(name)
-    if not levels:
+    given = dict(settings or {})
+    if levels is None:
+        levels = DEFAULT_LEVELS if _has_levels(env_id) else ()
+    elif not levels:
         raise ValueError("levels must hold at least one level, got none")
-    for level in levels:
+    worlds = [{"level": level, **given} for level in levels] or [given]
+    for kwargs in worlds:
         # Now, not after minutes of the levels before it: making one says what is wrong with it.
-        gym.make(env_id, level=level).close()
-    return [Cell(env_id, name, {"level": level}) for level in levels for name in names]
+        gym.make(env_id, **kwargs).close()
+    return [Cell(env_id, name, kwargs) for kwargs in worlds for name in names]
+
+
+def _has_levels(env_id: str) -> bool:
+    entry = gym.spec(env_id).entry_point
+    creator = gym.envs.registration.load_env_creator(entry) if isinstance(entry, str) else entry
+    return creator is not None and "level" in inspect.signature(creator).parameters
 
 
 def run_suite(

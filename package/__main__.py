@@ -77,19 +77,22 @@ def evaluate(
 def bench(
     results: Results = DEFAULT_RESULTS / "bench",
     agents: Annotated[str, typer.Option("--agents", "-a", help="Comma-separated; default: all.")] = "",
-    levels: Annotated[str, typer.Option("--levels", "-l", help="Such as 0-5 or 0,3.")] = "0-5",
+    levels: Annotated[
+        str, typer.Option("--levels", "-l", help="Such as 0-5 or 0,3; default: 0-5 where the world has levels.")
+    ] = "",
     env: Annotated[str, typer.Option("--env", help="Servo or tracking id.")] = "UncalibServo-v0",
+    settings: Settings = None,
     episodes: Episodes = 100,
     split: Split = "test",
     jobs: Jobs = -1,
     video: Annotated[bool, typer.Option(help="Film the best agent at level 3.")] = True,
 ) -> None:
     """The main job: agents x levels x seeds, then the leaderboard, a figure and a film. Resumes what was finished."""
-    from servotrack.baselines.bench import progress_bars, run_suite, servo_suite
+    from servotrack.baselines.bench import progress_bars, run_suite, suite_of
     from servotrack.baselines.leaderboard.summary import summarize
     from servotrack.baselines.results import ResultsFolder
 
-    suite = servo_suite(_words(agents), _levels(levels), env)
+    suite = suite_of(env, _words(agents), _levels(levels) if levels else None, _env_kwargs(None, settings))
     folder = ResultsFolder(results)
     with progress_bars() as progress:
         cells = run_suite(suite, folder, episodes=episodes, split=split, jobs=jobs, progress=progress)
@@ -228,13 +231,14 @@ def _console() -> Console:
 
 def _show(tasks: list[TaskSummary], output: Path, film: Path | None, details: bool = False) -> None:
     from servotrack.baselines.leaderboard.report import write_report
-    from servotrack.baselines.leaderboard.table import NOTE, as_rich, overview_grid, task_grid
+    from servotrack.baselines.leaderboard.table import NOTE, as_rich, headline_grids, overview_grid, task_grid
 
     console = _console()
-    overview = overview_grid(tasks)
-    if overview.rows:
-        console.print(as_rich(overview, "Mean score · success in percent"))
-    for task in tasks if details or not overview.rows else []:
+    overviews = [("Mean score · success in percent", overview_grid(tasks)), *headline_grids(tasks)]
+    overviews = [(title, grid) for title, grid in overviews if grid.rows]
+    for title, grid in overviews:
+        console.print(as_rich(grid, title))
+    for task in tasks if details or not overviews else []:
         console.print(as_rich(task_grid(task), task.environment))
     console.print(NOTE, style="dim")
     for path in [*write_report(tasks, output, _command(), film), *([film] if film else [])]:

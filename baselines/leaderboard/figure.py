@@ -22,7 +22,7 @@ FAMILY_COLORS = {
     ),
     "structure": ("#b5121b", "#e4572e", "#f2a541", "#93356f"),
     "prior": ("#b5179e", "#7209b7"),
-    "calibrated": ("#386641",),
+    "calibrated": ("#386641", "#12436d", "#b5121b", "#6a994e", "#2f7ebc", "#e4572e", "#93356f", "#f2a541", "#00798c"),
     "undeclared": ("#555555",),
     "privileged": ("#111111", "#777777"),
 }  # fmt: skip

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 
 from servotrack.baselines.leaderboard.summary import TaskSummary
-from servotrack.baselines.leaderboard.table import NOTE, Grid, caveat, overview_grid, task_grid
+from servotrack.baselines.leaderboard.table import NOTE, Grid, caveat, headline_grids, overview_grid, task_grid
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1d2733; background: #fbfbf9; }
@@ -44,6 +44,8 @@ def html_page(tasks: Sequence[TaskSummary], command: str, figure: str | None, vi
     overview = overview_grid(tasks)
     if overview.rows:
         parts += ["<h2>Overview</h2>", "<p>Mean score, and success in percent.</p>", _table(overview)]
+    for title, grid in headline_grids(tasks):
+        parts += [f"<h2>{escape(title)}</h2>", _table(grid)]
     if video:
         parts.append(f'<video src="{escape(video)}" controls loop muted></video>')
     for task in tasks:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.baselines import statistics
+from servotrack.baselines.leaderboard.measures import JUDGMENTS, Judgment
+from servotrack.baselines.protocol import world_of
 from servotrack.baselines.results import CellResults
 from servotrack.baselines.statistics import Interval, PairedDifference
 
-REFERENCE = "ukf"
-TRACK_REFERENCE = "gm-phd"
 LOWER_ANCHOR, UPPER_ANCHOR = "random", "oracle"
 BOUND = "informed-bound"
 
@@ -34,9 +34,8 @@ class AgentSummary:
         score: Mean score; 0 is random, 1 the oracle.
         worst_score: Mean of the worst tenth of the scores.
         scores: Of all episodes, in the order of the rows.
-        ospa: Mean OSPA over episodes, m.
-        ospa2: Mean OSPA(2) over episodes, where identity counts, m.
-        difference: Steady error, in tracking worlds OSPA(2), minus the reference's, paired by seed, m.
+        measures: Means over episodes of the world's measures, by column, in the rows' units.
+        difference: The world's headline measure minus the reference's, paired by seed.
         adjusted_p: Its p-value after Holm's correction over the task's table.
         step_seconds: Median compute time of one step, s.
         tuning_steps: Environment steps spent on tuning or training; None where nobody counted them.
@@ -53,8 +52,7 @@ class AgentSummary:
     score: Interval | None
     worst_score: float | None
     scores: NDArray[np.float64] | None
-    ospa: Interval | None
-    ospa2: Interval | None
+    measures: Mapping[str, Interval]
     difference: PairedDifference | None
     adjusted_p: float | None
     step_seconds: float | None
@@ -78,6 +76,11 @@ class TaskSummary:
     level: int | None
     rows: tuple[AgentSummary, ...]
     deterministic: bool
+
+    @property
+    def judgment(self) -> Judgment:
+        """How its agents are compared."""
+        return JUDGMENTS[world_of(self.env_id)]
 
     def row(self, agent: str) -> AgentSummary | None:
         """The row of an agent, if it has one."""
@@ -146,15 +149,18 @@ def _summarize_task(name: str, cells: list[CellResults], step_seconds: dict[tupl
     level = kwargs["level"] if set(kwargs) == {"level"} else None
     acting = [cell for cell in cells if cell.agent != LOWER_ANCHOR and len(cell.rows) > 1]
     deterministic = bool(acting) and all(len({row["return"] for row in cell.rows}) == 1 for cell in acting)
-    return TaskSummary(name, cells[0].env_id, level, tuple(sorted(rows, key=_rank)), deterministic)
+    env_id = cells[0].env_id
+    headline = JUDGMENTS[world_of(env_id)].headline
 
+    def rank(row: AgentSummary) -> float:
+        if row.score is not None:
+            return -row.score.value
+        mean = row.measures.get(headline.column)
+        if mean is None:
+            return -row.mean_return.value
+        return -mean.value if headline.high_is_good else mean.value
 
-def _rank(row: AgentSummary) -> float:
-    if row.score is not None:
-        return -row.score.value
-    if row.ospa2 is not None:
-        return row.ospa2.value
-    return row.steady.value if row.steady is not None else -row.mean_return.value
+    return TaskSummary(name, env_id, level, tuple(sorted(rows, key=rank)), deterministic)
 
 
 def _summarize_cell(
@@ -162,6 +168,8 @@ def _summarize_cell(
     by_agent: dict[str, CellResults],
     step_seconds: dict[tuple[str, str], float],
 ) -> AgentSummary:
+    judgment = JUDGMENTS[world_of(cell.env_id)]
+    measured = {measure.column: _mean_of(cell, measure.column) for measure in judgment.shown}
     has_success = all("success" in row for row in cell.rows)
     errors = _errors(cell)
     scores = None
@@ -183,10 +191,8 @@ def _summarize_cell(
         score=None if scores is None else statistics.bootstrap_mean(scores),
         worst_score=None if scores is None else statistics.worst_tenth(scores, high_is_bad=False),
         scores=scores,
-        ospa=_mean_of(cell, "ospa"),
-        ospa2=_mean_of(cell, "ospa2"),
-        difference=_difference(cell, by_agent.get(REFERENCE), "steady")
-        or _difference(cell, by_agent.get(TRACK_REFERENCE), "ospa2"),
+        measures={column: mean for column, mean in measured.items() if mean is not None},
+        difference=_difference(cell, by_agent.get(judgment.reference), judgment.headline.column),
         adjusted_p=None,
         step_seconds=step_seconds.get((cell.env_id, cell.agent)),
         tuning_steps=cell.card["tuning_steps"],

@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 from rich.table import Table
 
+from servotrack.baselines.leaderboard.measures import Measure
 from servotrack.baselines.leaderboard.summary import (
     BOUND,
-    REFERENCE,
-    TRACK_REFERENCE,
     AgentSummary,
     OverallSummary,
     TaskSummary,
@@ -23,7 +22,8 @@ PRIVILEGED_MARK = "†"
 NOTE = (
     "Score: ln(e_random/e) / ln(e_random/e_oracle), 0 is random, 1 the analytic Jacobian, more is possible. "
     f"{PRIVILEGED_MARK} sees the truth. Brackets: 95 % intervals. "
-    f"Differences are paired by seed against {REFERENCE}; * marks those below p = 0.05 after Holm's correction. "
+    "Differences are paired by seed against the agent that their column names; * marks those below p = 0.05 after "
+    "Holm's correction. "
     f"× bound: mean steady error over that of {BOUND}. "
     "Tuning steps: environment steps of `servotrack tune` or of training, on seeds of their own, without the trials by "
     "hand that came before; ? where nobody counted."
@@ -55,33 +55,70 @@ def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
     return Grid(headings, rows, 2)
 
 
+def headline_grid(tasks: Sequence[TaskSummary]) -> Grid:
+    """Agents against the levels of one world that has no score: the mean of what ranks them in every cell."""
+    headline = tasks[0].judgment.headline
+    means: dict[str, list[Interval | None]] = {}
+    told: dict[str, AgentSummary] = {}
+    for column, task in enumerate(tasks):
+        for row in task.rows:
+            told[row.agent] = row
+            means.setdefault(row.agent, [None] * len(tasks))[column] = row.measures.get(headline.column)
+    complete = {agent: [m.value for m in row if m is not None] for agent, row in means.items() if None not in row}
+    order = sorted(complete, key=lambda agent: sum(complete[agent]), reverse=headline.high_is_good)
+    rows = [
+        [_agent(told[agent]), told[agent].information]
+        + [f"{value * headline.factor:.{headline.digits}f}" for value in complete[agent]]
+        for agent in order
+    ]
+    return Grid(["agent", "told", *(_short_name(task) for task in tasks)], rows, 2)
+
+
+def headline_grids(tasks: Sequence[TaskSummary]) -> list[tuple[str, Grid]]:
+    """A title and an overview for each world without a score that was run on several levels."""
+    by_id: dict[str, list[TaskSummary]] = {}
+    for task in tasks:
+        if task.level is not None and not any(row.score for row in task.rows):
+            by_id.setdefault(task.env_id, []).append(task)
+    return [
+        (f"{env_id}: mean {of_id[0].judgment.headline.title}", headline_grid(sorted(of_id, key=lambda t: t.level or 0)))
+        for env_id, of_id in by_id.items()
+        if len(of_id) > 1
+    ]
+
+
 def task_grid(task: TaskSummary) -> Grid:
     """One task in full."""
     servo = any(row.steady for row in task.rows)
-    track = any(row.ospa for row in task.rows)
+    judgment = task.judgment
+    shown = [] if servo else [m for m in judgment.shown if any(m.column in row.measures for row in task.rows)]
     bound = task.row(BOUND)
-    headings = ["agent", "told", "n", "success %"]
-    headings += ["score", "worst tenth", "steady mm", f"− {REFERENCE} mm", "× bound"] if servo else ["return"]
-    headings += ["OSPA m", "OSPA(2) m", f"− {TRACK_REFERENCE} m"] if track else []
+    against = f"− {judgment.reference} {judgment.headline.unit}".strip()
+    succeeds = servo or any(row.success for row in task.rows)
+    headings = ["agent", "told", "n", *(["success %"] if succeeds else [])]
+    headings += ["score", "worst tenth", "steady mm", against, "× bound"] if servo else ["return"]
+    headings += [*(measure.title for measure in shown), against] if shown else []
     headings += ["µs/step", "tuning steps"]
     rows = []
     for row in task.rows:
         cells = [_agent(row), row.information, str(row.episodes)]
-        cells.append(_interval(row.success, 0, 100.0) if row.success else "")
+        if succeeds:
+            cells.append(_interval(row.success, 0, 100.0) if row.success else "")
         if servo:
             cells.append(_interval(row.score, 2) if row.score else "")
             cells.append("" if row.worst_score is None else f"{row.worst_score:.2f}")
             cells.append(_interval(row.steady, 1, 1e3) if row.steady else "")
-            cells.append(_difference(row))
+            cells.append(_difference(row, judgment.headline))
             cells.append(
                 f"{row.steady.value / bound.steady.value:.2f}" if row.steady and bound and bound.steady else ""
             )
         else:
             cells.append(_interval(row.mean_return, 2))
-        if track:
-            cells.append(_interval(row.ospa, 2) if row.ospa else "")
-            cells.append(_interval(row.ospa2, 2) if row.ospa2 else "")
-            cells.append(_difference(row, 1.0, 2))
+        if shown:
+            cells += [
+                _interval(row.measures[m.column], m.digits, m.factor) if m.column in row.measures else "" for m in shown
+            ]
+            cells.append(_difference(row, judgment.headline))
         cells.append("" if row.step_seconds is None else f"{row.step_seconds * 1e6:.0f}")
         cells.append("?" if row.tuning_steps is None else f"{row.tuning_steps:,}")
         rows.append(cells)
@@ -123,6 +160,8 @@ def markdown_report(tasks: Sequence[TaskSummary], command: str) -> str:
     overview = overview_grid(tasks)
     if overview.rows:
         parts.append("## Overview\n\nMean score, and success in percent.\n\n" + as_markdown(overview))
+    for title, grid in headline_grids(tasks):
+        parts.append(f"## {title}\n\n{as_markdown(grid)}")
     for task in tasks:
         remark = f"{caveat(task)}\n\n" if caveat(task) else ""
         parts.append(f"## {task.environment}\n\n{remark}{as_markdown(task_grid(task))}")
@@ -159,10 +198,9 @@ def _interval(interval: Interval, digits: int, factor: float = 1.0) -> str:
     return f"{value} [{low}, {high}]"
 
 
-def _difference(row: AgentSummary, factor: float = 1e3, digits: int = 1) -> str:
+def _difference(row: AgentSummary, measure: Measure) -> str:
     if row.difference is None or row.adjusted_p is None:
         return ""
     mark = "*" if row.adjusted_p < SIGNIFICANCE else ""
-    d = row.difference
-    value, low, high = (f"{end * factor:+.{digits}f}" for end in d[:3])
+    value, low, high = (f"{end * measure.factor:+.{measure.digits}f}" for end in row.difference[:3])
     return f"{value} [{low}, {high}]{mark}"

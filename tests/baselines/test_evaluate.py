@@ -18,7 +18,7 @@ import pytest
 
 import servotrack  # noqa: F401
 from servotrack.baselines import seeds
-from servotrack.baselines.bench import Cell, run_suite, servo_suite
+from servotrack.baselines.bench import Cell, run_suite, suite_of
 from servotrack.baselines.episodes import EpisodeRecorder, servo_errors
 from servotrack.baselines.evaluate import evaluate
 from servotrack.baselines.results import ResultsFolder
@@ -184,7 +184,7 @@ def test_a_killed_bench_loses_nothing_that_was_finished(tmp_path: Path) -> None:
     assert 2 <= len(finished) < 12
     assert len(folder.load_all()) == len(finished)
 
-    suite = servo_suite(["kf", "ukf", "random", "oracle"], (0, 1, 2))
+    suite = suite_of("UncalibServo-v0", ["kf", "ukf", "random", "oracle"], (0, 1, 2))
     cells = run_suite(suite, folder, episodes=30, split="tune", jobs=1)
     assert len(cells) == 12
     assert all(len(cell.rows) == 30 for cell in cells)
@@ -201,7 +201,7 @@ def test_a_suite_in_processes_gives_the_same_rows(tmp_path: Path) -> None:
 
 def test_a_suite_refuses_a_damaged_file_before_it_starts(tmp_path: Path) -> None:
     folder = ResultsFolder(tmp_path)
-    suite = servo_suite(["random", "kf"], (0,))
+    suite = suite_of("UncalibServo-v0", ["random", "kf"], (0,))
     path = folder.file_of(SERVO, {"level": 0}, "kf")
     path.parent.mkdir(parents=True)
     path.write_text("{")
