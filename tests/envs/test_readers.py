@@ -1,0 +1,223 @@
+"""Files of truth and detections: what they hold, and that bad ones are refused by name and line, never by accident."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from servotrack.envs.track import recorded
+from servotrack.envs.track.caviar import read_caviar
+from servotrack.envs.track.mot_files import mot_row, read_mot_detections, read_mot_tracks, read_seqinfo
+from servotrack.envs.track.recorded import SequenceError, read_tracks
+
+GT = b"1,2,10,20,30,40,1,1,0.5\n1,7,0,0,5.5,6,1,1,1\n3,2,12,21,30,40,1,1,0.25\n2,9,1,1,1,1,0,8,1\n"
+CVML = b"""<?xml version="1.0" encoding="UTF-8"?>
+<dataset name="Walk">
+ <frame number="0">
+  <objectlist>
+   <object id="4"><orientation>90</orientation><box xc="10.5" yc="20" w="3" h="8"/><appearance>visible</appearance>
+    <hypothesislist><hypothesis id="1"><movement>walking</movement></hypothesis></hypothesislist></object>
+  </objectlist>
+  <grouplist><group id="0"><box xc="1" yc="1" w="1" h="1"/><members>4</members></group></grouplist>
+ </frame>
+ <frame number="2"><objectlist>
+   <object id="4"><box h="8" w="3" xc="12" yc="20"/></object><object id="0"><box xc="5" yc="5" w="2" h="2"/></object>
+ </objectlist><grouplist></grouplist></frame>
+</dataset>
+"""
+INI = b"[Sequence]\nname=Toy\nimDir=img1\nframeRate=25\nseqLength=3\nimWidth=64\nimHeight=48\nimExt=.jpg\n"
+
+
+def write(folder: Path, name: str, content: bytes) -> Path:
+    path = folder / name
+    path.write_bytes(content)
+    return path
+
+
+def test_rows_with_flag_are_tracks_from_step_zero(tmp_path):
+    found = read_mot_tracks(write(tmp_path, "gt.txt", GT))
+    assert found.ids.tolist() == [2, 7]
+    assert found.tracks[0].steps.tolist() == [0, 2]
+    np.testing.assert_array_equal(found.tracks[0].states, [[10, 20, 30, 40], [12, 21, 30, 40]])
+    np.testing.assert_array_equal(found.visibilities[0], [0.5, 0.25])
+    assert found.length == 3
+
+
+def test_third_last_column_of_ten_is_a_coordinate_not_a_visibility(tmp_path):
+    found = read_mot_tracks(write(tmp_path, "gt.txt", b"1,1,0,0,5,5,1,17.5,-23.5,0\n"))
+    np.testing.assert_array_equal(found.visibilities[0], [1.0])
+
+
+@pytest.mark.parametrize("content", [b"\xef\xbb\xbf1, 1, 0, 0, 5, 5, 1\r\n\r\n", b"1 1 0 0 5 5 1", b"1,1,0,0,5,5,1,\n"])
+def test_spellings_of_a_row(tmp_path, content):
+    assert read_mot_tracks(write(tmp_path, "gt.txt", content)).ids.tolist() == [1]
+
+
+def test_empty_file_holds_no_tracks(tmp_path):
+    assert read_mot_tracks(write(tmp_path, "gt.txt", b"")).length == 0
+
+
+def test_written_rows_are_read_back(tmp_path):
+    path = write(tmp_path, "tracks.txt", (mot_row(2, 5, [1.25, -2, 3, 4.5], 0.75)).encode())
+    found = read_mot_tracks(path)
+    assert found.ids.tolist() == [5] and found.tracks[0].steps.tolist() == [1]
+    np.testing.assert_array_equal(found.tracks[0].states, [[1.25, -2, 3, 4.5]])
+    assert path.read_text() == "2,5,1.25,-2.00,3.00,4.50,0.75,-1,-1,-1\n"
+
+
+def test_detections_by_step_with_confidences(tmp_path):
+    found = read_mot_detections(
+        write(tmp_path, "det.txt", b"3,-1,1,2,3,4,0.5,-1,-1,-1\n1,-1,0,0,1,1\n3,-1,5,6,7,8,9\n")
+    )
+    assert list(found) == [0, 2]
+    np.testing.assert_array_equal(found[2].confidences, [0.5, 9.0])
+    np.testing.assert_array_equal(found[2].boxes[1], [5, 6, 7, 8])
+    np.testing.assert_array_equal(found[0].confidences, [1.0])
+
+
+BAD_ROWS = {
+    b"1,1,0,0,5,5,1\n1,2,nan,0,5,5,1\n": "line 2: boxes must be finite",
+    b"1,1,0,0,5,-5,1\n": "line 1: width and height must be at least 0, got 0, 0, 5, -5",
+    b"1,1,0,0,1e30,5,1\n": "within 1e+06 px",
+    b"0,1,0,0,5,5,1\n": "frame must be one of the first",
+    b"99999999999,1,0,0,5,5,1\n": "frame must be one of the first",
+    b"1.5,1,0,0,5,5,1\n": "frame must be a whole number, got 1.5",
+    b"1,-1,0,0,5,5,1\n": "ids of tracks must be whole numbers of at least 0, got -1",
+    b"1,1,0,0,5\n": "at least frame, id, left, top, width, height, got 5",
+    b"1,1,a,0,5,5,1\n": "rows must hold numbers with commas between, got '1,1,a",
+    b"1,1,0,0,5,5,1\n2,1,0,0,5,5,1\n1,1,9,9,5,5,1\n": "line 3: id 1 is in this frame already, in line 1",
+    b"1,1,0,0,5,5,1,1,1.5\n": "visibility must lie in",
+    b"\x00\x01\x02\xff": "rows must hold numbers",
+    b"x" * 5000: "lines must be shorter than 4096 bytes",
+}
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_ROWS.items())
+def test_bad_rows_name_file_and_line(tmp_path, content, message):
+    with pytest.raises(SequenceError, match=r"gt\.txt, line \d+: ") as caught:
+        read_mot_tracks(write(tmp_path, "gt.txt", content))
+    assert message in str(caught.value)
+
+
+def test_too_many_rows_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorded, "MAX_ROWS", 2)
+    with pytest.raises(SequenceError, match="line 3: a file must hold at most 2 boxes"):
+        read_mot_detections(write(tmp_path, "det.txt", b"1,-1,0,0,1,1,1\n" * 3))
+
+
+def test_missing_files_and_folders_are_named(tmp_path):
+    with pytest.raises(SequenceError, match=r"nowhere\.txt does not exist"):
+        read_tracks(tmp_path / "nowhere.txt")
+    with pytest.raises(SequenceError, match=r"gt\.txt does not exist"):
+        read_tracks(tmp_path)
+    with pytest.raises(SequenceError, match="is a folder"):
+        read_mot_detections(tmp_path)
+
+
+def test_cvml_boxes_are_by_center_and_groups_do_not_count(tmp_path):
+    found = read_tracks(write(tmp_path, "truth.XML", CVML))
+    assert found.ids.tolist() == [0, 4]
+    assert found.tracks[1].steps.tolist() == [0, 2]
+    np.testing.assert_array_equal(found.tracks[1].states, [[9, 16, 3, 8], [10.5, 16, 3, 8]])
+    np.testing.assert_array_equal(found.tracks[0].states, [[4, 4, 2, 2]])
+
+
+BOMB = b"""<?xml version="1.0"?><!DOCTYPE dataset [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">
+<!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;">]><dataset>&c;</dataset>"""
+BAD_XML = {
+    BOMB: "line 1: entities are refused",
+    b'<!DOCTYPE d [<!ENTITY x SYSTEM "file:///etc/passwd">]><dataset>&x;</dataset>': "line 1: entities are refused",
+    b"<annotation><object/></annotation>": "line 1: the outermost element must be <dataset>, .*got <annotation>",
+    CVML[:400]: "no well-formed XML",
+    b"": "no well-formed XML",
+    CVML.replace(b'xc="10.5"', b'xc="nan"'): "line 5: xc must be a finite number, got 'nan'",
+    CVML.replace(b' w="3"', b' w="-3"', 1): "line 5: width and height must be at least 0",
+    CVML.replace(b' w="3"', b"", 1): "line 5: <box> must have the attribute 'w'",
+    CVML.replace(b'object id="0"', b'object id="4"'): "line 11: id 4 is in this frame already",
+    CVML.replace(b'number="2"', b'number="-2"'): "frame must be one of the first",
+    CVML.replace(b'<box xc="5" yc="5" w="2" h="2"/>', b""): "<object> must hold one <box xc yc w h>, got 0",
+    b"<dataset>" + b"<a>" * 100: "nested deeper than 64",
+    b'<?xml version="1.0" encoding="nothing-such"?><dataset/>': "line 1",
+}
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_XML.items())
+def test_bad_xml_names_file_and_line(tmp_path, content, message):
+    with pytest.raises(SequenceError, match=r"truth\.xml, line \d+: ") as caught:
+        read_caviar(write(tmp_path, "truth.xml", content))
+    assert caught.match(message)
+
+
+def test_seqinfo(tmp_path):
+    info = read_seqinfo(write(tmp_path, "seqinfo.ini", INI))
+    assert info == ("Toy", "img1", 25.0, 3, 64, 48)
+    assert read_seqinfo(write(tmp_path, "seqinfo.ini", b"[Sequence]\n")).frame_rate is None
+
+
+BAD_INI = {
+    b"": "must have a section",
+    b"frameRate=25": "must have a section",
+    b"[Sequence]\nframeRate=0\n": "frameRate must be a positive number, got '0'",
+    b"[Sequence]\nframeRate=fast\n": "frameRate must be a positive number, got 'fast'",
+    b"[Sequence]\nimDir=../../etc\n": "imDir must be a folder inside",
+    b"[Sequence]\nimDir=/etc\n": "imDir must be a folder inside",
+    b"\xff\xfe\x00": "must have a section",
+    b"#" * 70000: "larger than 65536 bytes",
+}
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_INI.items())
+def test_bad_seqinfo_names_the_file(tmp_path, content, message):
+    with pytest.raises(SequenceError, match=r"seqinfo\.ini.*" + message):
+        read_seqinfo(write(tmp_path, "seqinfo.ini", content))
+
+
+READERS = {
+    "gt.txt": (read_mot_tracks, GT),
+    "det.txt": (read_mot_detections, GT),
+    "truth.xml": (read_caviar, CVML),
+    "seqinfo.ini": (read_seqinfo, INI),
+}
+
+
+@st.composite
+def mutated(draw, valid: bytes) -> bytes:
+    """The valid file with bytes replaced, pieces cut out or doubled."""
+    rng = random.Random(draw(st.integers(0, 2**32)))
+    content = bytearray(valid)
+    for _ in range(rng.randint(1, 6)):
+        at = rng.randrange(len(content) + 1)
+        piece = rng.randint(0, 12)
+        kind = rng.randrange(4)
+        if kind == 0:
+            content[at : at + piece] = bytes(rng.choices(b"0123456789.,-+eEnaif<>&;\"'=/[] \n\x00\xff%_", k=piece))
+        elif kind == 1:
+            del content[at : at + piece]
+        elif kind == 2:
+            content[at:at] = content[at : at + 40]
+        else:
+            content[at:at] = rng.choice(
+                [b"nan", b"inf", b"1e400", b"-", b"9" * 30, b"<!ENTITY", b"\xed\xa0\x80", b"1_0"]
+            )
+    return bytes(content)
+
+
+@pytest.mark.parametrize("name", READERS)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_bytes_are_read_or_refused(tmp_path, name, data):
+    """Nothing but a SequenceError, whatever the bytes, and what is read holds finite boxes."""
+    reader, valid = READERS[name]
+    path = write(tmp_path, name, data.draw(st.one_of(st.binary(max_size=300), mutated(valid))))
+    try:
+        found = reader(path)
+    except SequenceError as error:
+        assert name in str(error)
+        return
+    if name in ("gt.txt", "truth.xml"):
+        for track, visible in zip(found.tracks, found.visibilities, strict=True):
+            assert np.all(np.diff(track.steps) > 0) and np.isfinite(track.states).all()
+            assert np.all((visible >= 0) & (visible <= 1)) and np.all(track.states[:, 2:] >= 0)
