@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.detect.appearance import run_appearance
-from servotrack.estimators.detect.bodies import BodySizes, body_line, find_bodies, learn_sizes, no_sizes
+from servotrack.estimators.detect.bodies import BodySizes, Cover, body_line, find_bodies, learn_sizes, no_sizes
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.detect.images import Image, checked_image
 from servotrack.estimators.detect.runs import label_runs, measure_runs
@@ -53,6 +53,7 @@ class BlobFinder:
     smallest: int = 40
     split: bool = True
     bins: int = 8
+    cover: Cover = Cover()
 
     def __post_init__(self) -> None:
         """Check the parameters."""
@@ -113,7 +114,9 @@ class BlobFinder:
             line = body_line(state, cleaned.shape[0])
             state = learn_sizes(state, boxes, areas, cleaned.shape)
             if line is not None:
-                runs, boxes, centroids, areas, confidences = find_bodies(runs, boxes, cleaned.shape, *line)
+                runs, boxes, _ = find_bodies(runs, boxes, cleaned.shape, *line, self.cover)
+                _, centroids, areas = measure_runs(runs, len(boxes))
+                confidences = np.ones(len(boxes))
         features = run_appearance(image, runs, len(boxes), self.bins) if self.bins else np.zeros((len(boxes), 0))
         return state, Detections(boxes, centroids, areas, confidences, features)
 
