@@ -2,10 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import difflib
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
 
 SCRIPTS = ("random", "crossing", "crowd", "meet_split_third_guy", "replay")
+POPULATED = ("random", "crossing", "crowd")
+"""Scripts in which `people` decides how many there are."""
 OBSERVATIONS = ("pixels", "blobs", "centroids")
+PAPER_FRAMES = 922
+"""Frames of paper 000's sequence Meet_Split_3rdGuy."""
+PAPER_EMPTY_FRAMES = 49
+"""Its first frames, which show nobody."""
+BOX_CUTOFF, POINT_CUTOFF = 1.0, 40.0
+"""The c of reward and scores by default: one minus IoU, and px."""
+COUNTED_FROM = 0.2
+"""Visible share from which a person counts."""
 
 
 @dataclass(frozen=True)
@@ -14,14 +29,16 @@ class PedestrianConfig:
 
     Attributes:
         script: Who comes when and does what: `random`, `crossing`, `crowd`, `meet_split_third_guy`, or `replay`.
+        source: Recorded tracks to replay: a CAVIAR XML file, MOTChallenge's gt.txt or a sequence's folder (`replay`).
         horizon: Frames of an episode that are answered.
         observation: What agents see: `pixels`, `blobs` or `centroids`.
         width: Of the frame, px.
         height: Of the frame, px.
         frame_rate: Frames per second.
-        people: Mean number in the scene at a time (`random`).
+        people: Mean number in the scene at a time (`random`, `crossing`, `crowd`).
         max_people: Most at a time.
-        empty_frames: How many first frames show nobody.
+        empty_frames: How many first frames show nobody; of `meet_split_third_guy` at most 49, and of `replay` what
+            the recording has, so that there it says only what agents are told.
         camouflage: Share of clothes in the background's colors, 0 to 1.
         shadow: Opacity of cast shadows, 0 to 1.
         flicker: Standard deviation of the whole frame's brightness from frame to frame, gray levels.
@@ -31,11 +48,13 @@ class PedestrianConfig:
         sensor_noise: Standard deviation of a pixel's noise, gray levels.
         compression: Strength of JPEG artifacts, 0 (none) to 1 (quality 10).
         occluders: Number of pillars, plants and signs that people walk behind.
+        max_measurements: Rows of an observation of blobs or centroids; None: 2 max_people + 16.
         max_estimates: Rows of an action; None: 2 max_people + 8.
         cutoff: The c of reward and scores; None: 1 (one minus IoU) for boxes, 40 px for centroids.
     """
 
     script: str = "random"
+    source: str | None = None
     horizon: int = 300
     observation: str = "pixels"
     width: int = 384
@@ -53,5 +72,154 @@ class PedestrianConfig:
     sensor_noise: float = 5.0
     compression: float = 0.0
     occluders: int = 0
+    max_measurements: int | None = None
     max_estimates: int | None = None
     cutoff: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check every field; raises ValueError that names the argument, the value and what would be right."""
+        for name, options in (("script", SCRIPTS), ("observation", OBSERVATIONS)):
+            if getattr(self, name) not in options:
+                raise ValueError(f"{name} must be one of {', '.join(options)}, got {getattr(self, name)!r}")
+        for name, low, high in _BOUNDS:
+            value = getattr(self, name)
+            if value is None and name in _OPTIONAL:
+                continue
+            if not _is_number(value) or not low <= value <= high:
+                raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value!r}")
+            if name in _WHOLE:
+                if int(value) != value:
+                    raise ValueError(f"{name} must be a whole number, got {value!r}")
+                object.__setattr__(self, name, int(value))
+        if self.script in POPULATED and self.people > self.max_people:
+            raise ValueError(f"people must be at most max_people = {self.max_people}, got {self.people!r}")
+        if self.script == "meet_split_third_guy":
+            if self.empty_frames > PAPER_EMPTY_FRAMES:
+                raise ValueError(
+                    f"empty_frames must be at most {PAPER_EMPTY_FRAMES} in the script 'meet_split_third_guy', "
+                    f"where the first person comes then, got {self.empty_frames}"
+                )
+            if self.max_people < 3:
+                raise ValueError(
+                    f"max_people must be at least 3 in the script 'meet_split_third_guy', got {self.max_people}"
+                )
+        if (self.script == "replay") != (self.source is not None):
+            raise ValueError(
+                "source, a file of recorded tracks, and script='replay' go together, "
+                f"got source={self.source!r} and script={self.script!r}"
+            )
+
+    @property
+    def measurement_rows(self) -> int:
+        """Rows of an observation of blobs or centroids."""
+        return 2 * self.max_people + 16 if self.max_measurements is None else self.max_measurements
+
+    @property
+    def estimate_rows(self) -> int:
+        """Rows of an action."""
+        return 2 * self.max_people + 8 if self.max_estimates is None else self.max_estimates
+
+    @property
+    def answers_boxes(self) -> bool:
+        """Whether answers are boxes; else they are centroids."""
+        return self.observation != "centroids"
+
+    @property
+    def score_cutoff(self) -> float:
+        """The c of reward and scores."""
+        if self.cutoff is not None:
+            return self.cutoff
+        return BOX_CUTOFF if self.answers_boxes else POINT_CUTOFF
+
+
+_PAPER = {"horizon": PAPER_FRAMES, "empty_frames": PAPER_EMPTY_FRAMES}
+_LIGHT = {"shadow": 0.4, "flicker": 1.5, "light_drift": 15.0, "light_step": 25.0}
+_LEVELS: tuple[dict[str, Any], ...] = (
+    {},
+    {"script": "crossing", "people": 5.0},
+    {"script": "crowd", "people": 10.0, "max_people": 20},
+    {"camouflage": 0.9, "sensor_noise": 8.0},
+    _LIGHT,
+    {
+        **_LIGHT,
+        "script": "crowd",
+        "people": 8.0,
+        "max_people": 20,
+        "camouflage": 0.6,
+        "sensor_noise": 7.0,
+        "plant": 2.0,
+        "compression": 0.5,
+        "occluders": 2,
+    },
+)
+LEVEL_NAMES = ("plain", "crossing", "crowd", "camouflage", "light", "everything")
+AXES = tuple(f.name for f in fields(PedestrianConfig))
+
+
+def pedestrian_config(level: int = 0, **axes: Any) -> PedestrianConfig:
+    """The configuration of a level, with single parameters overridden.
+
+    Args:
+        level: 0 `plain`, 1 `crossing`, 2 `crowd`, 3 `camouflage`, 4 `light`, 5 `everything`.
+        **axes: Fields of `PedestrianConfig`. The script `meet_split_third_guy` brings a horizon of 922 frames, of
+            which the first 49 are empty.
+
+    Raises:
+        ValueError: A level that does not exist, or a value outside its bounds.
+        TypeError: An unknown keyword; the message suggests the nearest known one.
+    """
+    if isinstance(level, bool) or level not in range(len(_LEVELS)):
+        raise ValueError(f"level must be a whole number from 0 to {len(_LEVELS) - 1}, got {level!r}")
+    for name in axes:
+        if name not in AXES:
+            near = difflib.get_close_matches(name, AXES, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(AXES)}"
+            raise TypeError(f"unknown keyword {name!r}{hint}")
+    settings = _LEVELS[int(level)]
+    if axes.get("script") == "meet_split_third_guy":
+        settings = settings | _PAPER
+    return replace(PedestrianConfig(), **{**settings, **axes})
+
+
+_BOUNDS: tuple[tuple[str, float, float], ...] = (
+    ("horizon", 1, 100_000),
+    ("width", 64, 4096),
+    ("height", 64, 4096),
+    ("frame_rate", 5.0, 100.0),
+    ("people", 0.0, 60.0),
+    ("max_people", 1, 60),
+    ("empty_frames", 0, 100_000),
+    ("camouflage", 0.0, 1.0),
+    ("shadow", 0.0, 1.0),
+    ("flicker", 0.0, 50.0),
+    ("plant", 0.0, 20.0),
+    ("light_drift", 0.0, 100.0),
+    ("light_step", -150.0, 150.0),
+    ("sensor_noise", 0.0, 50.0),
+    ("compression", 0.0, 1.0),
+    ("occluders", 0, 8),
+    ("max_measurements", 1, 1000),
+    ("max_estimates", 1, 1000),
+    ("cutoff", 1e-3, 1e6),
+)
+_WHOLE = frozenset(
+    {
+        "horizon",
+        "width",
+        "height",
+        "max_people",
+        "empty_frames",
+        "occluders",
+        "max_measurements",
+        "max_estimates",
+    }
+)
+_OPTIONAL = frozenset({"max_measurements", "max_estimates", "cutoff"})
+
+
+def _is_number(value: Any) -> bool:
+    return (
+        isinstance(value, (int, float, np.integer, np.floating))
+        and not isinstance(value, bool)
+        and math.isfinite(value)
+    )
