@@ -2,71 +2,215 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.detect.blobs import BlobFinder
 from servotrack.estimators.detect.bodies import BodySizes
 from servotrack.estimators.detect.detections import Detections
+from servotrack.estimators.detect.healing import heal_regions
 from servotrack.estimators.detect.images import Image, checked_image
+from servotrack.estimators.detect.runs import label_runs
 
 
 class BackgroundState(NamedTuple):
-    """What the detector remembers.
+    """What the detector remembers; arrays are never changed once they are in a state.
 
     Attributes:
         background: Shape of a frame, float32, gray levels.
-        rounded: The same, uint8.
-        sizes: How tall people are.
+        rounded: The same in uint8.
+        mask: The last frame's foreground after opening and closing, 0 or 255. Shape (H, W), uint8.
+        sizes: How tall people are at each row.
         frames: Number of frames seen.
+        flooded: Number of frames in a row whose foreground covered more than `flood` of the image.
     """
 
     background: NDArray[np.float32]
     rounded: Image
+    mask: Image
     sizes: BodySizes
     frames: int
+    flooded: int
 
 
 @dataclass(frozen=True)
 class MaskedBackground:
-    """Background subtraction with an update masked by the foreground.
+    """Background subtraction whose background does not learn where there is foreground (paper 000, equations 5 and 6).
+
+    P = |I - B| >= threshold and B' = (1 - a) B + a P.B + a (1 - P).I. That rule never absorbs a person who stands
+    still, and for the same reason never recovers from a change of light larger than the threshold, nor from people in
+    the first frame; `heal_every` repairs both (see `servotrack.estimators.detect.healing`), `flood` what is left.
 
     Args:
-        threshold: Difference from which a pixel is foreground, gray levels, or "otsu".
-        learning_rate: Weight of a new frame in the background, per frame.
-        start: "mean" or "median" of the frames given to `initial`.
+        threshold: Difference from which a pixel is foreground, gray levels, or "otsu" for Otsu's of every frame.
+        least_threshold: What Otsu's threshold never goes below, gray levels: in an empty scene it would divide noise.
+        learning_rate: Weight a of a new frame, per frame, above 0 and below 1.
+        start: Of several frames given to `initial`: their "median", or their "mean", as in the paper.
+        color: Difference of a pixel: "max" over the channels, or of "gray" values.
+        hold: Where the background does not learn: at the "pixels" above the threshold, as in the paper, or in the
+            "blobs", so that specks are learned and holes in people are not.
+        shadows: Whether to take away pixels that are darker than the background and of its color.
+        heal_every: Frames between two searches for ghosts and for changed light; 0 for never.
+        flood: Share of the image from which foreground cannot be people: nothing is reported, and where it stays so
+            for `flood_frames`, the frame becomes the background. 1 for never.
+        flood_frames: Patience, frames.
         blobs: From the mask to detections.
+
+    Raises:
+        ValueError: A parameter out of range.
     """
 
-    threshold: float | str = 25.0
+    threshold: float | str = 30.0
+    least_threshold: float = 15.0
     learning_rate: float = 0.02
     start: str = "median"
+    color: str = "max"
+    hold: str = "blobs"
+    shadows: bool = False
+    heal_every: int = 5
+    flood: float = 0.5
+    flood_frames: int = 20
     blobs: BlobFinder = field(default_factory=BlobFinder)
 
-    def initial(self, frames: ArrayLike) -> BackgroundState:
-        """The first background: a frame, or the mean or median of several."""
-        array = np.asarray(frames)
-        if array.ndim == 4:
-            array = (
-                np.median(array, axis=0).astype(np.uint8) if self.start == "median" else array.mean(0).astype(np.uint8)
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        if self.threshold != "otsu" and not (isinstance(self.threshold, int | float) and 0.0 < self.threshold <= 255.0):
+            raise ValueError(
+                f'threshold must be above 0 and at most 255 gray levels, or "otsu", got {self.threshold!r}'
             )
-        first = checked_image(array)
-        return BackgroundState(first.astype(np.float32), first.copy(), self.blobs.initial(), 0)
+        if not 0.0 < self.least_threshold <= 255.0:
+            raise ValueError(f"least_threshold must be above 0 and at most 255, got {self.least_threshold!r}")
+        if not 0.0 < self.learning_rate < 1.0:
+            raise ValueError(f"learning_rate must lie between 0 and 1, got {self.learning_rate!r}")
+        for name, kinds in (("start", ("median", "mean")), ("color", ("max", "gray")), ("hold", ("blobs", "pixels"))):
+            if getattr(self, name) not in kinds:
+                raise ValueError(f"{name} must be one of {', '.join(kinds)}, got {getattr(self, name)!r}")
+        if not (isinstance(self.heal_every, int) and self.heal_every >= 0):
+            raise ValueError(f"heal_every must be a whole number of frames, 0 for never, got {self.heal_every!r}")
+        if not 0.0 < self.flood <= 1.0:
+            raise ValueError(f"flood must be a share above 0 and at most 1, got {self.flood!r}")
+        if not (isinstance(self.flood_frames, int) and self.flood_frames >= 1):
+            raise ValueError(f"flood_frames must be a whole number of at least 1, got {self.flood_frames!r}")
+
+    @classmethod
+    def paper(cls) -> MaskedBackground:
+        """As printed: mean of the first frames, gray, held at pixels, one opening, no closing, nothing healed.
+
+        Threshold, learning rate and smallest blob are not given in the paper.
+        """
+        return cls(
+            threshold=25.0,
+            start="mean",
+            color="gray",
+            hold="pixels",
+            heal_every=0,
+            flood=1.0,
+            blobs=BlobFinder(closing=(1, 1), split=False),
+        )
+
+    def initial(self, frames: ArrayLike) -> BackgroundState:
+        """The first background.
+
+        Args:
+            frames: One frame, RGB of shape (H, W, 3) or gray of shape (H, W), uint8; or a sequence of frames: some 40
+                that are spaced over a minute or more, for the median, which forgets people who pass; empty ones for the
+                mean.
+
+        Raises:
+            ValueError: No frame, frames of unlike shapes, or not such images.
+        """
+        first = _first_background(frames, self.start)
+        rounded = cv2.convertScaleAbs(first) if first.ndim == 3 else cv2.convertScaleAbs(first).reshape(first.shape)
+        mask = np.zeros(first.shape[:2], np.uint8)
+        return BackgroundState(first, rounded, mask, self.blobs.initial(), 0, 0)
 
     def step(self, state: BackgroundState, frame: ArrayLike) -> tuple[BackgroundState, Detections]:
-        """Detect in a frame and learn from it."""
+        """Detect in a frame, then learn from it.
+
+        Args:
+            state: From `initial` or the step before.
+            frame: Of the first frame's shape, uint8.
+
+        Returns:
+            State and detections.
+
+        Raises:
+            ValueError: Not such an image.
+        """
         image = checked_image(frame, shape=state.rounded.shape)
-        difference = cv2.absdiff(image, state.rounded)
-        if image.ndim == 3:
-            red, green, blue = cv2.split(difference)
-            difference = cv2.max(cv2.max(red, green), blue)
-        mask = cv2.threshold(difference, self.threshold - 0.5, 255, cv2.THRESH_BINARY)[1]
-        clean = self.blobs.clean(mask)
+        foreground, threshold = self._foreground(image, state.rounded)
+        cleaned = self.blobs.clean(foreground)
+        runs, regions = label_runs(cleaned.closed)
+        held = foreground if self.hold == "pixels" else cleaned.closed
         background = state.background.copy()
-        cv2.accumulateWeighted(image, background, self.learning_rate, mask=cv2.bitwise_not(clean.closed))
-        sizes, found = self.blobs.find(state.sizes, clean.closed, image)
-        return BackgroundState(background, cv2.convertScaleAbs(background), sizes, state.frames + 1), found
+        cv2.accumulateWeighted(image, background, self.learning_rate, mask=cv2.bitwise_not(held))
+        frames = state.frames + 1
+        flooded = state.flooded + 1 if cv2.countNonZero(cleaned.closed) > self.flood * cleaned.closed.size else 0
+        if flooded > self.flood_frames:
+            background, flooded = image.astype(np.float32), 0
+            runs[:, 3] = -1
+        elif self.heal_every and frames % self.heal_every == 0 and regions:
+            channels = image.reshape(*image.shape[:2], -1)
+            heal_regions(
+                channels, background.reshape(channels.shape), runs, regions, threshold, 0.02 * cleaned.closed.size
+            )
+        if flooded:
+            runs[:, 3] = -1
+        sizes, found = self.blobs.find(state.sizes, runs, regions, image)
+        rounded = cv2.convertScaleAbs(background)
+        return BackgroundState(background, rounded, cleaned.closed, sizes, frames, flooded), found
+
+    def _foreground(self, image: Image, background: Image) -> tuple[Image, float]:
+        """Mask of the pixels that differ (equation 5), and the threshold that was used."""
+        if self.color == "gray" and image.ndim == 3:
+            difference = cv2.absdiff(
+                cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.cvtColor(background, cv2.COLOR_RGB2GRAY)
+            )
+        else:
+            difference = cv2.absdiff(image, background)
+            if image.ndim == 3:
+                red, green, blue = cv2.split(difference)
+                difference = cv2.max(cv2.max(red, green), blue)
+        if isinstance(self.threshold, str):
+            found, _ = cv2.threshold(difference, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+            threshold = max(found + 1.0, self.least_threshold)
+        else:
+            threshold = float(self.threshold)
+        # OpenCV's is "greater than" and works on whole numbers.
+        _, mask = cv2.threshold(difference, math.ceil(threshold) - 1, 255, cv2.THRESH_BINARY)
+        if self.shadows and image.ndim == 3:
+            _drop_shadows(mask, image, background)
+        return mask, threshold
+
+
+def _first_background(frames: ArrayLike, start: str) -> NDArray[np.float32]:
+    if isinstance(frames, np.ndarray) and frames.ndim < 4 and not (frames.ndim == 3 and frames.shape[2] != 3):
+        return checked_image(frames).astype(np.float32)
+    several = list(frames)  # type: ignore[arg-type]
+    if not several:
+        raise ValueError("frames must hold at least one frame, got none; check that the video could be read")
+    first = checked_image(several[0], "frames[0]")
+    stack = np.stack([checked_image(image, f"frames[{k}]", first.shape) for k, image in enumerate(several)])
+    whole = np.median(stack, axis=0) if start == "median" else np.mean(stack, axis=0)
+    return np.ascontiguousarray(whole, dtype=np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _drop_shadows(mask, image, background):  # type: ignore[no-untyped-def]
+    """Take away pixels whose channels are all darker by about the same factor, from 0.4 to 0.95."""
+    for row in range(mask.shape[0]):
+        for column in range(mask.shape[1]):
+            if mask[row, column] == 0:
+                continue
+            low, high = 10.0, 0.0
+            for channel in range(3):
+                ratio = (image[row, column, channel] + 1.0) / (background[row, column, channel] + 1.0)
+                low, high = min(low, ratio), max(high, ratio)
+            if low > 0.4 and high < 0.95 and high - low < 0.12:
+                mask[row, column] = 0

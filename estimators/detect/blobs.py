@@ -99,22 +99,34 @@ class BlobFinder:
             ValueError: Arrays of another type or shape.
         """
         checked = checked_image(image, "image")
-        return self.find(state, self.clean(checked_image(mask, "mask", checked.shape[:2])).closed, checked)
+        cleaned = self.clean(checked_image(mask, "mask", checked.shape[:2])).closed
+        return self.find(state, *label_runs(cleaned), checked)
 
-    def find(self, state: BodySizes, cleaned: Image, image: Image) -> tuple[BodySizes, Detections]:
-        """As `step`, of a mask that is clean already."""
-        runs, regions = label_runs(cleaned)
+    def find(
+        self, state: BodySizes, runs: NDArray[np.int32], regions: int, image: Image
+    ) -> tuple[BodySizes, Detections]:
+        """Detections of regions that are connected already.
+
+        Args:
+            state: What is known about the sizes of people.
+            runs: The regions' pixels, as `label_runs` gives them; changed. A negative number belongs to no region.
+            regions: Number of regions.
+            image: RGB or gray, uint8. Shape (H, W, 3) or (H, W).
+
+        Returns:
+            State and detections.
+        """
         boxes, centroids, areas = measure_runs(runs, regions)
         keep = areas >= self.smallest
-        number = np.where(keep, np.cumsum(keep) - 1, -1)
+        number = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)
         runs[:, 3] = number[runs[:, 3]]
         boxes, centroids, areas = boxes[keep], centroids[keep], areas[keep]
         confidences = np.ones(len(boxes))
         if self.split:
-            line = body_line(state, cleaned.shape[0])
-            state = learn_sizes(state, boxes, areas, cleaned.shape)
+            line = body_line(state, image.shape[0])
+            state = learn_sizes(state, boxes, areas, image.shape)
             if line is not None:
-                runs, boxes, _ = find_bodies(runs, boxes, cleaned.shape, *line, self.cover)
+                runs, boxes, _ = find_bodies(runs, boxes, image.shape, *line, self.cover)
                 _, centroids, areas = measure_runs(runs, len(boxes))
                 confidences = np.ones(len(boxes))
         features = run_appearance(image, runs, len(boxes), self.bins) if self.bins else np.zeros((len(boxes), 0))
