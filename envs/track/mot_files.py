@@ -43,6 +43,44 @@ class SequenceInfo(NamedTuple):
     height: int | None = None
 
 
+class MotFolder(NamedTuple):
+    """The parts of a MOTChallenge sequence; None for those that are not there.
+
+    Attributes:
+        info: As seqinfo.ini tells; without that file, the folder's name and defaults.
+        images: Folder of images.
+        detections: det/det.txt.
+        truth: gt/gt.txt.
+    """
+
+    info: SequenceInfo
+    images: Path | None
+    detections: Path | None
+    truth: Path | None
+
+
+def find_mot_folder(path: str | Path) -> MotFolder | None:
+    """The parts of a folder that is a MOTChallenge sequence; None where it is none.
+
+    A folder is one if it holds seqinfo.ini, det/det.txt, gt/gt.txt or img1.
+
+    Raises:
+        SequenceError: A bad seqinfo.ini.
+    """
+    folder = Path(path)
+    seqinfo, detections, truth = folder / "seqinfo.ini", folder / "det" / "det.txt", folder / "gt" / "gt.txt"
+    info = read_seqinfo(seqinfo) if seqinfo.is_file() else SequenceInfo(folder.resolve().name)
+    images = folder / info.images
+    if not (seqinfo.is_file() or detections.is_file() or truth.is_file() or images.is_dir()):
+        return None
+    return MotFolder(
+        info,
+        images if images.is_dir() else None,
+        detections if detections.is_file() else None,
+        truth if truth.is_file() else None,
+    )
+
+
 def read_mot_tracks(path: str | Path) -> RecordedTracks:
     """Tracks out of gt.txt, or of a tracker's results; rows with flag (or confidence) 0 do not count and are dropped.
 

@@ -1,0 +1,211 @@
+"""Frames of every kind of source, and what damaged ones say."""
+
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from servotrack.envs.track import frames as frames_module
+from servotrack.envs.track.frames import open_frames
+from servotrack.envs.track.recorded import SequenceError
+
+SIZE = (64, 48)
+
+
+def picture(k: int, size: tuple[int, int] = SIZE) -> np.ndarray:
+    """A frame, RGB, that tells its number by its level; the texture keeps compressed frames from being tiny."""
+    noise = np.random.default_rng(k).integers(-20, 21, (size[1], size[0], 1))
+    return np.uint8(np.clip(noise + 30 + 6 * k + np.array([20, 0, -20]), 0, 255))
+
+
+def number(image: np.ndarray) -> int:
+    assert image[..., 0].mean() > image[..., 2].mean() + 20  # red first
+    return round((float(image.mean()) - 30) / 6)
+
+
+def write_video(path: Path, count: int = 30, codec: str = "MJPG", size: tuple[int, int] = SIZE) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 10, size)
+    assert writer.isOpened()
+    for k in range(count):
+        writer.write(picture(k, size)[..., ::-1])
+    writer.release()
+    return path
+
+
+def write_images(folder: Path, images: dict[str, np.ndarray]) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, image in images.items():
+        assert cv2.imwrite(str(folder / name), image if image.ndim == 2 else image[..., ::-1])
+    return folder
+
+
+@pytest.mark.parametrize(("name", "codec"), [("v.avi", "MJPG"), ("v.mp4", "mp4v")])
+def test_video_gives_rgb_frames_in_order_every_time(tmp_path, name, codec):
+    source = open_frames(write_video(tmp_path / name, codec=codec))
+    assert (source.source_size, source.size, source.frame_rate, source.length) == (SIZE, SIZE, 10.0, 30)
+    for _ in range(2):
+        found = list(source)
+        assert [number(image) for image in found] == list(range(30))
+        assert found[0].shape == (48, 64, 3) and found[0].dtype == np.uint8
+    assert source.warning == ""
+
+
+def test_start_count_and_stride_choose_frames(tmp_path):
+    path = write_video(tmp_path / "v.avi")
+    assert [number(i) for i in open_frames(path, start=4, count=5, stride=3)] == [4, 7, 10, 13, 16]
+    assert [number(i) for i in open_frames(path, start=25)] == [25, 26, 27, 28, 29]
+    with pytest.raises(SequenceError, match=r"ends after 30 frame\(s\), before the first wanted one; start was 30"):
+        list(open_frames(path, start=30))
+
+
+def test_resizing_keeps_the_shape_where_one_side_is_given(tmp_path):
+    path = write_video(tmp_path / "v.avi", 3)
+    assert next(iter(open_frames(path, width=32))).shape == (24, 32, 3)
+    assert next(iter(open_frames(path, height=96))).shape == (96, 128, 3)
+    assert next(iter(open_frames(path, width=40, height=40))).shape == (40, 40, 3)
+
+
+@pytest.mark.parametrize(
+    "argument", [{"width": 4}, {"height": 1e6}, {"start": -1}, {"count": 0}, {"stride": 0.5}, {"start": True}]
+)
+def test_arguments_out_of_range_are_named(tmp_path, argument):
+    with pytest.raises(ValueError, match=f"^{next(iter(argument))} must be a whole number"):
+        open_frames(tmp_path, **argument)
+
+
+def test_images_come_in_the_order_of_their_numbers(tmp_path):
+    names = ["frame10.png", "frame9.png", "frame1.PNG", "notes.txt"]
+    write_images(tmp_path, {name: picture(int(name[5:-4])) for name in names[:3]})
+    (tmp_path / names[3]).write_text("not an image")
+    source = open_frames(tmp_path)
+    assert [number(image) for image in source] == [1, 9, 10]
+    assert (source.length, source.frame_rate) == (3, None)
+
+
+def test_mot_folder_takes_its_images_and_rate(tmp_path):
+    write_images(tmp_path / "pictures", {f"{k:06}.png": picture(k) for k in (1, 2)})
+    (tmp_path / "seqinfo.ini").write_text("[Sequence]\nname=Toy\nimDir=pictures\nframeRate=14\nseqLength=99\n")
+    source = open_frames(tmp_path)
+    assert (source.name, source.frame_rate, source.length) == ("Toy", 14.0, 2)
+    assert [number(image) for image in source] == [1, 2]
+    (tmp_path / "pictures").rename(tmp_path / "elsewhere")
+    with pytest.raises(SequenceError, match="without images: it has no folder pictures"):
+        open_frames(tmp_path)
+
+
+def test_gray_sixteen_bit_and_alpha_become_rgb(tmp_path):
+    gray = picture(20)[..., 0]
+    deep = np.repeat(gray[..., None], 3, axis=2).astype(np.uint16) * 256 + 255
+    write_images(tmp_path / "s", {"1.png": gray, "2.png": gray.astype(np.uint16) * 256 + 77, "3.png": deep})
+    cv2.imwrite(str(tmp_path / "s" / "4.png"), np.repeat(gray[..., None], 4, axis=2))
+    for image in open_frames(tmp_path / "s"):
+        np.testing.assert_array_equal(image, np.repeat(gray[..., None], 3, axis=2))
+    write_images(tmp_path / "f", {"1.tiff": picture(3).astype(np.float32)})
+    with pytest.raises(SequenceError, match=r"must have 8 or 16 bits .* got float32"):
+        open_frames(tmp_path / "f")
+
+
+def test_change_of_size_ends_with_an_error_that_names_the_image(tmp_path):
+    write_images(tmp_path, {"1.png": picture(1), "2.png": picture(2), "3.png": picture(3, (32, 32))})
+    got = []
+    with pytest.raises(SequenceError, match=r"frame 2 \(3\.png\): it has 32x32 px, the first one 64x48"):
+        for image in open_frames(tmp_path, width=32):
+            got.append(number(image))
+    assert got == [1, 2]
+
+
+def test_damaged_image_is_named(tmp_path):
+    write_images(tmp_path, {"1.png": picture(1), "2.png": picture(2)})
+    (tmp_path / "2.png").write_bytes(b"no image")
+    got = []
+    with pytest.raises(SequenceError, match=r"2\.png is no image that can be decoded"):
+        for image in open_frames(tmp_path):
+            got.append(number(image))
+    assert got == [1]
+
+
+@pytest.mark.parametrize("claimed", [100_000, 7])
+def test_frame_count_that_lies_changes_no_frame(tmp_path, claimed):
+    path = write_video(tmp_path / "v.avi")
+    content = bytearray(path.read_bytes())
+    for chunk, offset in ((b"avih", 16), (b"strh", 32)):
+        at = content.index(chunk) + 8 + offset
+        content[at : at + 4] = struct.pack("<I", claimed)
+    path.write_bytes(content)
+    source = open_frames(path)
+    assert [number(image) for image in source] == list(range(30))
+    assert ("though 100000 are claimed" in source.warning) == (claimed > 30)
+
+
+def test_truncated_video_keeps_what_can_be_decoded_and_says_where_it_ended(tmp_path):
+    path = write_video(tmp_path / "v.avi")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    source = open_frames(path)
+    got = [number(image) for image in source]
+    # The last one may be half a frame.
+    assert 5 < len(got) < 25 and got[:-1] == list(range(len(got) - 1))
+    assert source.warning.startswith(f"{path}: no frame can be decoded after frame {len(got) - 1}, though 30 are")
+
+
+def test_mp4_without_an_index_is_no_video(tmp_path):
+    path = write_video(tmp_path / "v.mp4", codec="mp4v")
+    path.write_bytes(path.read_bytes()[:-400])
+    with pytest.raises(SequenceError, match=r"v\.mp4 cannot be decoded: .*truncated"):
+        open_frames(path)
+
+
+def test_sources_that_are_none_are_named(tmp_path):
+    (tmp_path / "text.avi").write_text("hello " * 999)
+    (tmp_path / "empty.avi").touch()
+    write_video(tmp_path / "none.avi", 0)
+    (tmp_path / "folder").mkdir()
+    for name, message in {
+        "text.avi": "cannot be decoded: it is no video",
+        "empty.avi": "empty.avi is empty",
+        "none.avi": "holds no frame that can be decoded",
+        "folder": "holds no images",
+        "nowhere.avi": "does not exist: give a video file",
+        "nul\0": "cannot be a path|does not exist",
+    }.items():
+        with pytest.raises(SequenceError, match=message):
+            open_frames(tmp_path / name)
+    with pytest.raises(SequenceError, match="camera 97 cannot be opened"):
+        open_frames("97")
+
+
+class Stalling:
+    """A VideoCapture that delivers nothing now and then."""
+
+    def __init__(self, pauses: dict[int, int], frames: int = 6) -> None:
+        self.pauses, self.frames, self.at = dict(pauses), frames, 0
+
+    def get(self, which: int) -> float:
+        return {cv2.CAP_PROP_FPS: float("nan"), cv2.CAP_PROP_FRAME_COUNT: -1.9e14}[which]
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        if self.pauses.get(self.at, 0) > 0:
+            self.pauses[self.at] -= 1
+            return False, None
+        self.at += 1
+        if self.at > self.frames:
+            raise cv2.error("no more")
+        return True, picture(self.at - 1)[..., ::-1]
+
+    def release(self) -> None:
+        """Nothing to release."""
+
+
+def test_short_stalls_are_waited_out_and_long_ones_end_the_sequence(tmp_path, monkeypatch):
+    path = write_video(tmp_path / "v.avi", 3)
+    pauses: dict[int, int] = {2: 4}
+    monkeypatch.setattr(frames_module._VideoFile, "_start", lambda self: Stalling(pauses))
+    source = open_frames(path)
+    assert source.length is None and source.frame_rate is None
+    assert [number(next(images)) for images in [iter(source)] * 6] == list(range(6))
+    pauses = {3: 1000}
+    assert [number(image) for image in open_frames(path)] == [0, 1, 2]
+    pauses = {}
+    with pytest.raises(SequenceError, match=r"v\.avi: the decoder failed"):
+        list(open_frames(path))
