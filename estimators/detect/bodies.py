@@ -105,15 +105,15 @@ def _fit(heights, counts, rows):  # type: ignore[no-untyped-def]
 class Cover(NamedTuple):
     """Constants of the explanation of a region by bodies."""
 
-    core: float = 0.30
-    penalty: float = 0.5
+    core: float = 0.2
+    penalty: float = 0.25
     below: float = 0.5
-    share: float = 0.35
-    score: float = 0.2
-    wide: float = 0.62
-    tall: float = 1.3
+    share: float = 0.25
+    score: float = 0.15
+    wide: float = 0.5
+    tall: float = 1.2
     least: float = 0.05
-    gap: float = 0.3
+    gap: float = 0.4
 
 
 def find_bodies(runs, boxes, shape, intercept, slope, cover=Cover()):
