@@ -13,6 +13,8 @@ from servotrack.baselines.results import Row
 Array = NDArray[np.float64]
 
 _MEANS = ("ospa", "gospa")
+_WHOLE = ("ospa2", "mota", "idf1", "hota")
+"""Told once, at an episode's end; the last three where answers are boxes."""
 
 
 class SetScoreRecorder:
@@ -24,7 +26,7 @@ class SetScoreRecorder:
 
     def __init__(self, rows: int) -> None:
         self._steps: dict[str, list[Array]] = {name: [] for name in (*_MEANS, "cardinality_error")}
-        self._whole: list[float | None] = [None] * rows
+        self._whole: list[Row] = [{} for _ in range(rows)]
 
     def record(self, info: Mapping[str, Any], ending: NDArray[np.bool_]) -> None:
         """Take one step's infos in.
@@ -35,14 +37,14 @@ class SetScoreRecorder:
         """
         for name, values in self._steps.items():
             values.append(np.array(info[name], dtype=np.float64))
-        told = np.asarray(info.get("_ospa2", np.zeros(len(ending), np.bool_)))
-        for row in np.flatnonzero(ending & told).tolist():
-            self._whole[row] = float(info["ospa2"][row])
+        for name in _WHOLE:
+            told = np.asarray(info.get(f"_{name}", np.zeros(len(ending), np.bool_)))
+            for row in np.flatnonzero(ending & told).tolist():
+                self._whole[row][name] = float(info[name][row])
 
     def columns(self, row: int, length: int) -> Row:
-        """One episode's columns: means over its steps, OSPA(2) where the episode was told whole."""
+        """One episode's columns: means over its steps, and what its end told of the whole."""
         found: Row = {name: float(np.mean([v[row] for v in self._steps[name][:length]])) for name in _MEANS}
-        found["count_error"] = float(np.mean([abs(v[row]) for v in self._steps["cardinality_error"][:length]]))
-        if self._whole[row] is not None:
-            found["ospa2"] = self._whole[row]
-        return found
+        errors = np.array([v[row] for v in self._steps["cardinality_error"][:length]])
+        found["count_error"], found["count_right"] = float(np.mean(np.abs(errors))), float(np.mean(errors == 0.0))
+        return found | self._whole[row]

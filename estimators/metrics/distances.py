@@ -55,6 +55,29 @@ def box_distances(first: ArrayLike, second: ArrayLike) -> Array:
     return 1.0 - np.divide(overlap, union, out=np.zeros_like(overlap), where=union > 0.0)
 
 
+def centroid_distances(first: ArrayLike, second: ArrayLike) -> Array:
+    """Distances between the centers of boxes (left, top, width, height), in heights of the first ones.
+
+    Blobs of motion seldom have the outline of the person behind them: their overlap is no fair match, their place is.
+
+    Args:
+        first: True boxes, shape (*batch, n, 4), px.
+        second: Shape (*batch, k, 4), px.
+
+    Returns:
+        Shape (*batch, n, k). Infinite for a true box without a height.
+
+    Raises:
+        ValueError: Boxes that do not have four numbers.
+    """
+    a, b = _pair(first, second)
+    if a.shape[-1] != 4:
+        raise ValueError(f"boxes must be (left, top, width, height), got {a.shape[-1]} numbers each")
+    apart = point_distances(a[..., :2] + a[..., 2:] / 2.0, b[..., :2] + b[..., 2:] / 2.0)
+    height = np.broadcast_to(a[..., :, None, 3], apart.shape)
+    return np.divide(apart, height, out=np.full_like(apart, np.inf), where=height > 0.0)
+
+
 def wrapped_distances(first: ArrayLike, second: ArrayLike, period: float) -> Array:
     """Distances on a circle, for bearings.
 

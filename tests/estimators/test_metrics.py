@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment, linprog
 
 from servotrack.estimators.metrics import (
+    centroid_distances,
     Track,
     box_distances,
     gospa,
@@ -253,3 +254,14 @@ def test_mot_scores_of_a_perfect_and_a_switched_tracker():
     assert scores.idf1 == pytest.approx(0.5)
     nothing = mot_scores(truth, [])
     assert (nothing.hota, nothing.misses, nothing.false_positives) == (0.0, 20, 0)
+
+
+def test_centers_are_apart_in_heights_of_the_true_box() -> None:
+    truth = np.array([[0.0, 0.0, 10.0, 20.0], [5.0, 5.0, 4.0, 0.0]])
+    found = np.array([[0.0, 10.0, 10.0, 20.0], [30.0, 0.0, 10.0, 20.0]])
+    apart = centroid_distances(truth, found)
+    assert apart[0].tolist() == [0.5, 1.5]
+    assert np.isinf(apart[1]).all(), "a box without a height matches nothing"
+    assert centroid_distances(truth[:0], found).shape == (0, 2)
+    with pytest.raises(ValueError, match="left, top, width, height"):
+        centroid_distances(truth[:, :2], found[:, :2])
