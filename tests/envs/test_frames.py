@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from servotrack.envs.track import frames as frames_module
+from servotrack.envs.track import decoders
 from servotrack.envs.track.frames import open_frames
 from servotrack.envs.track.recorded import SequenceError
 
@@ -200,7 +200,7 @@ class Stalling:
 def test_short_stalls_are_waited_out_and_long_ones_end_the_sequence(tmp_path, monkeypatch):
     path = write_video(tmp_path / "v.avi", 3)
     pauses: dict[int, int] = {2: 4}
-    monkeypatch.setattr(frames_module._VideoFile, "_start", lambda self: Stalling(pauses))
+    monkeypatch.setattr(decoders.VideoFile, "_start", lambda self: Stalling(pauses))
     source = open_frames(path)
     assert source.length is None and source.frame_rate is None
     assert [number(next(images)) for images in [iter(source)] * 6] == list(range(6))
