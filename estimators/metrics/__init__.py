@@ -1,6 +1,11 @@
 """Distances between sets and between sets of trajectories: what a tracker is judged by."""
 
-from servotrack.estimators.metrics.distances import box_distances, centroid_distances, point_distances, wrapped_distances
+from servotrack.estimators.metrics.distances import (
+    box_distances,
+    centroid_distances,
+    point_distances,
+    wrapped_distances,
+)
 from servotrack.estimators.metrics.mot import MotScores, mot_scores
 from servotrack.estimators.metrics.sets import (
     GospaParts,

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment, linprog
 
 from servotrack.estimators.metrics import (
-    centroid_distances,
     Track,
     box_distances,
+    centroid_distances,
     gospa,
     mot_scores,
     ospa,
