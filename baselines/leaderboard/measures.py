@@ -73,7 +73,7 @@ JUDGMENTS: Mapping[World, Judgment] = {
         "monte-carlo-color",
         (
             Measure("precision", "within 20 px", "%", 100.0, 0, True),
-            Measure("failures", "frames lost", "%", 100.0, 0),
+            Measure("failures", "times lost", digits=1),
         ),
     ),
 }
