@@ -72,31 +72,72 @@ def write_film(frames: Iterator[Frame], path: Path, rate: float) -> int:
         ValueError: Another suffix, or no frames.
         RuntimeError: OpenCV cannot write this format here.
     """
-    import cv2
+    with Film(path, rate) as film:
+        for frame in frames:
+            film.write(frame)
+        if film.count == 0:
+            raise ValueError("frames must hold at least one frame, got none")
+    return film.count
 
-    check_film_path(path)
-    first = next(frames, None)
-    if first is None:
-        raise ValueError("frames must hold at least one frame, got none")
-    height, width = first.shape[:2]
-    # Codecs want even sides.
-    height, width = height - height % 2, width - width % 2
-    with atomic_path(path) as temporary:
+
+class Film:
+    """A film that is written frame by frame, under a temporary name until the block around it ends well.
+
+    Args:
+        path: Ends in .webm, .mp4 or .avi. Nothing is written there where there was no frame.
+        rate: Frames per second.
+
+    Attributes:
+        count: Frames so far.
+
+    Raises:
+        ValueError: Another suffix.
+    """
+
+    def __init__(self, path: Path, rate: float) -> None:
+        check_film_path(path)
+        self.path, self._rate = path, rate
+        self.count = 0
+        self._size = (0, 0)
+        self._writer: Any = None
+        self._stack = contextlib.ExitStack()
+
+    def __enter__(self) -> Film:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        if self._writer is not None:
+            self._writer.release()
+        self._stack.__exit__(*error)
+
+    def write(self, frame: Frame) -> None:
+        """Append a frame.
+
+        Args:
+            frame: RGB, of the first one's size. Shape (H, W, 3).
+
+        Raises:
+            RuntimeError: OpenCV cannot write this format here.
+        """
+        if self._writer is None:
+            # Codecs want even sides.
+            height, width = frame.shape[0] // 2 * 2, frame.shape[1] // 2 * 2
+            self._size = (width, height)
+            self._writer = self._opened()
+        width, height = self._size
+        self._writer.write(np.ascontiguousarray(frame[:height, :width, ::-1]))
+        self.count += 1
+
+    def _opened(self) -> Any:
+        import cv2
+
+        temporary = self._stack.enter_context(atomic_path(self.path))
+        suffix = self.path.suffix
         with _hushed():
-            codec = cv2.VideoWriter.fourcc(*CODECS[path.suffix])
-            writer = cv2.VideoWriter(str(temporary), codec, rate, (width, height))
+            writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*CODECS[suffix]), self._rate, self._size)
         if not writer.isOpened():
-            raise RuntimeError(
-                f"this OpenCV cannot write {CODECS[path.suffix]} into {path.suffix}; try {', '.join(CODECS)}"
-            )
-        count = 0
-        frame: Frame | None = first
-        while frame is not None:
-            writer.write(np.ascontiguousarray(frame[:height, :width, ::-1]))
-            count += 1
-            frame = next(frames, None)
-        writer.release()
-    return count
+            raise RuntimeError(f"this OpenCV cannot write {CODECS[suffix]} into {suffix}; try {', '.join(CODECS)}")
+        return writer
 
 
 @contextlib.contextmanager
