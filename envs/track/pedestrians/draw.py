@@ -1,0 +1,219 @@
+"""The picture of the lobby and its people, and the exact truth that comes with it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servotrack.envs.streams import Streams
+from servotrack.envs.track.pedestrians.backdrop import background_colors, paint_backdrop
+from servotrack.envs.track.pedestrians.config import PedestrianConfig
+from servotrack.envs.track.pedestrians.effects import Light, Sensor, brighten, compress
+from servotrack.envs.track.pedestrians.floor import BACK_WALL, lobby_camera
+from servotrack.envs.track.pedestrians.looks import LOOK_NUMBERS, draw_look
+from servotrack.envs.track.pedestrians.people import Drawn, People
+from servotrack.envs.track.pedestrians.props import PropPatches, lobby_plants, occluders
+from servotrack.envs.track.pedestrians.shading import cast_shadow, contact_shade
+from servotrack.envs.track.pedestrians.shapes import (
+    GRAIN_SIDE,
+    NUMBERS,
+    draw_parts,
+    extent,
+    lay_over,
+    measure_silhouette,
+    patch_at,
+)
+from servotrack.envs.track.pedestrians.sprites import MAX_PARTS, pose_person
+
+Array = NDArray[np.float64]
+
+MOST_PEOPLE = 255
+"""In one frame: owners are bytes."""
+
+# Streams of a stage's seed.
+_BACKDROP, _BLENDING, _GRAIN, _PLANTS, _WIND, _OCCLUDERS, _SUN, _NOISE, _FLICKER, _DRIFT, _STEP = range(11)
+
+_STEEPEST = 0.75  # largest ratio of depth to height on the image that bodies are drawn with
+
+
+class Stage:
+    """The lobby of one episode, ready to draw people into. A frame depends on nothing but seed, people and its number.
+
+    Args:
+        config: Size and the picture's axes.
+        seed: Of the episode, a non-negative integer.
+    """
+
+    def __init__(self, config: PedestrianConfig, seed: int) -> None:
+        self._config = config
+        streams = Streams(seed)
+        camera = lobby_camera(config.width, config.height)
+        self._horizon, self._focal = camera.horizon, camera.focal
+        self._backdrop = paint_backdrop(camera, config.height, streams[_BACKDROP])
+        foot = camera.horizon + camera.focal * camera.elevation / BACK_WALL
+        self._blending = background_colors(self._backdrop, foot, streams[_BLENDING])
+        grain = np.pad(streams[_GRAIN].standard_normal((GRAIN_SIDE, GRAIN_SIDE)), 1, mode="wrap")
+        self._grain = (grain[:-2, 1:-1] + grain[2:, 1:-1] + grain[1:-1, :-2] + grain[1:-1, 2:]) / 2.0
+        self._light = Light(config, streams, _FLICKER, _DRIFT, _STEP)
+        self._sensor = Sensor(config.sensor_noise, config.width, config.height, streams[_NOISE])
+        self._sun = float(streams[_SUN].uniform(-0.7, 0.7))
+        self._wind = float(streams[_WIND].uniform(0.0, 2.0 * math.pi))
+        props = lobby_plants(camera, streams[_PLANTS]) + occluders(camera, config.occluders, streams[_OCCLUDERS])
+        self._prop_patches = PropPatches(props, config.plant, self._wind, self._grain)
+        self._looks: dict[int, Array] = {}
+        self._pool = np.empty(1 << 16, dtype=np.float32)
+
+    def draw(self, people: People, frame: int) -> Drawn:
+        """Draw one frame.
+
+        Args:
+            people: Who is there, in any order.
+            frame: Number of the frame, from 0.
+
+        Returns:
+            The picture, a new array, and its truth, row by row as in `people`.
+
+        Raises:
+            ValueError: More people than owners can name.
+        """
+        count = len(people.ids)
+        if count > MOST_PEOPLE:
+            raise ValueError(f"people must be at most {MOST_PEOPLE} in a frame, got {count}")
+        config = self._config
+        image = self._backdrop.copy()
+        owners = np.zeros(image.shape[:2], dtype=np.uint8)
+        parts, orders, extents = self._pose(people)
+        starts = np.zeros(count + 1, dtype=np.int64)
+        np.cumsum(4 * (extents[:, 2] - extents[:, 0]) * (extents[:, 3] - extents[:, 1]), out=starts[1:])
+        if starts[-1] > len(self._pool):
+            self._pool = np.empty(2 * int(starts[-1]), dtype=np.float32)
+        _draw_bodies(parts, orders, extents, starts, self._grain, self._pool)
+        boxes, totals, visible = np.zeros((count, 4)), np.zeros(count), np.zeros(count)
+        things = self._prop_patches.at(frame)
+        depth = np.lexsort((people.ids, people.feet[:, 1]))
+        _compose(
+            image,
+            owners,
+            depth,
+            people.feet,
+            people.height,
+            extents,
+            starts,
+            self._pool,
+            self._horizon,
+            self._focal,
+            config.shadow,
+            self._sun,
+            things.pool,
+            things.extents,
+            things.starts,
+            things.bases,
+            boxes,
+            totals,
+            visible,
+        )
+        brighten(image, self._light.offset(frame))
+        self._sensor.expose(image, frame)
+        visibility = visible / np.maximum(totals, 1.0)
+        return Drawn(compress(image, config.compression), boxes, visibility, owners)
+
+    def _pose(self, people: People) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+        """Parts of all bodies, their drawing orders (the number of parts last), and the extents of their patches."""
+        count = len(people.ids)
+        looks = np.empty((count, LOOK_NUMBERS))
+        for row, seed in enumerate(people.looks.tolist()):
+            if seed not in self._looks:
+                self._looks[seed] = draw_look(seed, self._config.camouflage, self._blending)
+            looks[row] = self._looks[seed]
+        parts = np.zeros((count, MAX_PARTS, NUMBERS))
+        orders = np.zeros((count, MAX_PARTS + 1), dtype=np.int64)
+        extents = np.zeros((count, 4), dtype=np.int64)
+        _pose_bodies(
+            looks,
+            people.feet,
+            people.height,
+            people.heading,
+            people.phase,
+            people.stride,
+            self._horizon,
+            self._focal,
+            parts,
+            orders,
+            extents,
+        )
+        return parts, orders, extents
+
+
+@njit(cache=True, nogil=True)
+def _slope(row, horizon, focal):  # type: ignore[no-untyped-def]
+    """How much of a depth is seen, against a height, where the floor is seen in this row."""
+    return min(max((row - horizon) / focal, 0.05), _STEEPEST)
+
+
+@njit(cache=True, nogil=True)
+def _pose_bodies(looks, feet, heights, headings, phases, strides, horizon, focal, parts, orders, extents):  # type: ignore[no-untyped-def]
+    for n in range(len(looks)):
+        slope = _slope(feet[n, 1], horizon, focal)
+        tilt = slope / math.sqrt(1.0 + slope * slope)
+        count = pose_person(
+            looks[n], feet[n, 0], feet[n, 1], heights[n], headings[n], phases[n], strides[n], tilt, parts[n], orders[n]
+        )
+        orders[n, -1] = count
+        extents[n, 0], extents[n, 1], extents[n, 2], extents[n, 3] = extent(parts[n], count)
+
+
+@njit(cache=True, nogil=True)
+def _draw_bodies(parts, orders, extents, starts, grain, pool):  # type: ignore[no-untyped-def]
+    for n in range(len(parts)):
+        patch = patch_at(pool, starts[n], extents[n])
+        patch[:] = 0.0
+        draw_parts(parts[n], orders[n], orders[n, -1], extents[n, 0], extents[n, 1], grain, patch)
+
+
+@njit(cache=True, nogil=True)
+def _compose(  # type: ignore[no-untyped-def]
+    image,
+    owners,
+    depth,
+    feet,
+    heights,
+    extents,
+    starts,
+    pool,
+    horizon,
+    focal,
+    shadow,
+    sun,
+    prop_pool,
+    prop_extents,
+    prop_starts,
+    prop_bases,
+    boxes,
+    totals,
+    visible,
+):
+    """Shadows on the floor, then people and things from the farthest to the nearest, and the truth about them."""
+    for n in depth:
+        slope = _slope(feet[n, 1], horizon, focal)
+        if shadow > 0.0:
+            patch = patch_at(pool, starts[n], extents[n])
+            cast_shadow(
+                image, patch, extents[n, 0], extents[n, 1], feet[n, 0], feet[n, 1], heights[n], slope, sun, shadow
+            )
+        contact_shade(image, feet[n, 0], feet[n, 1], heights[n], slope)
+    prop = 0
+    for k in range(len(depth) + 1):
+        row = feet[depth[k], 1] if k < len(depth) else np.inf
+        while prop < len(prop_bases) and prop_bases[prop] <= row:
+            patch = patch_at(prop_pool, prop_starts[prop], prop_extents[prop])
+            lay_over(patch, prop_extents[prop, 0], prop_extents[prop, 1], 0, image, owners, visible)
+            prop += 1
+        if k < len(depth):
+            n = depth[k]
+            left, top = extents[n, 0], extents[n, 1]
+            patch = patch_at(pool, starts[n], extents[n])
+            totals[n] = measure_silhouette(patch, left, top, image.shape[1], image.shape[0], boxes[n])
+            lay_over(patch, left, top, n + 1, image, owners, visible)

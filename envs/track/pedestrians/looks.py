@@ -1,0 +1,114 @@
+"""What a person looks like: build, skin, hair and clothes, all decided by one seed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.streams import Streams
+
+Array = NDArray[np.float64]
+
+SKIN, HAIR, TOP, TOP_SECOND, SLEEVE, TROUSERS, SHOES, BAG_COLOR = range(0, 24, 3)
+"""Where a look's colors begin, RGB in gray levels."""
+BUILD, HEAD_SIZE, HAIRLINE, HAIR_LENGTH = 24, 25, 26, 27
+"""Factors on width and head, how far back the hair begins, and how far it falls, heights."""
+TOP_MATERIAL, TOP_DETAIL, COAT, SHORT_SLEEVE = 28, 29, 30, 31
+"""The top's material (`shapes`), its number, how far it falls below the hip (heights), and 1 for bare forearms."""
+SKIRT, BAG, ARM, RELIEF_TOP, RELIEF_TROUSERS, FOLDS = 32, 33, 34, 35, 36, 37
+"""Length of a skirt (heights), kind of bag, what the right arm does, strength of shading and folds."""
+LOOK_NUMBERS = 38
+
+NO_BAG, BACKPACK, SHOULDER_BAG, CASE = range(4)
+SWINGING, POCKET, PHONE = range(3)
+
+_SHAPE, _PAINT, _BLEND = range(3)
+"""Streams of a look; `_BLEND` decides which clothes are in the background's colors."""
+
+_SKINS = ((236, 196, 168), (224, 172, 138), (198, 146, 110), (150, 104, 74), (104, 70, 50), (74, 50, 38))
+_HAIRS = ((26, 22, 20), (44, 32, 24), (78, 54, 36), (112, 78, 46), (168, 132, 82), (150, 150, 148))
+_CLOTHES = (
+    (28, 32, 44),  # navy
+    (22, 22, 25),  # black
+    (40, 46, 60),  # slate
+    (150, 24, 32),  # crimson
+    (196, 52, 34),  # vermilion
+    (24, 74, 122),  # blue
+    (16, 98, 92),  # teal
+    (34, 82, 44),  # green
+    (92, 30, 84),  # plum
+    (222, 160, 20),  # ocher
+    (246, 246, 242),  # white
+    (62, 34, 26),  # brown
+    (20, 44, 84),  # royal
+    (232, 110, 30),  # orange
+)
+_TROUSERS = (
+    (24, 26, 34),
+    (32, 46, 78),
+    (40, 60, 100),
+    (20, 20, 22),
+    (48, 40, 36),
+    (30, 44, 40),
+    (58, 30, 30),
+)
+_SHOES = ((22, 20, 20), (54, 34, 24), (30, 30, 36), (226, 226, 224))
+_BAGS = ((60, 36, 24), (24, 24, 28), (140, 30, 36), (30, 60, 90), (176, 120, 60))
+
+
+def draw_look(seed: int, camouflage: float, background: Array) -> Array:
+    """A person's look.
+
+    Args:
+        seed: Of the look.
+        camouflage: Probability of each piece of clothing to be in a background color.
+        background: Colors to choose from for that, shape (k, 3), gray levels.
+
+    Returns:
+        Shape (LOOK_NUMBERS,).
+    """
+    streams = Streams(seed)
+    shape, paint, blend = streams[_SHAPE], streams[_PAINT], streams[_BLEND]
+    look = np.zeros(LOOK_NUMBERS)
+
+    def choose(colors: tuple[tuple[int, int, int], ...], spread: float) -> Array:
+        chosen = np.array(colors[int(paint.integers(len(colors)))], dtype=np.float64)
+        return np.clip(chosen * paint.uniform(1.0 - spread, 1.0 + spread), 8.0, 250.0)
+
+    for part, colors, spread in (
+        (SKIN, _SKINS, 0.06),
+        (HAIR, _HAIRS, 0.15),
+        (TOP, _CLOTHES, 0.12),
+        (TOP_SECOND, _CLOTHES, 0.12),
+        (TROUSERS, _TROUSERS, 0.2),
+        (SHOES, _SHOES, 0.1),
+        (BAG_COLOR, _BAGS, 0.15),
+    ):
+        look[part : part + 3] = choose(colors, spread)
+    look[BUILD] = shape.uniform(0.92, 1.12)
+    look[HEAD_SIZE] = shape.uniform(0.96, 1.06)
+    look[HAIRLINE] = shape.uniform(-0.2, 0.25)
+    long_hair = shape.random() < 0.38
+    look[HAIR_LENGTH] = shape.uniform(0.05, 0.14) if long_hair else 0.0
+    kind = shape.random()
+    look[TOP_MATERIAL] = 0 if kind < 0.42 else 2 if kind < 0.75 else 3 if kind < 0.88 else 4
+    look[TOP_DETAIL] = (0.0, 0.0, shape.uniform(0.22, 0.42), shape.integers(4, 8), shape.integers(3, 6))[
+        int(look[TOP_MATERIAL])
+    ]
+    look[COAT] = shape.uniform(0.08, 0.2) if look[TOP_MATERIAL] in (0, 2) and shape.random() < 0.3 else 0.03
+    look[SHORT_SLEEVE] = float(look[TOP_MATERIAL] != 2 and shape.random() < 0.35)
+    look[SKIRT] = shape.uniform(0.2, 0.3) if long_hair and shape.random() < 0.4 else 0.0
+    look[BAG] = (BACKPACK, SHOULDER_BAG, CASE, NO_BAG)[int(np.searchsorted((0.18, 0.34, 0.46), shape.random()))]
+    look[ARM] = (POCKET, PHONE, SWINGING)[int(np.searchsorted((0.12, 0.24), shape.random()))]
+    look[RELIEF_TOP], look[RELIEF_TROUSERS], look[FOLDS] = 0.75, 0.7, 0.10
+    blends, chosen = blend.random(2) < camouflage, background[blend.integers(len(background), size=2)]
+    if blends[0]:
+        look[TOP : TOP + 3] = chosen[0]
+        look[TOP_SECOND : TOP_SECOND + 3] = chosen[0] * 0.94
+        look[RELIEF_TOP] = 0.3
+    if blends[1]:
+        look[TROUSERS : TROUSERS + 3] = chosen[1]
+        look[RELIEF_TROUSERS] = 0.3
+    sleeve = SKIN if look[SHORT_SLEEVE] else TOP
+    look[SLEEVE : SLEEVE + 3] = look[sleeve : sleeve + 3]
+    return look

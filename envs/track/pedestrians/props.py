@@ -1,0 +1,206 @@
+"""Things that stand in the lobby: plants whose leaves sway, pillars and signs that people walk behind."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.track.pedestrians import shapes
+from servotrack.envs.track.pedestrians.floor import BACK_WALL, FAR, NEAR, Camera
+
+Array = NDArray[np.float64]
+Color = tuple[float, float, float]
+
+PLANT_DEPTH = BACK_WALL - 0.35
+"""Where the lobby's own plants stand, z in m: behind everybody."""
+
+_WIND_PERIOD = 61.0  # frames of the wind's slow swing
+_STRAIGHT = (1.0,) * shapes.SAMPLES
+_LEAF = (0.25, 0.75, 1.0, 0.92, 0.62, 0.06)
+_STONE: Color = (186.0, 180.0, 170.0)
+_LEAVES: tuple[Color, ...] = ((34.0, 74.0, 38.0), (48.0, 98.0, 48.0), (66.0, 120.0, 56.0), (92.0, 142.0, 72.0))
+_BOARDS: tuple[Color, ...] = ((38.0, 66.0, 96.0), (150.0, 48.0, 40.0), (44.0, 92.0, 78.0), (60.0, 58.0, 66.0))
+
+
+@dataclass(frozen=True)
+class Prop:
+    """A thing of one place.
+
+    Attributes:
+        base: Row of its foot, px: people whose feet are above it are behind it.
+        parts: Shapes at rest, in drawing order. Shape (k, shapes.NUMBERS).
+        swaying: How far each part's end follows the wind, 0 to 1. Shape (k,).
+        lag: Of each part's swing behind the wind, rad. Shape (k,).
+    """
+
+    base: float
+    parts: Array
+    swaying: Array
+    lag: Array
+
+    def swayed(self, shift: float, time: float) -> Array:
+        """Parts when leaves are bent by up to `shift` px at a time in rad of the wind's slow swing."""
+        parts = self.parts.copy()
+        gust = np.sin(time + self.lag) + 0.5 * np.sin(2.3 * time + 1.7 * self.lag)
+        parts[:, shapes.END] += shift * self.swaying * gust
+        parts[:, shapes.END + 1] += 0.3 * shift * self.swaying * np.sin(1.6 * time + 2.0 * self.lag)
+        return parts
+
+
+def plant_at(camera: Camera, x: float, z: float, size: float, rng: np.random.Generator) -> Prop:
+    """A potted plant, `size` m tall."""
+    foot, scale = camera.project(np.array([x, z])), float(camera.scale(np.array(z)))
+    slope = camera.elevation / z
+    pot = 0.26 * size
+    rows = [
+        _part(foot, scale, (0.0, pot), (0.0, 0.0), 0.12 * size, (1.0, 1.02, 1.0, 0.95, 0.88, 0.8), (92, 78, 70), slope)
+    ]
+    swaying, lag = [0.0], [0.0]
+    leaves = int(rng.integers(26, 34))
+    for leaf in range(leaves):
+        # Outer leaves hang low and come first, upright ones stand before them.
+        upright = leaf / leaves
+        angle = rng.uniform(-1.0, 1.0) * (1.45 - 0.95 * upright)
+        length = size * rng.uniform(0.42, 0.74) * (0.72 + 0.28 * upright)
+        root = (rng.uniform(-0.04, 0.04) * size, pot + size * rng.uniform(0.0, 0.16))
+        tip = (root[0] + length * np.sin(angle), root[1] + length * np.cos(angle) - 0.10 * size * abs(angle))
+        color = _LEAVES[int(min(rng.integers(2) + 2 * upright, 3))]
+        rows.append(_part(foot, scale, root, tip, size * rng.uniform(0.036, 0.056), _LEAF, color, 1.0))
+        swaying.append(rng.uniform(0.6, 1.0))
+        lag.append(rng.uniform(0.0, 2.0 * np.pi))
+    return Prop(float(foot[1]), np.array(rows), np.array(swaying), np.array(lag))
+
+
+def pillar_at(camera: Camera, x: float, z: float, rng: np.random.Generator) -> Prop:
+    """A round pillar up to the ceiling."""
+    foot, scale = camera.project(np.array([x, z])), float(camera.scale(np.array(z)))
+    slope, radius = camera.elevation / z, rng.uniform(0.22, 0.3)
+    shaft = _part(foot, scale, (0.0, 9.0), (0.0, 0.05), radius, _STRAIGHT, _STONE, slope)
+    ring = _part(foot, scale, (0.0, 0.22), (0.0, 0.0), radius * 1.14, _STRAIGHT, (96.0, 92.0, 88.0), slope)
+    shaft[shapes.GRAIN] = 0.05
+    rows = [shaft, ring]
+    return Prop(float(foot[1]), np.array(rows), np.zeros(len(rows)), np.zeros(len(rows)))
+
+
+def sign_at(camera: Camera, x: float, z: float, rng: np.random.Generator) -> Prop:
+    """A board on a foot, with lines of print."""
+    foot, scale = camera.project(np.array([x, z])), float(camera.scale(np.array(z)))
+    slope, half = camera.elevation / z, rng.uniform(0.34, 0.44)
+    color = _BOARDS[int(rng.integers(len(_BOARDS)))]
+    rows = [
+        _part(foot, scale, (0.0, 0.06), (0.0, 0.0), half * 0.9, _STRAIGHT, (58.0, 58.0, 60.0), 0.4 * slope),
+        _part(foot, scale, (0.0, 1.72), (0.0, 0.10), half, _STRAIGHT, color, 0.03),
+        _part(foot, scale, (0.0, 1.60), (0.0, 1.46), half * 0.8, _STRAIGHT, (236.0, 234.0, 228.0), 0.03),
+    ]
+    for line in range(5):
+        y, reach = 1.3 - 0.16 * line, half * rng.uniform(0.5, 0.78)
+        left = -0.8 * half
+        rows.append(
+            _part(foot, scale, (left, y), (left + 2.0 * reach, y), 0.022, _STRAIGHT, (214.0, 214.0, 208.0), 0.1)
+        )
+    for row in rows:
+        row[shapes.RELIEF] = 0.12
+    return Prop(float(foot[1]), np.array(rows), np.zeros(len(rows)), np.zeros(len(rows)))
+
+
+def lobby_plants(camera: Camera, rng: np.random.Generator) -> list[Prop]:
+    """The two plants at the back wall, between doors and wooden panels, where nobody walks behind them."""
+    reach = float(camera.half_width(PLANT_DEPTH))
+    return [
+        plant_at(camera, side * min(6.25, 0.83 * reach), PLANT_DEPTH, float(rng.uniform(1.7, 2.1)), rng)
+        for side in (-1.0, 1.0)
+    ]
+
+
+def occluders(camera: Camera, count: int, rng: np.random.Generator) -> list[Prop]:
+    """Pillars, plants and signs spread over the lobby, farthest first.
+
+    Args:
+        camera: Of the scene.
+        count: How many.
+        rng: Chooses kinds and places.
+    """
+    props = []
+    kinds = rng.permutation(max(count, 3))
+    strips = rng.permutation(count)
+    for k in range(count):
+        z = float(rng.uniform(NEAR + 1.0, FAR - 2.5))
+        reach = 0.84 * float(camera.half_width(z))
+        # Each has a strip of the image's width of its own, so that they hide people rather than one another.
+        x = reach * (2.0 * (strips[k] + rng.uniform(0.2, 0.8)) / count - 1.0)
+        kind = kinds[k] % 3
+        if kind == 0:
+            props.append(pillar_at(camera, x, z, rng))
+        elif kind == 1:
+            props.append(plant_at(camera, x, z, float(rng.uniform(1.3, 1.8)), rng))
+        else:
+            props.append(sign_at(camera, x, z, rng))
+    return sorted(props, key=lambda prop: prop.base)
+
+
+class PropPatches:
+    """The drawn things of a lobby, in one pool of numbers; those that sway are drawn anew for each frame.
+
+    Args:
+        props: In depth order, farthest first.
+        sway: Of the leaves, px; 0: they rest.
+        wind: Phase of the wind, rad.
+        grain: The grain's tile.
+
+    Attributes:
+        pool: All patches one after the other, float32.
+        extents: Left, top, right, bottom of each, px. Shape (k, 4).
+        starts: Where each begins in the pool. Shape (k,).
+        bases: Rows of their feet, px. Shape (k,).
+    """
+
+    def __init__(self, props: list[Prop], sway: float, wind: float, grain: Array) -> None:
+        self._props, self._sway, self._wind, self._grain = props, sway, wind, grain
+        margin = 2 * math.ceil(sway)
+        extents = [shapes.extent(prop.parts, len(prop.parts)) for prop in props]
+        self.extents = np.array(extents, dtype=np.int64) + np.array([-margin, -margin, margin, margin])
+        sizes = 4 * (self.extents[:, 2] - self.extents[:, 0]) * (self.extents[:, 3] - self.extents[:, 1])
+        self.starts = np.cumsum(sizes) - sizes
+        self.bases = np.array([prop.base for prop in props])
+        self.pool = np.zeros(int(sizes.sum()), dtype=np.float32)
+        for k, prop in enumerate(props):
+            self._draw(k, prop.parts)
+
+    def at(self, frame: int) -> PropPatches:
+        """The patches with their leaves where the wind has them at a frame: this object itself, drawn into anew."""
+        if self._sway > 0.0:
+            for k, prop in enumerate(self._props):
+                if prop.swaying.any():
+                    self._draw(k, prop.swayed(self._sway, self._wind + 2.0 * math.pi * frame / _WIND_PERIOD))
+        return self
+
+    def _draw(self, k: int, parts: Array) -> None:
+        left, top, right, bottom = self.extents[k].tolist()
+        size = 4 * (right - left) * (bottom - top)
+        patch = self.pool[self.starts[k] : self.starts[k] + size].reshape(bottom - top, right - left, 4)
+        patch[:] = 0.0
+        shapes.draw_parts(parts, np.arange(len(parts)), len(parts), left, top, self._grain, patch)
+
+
+def _part(
+    foot: Array,
+    scale: float,
+    start: tuple[float, float],
+    end: tuple[float, float],
+    half_width: float,
+    widths: tuple[float, ...],
+    color: Color | tuple[int, int, int],
+    cap: float,
+) -> Array:
+    """A tube between two points above a foot (m to the right, m up)."""
+    part = np.zeros(shapes.NUMBERS)
+    for at, (right, up) in ((shapes.START, start), (shapes.END, end)):
+        part[at], part[at + 1] = foot[0] + scale * right, foot[1] - scale * up
+    part[shapes.WIDTHS : shapes.WIDTHS + shapes.SAMPLES] = np.array(widths) * half_width * scale
+    part[shapes.CAPS], part[shapes.CAPS + 1] = cap, cap
+    part[shapes.COLOR : shapes.COLOR + 3] = part[shapes.SECOND : shapes.SECOND + 3] = color
+    part[shapes.RELIEF], part[shapes.BRIGHTNESS] = 0.6, 1.0
+    return part

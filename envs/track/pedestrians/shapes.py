@@ -1,0 +1,202 @@
+"""The one shape of which people, plants and pillars are made, a tube whose width changes along it, and its raster.
+
+A part is a row of `NUMBERS` numbers; the constants name them. Parts are drawn one over the other into a small
+premultiplied RGBA patch, and patches are laid over the picture in depth order.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+START, END = 0, 2
+"""Columns and rows of the axis's two ends, px."""
+WIDTHS = 4
+"""Half widths at SAMPLES equally spaced points of the axis, px."""
+SAMPLES = 6
+CAPS = 10
+"""How far the two ends bulge beyond the axis, in half widths."""
+COLOR, SECOND = 12, 15
+MATERIAL, RELIEF, BRIGHTNESS = 18, 19, 20
+"""How the surface is colored, how strongly its roundness is shaded, and a factor on its brightness."""
+FORWARD = 21
+"""Where the body faces, in the camera's axes: right, down, towards the camera."""
+TILT = 24
+"""Sine of the angle at which the camera looks down at it."""
+DEPTH = 25
+"""How near to the camera; nearer parts are drawn later."""
+GRAIN, ORIGIN, DETAIL = 26, 27, 28
+"""Amplitude of the cloth's folds, where in the grain's tile it begins, and a number for the material."""
+NUMBERS = 29
+
+PLAIN, HEAD, OPEN, STRIPES, CHECK = range(5)
+"""Materials: one color; hair over a face; a jacket open over a shirt; stripes across; a woven check."""
+
+GRAIN_SIDE = 64
+"""Rows and columns of the grain's tile; a power of two."""
+
+_LIGHT = (-0.42, -0.62, 0.66)  # where light comes from, in the camera's axes: left, above, the camera's side
+_MEAN_LIGHT = 0.56  # of a tube in that light
+
+
+@njit(cache=True, nogil=True)
+def extent(parts, count):  # type: ignore[no-untyped-def]
+    """Left, top, right and bottom that hold the first `count` parts, whole px."""
+    left, top, right, bottom = 1e9, 1e9, -1e9, -1e9
+    for k in range(count):
+        reach = 0.0
+        for i in range(SAMPLES):
+            reach = max(reach, parts[k, WIDTHS + i])
+        reach = reach * max(1.0, max(parts[k, CAPS], parts[k, CAPS + 1])) + 1.0
+        left = min(left, min(parts[k, 0], parts[k, 2]) - reach)
+        right = max(right, max(parts[k, 0], parts[k, 2]) + reach)
+        top = min(top, min(parts[k, 1], parts[k, 3]) - reach)
+        bottom = max(bottom, max(parts[k, 1], parts[k, 3]) + reach)
+    return math.floor(left), math.floor(top), math.ceil(right), math.ceil(bottom)
+
+
+@njit(cache=True, nogil=True)
+def _smooth(x):  # type: ignore[no-untyped-def]
+    """0 below 0, 1 above 1, smooth between."""
+    x = min(max(x, 0.0), 1.0)
+    return x * x * (3.0 - 2.0 * x)
+
+
+@njit(cache=True, nogil=True)
+def _second_share(part, t, nx, ny, nz):  # type: ignore[no-untyped-def]
+    """How much of a surface point's color is the part's second one, from its place and normal."""
+    material = int(part[MATERIAL])
+    detail = part[DETAIL]
+    if material == HEAD:
+        # The face is where the surface looks forward more than up; `detail` moves the hairline.
+        forward = nx * part[FORWARD] + ny * part[FORWARD + 1] + nz * part[FORWARD + 2]
+        up = -ny * math.sqrt(1.0 - part[TILT] * part[TILT]) + nz * part[TILT]
+        return _smooth((forward - 0.75 * up - detail) * 5.0 + 0.5)
+    if material == OPEN:
+        forward = nx * part[FORWARD] + nz * part[FORWARD + 2]
+        lateral = nx * part[FORWARD + 2] - nz * part[FORWARD]
+        half = detail * (1.25 - 0.8 * t)
+        return _smooth((half - abs(lateral)) * 9.0 + 0.5) if forward > 0.0 else 0.0
+    if material == STRIPES:
+        return _smooth(2.2 * math.sin(detail * t * 6.2831853) + 0.3)
+    if material == CHECK:
+        across = nx * 4.0
+        return 0.5 * _smooth(1.5 * math.sin(detail * t * 6.2831853) + 0.5) + 0.5 * _smooth(
+            1.5 * math.sin(across * 3.0) + 0.5
+        )
+    return 0.0
+
+
+@njit(cache=True, nogil=True)
+def draw_parts(parts, order, count, left, top, grain, patch):  # type: ignore[no-untyped-def]
+    """Draw parts in an order into a patch whose corner is pixel (left, top); the patch must be zeros."""
+    rows, columns = patch.shape[0], patch.shape[1]
+    last = GRAIN_SIDE - 1
+    for index in range(count):
+        part = parts[order[index]]
+        x0, y0 = part[0], part[1]
+        length = math.hypot(part[2] - x0, part[3] - y0)
+        inverse = 1.0 / max(length, 1e-6)
+        ex, ey = (part[2] - x0) * inverse, (part[3] - y0) * inverse
+        if length < 1e-6:
+            ex, ey = 0.0, 1.0
+        reach = 0.0
+        for i in range(SAMPLES):
+            reach = max(reach, part[WIDTHS + i])
+        reach = reach * max(1.0, max(part[CAPS], part[CAPS + 1])) + 1.0
+        first_row = max(math.floor(min(y0, part[3]) - reach) - top, 0)
+        last_row = min(math.ceil(max(y0, part[3]) + reach) - top, rows)
+        first_column = max(math.floor(min(x0, part[2]) - reach) - left, 0)
+        last_column = min(math.ceil(max(x0, part[2]) + reach) - left, columns)
+        relief, bright, folds = part[RELIEF], part[BRIGHTNESS], part[GRAIN]
+        plain = part[MATERIAL] == PLAIN
+        origin = int(part[ORIGIN])
+        for i in range(first_row, last_row):
+            py = top + i + 0.5 - y0
+            for j in range(first_column, last_column):
+                px = left + j + 0.5 - x0
+                along = px * ex + py * ey
+                across = py * ex - px * ey
+                beyond, t = 0.0, along * inverse
+                if along < 0.0:
+                    beyond, t = along / max(part[CAPS], 1e-3), 0.0
+                elif along > length:
+                    beyond, t = (along - length) / max(part[CAPS + 1], 1e-3), 1.0
+                place = t * (SAMPLES - 1)
+                knot = min(int(place), SAMPLES - 2)
+                width = part[WIDTHS + knot] + (part[WIDTHS + knot + 1] - part[WIDTHS + knot]) * (place - knot)
+                distance2 = across * across + beyond * beyond
+                outer = width + 0.5
+                if distance2 >= outer * outer:
+                    continue
+                distance = math.sqrt(distance2)
+                cover = min(outer - distance, 1.0)
+                scale = 1.0 / max(width, 0.5)
+                na, nb = across * scale, beyond * scale
+                slope2 = min(na * na + nb * nb, 1.0)
+                nx, ny = nb * ex - na * ey, nb * ey + na * ex
+                nz = math.sqrt(1.0 - slope2)
+                light = nx * _LIGHT[0] + ny * _LIGHT[1] + nz * _LIGHT[2] - _MEAN_LIGHT
+                shade = bright * (1.0 + relief * light)
+                if folds > 0.0:
+                    row = int((along + 64.0) * 0.7) + origin
+                    column = int(across * 1.1 + 64.0) + 3 * origin
+                    shade *= 1.0 + folds * grain[row & last, column & last]
+                share = 0.0 if plain else _second_share(part, t, nx, ny, nz)
+                keep = 1.0 - cover
+                for c in range(3):
+                    color = part[COLOR + c] + (part[SECOND + c] - part[COLOR + c]) * share
+                    patch[i, j, c] = patch[i, j, c] * keep + cover * min(color * shade, 255.0)
+                patch[i, j, 3] = patch[i, j, 3] * keep + cover
+
+
+@njit(cache=True, nogil=True)
+def measure_silhouette(patch, left, top, width, height, box):  # type: ignore[no-untyped-def]
+    """Extent of a patch's silhouette inside the image into `box`; returns its pixels in and outside the image."""
+    first_row, last_row, first_column, last_column = 1 << 30, -1, 1 << 30, -1
+    total = 0
+    for i in range(patch.shape[0]):
+        inside_row = 0 <= top + i < height
+        for j in range(patch.shape[1]):
+            if patch[i, j, 3] >= 0.5:
+                total += 1
+                if inside_row and 0 <= left + j < width:
+                    first_row, last_row = min(first_row, i), max(last_row, i)
+                    first_column, last_column = min(first_column, j), max(last_column, j)
+    if last_row >= 0:
+        box[0] = left + first_column
+        box[1] = top + first_row
+        box[2] = last_column - first_column + 1
+        box[3] = last_row - first_row + 1
+    return total
+
+
+@njit(cache=True, nogil=True)
+def lay_over(patch, left, top, owner, image, owners, visible):  # type: ignore[no-untyped-def]
+    """Lay a patch over the picture; its silhouette's pixels become `owner`'s, 0 for things that are no people."""
+    height, width = owners.shape
+    for i in range(max(0, -top), min(patch.shape[0], height - top)):
+        for j in range(max(0, -left), min(patch.shape[1], width - left)):
+            cover = patch[i, j, 3]
+            if cover <= 0.0:
+                continue
+            y, x = top + i, left + j
+            keep = 1.0 - cover
+            for c in range(3):
+                image[y, x, c] = np.uint8(image[y, x, c] * keep + patch[i, j, c] + 0.5)
+            if cover >= 0.5:
+                before = owners[y, x]
+                if before > 0:
+                    visible[before - 1] -= 1
+                if owner > 0:
+                    visible[owner - 1] += 1
+                owners[y, x] = owner
+
+
+@njit(cache=True, nogil=True)
+def patch_at(pool, start, extents):  # type: ignore[no-untyped-def]
+    """The patch of given left, top, right, bottom that begins at `start` of a pool of numbers, a view."""
+    rows, columns = extents[3] - extents[1], extents[2] - extents[0]
+    return pool[start : start + 4 * rows * columns].reshape((rows, columns, 4))
