@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import cv2
@@ -14,6 +14,8 @@ from servotrack.estimators.detect.bodies import BodySizes, Cover, body_line, fin
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.detect.images import Image, checked_image
 from servotrack.estimators.detect.runs import label_runs, measure_runs
+
+_FILLED = 0.2  # pixels of a person who is seen whole, in squares of the height
 
 
 class CleanMask(NamedTuple):
@@ -42,7 +44,13 @@ class BlobFinder:
             trunk and legs rather than people side by side.
         smallest: Least number of a region's pixels.
         split: Whether to learn sizes and tell people who touch apart.
+        least_height: People who are smaller where their feet are, as learned, are too far away and left out, px; 0 for
+            none. Only with `split`.
         bins: Bins per channel of the color histograms that serve as appearance, 0 for none.
+
+        cover: When regions are joined and divided.
+
+    The confidence of a detection is 1 for a person who is seen whole, and less by the share that is hidden.
 
     Raises:
         ValueError: A parameter out of range.
@@ -52,8 +60,9 @@ class BlobFinder:
     closing: tuple[int, int] = (3, 7)
     smallest: int = 40
     split: bool = True
+    least_height: float = 20.0
     bins: int = 8
-    cover: Cover = Cover()
+    cover: Cover = field(default_factory=Cover)
 
     def __post_init__(self) -> None:
         """Check the parameters."""
@@ -65,6 +74,9 @@ class BlobFinder:
             raise ValueError(f"smallest must be at least 1 px, got {self.smallest!r}")
         if not (isinstance(self.bins, int) and 0 <= self.bins <= 16):
             raise ValueError(f"bins must be a whole number from 0 to 16, got {self.bins!r}")
+
+        if not 0.0 <= self.least_height < np.inf:
+            raise ValueError(f"least_height must be finite and at least 0 px, got {self.least_height!r}")
 
     def initial(self) -> BodySizes:
         """Nothing is known about the sizes of people yet."""
@@ -126,9 +138,12 @@ class BlobFinder:
             line = body_line(state, image.shape[0])
             state = learn_sizes(state, boxes, areas, image.shape)
             if line is not None:
-                runs, boxes, _ = find_bodies(runs, boxes, image.shape, *line, self.cover)
+                runs, boxes, heights = find_bodies(runs, boxes, line, self.cover)
+                keep = np.maximum(heights, boxes[:, 3]) >= self.least_height
+                runs[:, 3] = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)[runs[:, 3]]
+                boxes = boxes[keep]
                 _, centroids, areas = measure_runs(runs, len(boxes))
-                confidences = np.ones(len(boxes))
+                confidences = np.minimum(areas / (_FILLED * heights[keep] ** 2), 1.0)
         features = run_appearance(image, runs, len(boxes), self.bins) if self.bins else np.zeros((len(boxes), 0))
         return state, Detections(boxes, centroids, areas, confidences, features)
 

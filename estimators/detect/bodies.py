@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 BANDS = 24
+_MOST = 12  # people in one region
+_ASPECT = 0.36  # width of a person's box, in heights
+_REACH = 0.23  # pixels so near to a person's axis belong to the person, in heights
 
 
 class BodySizes(NamedTuple):
@@ -103,21 +106,53 @@ def _fit(heights, counts, rows):  # type: ignore[no-untyped-def]
 
 
 class Cover(NamedTuple):
-    """Constants of the explanation of a region by bodies."""
+    """When regions are joined and divided; lengths in heights of a person at that row.
 
-    core: float = 0.2
-    penalty: float = 0.25
-    below: float = 0.5
-    share: float = 0.25
-    score: float = 0.15
+    Attributes:
+        wide, tall: Width and height above which a region may be several people.
+        gap: Largest gap between parts that stand one above the other and are joined.
+        core: Width of the bar, as high as a person, that is laid over a region to find one.
+        share: Least share of the bar that no other person explains.
+        penalty: What a pixel of the bar outside the region costs, against 1 for an unexplained one inside.
+        below: What an unexplained pixel below the feet costs: who stands in front is found first.
+        score: Least balance of these per pixel of the bar.
+    """
+
     wide: float = 0.5
     tall: float = 1.2
-    least: float = 0.05
     gap: float = 0.4
+    core: float = 0.2
+    share: float = 0.25
+    penalty: float = 0.25
+    below: float = 0.5
+    score: float = 0.15
 
 
-def find_bodies(runs, boxes, shape, intercept, slope, cover=Cover()):
-    return _find(runs, boxes, shape[0], shape[1], intercept, slope, *cover)
+class Bodies(NamedTuple):
+    """People in the regions of a frame.
+
+    Attributes:
+        runs: The regions' pixels, each given to one person: row, first column, column after the last, person; shape
+            (n, 4), int32.
+        boxes: Of a region that is one person its own, else as large as a person is there. Shape (k, 4), px.
+        heights: How tall a person is expected to be at the feet of each. Shape (k,), px.
+    """
+
+    runs: NDArray[np.int32]
+    boxes: Array
+    heights: Array
+
+
+def find_bodies(runs: NDArray[np.int32], boxes: Array, line: tuple[float, float], cover: Cover) -> Bodies:
+    """Join parts of people and divide regions of several.
+
+    Args:
+        runs: The regions' pixels, as `label_runs` gives them; changed.
+        boxes: The regions' boxes. Shape (k, 4), px.
+        line: From `body_line`.
+        cover: Constants.
+    """
+    return Bodies(*_find_bodies(runs, boxes, *line, *cover))
 
 
 @njit(cache=True, nogil=True)
@@ -126,8 +161,8 @@ def _height(row, intercept, slope):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _join(boxes, group, intercept, slope, gap, tall):  # type: ignore[no-untyped-def]
-    """Groups of regions that stand one above the other within one body; boxes become those of the groups."""
+def _join(boxes, group, intercept, slope, gap):  # type: ignore[no-untyped-def]
+    """Groups of regions that lie one above the other within one person; `boxes` become those of the groups."""
     k = boxes.shape[0]
     again = True
     while again:
@@ -153,7 +188,8 @@ def _join(boxes, group, intercept, slope, gap, tall):  # type: ignore[no-untyped
 
 
 @njit(cache=True, nogil=True)
-def _window(integral, x0, y0, x1, y1):  # type: ignore[no-untyped-def]
+def _sum(integral, x0, y0, x1, y1):  # type: ignore[no-untyped-def]
+    """Sum over columns x0 to x1 and rows y0 to y1, what lies outside being 0."""
     rows, columns = integral.shape[0] - 1, integral.shape[1] - 1
     x0, x1 = min(max(x0, 0), columns), min(max(x1, 0), columns)
     y0, y1 = min(max(y0, 0), rows), min(max(y1, 0), rows)
@@ -161,116 +197,110 @@ def _window(integral, x0, y0, x1, y1):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _explain(pixels, left, top, rows, columns, intercept, slope, core, penalty, below, share, score):  # type: ignore[no-untyped-def]
-    """Bodies that explain a region, greedily.
+def _explain(pixels, left, top, intercept, slope, core, share, penalty, below, score):  # type: ignore[no-untyped-def]
+    """Boxes of the people that explain a region, found one after the other.
 
-    pixels: 1 on the region, 0 elsewhere; becomes 2 where a body stands."""
-    h, w = pixels.shape
-    found = np.empty((12, 4))
-    count = 0
-    fresh, ground = np.zeros((h + 1, w + 1), np.int32), np.zeros((h + 1, w + 1), np.int32)
-    while count < 12:
-        for y in range(h):
-            line_fresh, line_ground = 0, 0
-            for x in range(w):
+    `pixels` is 1 on the region, 0 elsewhere, and becomes 2 where somebody was found.
+    """
+    rows, columns = pixels.shape
+    found = np.empty((_MOST, 4))
+    fresh, region = np.zeros((rows + 1, columns + 1), np.int32), np.zeros((rows + 1, columns + 1), np.int32)
+    stride = max(int(_height(top + rows, intercept, slope)) // 32, 1)
+    for count in range(_MOST):
+        for y in range(rows):
+            line_fresh, line_region = 0, 0
+            for x in range(columns):
                 line_fresh += pixels[y, x] == 1
-                line_ground += pixels[y, x] != 0
+                line_region += pixels[y, x] != 0
                 fresh[y + 1, x + 1] = fresh[y, x + 1] + line_fresh
-                ground[y + 1, x + 1] = ground[y, x + 1] + line_ground
+                region[y + 1, x + 1] = region[y, x + 1] + line_region
         best, best_x, best_foot = -1.0, 0, 0
-        smallest = int(0.4 * _height(top + h, intercept, slope))
-        for foot in range(min(smallest, h), h + 1):
+        for foot in range(rows, min(int(0.4 * _height(top + rows, intercept, slope)), rows) - 1, -stride):
             height = _height(top + foot, intercept, slope)
-            tall, half = int(round(height)), max(int(round(core * height / 2)), 1)
+            tall, half = int(height + 0.5), max(int(core * height / 2 + 0.5), 1)
+            # What the image's border cuts off is not counted against a person.
             head = max(foot - tall, -top)
             area = 2 * half * (foot - head)
-            for x in range(min(half, w // 2), max(w - half, w // 2) + 1):
-                new = _window(fresh, x - half, head, x + half, foot)
+            for x in range(min(half, columns // 2), max(columns - half, columns // 2) + 1, stride):
+                new = _sum(fresh, x - half, head, x + half, foot)
                 if new < share * area:
                     continue
-                empty = area - _window(ground, x - half, head, x + half, foot)
-                strip = max(tall // 6, 1)
-                under = _window(fresh, x - half, foot, x + half, foot + strip)
+                empty = area - _sum(region, x - half, head, x + half, foot)
+                under = _sum(fresh, x - half, foot, x + half, foot + max(tall // 6, 1))
                 value = (new - penalty * empty - below * under) / (2 * half * tall)
                 if value > best:
                     best, best_x, best_foot = value, x, foot
         if best < score:
-            break
+            return found[:count]
         height = _height(top + best_foot, intercept, slope)
-        width = 0.36 * height
+        width = _ASPECT * height
         found[count, 0], found[count, 1] = left + best_x - width / 2, top + best_foot - height
         found[count, 2], found[count, 3] = width, height
-        count += 1
-        half, head = int(round(0.23 * height)), int(round(best_foot - height))
-        for y in range(max(head, 0), min(best_foot + 2, h)):
-            for x in range(max(best_x - half, 0), min(best_x + half, w)):
+        half, head = int(_REACH * height + 0.5), best_foot - int(height + 0.5)
+        for y in range(max(head, 0), min(best_foot + 2, rows)):
+            for x in range(max(best_x - half, 0), min(best_x + half, columns)):
                 if pixels[y, x] == 1:
                     pixels[y, x] = 2
-    return found[:count]
+    return found
 
 
 @njit(cache=True, nogil=True)
-def _find(runs, boxes, rows, columns, intercept, slope, core, penalty, below, share, score, wide, tall, least, gap):  # type: ignore[no-untyped-def]
+def _nearest(x, y, bodies):  # type: ignore[no-untyped-def]
+    nearest, least = 0, np.inf
+    for b in range(bodies.shape[0]):
+        across = abs(x + 0.5 - bodies[b, 0] - bodies[b, 2] / 2) / bodies[b, 2]
+        along = abs(y + 0.5 - bodies[b, 1] - bodies[b, 3] / 2) / bodies[b, 3]
+        if max(across, along) < least:
+            nearest, least = b, max(across, along)
+    return nearest
+
+
+@njit(cache=True, nogil=True)
+def _find_bodies(  # type: ignore[no-untyped-def]
+    runs, boxes, intercept, slope, wide, tall, gap, core, share, penalty, below, score
+):
     k = boxes.shape[0]
-    group = np.arange(k)
-    boxes = boxes.copy()
-    _join(boxes, group, intercept, slope, gap, tall)
-    for i in range(k):
-        while group[group[i]] != group[i]:
-            group[i] = group[group[i]]
+    group, boxes = np.arange(k), boxes.copy()
+    _join(boxes, group, intercept, slope, gap)
     total = 0
     for n in range(runs.shape[0]):
         if runs[n, 3] >= 0:
-            runs[n, 3] = group[runs[n, 3]]
             total += runs[n, 2] - runs[n, 1]
-    out_runs = np.empty((total, 4), np.int32)
-    out_boxes = np.empty((12 * k + 1, 4))
-    out_runs_count, out_count = 0, 0
+            while group[runs[n, 3]] != runs[n, 3]:
+                runs[n, 3] = group[runs[n, 3]]
+    # A run may fall apart into as many as it has pixels.
+    out_runs, out_boxes = np.empty((total, 4), np.int32), np.empty((_MOST * k, 4))
+    written, people = 0, 0
     for i in range(k):
         if group[i] != i:
             continue
         left, top, width, height = boxes[i]
-        expected = _height(top + height, intercept, slope)
-        bodies = np.empty((0, 4))
         x0, y0 = int(left), int(top)
+        bodies = np.empty((0, 4))
+        expected = _height(top + height, intercept, slope)
         if width > wide * expected or height > tall * expected:
             pixels = np.zeros((int(height), int(width)), np.uint8)
             for n in range(runs.shape[0]):
                 if runs[n, 3] == i:
                     pixels[runs[n, 0] - y0, runs[n, 1] - x0 : runs[n, 2] - x0] = 1
-            bodies = _explain(pixels, x0, y0, rows, columns, intercept, slope, core, penalty, below, share, score)
+            bodies = _explain(pixels, x0, y0, intercept, slope, core, share, penalty, below, score)
         if bodies.shape[0] < 2:
-            for n in range(runs.shape[0]):
-                if runs[n, 3] == i:
-                    out_runs[out_runs_count, :3] = runs[n, :3]
-                    out_runs[out_runs_count, 3] = out_count
-                    out_runs_count += 1
-            out_boxes[out_count] = boxes[i]
-            out_count += 1
-            continue
+            bodies = boxes[i : i + 1]
         for n in range(runs.shape[0]):
             if runs[n, 3] != i:
                 continue
-            owner, start = -1, runs[n, 1]
-            for x in range(runs[n, 1], runs[n, 2]):
-                nearest, least_distance = 0, 1e18
-                for b in range(bodies.shape[0]):
-                    dx = abs(x + 0.5 - bodies[b, 0] - bodies[b, 2] / 2) / bodies[b, 2]
-                    dy = abs(runs[n, 0] + 0.5 - bodies[b, 1] - bodies[b, 3] / 2) / bodies[b, 3]
-                    distance = max(dx, dy)
-                    if distance < least_distance:
-                        nearest, least_distance = b, distance
-                if nearest != owner:
-                    if owner >= 0:
-                        out_runs[out_runs_count] = runs[n]
-                        out_runs[out_runs_count, 1], out_runs[out_runs_count, 2] = start, x
-                        out_runs[out_runs_count, 3] = out_count + owner
-                        out_runs_count += 1
-                    owner, start = nearest, x
-            out_runs[out_runs_count] = runs[n]
-            out_runs[out_runs_count, 1] = start
-            out_runs[out_runs_count, 3] = out_count + owner
-            out_runs_count += 1
-        out_boxes[out_count : out_count + bodies.shape[0]] = bodies
-        out_count += bodies.shape[0]
-    return out_runs[:out_runs_count], out_boxes[:out_count], group
+            row, start, stop = runs[n, 0], runs[n, 1], runs[n, 2]
+            owner = _nearest(start, row, bodies)
+            for x in range(start + 1, stop + 1):
+                other = _nearest(x, row, bodies) if x < stop else -1
+                if other != owner:
+                    out_runs[written, 0], out_runs[written, 1], out_runs[written, 2] = row, start, x
+                    out_runs[written, 3] = people + owner
+                    written += 1
+                    owner, start = other, x
+        out_boxes[people : people + bodies.shape[0]] = bodies
+        people += bodies.shape[0]
+    heights = np.empty(people)
+    for b in range(people):
+        heights[b] = _height(out_boxes[b, 1] + out_boxes[b, 3], intercept, slope)
+    return out_runs[:written], out_boxes[:people], heights

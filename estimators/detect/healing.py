@@ -1,12 +1,12 @@
-"""Where a masked background is wrong for ever: ghosts of people who left, and light that changed; told apart and healed.
+"""Where a masked background is wrong for ever: ghosts of people who left, and changed light; told apart and healed.
 
 The update of paper 000, equation (6), never learns under foreground. Two kinds of foreground are not people and stay:
 
-* *Ghosts*: somebody stood in the first frame and left. The region's outline is an edge in the background and none in the
-  frame; with people it is the other way round, also with those who stand still.
+* *Ghosts*: somebody stood in the first frame and left. The region's outline is an edge in the background and none in
+  the frame; with people it is the other way round, also with those who stand still.
 * *Light* that changed by more than the threshold. Over a large region the frame is the background times a gain plus an
-  offset, channel by channel, so that neighboring pixels differ as they did before. People who stand in the region do not
-  follow that line and stay foreground.
+  offset, channel by channel, so that neighboring pixels differ as they did before. People who stand in the region do
+  not follow that line and stay foreground.
 """
 
 from __future__ import annotations
