@@ -18,10 +18,10 @@ from servotrack.envs.track.pedestrians.people import Drawn, People
 from servotrack.envs.track.pedestrians.props import PropPatches, lobby_plants, occluders
 from servotrack.envs.track.pedestrians.shading import cast_shadow, contact_shade
 from servotrack.envs.track.pedestrians.shapes import (
-    GRAIN_SIDE,
     NUMBERS,
     draw_parts,
     extent,
+    fold_cloth,
     lay_over,
     measure_silhouette,
     patch_at,
@@ -55,8 +55,7 @@ class Stage:
         self._backdrop = paint_backdrop(camera, config.height, streams[_BACKDROP])
         foot = camera.horizon + camera.focal * camera.elevation / BACK_WALL
         self._blending = background_colors(self._backdrop, foot, streams[_BLENDING])
-        grain = np.pad(streams[_GRAIN].standard_normal((GRAIN_SIDE, GRAIN_SIDE)), 1, mode="wrap")
-        self._grain = (grain[:-2, 1:-1] + grain[2:, 1:-1] + grain[1:-1, :-2] + grain[1:-1, 2:]) / 2.0
+        self._grain = fold_cloth(streams[_GRAIN])
         self._light = Light(config, streams, _FLICKER, _DRIFT, _STEP)
         self._sensor = Sensor(config.sensor_noise, config.width, config.height, streams[_NOISE])
         self._sun = float(streams[_SUN].uniform(-0.7, 0.7))

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 START, END = 0, 2
 """Columns and rows of the axis's two ends, px."""
@@ -39,6 +41,14 @@ GRAIN_SIDE = 64
 
 _LIGHT = (-0.42, -0.62, 0.66)  # where light comes from, in the camera's axes: left, above, the camera's side
 _MEAN_LIGHT = 0.56  # of a tube in that light
+
+
+def fold_cloth(rng: np.random.Generator) -> NDArray[np.float64]:
+    """The grain's tile: soft folds in [-1, 1]. Shape (GRAIN_SIDE, GRAIN_SIDE)."""
+    margin = 8
+    rough = np.pad(rng.standard_normal((GRAIN_SIDE, GRAIN_SIDE)), margin, mode="wrap")
+    soft = cv2.GaussianBlur(rough, (0, 0), 1.6)[margin:-margin, margin:-margin]
+    return np.ascontiguousarray(soft / np.abs(soft).max())
 
 
 @njit(cache=True, nogil=True)
