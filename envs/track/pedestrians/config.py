@@ -15,6 +15,7 @@ POPULATED = ("random", "crossing", "crowd")
 OBSERVATIONS = ("pixels", "blobs", "centroids")
 PAPER_FRAMES = 922
 """Frames of paper 000's sequence Meet_Split_3rdGuy."""
+PAPER_FRAME_RATE = 25.0
 PAPER_EMPTY_FRAMES = 49
 """Its first frames, which show nobody."""
 BOX_CUTOFF, POINT_CUTOFF = 1.0, 40.0
@@ -98,6 +99,11 @@ class PedestrianConfig:
                 raise ValueError(
                     f"empty_frames must be at most {PAPER_EMPTY_FRAMES} in the script 'meet_split_third_guy', "
                     f"where the first person comes then, got {self.empty_frames}"
+                )
+            if self.frame_rate != PAPER_FRAME_RATE:
+                raise ValueError(
+                    f"frame_rate must be {PAPER_FRAME_RATE:g} in the script 'meet_split_third_guy', "
+                    f"whose schedule counts frames, got {self.frame_rate!r}"
                 )
             if self.max_people < 3:
                 raise ValueError(

@@ -1,0 +1,61 @@
+"""How everybody moves in an episode: whatever the script, one form."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from servotrack.envs.streams import Streams
+from servotrack.envs.track.pedestrians.config import PedestrianConfig
+from servotrack.envs.track.pedestrians.floor import Camera, lobby_camera
+from servotrack.envs.track.pedestrians.movement import ImagePath, Movement, assemble, gait
+from servotrack.envs.track.pedestrians.replay import replay
+from servotrack.envs.track.pedestrians.scene import Walk, walk
+from servotrack.envs.track.pedestrians.scripts import draw_parties
+from servotrack.envs.track.recorded import RecordedTracks
+
+
+def draw_movement(
+    config: PedestrianConfig,
+    seed: int,
+    recorded: RecordedTracks | None = None,
+    obstacles: tuple[tuple[float, float, float], ...] = (),
+) -> Movement:
+    """Draw all movement of an episode, one frame more than is answered.
+
+    Args:
+        config: The scene.
+        seed: Of the episode, a non-negative integer.
+        recorded: What the script `replay` replays.
+        obstacles: What nobody can walk through: x, z and radius of each, m.
+
+    Raises:
+        ValueError: A recording with more people at a time than `max_people`.
+    """
+    camera = lobby_camera(config.width, config.height)
+    if recorded is not None:
+        paths = replay(recorded, config, camera, Streams(seed))
+    else:
+        parties, frames = draw_parties(config, camera, seed)
+        dt = 1.0 / config.frame_rate
+        paths = [_seen(done, camera, dt) for done in walk(parties, frames, dt, config.max_people, obstacles)]
+    return assemble(paths, config.horizon + 1, config.max_people, float(config.width))
+
+
+def _seen(done: Walk, camera: Camera, dt: float) -> ImagePath:
+    """A walk as the camera sees it."""
+    stature = done.plan.stature
+    steps = np.diff(done.positions, axis=0, prepend=done.positions[:1]) / stature
+    if len(steps) > 1:
+        steps[0] = steps[1]
+    walked = gait(steps, done.facing, math.nan, done.plan.wander[2], dt)
+    return ImagePath(
+        done.first,
+        camera.project(done.positions),
+        camera.scale(done.positions[:, 1]) * stature,
+        walked[:, 0],
+        walked[:, 1],
+        walked[:, 2],
+        done.plan.looks,
+    )

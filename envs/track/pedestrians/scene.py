@@ -1,0 +1,223 @@
+"""People who walk the lobby by their plans: social forces move them, pymunk's bodies keep them apart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+import pymunk
+from numpy.typing import NDArray
+
+from servotrack.envs.track.pedestrians.floor import BACK_WALL, NEAR
+from servotrack.envs.track.pedestrians.social_force import FACE, LEG_NUMBERS, drive
+
+Array = NDArray[np.float64]
+
+BODY_RADIUS = 0.2
+"""Of the circle that nobody enters, m."""
+_FRONT = NEAR - 0.4
+
+
+class Stream(IntEnum):
+    """Child streams of an episode's seed that decide motion; those of the picture lie elsewhere. Never change one."""
+
+    ARRIVAL = 1000
+    PARTY = 1001
+    BODY = 1002
+    SHUFFLE = 1003
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What one person is going to do.
+
+    Attributes:
+        birth: Frame at which they come, from 0; below it before the episode.
+        start: Where they come, (x, z), m.
+        legs: Where they go one after the other, rows as `social_force` names them. Shape (legs, 6).
+        pace: Speed they like, m/s.
+        stature: Body height, m.
+        looks: Seed of how they look.
+        wander: Small changes of direction: amplitude (rad), rate (rad per frame), phase (rad).
+        death: Frame at which they are gone; None: when their legs are done.
+    """
+
+    birth: int
+    start: tuple[float, float]
+    legs: Array
+    pace: float
+    stature: float
+    looks: int
+    wander: tuple[float, float, float]
+    death: int | None = None
+
+
+Party = list[Plan]
+"""Those who belong together."""
+
+
+def leg(place: Array, pause: float = 0.0, until: float = 0.0, due: float = -1.0, face: float = math.nan) -> list[float]:
+    """A leg as `social_force` wants it."""
+    return [float(place[0]), float(place[1]), pause, until, due, face]
+
+
+class Walk(NamedTuple):
+    """What one person did.
+
+    Attributes:
+        plan: What they had planned.
+        first: First frame.
+        positions: (x, z) in every frame of their life. Shape (k, 2), m.
+        facing: Where they meant to face while they stood, NaN for no preference. Shape (k,), rad.
+    """
+
+    plan: Plan
+    first: int
+    positions: Array
+    facing: Array
+
+
+def walk(
+    parties: Sequence[Sequence[Plan]],
+    frames: range,
+    dt: float,
+    most: int,
+    obstacles: Sequence[tuple[float, float, float]] = (),
+) -> list[Walk]:
+    """Let people live their plans.
+
+    Args:
+        parties: Plans of those who belong together, ordered by the first birth. A party that would be too many when
+            its first comes stays away.
+        frames: The frames to simulate; the first may lie before 0.
+        dt: Between frames, s.
+        most: Most people at a time.
+        obstacles: What nobody can walk through: x, z and radius of each, m.
+
+    Returns:
+        One walk per person, in the order in which they came.
+    """
+    simulation = _Simulation(parties, dt, obstacles)
+    waiting = list(range(len(parties)))
+    members: list[int] = []
+    for frame in frames:
+        while waiting and simulation.first_birth(waiting[0]) <= frame:
+            party = waiting.pop(0)
+            if simulation.present + len(members) + len(parties[party]) <= most:
+                members += simulation.members(party)
+        for index in [i for i in members if simulation.plans[i].birth <= frame]:
+            members.remove(index)
+            simulation.enter(index, frame)
+        simulation.record(frame)
+        simulation.advance(frame)
+    return simulation.walks()
+
+
+class _Simulation:
+    """All people of an episode, those who are there as bodies in one pymunk Space."""
+
+    def __init__(
+        self, parties: Sequence[Sequence[Plan]], dt: float, obstacles: Sequence[tuple[float, float, float]]
+    ) -> None:
+        self.plans = [plan for party in parties for plan in party]
+        self._dt = dt
+        sizes = [len(party) for party in parties]
+        self._first = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        self._party = np.repeat(np.arange(len(parties)), sizes)
+        count = len(self.plans)
+        longest = max((len(plan.legs) for plan in self.plans), default=1)
+        self._legs = np.zeros((count, longest, LEG_NUMBERS))
+        for row, plan in enumerate(self.plans):
+            self._legs[row, : len(plan.legs)] = plan.legs
+        self._leg_count = np.array([len(plan.legs) for plan in self.plans], dtype=np.int64)
+        self._leg, self._since = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        self._arrived = np.full(count, -1, dtype=np.int64)
+        self._pace = np.array([plan.pace for plan in self.plans], dtype=np.float64)
+        self._wander = np.array([plan.wander for plan in self.plans], dtype=np.float64).reshape(count, 3)
+        self._position, self._velocity = np.zeros((count, 2)), np.zeros((count, 2))
+        self._walls = np.array([BACK_WALL, _FRONT])
+        self._space = pymunk.Space()
+        self._bodies: dict[int, tuple[pymunk.Body, pymunk.Circle]] = {}
+        self._active = np.empty(0, np.int64)
+        self._past: dict[int, list[tuple[float, float, float]]] = {}
+        self._entered: dict[int, int] = {}
+        self._build_walls(obstacles)
+
+    @property
+    def present(self) -> int:
+        """How many are there."""
+        return len(self._bodies)
+
+    def first_birth(self, party: int) -> int:
+        """When the first of a party comes."""
+        return min(self.plans[index].birth for index in self.members(party))
+
+    def members(self, party: int) -> list[int]:
+        """Who belongs to a party."""
+        return list(range(self._first[party], self._first[party + 1]))
+
+    def enter(self, index: int, frame: int) -> None:
+        """Somebody comes, already walking."""
+        plan = self.plans[index]
+        body = pymunk.Body(1.0, float("inf"))
+        body.position = plan.start
+        shape = pymunk.Circle(body, BODY_RADIUS)
+        self._space.add(body, shape)
+        self._bodies[index] = (body, shape)
+        goal = self._legs[index, 0, :2] - np.array(plan.start)
+        self._position[index] = plan.start
+        self._velocity[index] = plan.pace * goal / max(float(np.hypot(*goal)), 1e-9)
+        self._since[index] = frame
+        self._past[index], self._entered[index] = [], frame
+        self._active = np.array(sorted(self._bodies), dtype=np.int64)
+
+    def record(self, frame: int) -> None:
+        """Note where everybody is; those whose time is over are gone."""
+        for index in self._active.tolist():
+            plan, leg = self.plans[index], int(self._leg[index])
+            if (plan.death is not None and frame >= plan.death) or (plan.death is None and leg >= len(plan.legs)):
+                self._leave(index)
+                continue
+            x, z = self._position[index].tolist()
+            face = self._legs[index, min(leg, len(plan.legs) - 1), FACE]
+            self._past[index].append((x, z, face if self._arrived[index] >= 0 else np.nan))
+
+    def advance(self, frame: int) -> None:
+        """One step of time: forces give velocities, bodies move with them and stop each other."""
+        if not len(self._active):
+            return
+        drive(
+            self._active, self._position, self._velocity, self._legs, self._leg_count, self._leg, self._since,
+            self._arrived, self._pace, self._wander, self._party, self._walls, frame, self._dt,
+        )  # fmt: skip
+        bodies = [(index, self._bodies[index][0]) for index in self._active.tolist()]
+        for index, body in bodies:
+            body.velocity = tuple(self._velocity[index].tolist())
+        self._space.step(self._dt)
+        for index, body in bodies:
+            self._position[index] = body.position
+            self._velocity[index] = body.velocity
+
+    def walks(self) -> list[Walk]:
+        """What everybody did."""
+        found = []
+        for index, past in self._past.items():
+            path = np.array(past).reshape(-1, 3)
+            if len(path):
+                found.append(Walk(self.plans[index], self._entered[index], path[:, :2].copy(), path[:, 2].copy()))
+        return found
+
+    def _leave(self, index: int) -> None:
+        self._space.remove(*self._bodies.pop(index))
+        self._active = np.array(sorted(self._bodies), dtype=np.int64)
+
+    def _build_walls(self, obstacles: Sequence[tuple[float, float, float]]) -> None:
+        ground = self._space.static_body
+        for z in (BACK_WALL, _FRONT):
+            self._space.add(pymunk.Segment(ground, (-100.0, z), (100.0, z), 0.05))
+        for x, z, radius in obstacles:
+            self._space.add(pymunk.Circle(ground, radius, (x, z)))
