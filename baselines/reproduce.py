@@ -6,7 +6,7 @@ import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -35,29 +35,69 @@ ASSUMED = (
 )
 
 
+class Recording(NamedTuple):
+    """A real sequence of the user's.
+
+    Attributes:
+        source: What `servotrack.envs.track.frames.open_frames` takes.
+        truth: File of its true tracks; None where the source is a MOTChallenge folder, which has them.
+    """
+
+    source: str
+    truth: str | None
+
+
+class Request(NamedTuple):
+    """What is to be reproduced, and how.
+
+    Attributes:
+        output: Folder for the tables, figures and claims.
+        runs: Runs per algorithm; in "servo" only the particle filter's differ, by its own random numbers.
+        console: Where to print.
+        claims: Claims file to fill in; None for a copy of the shipped one in `output`.
+        recordings: The user's own sequences, for "phd" and "transfer".
+    """
+
+    output: Path
+    runs: int
+    console: Console
+    claims: Path | None = None
+    recordings: tuple[Recording, ...] = ()
+
+
 def reproduce_paper(
-    paper: str, output: Path, runs: int | None, console: Console, claims_path: Path | None = None
+    paper: str,
+    output: Path,
+    runs: int | None,
+    console: Console,
+    claims_path: Path | None = None,
+    recordings: Sequence[Recording] = (),
 ) -> None:
     """Reproduce one paper.
 
     Args:
-        paper: "servo" for paper 002, "pmm" for paper 004.
+        paper: One of `PAPERS`.
         output: Folder for the tables, figures and claims.
-        runs: Runs per algorithm; None for as many as the paper has. In "servo" only the particle filter's differ, by
-            its own random numbers; in "pmm" all do.
+        runs: Runs per algorithm; None for as many as the paper has.
         console: Where to print.
         claims_path: Claims file to fill in; None for a copy of the shipped one in `output`.
+        recordings: The user's own sequences, for "phd" and "transfer".
 
     Raises:
-        ValueError: Another paper.
+        ValueError: Another paper, or recordings for one that takes none.
         ResultsError: `output` cannot be written.
     """
     if paper not in PAPERS:
         raise ValueError(f"paper must be one of {', '.join(PAPERS)}, got {paper!r}")
-    PAPERS[paper](output, DEFAULT_RUNS[paper] if runs is None else runs, console, claims_path)
+    if recordings and paper not in TAKE_RECORDINGS:
+        raise ValueError(f"--source goes with {' and '.join(TAKE_RECORDINGS)}, got it with {paper!r}; leave it out")
+    PAPERS[paper](
+        Request(output, DEFAULT_RUNS[paper] if runs is None else runs, console, claims_path, tuple(recordings))
+    )
 
 
-def _reproduce_servo(output: Path, runs: int, console: Console, claims_path: Path | None) -> None:
+def _reproduce_servo(request: Request) -> None:
+    output, runs, console, claims_path, _ = request
     seed = seeds.TEST[0]
     with progress_bars() as progress:
         tracking = _runs(TRACKING, runs, seed, progress)
@@ -102,18 +142,33 @@ def _reproduce_servo(output: Path, runs: int, console: Console, claims_path: Pat
         console.print(str(path), soft_wrap=True)
 
 
-def _reproduce_pmm(output: Path, runs: int, console: Console, claims_path: Path | None) -> None:
+def _reproduce_phd(request: Request) -> None:
+    from servotrack.baselines.paper000.report import reproduce_phd
+
+    reproduce_phd(request)
+
+
+def _reproduce_transfer(request: Request) -> None:
+    from servotrack.baselines.paper000.transfer import reproduce_transfer
+
+    reproduce_transfer(request)
+
+
+def _reproduce_pmm(request: Request) -> None:
     from servotrack.baselines.paper004.report import reproduce_pmm
 
-    reproduce_pmm(output, runs, console, claims_path)
+    reproduce_pmm(request.output, request.runs, request.console, request.claims)
 
 
-PAPERS: dict[str, Callable[[Path, int, Console, Path | None], None]] = {
+PAPERS: dict[str, Callable[[Request], None]] = {
     "servo": _reproduce_servo,
+    "phd": _reproduce_phd,
     "pmm": _reproduce_pmm,
+    "transfer": _reproduce_transfer,
 }
-DEFAULT_RUNS = {"servo": 10, "pmm": 500}
-"""As many as the paper has."""
+TAKE_RECORDINGS = ("phd", "transfer")
+DEFAULT_RUNS = {"servo": 10, "phd": 20, "pmm": 500, "transfer": 8}
+"""As many as the paper has; papers 000 and 001 have one each, which would say nothing about others."""
 
 
 def _runs(env_id: str, runs: int, seed: int, progress: Progress) -> dict[str, list[Run]]:

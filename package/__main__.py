@@ -164,18 +164,35 @@ def tune(
 @app.command()
 def reproduce(
     paper: Annotated[
-        str, typer.Argument(help="`servo`: paper 002, the UKF of the image Jacobian; `pmm`: paper 004, set filters.")
+        str,
+        typer.Argument(
+            help="`servo`: paper 002, the UKF of the image Jacobian; `phd`: paper 000, GM-PHD on video; `color`: paper "
+            "001, Monte-Carlo color tracking; `pmm`: paper 004, set filters; `transfer`: do rankings on rendered "
+            "people predict those on your sequences?"
+        ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for tables, figures and claims.")] = Path(
         "results/reproduce"
     ),
     runs: Annotated[int | None, typer.Option(min=1, help="Runs per algorithm; default: as many as the paper.")] = None,
     claims: Annotated[Path | None, typer.Option(help="Claims file to fill in; default: a copy in OUTPUT.")] = None,
+    source: Annotated[
+        list[str] | None,
+        typer.Option("--source", "-s", help="For `phd` and `transfer`: your video or MOTChallenge folder; repeatable."),
+    ] = None,
+    truth: Annotated[
+        list[str] | None,
+        typer.Option("--truth", "-t", help="CAVIAR XML or MOTChallenge gt.txt of each SOURCE, in their order."),
+    ] = None,
 ) -> None:
     """A paper's tables and figures, ours beside the paper's, and its claims with a verdict each."""
-    from servotrack.baselines.reproduce import reproduce_paper
+    from servotrack.baselines.reproduce import Recording, reproduce_paper
 
-    reproduce_paper(paper, output, runs, _console(), claims)
+    sources, truths = source or [], truth or []
+    if truths and len(truths) != len(sources):
+        raise ValueError(f"--truth goes with every --source or with none, got {len(truths)} for {len(sources)}")
+    recordings = [Recording(s, t) for s, t in zip(sources, truths or [None] * len(sources), strict=True)]
+    reproduce_paper(paper, output, runs, _console(), claims, recordings)
 
 
 @app.command()
