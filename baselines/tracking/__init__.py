@@ -1,0 +1,1 @@
+"""`servotrack track`: a real sequence in; tracks, an annotated film and scores out."""
