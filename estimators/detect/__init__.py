@@ -5,11 +5,14 @@ from servotrack.estimators.detect.background import BackgroundState, MaskedBackg
 from servotrack.estimators.detect.blobs import BlobFinder
 from servotrack.estimators.detect.detections import Detections, detections_from_boxes
 from servotrack.estimators.detect.marker import MarkerDetector
+from servotrack.estimators.detect.subtractors import KNNBackground, MOG2Background
 
 __all__ = [
     "BackgroundState",
     "BlobFinder",
     "Detections",
+    "KNNBackground",
+    "MOG2Background",
     "MarkerDetector",
     "MaskedBackground",
     "box_appearance",

@@ -15,7 +15,7 @@ from servotrack.estimators.detect.blobs import BlobFinder
 from servotrack.estimators.detect.bodies import BodySizes
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.detect.healing import heal_regions
-from servotrack.estimators.detect.images import Image, checked_image
+from servotrack.estimators.detect.images import Image, checked_image, checked_images
 from servotrack.estimators.detect.runs import label_runs
 
 
@@ -118,15 +118,18 @@ class MaskedBackground:
         """The first background.
 
         Args:
-            frames: One frame, RGB of shape (H, W, 3) or gray of shape (H, W), uint8; or a sequence of frames: some 40
-                that are spaced over a minute or more, for the median, which forgets people who pass; empty ones for the
-                mean.
+            frames: One frame, RGB of shape (H, W, 3) or gray of shape (H, W), uint8; or several, as an array
+                (k, H, W, 3) or a sequence: some 40 that are spaced over a minute or more, for the median, which forgets
+                people who pass; empty ones for the mean.
 
         Raises:
             ValueError: No frame, frames of unlike shapes, or not such images.
         """
-        first = _first_background(frames, self.start)
-        rounded = cv2.convertScaleAbs(first) if first.ndim == 3 else cv2.convertScaleAbs(first).reshape(first.shape)
+        several = checked_images(frames)
+        average = np.median if self.start == "median" else np.mean
+        first = several[0] if len(several) == 1 else average(np.stack(several), axis=0)
+        first = np.array(first, dtype=np.float32)
+        rounded = cv2.convertScaleAbs(first)
         mask = np.zeros(first.shape[:2], np.uint8)
         return BackgroundState(first, rounded, mask, self.blobs.initial(), 0, 0)
 
@@ -187,18 +190,6 @@ class MaskedBackground:
         if self.shadows and image.ndim == 3:
             _drop_shadows(mask, image, background)
         return mask, threshold
-
-
-def _first_background(frames: ArrayLike, start: str) -> NDArray[np.float32]:
-    if isinstance(frames, np.ndarray) and frames.ndim < 4 and not (frames.ndim == 3 and frames.shape[2] != 3):
-        return checked_image(frames).astype(np.float32)
-    several = list(frames)  # type: ignore[arg-type]
-    if not several:
-        raise ValueError("frames must hold at least one frame, got none; check that the video could be read")
-    first = checked_image(several[0], "frames[0]")
-    stack = np.stack([checked_image(image, f"frames[{k}]", first.shape) for k, image in enumerate(several)])
-    whole = np.median(stack, axis=0) if start == "median" else np.mean(stack, axis=0)
-    return np.ascontiguousarray(whole, dtype=np.float32)
 
 
 @njit(cache=True, nogil=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -42,3 +44,21 @@ def checked_image(image: ArrayLike, name: str = "frame", shape: tuple[int, ...] 
             "with initial(frame)"
         )
     return np.ascontiguousarray(array)
+
+
+def checked_images(frames: ArrayLike | Sequence[ArrayLike]) -> list[Image]:
+    """One frame or several as a list.
+
+    Args:
+        frames: One frame, as `checked_image` takes it; or several of one shape: an array (k, H, W, 3) or a sequence.
+
+    Raises:
+        ValueError: No frame, frames of unlike shapes, or not such images.
+    """
+    if isinstance(frames, np.ndarray) and frames.ndim < 4:
+        return [checked_image(frames, "frames")]
+    several = list(frames)  # type: ignore[arg-type]
+    if not several:
+        raise ValueError("frames must hold at least one frame, got none; check that the video could be read")
+    first = checked_image(several[0], "frames[0]")
+    return [checked_image(image, f"frames[{k}]", first.shape) for k, image in enumerate(several)]
