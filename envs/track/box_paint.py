@@ -59,7 +59,7 @@ def _paint_box(image, box, color, thickness, radius, opacity, fill, brackets):  
                 if fill > 0.0:
                     _blend(image, i, j, color, fill * opacity)
                 continue
-            if brackets > 0.0 and x < half_width * (1.0 - 2.0 * brackets) + 0.0 * y:
+            if brackets > 0.0 and x < half_width * (1.0 - 2.0 * brackets):
                 continue
             if brackets > 0.0 and y < half_height * (1.0 - 2.0 * brackets):
                 continue
@@ -183,6 +183,8 @@ def _anchor(states: Array) -> Array:
 
 def _outlines(image: Image, states: Array, color: Color, thickness: float, opacity: float, brackets: float) -> None:
     for state in np.asarray(states, dtype=np.float64):
+        if len(state) == 4 and min(state[2], state[3]) <= 0.0:
+            continue
         if len(state) == 2:
             _paint_disc(image, state[0], state[1], thickness, color, opacity)
         else:

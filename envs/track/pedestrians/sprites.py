@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from servotrack.envs.track.pedestrians import looks, shapes
+from servotrack.envs.track.pedestrians import looks
 from servotrack.envs.track.pedestrians.shapes import (
     BRIGHTNESS,
     CAPS,
@@ -31,17 +31,17 @@ MAX_PARTS = 28
 
 # Lengths of a body in its heights.
 _HIP, _HIP_SIDE, _THIGH, _SHIN, _ANKLE = 0.515, 0.048, 0.245, 0.235, 0.035
-_SHOULDER, _SHOULDER_SIDE, _UPPER_ARM, _FOREARM = 0.805, 0.112, 0.165, 0.145
+_SHOULDER, _SHOULDER_SIDE, _UPPER_ARM, _FOREARM = 0.786, 0.098, 0.160, 0.145
 _CHIN, _HEAD_LOW, _HEAD_HIGH = 0.865, 0.912, 0.945
 
 # Half widths along a part, from its upper end, in heights; torso and coat from the side and from the front.
-_TORSO_FRONT = np.array([0.074, 0.118, 0.112, 0.098, 0.095, 0.103])
-_TORSO_SIDE = np.array([0.046, 0.068, 0.076, 0.070, 0.068, 0.076])
+_TORSO_FRONT = np.array([0.056, 0.112, 0.108, 0.095, 0.092, 0.100])
+_TORSO_SIDE = np.array([0.042, 0.064, 0.072, 0.068, 0.067, 0.074])
 _THIGH_WIDTHS = np.array([0.064, 0.062, 0.057, 0.052, 0.047, 0.043])
 _SHIN_WIDTHS = np.array([0.043, 0.043, 0.041, 0.037, 0.032, 0.029])
 _BARE_SHIN_WIDTHS = np.array([0.036, 0.039, 0.037, 0.030, 0.024, 0.021])
 _SHOE_WIDTHS = np.array([0.027, 0.029, 0.028, 0.027, 0.025, 0.020])
-_UPPER_ARM_WIDTHS = np.array([0.036, 0.036, 0.034, 0.031, 0.029, 0.028])
+_UPPER_ARM_WIDTHS = np.array([0.033, 0.035, 0.033, 0.031, 0.029, 0.027])
 _FOREARM_WIDTHS = np.array([0.028, 0.028, 0.027, 0.025, 0.022, 0.020])
 _HAND_WIDTHS = np.array([0.018, 0.020, 0.021, 0.020, 0.017, 0.013])
 _NECK_WIDTHS = np.array([0.029, 0.028, 0.028, 0.029, 0.033, 0.040])
@@ -130,8 +130,8 @@ def _arm(parts, k, view, look, side, phase, stride, lean, drop, bodies):  # type
     """Upper arm, forearm, hand and what the hand carries. Returns the next free part."""
     shoulder, elbow, wrist, end = bodies[0], bodies[1], bodies[2], bodies[3]
     build = look[looks.BUILD]
-    swing = stride * (0.50 * math.sin(phase) + 0.05)
-    bend, spread = 0.16 + stride * (0.30 + 0.22 * math.sin(phase)), 0.10
+    swing = stride * (0.38 * math.sin(phase) + 0.02)
+    bend, spread = 0.14 + stride * (0.16 + 0.16 * math.sin(phase)), 0.13
     if side < 0.0 and look[looks.ARM] == looks.POCKET:
         swing, bend, spread = -0.30 + 0.12 * swing, 0.62, 0.32
     elif side < 0.0 and look[looks.ARM] == looks.PHONE:
@@ -153,7 +153,6 @@ def _arm(parts, k, view, look, side, phase, stride, lean, drop, bodies):  # type
     outward = -0.06 * side * view[3]  # arms hang outside the torso
     parts[k - 1, DEPTH] += outward
     if side > 0.0 and look[looks.BAG] == looks.CASE:
-        wrist[2] = end[2] - 0.115
         k = _put(
             parts,
             k,
@@ -169,7 +168,6 @@ def _arm(parts, k, view, look, side, phase, stride, lean, drop, bodies):  # type
         )
         parts[k - 1, CAPS] = parts[k - 1, CAPS + 1] = 0.12
         parts[k - 1, DEPTH] += outward
-        wrist[2] = end[2] + 0.045
     k = _put(parts, k, view, elbow, wrist, _FOREARM_WIDTHS, build, looks.SLEEVE, look, relief, 1.0)
     parts[k - 1, DEPTH] += outward
     k = _put(parts, k, view, shoulder, elbow, _UPPER_ARM_WIDTHS, build, looks.TOP, look, relief, 0.98)
@@ -245,8 +243,8 @@ def pose_person(look, x, y, height, heading, phase, stride, tilt, parts, order):
 
     upper[0], upper[1], upper[2] = lean * 0.88, 0.0, 0.885 - drop
     lower[0], lower[1], lower[2] = lean * 0.83, 0.0, 0.838 - drop
-    k = _put(parts, k, view, upper, lower, _NECK_WIDTHS, 1.0, looks.SKIN, look, 0.6, 0.86)
-    parts[k - 1, DEPTH] = torso_depth + 0.001
+    k = _put(parts, k, view, upper, lower, _NECK_WIDTHS, 1.0, looks.SKIN, look, 0.6, 0.80)
+    parts[k - 1, DEPTH] = torso_depth - 0.001
     upper[0], upper[1], upper[2] = lean + 0.004, 0.0, _HEAD_HIGH - drop
     lower[0], lower[1], lower[2] = lean + 0.008, 0.0, _HEAD_LOW - drop
     k = _put(parts, k, view, upper, lower, _HEAD_WIDTHS, look[looks.HEAD_SIZE], looks.HAIR, look, 0.65, 1.0)
@@ -270,6 +268,3 @@ def pose_person(look, x, y, height, heading, phase, stride, tilt, parts, order):
             j -= 1
         order[j] = moved
     return k
-
-
-__all__ = ["MAX_PARTS", "leg_angles", "pose_person", "shapes"]
