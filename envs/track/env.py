@@ -55,12 +55,15 @@ def check_answer(action: Any, shape: tuple[int, ...]) -> Array:
     return values
 
 
-class TrackEnv(gym.Env[Array, Array]):
+class TrackEnv(gym.Env[NDArray[Any], Array]):
     """One scene and its observer. Subclasses give a batched world, the spaces, and a recorder for the picture.
+
+    The world's public array `observations` is what agents see; its dictionaries `truth()`, `scores()` and
+    `episode_scores()` are what `info` tells.
 
     Args:
         world: A batched world with one row.
-        observation_space: As `set_space` makes it.
+        observation_space: Of `world.observations`, a row of them.
         action_space: As `set_space` makes it.
         render_mode: None, `rgb_array` or `human`.
         title: Of the window.
@@ -87,13 +90,15 @@ class TrackEnv(gym.Env[Array, Array]):
         if render_mode == "human":
             from servotrack.envs.viewer import Viewer
 
-            self._viewer = Viewer(title, METADATA["render_fps"])
+            self._viewer = Viewer(title, self.metadata["render_fps"])
 
     @abstractmethod
     def _make_recorder(self) -> Any:
         """What remembers the past for the picture."""
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[Any], dict[str, Any]]:
         """Start a new episode.
 
         Args:
@@ -101,7 +106,7 @@ class TrackEnv(gym.Env[Array, Array]):
             options: None are known.
 
         Returns:
-            The first scan, and info.
+            The first observation, and info.
 
         Raises:
             ValueError: `options` holds anything, or a negative seed.
@@ -114,16 +119,16 @@ class TrackEnv(gym.Env[Array, Array]):
         self.world.reset([0], [episode_seed(self.np_random)])
         self._running = self._started = True
         self._show()
-        return self.world.measurements[0].copy(), self._info()
+        return self.world.observations[0].copy(), self._info()
 
-    def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Answer the newest scan.
+    def step(self, action: Any) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
+        """Answer the newest observation.
 
         Args:
             action: The set believed in, shape of the action space; the row is the identity.
 
         Returns:
-            The next scan, reward, terminated, truncated, info.
+            The next observation, reward, terminated, truncated, info.
 
         Raises:
             ValueError: An action of another shape, or not finite.
@@ -138,7 +143,7 @@ class TrackEnv(gym.Env[Array, Array]):
         terminated, truncated = bool(world.terminated[0]), bool(world.truncated[0])
         self._running = not (terminated or truncated)
         self._show()
-        return world.measurements[0].copy(), float(world.reward[0]), terminated, truncated, self._info()
+        return world.observations[0].copy(), float(world.reward[0]), terminated, truncated, self._info()
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """Draw the scan that was answered last (after a reset the first one) with the answer.
@@ -174,7 +179,7 @@ class TrackEnv(gym.Env[Array, Array]):
         if world.steps[0] > 0:
             info |= {key: value[0].item() for key, value in world.scores().items()}
         if world.truncated[0]:
-            info["ospa2"] = float(world.ospa2[0])
+            info |= {key: value[0].item() for key, value in world.episode_scores().items()}
         return info
 
     def privileged(self) -> dict[str, Array]:
@@ -212,14 +217,14 @@ class TrackVectorEnv(BatchedVectorEnv):
             check_count(num_envs),
             action_space,
             observation_space,
-            metadata=METADATA,
+            metadata=type(self).metadata,
             render_mode=render_mode,
             autoreset_mode=autoreset_mode,
             max_episode_steps=max_episode_steps,
         )
 
-    def _observe(self) -> Array:
-        return self.world.measurements.copy()
+    def _observe(self) -> NDArray[Any]:
+        return self.world.observations.copy()
 
     def _checked(self, actions: Any) -> Array:
         assert self.action_space.shape is not None
@@ -232,5 +237,5 @@ class TrackVectorEnv(BatchedVectorEnv):
         if answered.any():
             infos |= masked_infos(world.scores(), answered)
         if over.any():
-            infos |= masked_infos({"ospa2": world.ospa2}, over)
+            infos |= masked_infos(world.episode_scores(), over)
         return infos

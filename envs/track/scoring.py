@@ -7,8 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.envs.track.forgiving import forgiven
 from servotrack.estimators.metrics import (
     SetScores,
+    Track,
     ospa2,
     point_distances,
     score_distances,
@@ -66,7 +68,12 @@ class SetScorer:
         self._label_history[row] = -1
 
     def score(
-        self, answers: Array, truth: Array, truth_exists: Mask, steps: Sequence[int] | NDArray[np.int64]
+        self,
+        answers: Array,
+        truth: Array,
+        truth_exists: Mask,
+        steps: Sequence[int] | NDArray[np.int64],
+        hidden: Mask | None = None,
     ) -> SetScores:
         """Take one step's answers in.
 
@@ -76,6 +83,8 @@ class SetScorer:
             truth_exists: Shape (N, n).
             steps: The step of each observer's episode that its answer is for, shape (N,); one beyond the horizon is
                 scored, but not remembered.
+            hidden: Members of the truth that are there but do not count, shape (N, n), none of them in `truth_exists`:
+                nobody misses them, and an answer at theirs is left out of all scores; see `forgiven`.
         """
         existence = answers[..., 0]
         held = existence >= HELD_FROM
@@ -85,12 +94,19 @@ class SetScorer:
         self._next += new.sum(axis=1)
         self.reported = existence >= REPORTED_FROM
         self.estimates = answers[..., 1:].copy()
+        distances = self._distances(truth, self.estimates)
+        scored = self.reported
+        if hidden is not None and hidden.any():
+            scored = scored & ~forgiven(distances, truth_exists, hidden, scored, self._cutoff)
         inside = np.flatnonzero(np.asarray(steps) < self._label_history.shape[1])
         at = np.asarray(steps)[inside]
-        self._label_history[inside, at] = np.where(self.reported, self.labels, -1)[inside]
+        self._label_history[inside, at] = np.where(scored, self.labels, -1)[inside]
         self._state_history[inside, at] = self.estimates[inside]
-        distances = self._distances(truth, self.estimates)
-        return score_distances(distances, truth_exists, self.reported, self._cutoff)
+        return score_distances(distances, truth_exists, scored, self._cutoff)
+
+    def tracks(self, row: int) -> list[Track]:
+        """What one observer has reported so far, one track per identity, without the answers that do not count."""
+        return tracks_from_rows(self._label_history[row], self._state_history[row])
 
     def trajectory_score(self, row: int, truth: Array) -> float:
         """OSPA(2) of one observer's whole episode.
@@ -99,5 +115,7 @@ class SetScorer:
             row: Which of the N.
             truth: True tracks, shape (n, horizon, d), NaN where a target does not exist.
         """
-        tracks = tracks_from_rows(self._label_history[row], self._state_history[row])
-        return ospa2(truth, stack_tracks(tracks, truth.shape[1], truth.shape[2]), self._cutoff)
+        tracks = stack_tracks(self.tracks(row), truth.shape[1], truth.shape[2])
+        if self._distances is point_distances:
+            return ospa2(truth, tracks, self._cutoff)
+        return ospa2(truth, tracks, self._cutoff, distances=self._distances)

@@ -104,6 +104,11 @@ class ClutterWorld:
         """One scene's scan: measurements (M, 3), sources (M,), true states (n, 4), existence (n,); views."""
         return self._measurements[row, step], self._source[row, step], self._states[row, step], self._exists[row, step]
 
+    @property
+    def observations(self) -> Array:
+        """What agents see: the newest scan, shape (N, M, 3)."""
+        return self.measurements
+
     def truth(self) -> dict[str, Any]:
         """What `info["truth"]` tells of the newest scan, arrays of N rows."""
         return {"states": self.states, "exists": self.exists, "source": self.source}
@@ -118,6 +123,10 @@ class ClutterWorld:
             "false_error": self.false,
             "cardinality_error": self.cardinality_error,
         }
+
+    def episode_scores(self) -> dict[str, Any]:
+        """What `info` tells at an episode's end, arrays of N rows."""
+        return {"ospa2": self.ospa2}
 
     def privileged(self) -> dict[str, Array]:
         """What an oracle may know, besides the observation; arrays of N rows.

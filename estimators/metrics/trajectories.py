@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +35,13 @@ class TrajectoryGospaParts(NamedTuple):
     switches: float
 
 
-def ospa2(truth: ArrayLike, estimate: ArrayLike, cutoff: float, order: float = 1.0) -> float:
+def ospa2(
+    truth: ArrayLike,
+    estimate: ArrayLike,
+    cutoff: float,
+    order: float = 1.0,
+    distances: Callable[[Array, Array], Array] | None = None,
+) -> float:
     """OSPA(2) over the whole time axis (Beard, Vo and Vo, 2020, eqs. 13 and 17, equal weights).
 
     The base distance of two tracks is the mean, over the steps at which either exists, of the distance cut at
@@ -45,6 +52,8 @@ def ospa2(truth: ArrayLike, estimate: ArrayLike, cutoff: float, order: float = 1
         estimate: Estimated tracks, shape (k, T, d).
         cutoff: The c of the metric, in the states' unit.
         order: The p of the OSPA of tracks; the mean over time is of order one.
+        distances: Base distances of two arrays of states, (*batch, n, d) and (*batch, k, d) to (*batch, n, k); None:
+            Euclidean.
 
     Returns:
         From 0 to `cutoff`.
@@ -59,7 +68,8 @@ def ospa2(truth: ArrayLike, estimate: ArrayLike, cutoff: float, order: float = 1
         return 0.0
     total = cutoff**order * (high - low)
     if low > 0:
-        base = _track_distances(a, b, cutoff) ** order
+        base = _track_distances(a, b, cutoff) if distances is None else _general_distances(a, b, cutoff, distances)
+        base = base**order
         cost = np.ascontiguousarray(base if n <= k else base.T)
         total += float(cost[np.arange(low), assign(cost, low, high)].sum())
     return (total / high) ** (1.0 / order)
@@ -184,6 +194,20 @@ def _solve_program(gain: Array, rows: NDArray[np.intp], columns: NDArray[np.intp
     if found.x is None:
         raise ArithmeticError(f"the linear program of trajectory GOSPA was not solved: {found.message}")
     return found.x[:size].reshape(pairs, steps)
+
+
+def _general_distances(a: Array, b: Array, cutoff: float, distances: Callable[[Array, Array], Array]) -> Array:
+    """`_track_distances` under any base distance."""
+    exist_a, exist_b = ~np.isnan(a[..., 0]), ~np.isnan(b[..., 0])
+    here = np.where(exist_b[..., None], b, 0.0)
+    out = np.empty((len(a), len(b)))
+    for i, track in enumerate(a):
+        at = exist_a[i]
+        both = exist_b[:, at]
+        apart = np.minimum(distances(track[at][:, None], here[:, at].swapaxes(0, 1))[:, 0].T, cutoff)
+        either = (exist_a[i] | exist_b).sum(axis=1)
+        out[i] = (np.where(both, apart, 0.0).sum(axis=1) + cutoff * (either - both.sum(axis=1))) / either
+    return out
 
 
 @njit(cache=True, nogil=True)
