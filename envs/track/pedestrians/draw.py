@@ -33,10 +33,24 @@ Array = NDArray[np.float64]
 MOST_PEOPLE = 255
 """In one frame: owners are bytes."""
 
-# Streams of a stage's seed.
-_BACKDROP, _BLENDING, _GRAIN, _PLANTS, _WIND, _OCCLUDERS, _SUN, _NOISE, _FLICKER, _DRIFT, _STEP = range(11)
+# Streams of an episode's seed; those of the movement lie elsewhere. Never change one.
+_BACKDROP, _BLENDING, _GRAIN, _PLANTS, _WIND, _OCCLUDERS, _SUN, _NOISE, _FLICKER, _DRIFT, _STEP = range(2000, 2011)
 
 _STEEPEST = 0.75  # largest ratio of depth to height on the image that bodies are drawn with
+
+
+def occluder_places(config: PedestrianConfig, seed: int) -> tuple[tuple[float, float, float], ...]:
+    """Where an episode's occluders stand on the floor, so that nobody walks through them.
+
+    Args:
+        config: Of the scene.
+        seed: Of the episode, a non-negative integer.
+
+    Returns:
+        x, z and radius of each, m.
+    """
+    camera = lobby_camera(config.width, config.height)
+    return tuple(prop.place for prop in occluders(camera, config.occluders, Streams(seed)[_OCCLUDERS]))
 
 
 class Stage:

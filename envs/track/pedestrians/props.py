@@ -30,12 +30,14 @@ class Prop:
     """A thing of one place.
 
     Attributes:
+        place: Where it stands on the floor, x and z, and the radius of its foot, m.
         base: Row of its foot, px: people whose feet are above it are behind it.
         parts: Shapes at rest, in drawing order. Shape (k, shapes.NUMBERS).
         swaying: How far each part's end follows the wind, 0 to 1. Shape (k,).
         lag: Of each part's swing behind the wind, rad. Shape (k,).
     """
 
+    place: tuple[float, float, float]
     base: float
     parts: Array
     swaying: Array
@@ -71,7 +73,7 @@ def plant_at(camera: Camera, x: float, z: float, size: float, rng: np.random.Gen
         rows.append(_part(foot, scale, root, tip, size * rng.uniform(0.036, 0.056), _LEAF, color, 1.0))
         swaying.append(rng.uniform(0.6, 1.0))
         lag.append(rng.uniform(0.0, 2.0 * np.pi))
-    return Prop(float(foot[1]), np.array(rows), np.array(swaying), np.array(lag))
+    return Prop((x, z, 0.12 * size), float(foot[1]), np.array(rows), np.array(swaying), np.array(lag))
 
 
 def pillar_at(camera: Camera, x: float, z: float, rng: np.random.Generator) -> Prop:
@@ -82,7 +84,7 @@ def pillar_at(camera: Camera, x: float, z: float, rng: np.random.Generator) -> P
     ring = _part(foot, scale, (0.0, 0.22), (0.0, 0.0), radius * 1.14, _STRAIGHT, (96.0, 92.0, 88.0), slope)
     shaft[shapes.GRAIN] = 0.05
     rows = [shaft, ring]
-    return Prop(float(foot[1]), np.array(rows), np.zeros(len(rows)), np.zeros(len(rows)))
+    return Prop((x, z, radius), float(foot[1]), np.array(rows), np.zeros(len(rows)), np.zeros(len(rows)))
 
 
 def sign_at(camera: Camera, x: float, z: float, rng: np.random.Generator) -> Prop:
@@ -103,7 +105,7 @@ def sign_at(camera: Camera, x: float, z: float, rng: np.random.Generator) -> Pro
         )
     for row in rows:
         row[shapes.RELIEF] = 0.12
-    return Prop(float(foot[1]), np.array(rows), np.zeros(len(rows)), np.zeros(len(rows)))
+    return Prop((x, z, half), float(foot[1]), np.array(rows), np.zeros(len(rows)), np.zeros(len(rows)))
 
 
 def lobby_plants(camera: Camera, rng: np.random.Generator) -> list[Prop]:
