@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from servotrack.envs.arguments import RENDER_MODES, check_count
 from servotrack.envs.track.color_config import LEVEL_NAMES, ColorConfig, color_config, color_level
 from servotrack.envs.track.color_world import ColorWorld
-from servotrack.envs.track.env import TrackEnv, check_answer
-from servotrack.envs.vector_env import BatchedVectorEnv, Mask, masked_infos
+from servotrack.envs.track.env import TrackEnv, TrackVectorEnv
 
 Array = NDArray[np.float64]
 Observation = dict[str, NDArray[Any]]
@@ -131,20 +130,11 @@ class ColorTrackingEnv(TrackEnv):
 
         return ColorRecorder(self.world, 0)
 
-    def _info(self) -> dict[str, Any]:
-        world = self.world
-        info: dict[str, Any] = {"truth": {key: value[0].copy() for key, value in world.truth().items()}}
-        if world.steps[0] > 0:
-            info |= {key: value[0].item() for key, value in world.scores().items()}
-        if world.truncated[0]:
-            info |= {key: value[0].item() for key, value in world.episode_scores().items()}
-        return info
-
     def __repr__(self) -> str:
         return f"<ColorTrackingEnv level {self.level} {LEVEL_NAMES[self.level]}>"
 
 
-class ColorTrackingVectorEnv(BatchedVectorEnv):
+class ColorTrackingVectorEnv(TrackVectorEnv):
     """`ColorTracking-v0`, N at a time: what `gym.make_vec("ColorTracking-v0", num_envs=N)` makes.
 
     Args:
@@ -173,33 +163,11 @@ class ColorTrackingVectorEnv(BatchedVectorEnv):
         self.level = color_level(level, scenario)
         self.config = color_config(self.level, **axes)
         observation, action = _spaces(self.config)
-        super().__init__(
-            ColorWorld(self.config, check_count(num_envs)),
-            num_envs,
-            action,
-            observation,
-            metadata=METADATA,
-            render_mode=render_mode,
-            autoreset_mode=autoreset_mode,
-            max_episode_steps=max_episode_steps,
-        )
+        world = ColorWorld(self.config, check_count(num_envs))
+        super().__init__(world, num_envs, observation, action, render_mode, autoreset_mode, max_episode_steps)
 
     def _observe(self) -> Observation:
-        return {"frame": self.world.measurements.copy(), "first_box": self.world.first_boxes.copy()}
-
-    def _checked(self, actions: Any) -> Array:
-        assert self.action_space.shape is not None
-        return check_answer(actions, self.action_space.shape)
-
-    def _infos(self, chosen: Mask) -> dict[str, Any]:
-        world = self.world
-        infos = masked_infos({"truth": world.truth()}, chosen)
-        answered, over = chosen & (world.steps > 0), chosen & world.truncated
-        if answered.any():
-            infos |= masked_infos(world.scores(), answered)
-        if over.any():
-            infos |= masked_infos(world.episode_scores(), over)
-        return infos
+        return {"frame": self.world.observations.copy(), "first_box": self.world.first_boxes.copy()}
 
     def _recorder(self, row: int) -> Any:
         from servotrack.envs.track.color_render import ColorRecorder

@@ -47,7 +47,7 @@ class ColorRecorder:
         elif world.steps[row] > len(self._answers):
             self._answers.append(world.answers[row].copy())
             self._answered, self._truth = self._newest, self._newest_truth
-        self._newest, self._newest_truth = world.measurements[row].copy(), world.boxes[row].copy()
+        self._newest, self._newest_truth = world.observations[row].copy(), world.boxes[row].copy()
         if started:
             self._answered, self._truth = self._newest, self._newest_truth
 

@@ -25,7 +25,7 @@ class ColorWorld:
         count: Number of scenes N.
 
     Attributes:
-        measurements: The newest frames, shape (N, height, width, 3), uint8.
+        observations: The newest frames, shape (N, height, width, 3), uint8.
         first_boxes: The true box in each episode's first frame, shape (N, 4), px.
         boxes: The true box in the newest frame, shape (N, 4), px.
         answers: The last answer, shape (N, 4), px; the first box before any.
@@ -43,7 +43,7 @@ class ColorWorld:
         self.count = count
         self._painters: list[Painter | None] = [None] * count
         self._overlaps, self._errors = np.zeros((count, config.horizon)), np.zeros((count, config.horizon))
-        self.measurements = np.zeros((count, config.height, config.width, 3), np.uint8)
+        self.observations = np.zeros((count, config.height, config.width, 3), np.uint8)
         self.first_boxes, self.boxes = np.zeros((count, 4)), np.zeros((count, 4))
         self.answers = np.zeros((count, 4))
         self.steps = np.zeros(count, np.int64)
@@ -94,7 +94,7 @@ class ColorWorld:
         painter = self._painters[row]
         assert painter is not None
         step = int(self.steps[row])
-        self.measurements[row], self.boxes[row] = painter.frame(step), painter.scene.boxes[step]
+        self.observations[row], self.boxes[row] = painter.frame(step), painter.scene.boxes[step]
 
     def truth(self) -> dict[str, NDArray]:
         """What info tells of the newest frame: the target's box, hidden or not."""

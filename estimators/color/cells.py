@@ -1,0 +1,142 @@
+"""Features of many boxes at once: sums over a grid of cells, read off one integral image with several channels."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Features = NDArray[np.float32]
+
+ORIENTATIONS = 6
+"""Gradient directions from 0 to pi."""
+CHANNELS = ORIENTATIONS + 4
+"""Gradient strength by direction, lightness, two opponent colors, and the chance that a pixel is the object's."""
+COLORS = slice(ORIENTATIONS, ORIENTATIONS + 3)
+CHANCE = ORIENTATIONS + 3
+
+
+@njit(cache=True, nogil=True)
+def integrate_channels(region, chances, bins, integral):  # type: ignore[no-untyped-def]
+    """Integral image of all channels.
+
+    Args:
+        region: RGB, shape (h, w, 3), uint8.
+        chances: That a pixel of each color bin is the object's, shape (bins ** 3,), float32.
+        bins: Of each color channel.
+        integral: Where to write; shape (h + 1, w + 1, CHANNELS), float32.
+    """
+    rows, columns = region.shape[:2]
+    gray = np.empty((rows, columns), np.float32)
+    for row in range(rows):
+        for column in range(columns):
+            pixel = region[row, column]
+            gray[row, column] = 0.3 * pixel[0] + 0.59 * pixel[1] + 0.11 * pixel[2]
+    integral[0] = 0.0
+    integral[:, 0] = 0.0
+    so_far = np.empty(CHANNELS, np.float32)
+    cos, sin = np.empty(ORIENTATIONS, np.float32), np.empty(ORIENTATIONS, np.float32)
+    for k in range(ORIENTATIONS):
+        cos[k], sin[k] = np.cos(np.pi * k / ORIENTATIONS), np.sin(np.pi * k / ORIENTATIONS)
+    for row in range(rows):
+        so_far[:] = 0.0
+        up, down = max(row - 1, 0), min(row + 1, rows - 1)
+        for column in range(columns):
+            dx = gray[row, min(column + 1, columns - 1)] - gray[row, max(column - 1, 0)]
+            dy = gray[down, column] - gray[up, column]
+            best, strength = 0, np.float32(-1.0)
+            for k in range(ORIENTATIONS):
+                along = abs(cos[k] * dx + sin[k] * dy)
+                if along > strength:
+                    best, strength = k, along
+            # The root makes contours of weak and strong contrast more alike.
+            so_far[best] += np.sqrt(np.float32(np.hypot(dx, dy)))
+            pixel = region[row, column]
+            red, green, blue = np.float32(pixel[0]), np.float32(pixel[1]), np.float32(pixel[2])
+            so_far[ORIENTATIONS] += gray[row, column]
+            so_far[ORIENTATIONS + 1] += red - green
+            so_far[ORIENTATIONS + 2] += np.float32(0.5) * (red + green) - blue
+            color = ((pixel[0] * bins >> 8) * bins + (pixel[1] * bins >> 8)) * bins + (pixel[2] * bins >> 8)
+            so_far[CHANCE] += chances[color]
+            above, here = integral[row, column + 1], integral[row + 1, column + 1]
+            for k in range(CHANNELS):
+                here[k] = above[k] + so_far[k]
+
+
+@njit(cache=True, nogil=True)
+def _corner(integral, x, y, out):  # type: ignore[no-untyped-def]
+    """The integral at any point, bilinear; outside of the region that of its border."""
+    rows, columns = integral.shape[0] - 1, integral.shape[1] - 1
+    x, y = min(max(x, 0.0), float(columns)), min(max(y, 0.0), float(rows))
+    left, top = min(int(x), columns - 1), min(int(y), rows - 1)
+    a, b = np.float32(x - left), np.float32(y - top)
+    p, q, r, s = integral[top, left], integral[top, left + 1], integral[top + 1, left], integral[top + 1, left + 1]
+    one = np.float32(1.0)
+    for k in range(CHANNELS):
+        out[k] = (one - b) * ((one - a) * p[k] + a * q[k]) + b * ((one - a) * r[k] + a * s[k])
+
+
+@njit(cache=True, nogil=True)
+def describe(integral, boxes, grid, rim, found, contrast):  # type: ignore[no-untyped-def]
+    """Features of boxes.
+
+    Args:
+        integral: As `integrate_channels` wrote it.
+        boxes: Left, top, width and height from the region's corner. Shape (n, 4), px.
+        grid: Cells to a side.
+        rim: Width of the surroundings, as a share of the box.
+        found: Where to write, shape (n, 2, grid * grid * c), float32: the gradients of all cells, then their colors;
+            each centered (colors) and of unit length. The longer of the two decides the last axis; the rest is zeros.
+        contrast: Where to write the mean chance inside less that in the rim, shape (n,), float64.
+    """
+    first, second = np.empty((grid + 1, CHANNELS), np.float32), np.empty((grid + 1, CHANNELS), np.float32)
+    corner = np.empty((4, CHANNELS), np.float32)
+    cells = grid * grid
+    for n in range(boxes.shape[0]):
+        left, top, width, height = boxes[n]
+        for column in range(grid + 1):
+            _corner(integral, left + width * column / grid, top, first[column])
+        gradients, colors = found[n, 0], found[n, 1]
+        inside = np.float32(0.0)
+        for row in range(grid):
+            for column in range(grid + 1):
+                _corner(integral, left + width * column / grid, top + height * (row + 1) / grid, second[column])
+            for column in range(grid):
+                at = row * grid + column
+                for k in range(CHANNELS):
+                    value = second[column + 1, k] - second[column, k] - first[column + 1, k] + first[column, k]
+                    if k < ORIENTATIONS:
+                        gradients[at * ORIENTATIONS + k] = value
+                    elif k < CHANCE:
+                        colors[(k - ORIENTATIONS) * cells + at] = value
+                    else:
+                        inside += value
+            first, second = second, first
+        for k in range(4):
+            across, along = k % 2, k // 2
+            _corner(
+                integral,
+                left - rim * width + (1.0 + 2.0 * rim) * width * across,
+                top - rim * height + (1.0 + 2.0 * rim) * height * along,
+                corner[k],
+            )
+        outside = corner[3, CHANCE] - corner[2, CHANCE] - corner[1, CHANCE] + corner[0, CHANCE] - inside
+        area = width * height
+        contrast[n] = inside / area - outside / (area * ((1.0 + 2.0 * rim) ** 2 - 1.0))
+        for channel in range(3):
+            part = colors[channel * cells : (channel + 1) * cells]
+            part -= part.mean()
+        _unit(gradients)
+        _unit(colors)
+
+
+@njit(cache=True, nogil=True)
+def _unit(values):  # type: ignore[no-untyped-def]
+    total = np.float32(0.0)
+    for k in range(values.shape[0]):
+        total += values[k] * values[k]
+    if total > 0.0:
+        factor = np.float32(1.0) / np.sqrt(total)
+        for k in range(values.shape[0]):
+            values[k] *= factor

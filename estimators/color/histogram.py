@@ -1,0 +1,114 @@
+"""Color histograms of many boxes at once: an integral histogram over the bins that the reference has, which is exact.
+
+Bins that the reference lacks add nothing to the Bhattacharyya coefficient, so that only its own have to be counted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servotrack.estimators.detect.appearance import box_histograms
+from servotrack.estimators.detect.images import Image
+
+Array = NDArray[np.float64]
+
+_SMALL_COUNT = 2**16
+"""Counts below this are exact differences of 16-bit numbers, whatever overflows on the way."""
+
+
+def color_histogram(frame: Image, box: Array, bins: int = 8) -> Array:
+    """Share of a box's pixels in each color bin (paper 001, eq. (7)).
+
+    Args:
+        frame: RGB, shape (H, W, 3), uint8.
+        box: Left, top, width and height, px; parts outside of the frame do not count.
+        bins: Of each channel.
+
+    Returns:
+        Shape (bins ** 3,); sums to 1, zeros for a box without a pixel.
+    """
+    return box_histograms(frame, box[None], bins)[0]
+
+
+def bhattacharyya(p: Array, q: Array) -> float:
+    """Bhattacharyya coefficient of two histograms: the sum of sqrt(p_j q_j) (paper 001, eq. (8), with its root)."""
+    return float(np.sqrt(p * q).sum())
+
+
+def similarities(frame: Image, boxes: Array, reference: Array, bins: int = 8) -> Array:
+    """Bhattacharyya coefficient of every box's histogram with a reference (paper 001, eqs (7) and (8)).
+
+    Args:
+        frame: RGB, shape (H, W, 3), uint8, contiguous.
+        boxes: Left, top, width and height. Shape (n, 4), px; parts outside of the frame do not count.
+        reference: A histogram, shape (bins ** 3,).
+        bins: Of each channel.
+
+    Returns:
+        0 to 1, 0 for a box without a pixel. Shape (n,).
+    """
+    edges = pixel_edges(boxes, frame.shape)
+    areas = (edges[:, 2] - edges[:, 0]) * (edges[:, 3] - edges[:, 1])
+    found = np.zeros(len(boxes))
+    if not areas.any():
+        return found
+    kept = np.flatnonzero(reference)
+    columns = np.full(bins**3, len(kept), np.int32)
+    columns[kept] = np.arange(len(kept))
+    left, top = edges[areas > 0, :2].min(axis=0)
+    right, bottom = edges[areas > 0, 2:].max(axis=0)
+    region = frame[top:bottom, left:right]
+    counting = np.uint16 if areas.max() < _SMALL_COUNT else np.uint32
+    # One column more than bins are kept: all other colors are counted there and never read.
+    integral = np.empty((bottom - top + 1, right - left + 1, len(kept) + 1), counting)
+    _integrate(region, bins, columns, integral)
+    _compare(integral, edges - np.array([left, top, left, top]), np.sqrt(reference[kept]), found)
+    return found
+
+
+def pixel_edges(boxes: Array, shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """First column and row, and those after the last, of the pixels whose centers lie inside. Shape (n, 4)."""
+    corners = np.concatenate([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]], axis=1)
+    limit = np.array([shape[1], shape[0], shape[1], shape[0]], dtype=np.float64)
+    edges = np.clip(np.ceil(corners - 0.5), 0.0, limit).astype(np.int64)
+    edges[:, 2:] = np.maximum(edges[:, 2:], edges[:, :2])
+    return edges
+
+
+@njit(cache=True, nogil=True)
+def _integrate(region, bins, columns, integral):  # type: ignore[no-untyped-def]
+    """Counts of every kept bin above and left of every corner, modulo the type's range."""
+    rows, width, kept = region.shape[0], region.shape[1], integral.shape[2]
+    integral[0] = 0
+    integral[:, 0] = 0
+    so_far = np.empty(kept, integral.dtype)
+    for row in range(rows):
+        so_far[:] = 0
+        for column in range(width):
+            red = region[row, column, 0] * bins >> 8
+            green = region[row, column, 1] * bins >> 8
+            blue = region[row, column, 2] * bins >> 8
+            so_far[columns[(red * bins + green) * bins + blue]] += 1
+            above, here = integral[row, column + 1], integral[row + 1, column + 1]
+            for k in range(kept):
+                here[k] = above[k] + so_far[k]
+
+
+@njit(cache=True, nogil=True)
+def _compare(integral, edges, roots, found):  # type: ignore[no-untyped-def]
+    for n in range(edges.shape[0]):
+        left, top, right, bottom = edges[n]
+        area = (right - left) * (bottom - top)
+        if area <= 0:
+            continue
+        a, b = integral[top, left], integral[top, right]
+        c, d = integral[bottom, left], integral[bottom, right]
+        total = 0.0
+        for k in range(roots.shape[0]):
+            count = np.uint32(d[k] - b[k] - c[k] + a[k])
+            if integral.itemsize == 2:
+                count = count & np.uint32(0xFFFF)
+            total += roots[k] * np.sqrt(np.float64(count))
+        found[n] = total / np.sqrt(np.float64(area))

@@ -1,0 +1,247 @@
+"""Monte-Carlo tracking with more features, as paper 001's last section asks for: what to add, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from servotrack.estimators.color.cells import CHANNELS, ORIENTATIONS, Features, describe, integrate_channels
+from servotrack.estimators.color.contract import (
+    BoxEstimate,
+    box_about,
+    check_count,
+    check_positive,
+    check_shares,
+    checked_box,
+    checked_frame,
+    middle,
+    normals,
+    within,
+)
+from servotrack.estimators.color.histogram import color_histogram
+from servotrack.estimators.color.monte_carlo import LARGEST_SCALE, SMALLEST_SCALE
+from servotrack.estimators.detect.images import Image
+
+Array = NDArray[np.float64]
+
+
+class PlusState(NamedTuple):
+    """Memory of a `MonteCarloColorPlus`.
+
+    Attributes:
+        center: Of the box, shape (2,), px.
+        velocity: Of the center, shape (2,), px per frame.
+        scale: Of the box, 1 for the first one.
+        size: Width and height of the first box, px.
+        inside: Histogram of the object's colors, shape (bins ** 3,).
+        outside: Histogram of the colors around it, shape (bins ** 3,).
+        first: Features of the first box, shape (2, f).
+        recent: Features as they are now, shape (2, f).
+        contrast: Usual contrast of the object with its surroundings.
+        lost: How sure it is that the object is out of sight, 0 to 1.
+        frame: Number of frames seen.
+        shape: Height and width of the frames.
+    """
+
+    center: Array
+    velocity: Array
+    scale: float
+    size: Array
+    inside: Array
+    outside: Array
+    first: Features
+    recent: Features
+    contrast: float
+    lost: float
+    frame: int
+    shape: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class MonteCarloColorPlus:
+    """Monte-Carlo tracking by gradients, spatial colors, and colors weighted against the background.
+
+    What differs from `MonteCarloColor`: a candidate is described by a grid of cells, gradient directions and colors in
+    each, so that it matters where a color is; its contrast, the mean chance that a pixel is the object's and not the
+    surroundings' inside less that around it, tells its scale; candidates are drawn about where the object is bound for,
+    first widely, then closely about the best ones; memory is what the first frame and the recent ones showed, and is
+    left alone while the object seems hidden.
+
+    Values chosen on tune seeds of `ColorTracking-v0`.
+
+    Attributes:
+        samples: Candidates of a frame, half of them drawn widely.
+        center_deviation: Standard deviation of wide candidates' centers, as a share of the box's size.
+        scale_deviation: Standard deviation of their scales, as a share of the last one.
+        narrowing: Share of these deviations with which the other half is drawn.
+        sharpness: Weights are exp(sharpness * similarity).
+        gradient_share: Of gradients in the similarity; colors have `color_share`, contrast the rest.
+        color_share: Of spatial colors.
+        inertia: Share of the last velocity that the object is expected to keep.
+        update_rate: Of the memory, where the object is in sight.
+        loyalty: Share of the first frame's features in the comparison.
+        hidden_below: Share of its usual similarity below which the object counts as hidden.
+        grid: Cells to a side.
+        rim: Width of the surroundings, as a share of the box.
+        bins: Of each color channel.
+        seed: The random numbers are a function of it and of the frame's number.
+    """
+
+    samples: int = 200
+    center_deviation: float = 0.22
+    scale_deviation: float = 0.04
+    narrowing: float = 0.3
+    sharpness: float = 60.0
+    gradient_share: float = 0.45
+    color_share: float = 0.3
+    inertia: float = 0.8
+    update_rate: float = 0.06
+    loyalty: float = 0.4
+    hidden_below: float = 0.6
+    grid: int = 5
+    rim: float = 0.35
+    bins: int = 16
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check every field; raises ValueError that names it."""
+        check_count(samples=self.samples - 1, grid=self.grid, bins=self.bins)
+        check_positive(
+            center_deviation=self.center_deviation,
+            scale_deviation=self.scale_deviation,
+            narrowing=self.narrowing,
+            sharpness=self.sharpness,
+            rim=self.rim,
+        )
+        check_shares(
+            gradient_share=self.gradient_share,
+            color_share=self.color_share,
+            inertia=self.inertia,
+            update_rate=self.update_rate,
+            loyalty=self.loyalty,
+            hidden_below=self.hidden_below,
+        )
+
+    def initial(self, frame: ArrayLike, box: ArrayLike) -> PlusState:
+        """Take the object's features; arguments and errors as in `MonteCarloColor.initial`."""
+        image = checked_frame(frame)
+        first = checked_box(box, image.shape)
+        inside, outside = self._colors(image, first)
+        features, contrast = self._describe(image, first[None], _chances(inside, outside))
+        return PlusState(
+            middle(first), np.zeros(2), 1.0, first[2:], inside, outside, features[0], features[0], float(contrast[0]),
+            0.0, 1, (image.shape[0], image.shape[1]),
+        )  # fmt: skip
+
+    def step(self, state: PlusState, frame: ArrayLike) -> tuple[PlusState, BoxEstimate]:
+        """Find the object in the next frame; arguments and errors as in `MonteCarloColor.step`."""
+        image = checked_frame(frame, state.shape)
+        chances = _chances(state.inside, state.outside)
+        half = self.samples // 2
+        noise = normals(self.seed, state.frame, (self.samples, 3))
+        expected = state.center + self.inertia * state.velocity
+        wide = self._draw(state, noise[:half], expected, state.scale, 1.0 + 1.5 * state.lost)
+        # One candidate stays where it is expected, so that a still object is met exactly.
+        wide[0] = (*expected, state.scale)
+        coarse = self._similarity(image, state, wide, chances)[0]
+        weights = _weights(coarse, self.sharpness)
+        about = weights @ wide
+        close = self._draw(state, noise[half:], about[:2], float(about[2]), self.narrowing)
+        candidates = np.concatenate([wide, close])
+        similarity, features, contrast = self._similarity(image, state, candidates, chances)
+        weights = _weights(similarity, self.sharpness)
+        found = weights @ candidates
+        box = box_about(found[:2], found[2] * state.size)
+        own, features, contrast = self._similarity(image, state, found[None], chances)
+        state = self._remember(state, image, found, box, float(own[0]), features[0], float(contrast[0]))
+        boxes = box_about(candidates[:, :2], candidates[:, 2:] * state.size)
+        return state, BoxEstimate(box, float(np.clip(own[0], 0.0, 1.0)), boxes, weights)
+
+    def _draw(self, state: PlusState, noise: Array, center: Array, scale: float, width: float) -> Array:
+        """Candidates as rows of center x, y and scale."""
+        spread = width * self.center_deviation * scale * float(np.sqrt(state.size[0] * state.size[1]))
+        drawn = np.empty((len(noise), 3))
+        drawn[:, :2] = within(center + spread * noise[:, :2], state.shape)
+        deviation = min(width, 1.0) * self.scale_deviation
+        drawn[:, 2] = np.clip(scale * np.exp(deviation * noise[:, 2]), SMALLEST_SCALE, LARGEST_SCALE)
+        return drawn
+
+    def _similarity(
+        self, image: Image, state: PlusState, candidates: Array, chances: Features
+    ) -> tuple[Array, Features, Array]:
+        boxes = box_about(candidates[:, :2], candidates[:, 2:] * state.size)
+        features, contrast = self._describe(image, boxes, chances)
+        memory = self.loyalty * state.first + (1.0 - self.loyalty) * state.recent
+        gradients = features[:, 0] @ memory[0]
+        colors = features[:, 1] @ memory[1]
+        relative = np.clip(contrast / max(state.contrast, 0.05), -1.0, 1.5)
+        rest = 1.0 - self.gradient_share - self.color_share
+        total = self.gradient_share * gradients + self.color_share * colors + rest * relative
+        return total.astype(np.float64), features, contrast
+
+    def _describe(self, image: Image, boxes: Array, chances: Features) -> tuple[Features, Array]:
+        """Features (n, 2, f) and contrast (n,) of boxes."""
+        margin = self.rim * boxes[:, 2:] + 2.0
+        low = np.floor((boxes[:, :2] - margin).min(axis=0)).astype(np.int64)
+        high = np.ceil((boxes[:, :2] + boxes[:, 2:] + margin).max(axis=0)).astype(np.int64)
+        size = np.array([image.shape[1], image.shape[0]])
+        low, high = np.clip(low, 0, size - 2), np.clip(high, 0, size)
+        high = np.maximum(high, low + 2)
+        region = image[low[1] : high[1], low[0] : high[0]]
+        integral = np.empty((region.shape[0] + 1, region.shape[1] + 1, CHANNELS), np.float32)
+        integrate_channels(region, chances, self.bins, integral)
+        found = np.zeros((len(boxes), 2, self.grid**2 * ORIENTATIONS), np.float32)
+        contrast = np.zeros(len(boxes))
+        describe(integral, boxes - np.array([*low, 0.0, 0.0]), self.grid, self.rim, found, contrast)
+        return found, contrast
+
+    def _colors(self, image: Image, box: Array) -> tuple[Array, Array]:
+        """Histograms inside a box and in its surroundings."""
+        rim = self.rim * box[2:]
+        around = np.concatenate([box[:2] - rim, box[2:] + 2.0 * rim])
+        inside, both = color_histogram(image, box, self.bins), color_histogram(image, around, self.bins)
+        share = float(box[2] * box[3] / (around[2] * around[3]))
+        return inside, np.maximum(both - share * inside, 0.0) / (1.0 - share)
+
+    def _remember(
+        self, state: PlusState, image: Image, found: Array, box: Array, similarity: float, features: Features,
+        contrast: float,
+    ) -> PlusState:  # fmt: skip
+        """The next state: hidden objects teach nothing and keep going ever more slowly."""
+        hidden = similarity < self.hidden_below
+        rate = 0.0 if hidden else self.update_rate
+        moved = found[:2] - state.center
+        velocity = 0.8 * state.velocity if hidden else 0.5 * state.velocity + 0.5 * moved
+        inside, outside = state.inside, state.outside
+        if not hidden:
+            new_inside, new_outside = self._colors(image, box)
+            inside = (1.0 - rate) * inside + rate * new_inside
+            outside = (1.0 - 2.0 * rate) * outside + 2.0 * rate * new_outside
+        return state._replace(
+            center=within(found[:2], state.shape),
+            velocity=velocity,
+            scale=float(found[2]),
+            inside=inside,
+            outside=outside,
+            recent=(1.0 - rate) * state.recent + np.float32(rate) * features,
+            contrast=(1.0 - rate) * state.contrast + rate * contrast,
+            lost=min(1.0, state.lost + 0.15) if hidden else 0.5 * state.lost,
+            frame=state.frame + 1,
+        )
+
+
+def _chances(inside: Array, outside: Array) -> Features:
+    """That a pixel of each color is the object's, 0 to 1; a half where neither has the color."""
+    return ((inside + _UNSEEN) / (inside + outside + 2.0 * _UNSEEN)).astype(np.float32)
+
+
+_UNSEEN = 1e-3
+"""Share of a color below which it tells little."""
+
+
+def _weights(similarity: Array, sharpness: float) -> Array:
+    weights = np.exp(sharpness * (similarity - similarity.max()))
+    return weights / weights.sum()

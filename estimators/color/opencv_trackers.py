@@ -1,0 +1,85 @@
+"""OpenCV's own trackers of one object behind the same two functions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, get_args
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from servotrack.estimators.color.contract import BoxEstimate, checked_box, checked_frame
+from servotrack.estimators.color.histogram import pixel_edges
+
+Array = NDArray[np.float64]
+Name = Literal["MIL", "CSRT", "KCF"]
+
+
+class OpenCVState(NamedTuple):
+    """Memory of an `OpenCVTracker`. The tracker inside is no value: it forgets what it was before a step.
+
+    Attributes:
+        tracker: OpenCV's object, changed by every step.
+        box: The last one, shape (4,), px.
+        shape: Height and width of the frames.
+    """
+
+    tracker: Any
+    box: Array
+    shape: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class OpenCVTracker:
+    """MIL, CSRT or KCF as OpenCV implements them.
+
+    MIL (Babenko, Yang and Belongie, "Robust object tracking with online multiple instance learning", IEEE TPAMI 33(8),
+    2011) is in the main wheel; CSRT and KCF only in `opencv-contrib-python-headless`. A state serves one sequence: its
+    object changes with every step, and an old state cannot be returned to.
+
+    Attributes:
+        name: `MIL`, `CSRT` or `KCF`.
+
+    Raises:
+        ValueError: Another name, or one that this OpenCV lacks.
+    """
+
+    name: Name = "MIL"
+
+    def __post_init__(self) -> None:
+        """Check that this OpenCV has the tracker."""
+        if self.name not in get_args(Name):
+            raise ValueError(f"name must be one of {', '.join(get_args(Name))}, got {self.name!r}")
+        if self._maker() is None:
+            raise ValueError(
+                f"name must be a tracker of the installed OpenCV {cv2.__version__}, which lacks {self.name}; install "
+                "opencv-contrib-python-headless in place of opencv-python-headless, or choose MIL"
+            )
+
+    def _maker(self) -> Any:
+        for place in (cv2, getattr(cv2, "legacy", None)):
+            maker = getattr(place, f"Tracker{self.name}_create", None)
+            if maker is not None:
+                return maker
+        return None
+
+    def initial(self, frame: ArrayLike, box: ArrayLike) -> OpenCVState:
+        """Start a tracker; arguments and errors as in `MonteCarloColor.initial`."""
+        image = checked_frame(frame)
+        first = checked_box(box, image.shape)
+        left, top, right, bottom = pixel_edges(first[None], image.shape)[0].tolist()
+        tracker = self._maker()()
+        tracker.init(_bgr(image), (left, top, max(right - left, 1), max(bottom - top, 1)))
+        return OpenCVState(tracker, first, image.shape[:2])
+
+    def step(self, state: OpenCVState, frame: ArrayLike) -> tuple[OpenCVState, BoxEstimate]:
+        """Let the tracker look at the next frame; arguments and errors as in `MonteCarloColor.step`."""
+        image = checked_frame(frame, state.shape)
+        found, window = state.tracker.update(_bgr(image))
+        box = np.array(window, dtype=np.float64) if found else state.box
+        return state._replace(box=box), BoxEstimate(box.copy(), float(bool(found)))
+
+
+def _bgr(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.ascontiguousarray(image[..., ::-1])
