@@ -238,7 +238,6 @@ def test_tracks_from_rows_follow_labels_across_rows():
 
 
 def test_mot_scores_of_a_perfect_and_a_switched_tracker():
-    pytest.importorskip("trackeval")
     steps = np.arange(10)
     boxes = np.column_stack([steps * 1.0, steps * 0.0, np.full(10, 5.0), np.full(10, 5.0)])
     truth = [Track(steps, boxes), Track(steps, boxes + np.array([0.0, 50.0, 0.0, 0.0]))]

@@ -1,0 +1,58 @@
+"""HOTA (Luiten et al., 2021): detection and association in equal parts, averaged over localization thresholds."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from servotrack.estimators.metrics.sequence import EPSILON, Array, TrackSequence
+
+THRESHOLDS = np.arange(0.05, 0.99, 0.05)
+
+
+class HotaScores(NamedTuple):
+    """HOTA at each of the 19 thresholds 0.05 to 0.95, shape (19,).
+
+    Attributes:
+        hota: Geometric mean of the next two.
+        deta: Detection accuracy, matches over matches, misses and false positives.
+        assa: Association accuracy, the mean over matches of the same share for the pair's tracks.
+    """
+
+    hota: Array
+    deta: Array
+    assa: Array
+
+
+def hota_scores(sequence: TrackSequence) -> HotaScores:
+    """Score a sequence.
+
+    Args:
+        sequence: From `track_sequence`.
+    """
+    true, reported = sequence.truth_counts[:, None], sequence.estimate_counts[None, :]
+    alignment = _alignment(sequence)
+    together = np.zeros((len(THRESHOLDS), *alignment.shape))
+    for truth, estimate, similarity in sequence.frames:
+        rows, columns = linear_sum_assignment(alignment[np.ix_(truth, estimate)] * similarity, maximize=True)
+        enough = similarity[rows, columns] >= THRESHOLDS[:, None] - EPSILON
+        together[:, truth[rows], estimate[columns]] += enough
+    matches = together.sum(axis=(1, 2))
+    deta = matches / np.maximum(true.sum() + reported.sum() - matches, 1.0)
+    association = together / np.maximum(true + reported - together, 1.0)
+    assa = (together * association).sum(axis=(1, 2)) / np.maximum(matches, 1.0)
+    return HotaScores(np.sqrt(deta * assa), deta, assa)
+
+
+def _alignment(sequence: TrackSequence) -> Array:
+    """How much two tracks are one over the whole sequence, which decides whom to match at each step."""
+    total = np.zeros((len(sequence.truth_counts), len(sequence.estimate_counts)))
+    for truth, estimate, similarity in sequence.frames:
+        union = similarity.sum(axis=0)[None, :] + similarity.sum(axis=1)[:, None] - similarity
+        total[np.ix_(truth, estimate)] += np.divide(
+            similarity, union, out=np.zeros_like(similarity), where=union > EPSILON
+        )
+    counts = sequence.truth_counts[:, None] + sequence.estimate_counts[None, :] - total
+    return np.divide(total, counts, out=np.zeros_like(total), where=counts > 0.0)
