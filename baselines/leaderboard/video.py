@@ -119,13 +119,15 @@ class Film:
         Raises:
             RuntimeError: OpenCV cannot write this format here.
         """
+        import cv2
+
         if self._writer is None:
             # Codecs want even sides.
             height, width = frame.shape[0] // 2 * 2, frame.shape[1] // 2 * 2
             self._size = (width, height)
             self._writer = self._opened()
         width, height = self._size
-        self._writer.write(np.ascontiguousarray(frame[:height, :width, ::-1]))
+        self._writer.write(cv2.cvtColor(frame[:height, :width], cv2.COLOR_RGB2BGR))
         self.count += 1
 
     def _opened(self) -> Any:

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from servotrack.envs.track.decoders import Frame
-from servotrack.envs.track.frames import FrameSource, open_frames, resize
-from servotrack.envs.track.mot_files import find_mot_folder, read_mot_detections
+from servotrack.envs.track.frames import SIDES, FrameSource, open_frames, resize
+from servotrack.envs.track.mot_files import SequenceInfo, find_mot_folder, read_mot_detections
 from servotrack.envs.track.recorded import SequenceError
 from servotrack.estimators.detect.detections import Detections, detections_from_boxes
 
@@ -41,6 +41,7 @@ class Input(Protocol):
         name: For titles.
         frame_rate: Of the steps, per second.
         length: Expected number of steps; None where unknown. It may be wrong.
+        source_size: Width and height of the source's pictures, px; None where unknown.
         scale: Source px per working px, horizontally and vertically.
         warning: Why the steps ended early; empty where they did not.
     """
@@ -48,6 +49,7 @@ class Input(Protocol):
     name: str
     frame_rate: float
     length: int | None
+    source_size: tuple[int, int] | None
     scale: tuple[float, float]
 
     @property
@@ -94,7 +96,8 @@ class PixelInput:
         self._size = size or (width, height)
         self.name = self._frames.name
         self.frame_rate = (self._frames.frame_rate or NOMINAL_RATE) / stride
-        self.length = _steps(self._frames, start, count, stride)
+        self.length: int | None = _steps(self._frames, start, count, stride)
+        self.source_size: tuple[int, int] | None = (width, height)
         self.scale = (width / self._size[0], height / self._size[1])
 
     @property
@@ -161,7 +164,8 @@ class FileInput:
             self._frames = open_frames(folder, start=start, count=len(self._numbers), stride=stride)
         self.name = sequence.info.name
         self.frame_rate = (sequence.info.frame_rate or NOMINAL_RATE) / stride
-        self.length = len(self._numbers)
+        self.length: int | None = len(self._numbers)
+        self.source_size = _picture_size(self._frames, sequence.info)
 
     @property
     def warning(self) -> str:
@@ -174,6 +178,14 @@ class FileInput:
         pictures = iter(()) if self._frames is None else iter(self._frames)
         for number in self._numbers:
             yield Step(number, next(pictures, None), self._found.get(number, nothing))
+
+
+def _picture_size(frames: FrameSource | None, info: SequenceInfo) -> tuple[int, int] | None:
+    if frames is not None:
+        return frames.source_size
+    if info.width is None or info.height is None or max(info.width, info.height) > SIDES[1]:
+        return None
+    return (info.width, info.height)
 
 
 def _steps(frames: FrameSource, start: int, count: int | None, stride: int) -> int | None:

@@ -7,6 +7,7 @@ from array import array
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,20 @@ class SequenceError(ValueError):
     """A file of a recorded sequence that cannot be used; the message names file, line and remedy."""
 
 
+class PeopleInFrame(NamedTuple):
+    """Who is in one frame of a recorded sequence.
+
+    Attributes:
+        ids: Increasing. Shape (k,), int.
+        boxes: Left, top, width, height. Shape (k, 4), px.
+        visibilities: Visible share of each, from 0 to 1. Shape (k,).
+    """
+
+    ids: NDArray[np.int64]
+    boxes: Array
+    visibilities: Array
+
+
 @dataclass(frozen=True)
 class RecordedTracks:
     """All identities of a recorded sequence.
@@ -46,6 +61,22 @@ class RecordedTracks:
     def length(self) -> int:
         """Steps up to the last box."""
         return max((int(track.steps[-1]) + 1 for track in self.tracks), default=0)
+
+    def by_frame(self) -> dict[int, PeopleInFrame]:
+        """Who is in each frame (from 0) that has anybody."""
+        if not self.tracks:
+            return {}
+        steps = np.concatenate([track.steps for track in self.tracks])
+        order = np.argsort(steps, kind="stable")
+        ids = np.repeat(self.ids, [len(track.steps) for track in self.tracks])[order]
+        boxes = np.concatenate([track.states for track in self.tracks])[order]
+        visibilities = np.concatenate(self.visibilities)[order]
+        frames, starts = np.unique(steps[order], return_index=True)
+        parts = pairwise([*starts.tolist(), len(steps)])
+        return {
+            frame: PeopleInFrame(ids[a:b], boxes[a:b], visibilities[a:b])
+            for frame, (a, b) in zip(frames.tolist(), parts, strict=True)
+        }
 
 
 class TrackRows:

@@ -46,6 +46,15 @@ def test_rows_with_flag_are_tracks_from_step_zero(tmp_path):
     assert found.length == 3
 
 
+def test_people_of_a_frame(tmp_path):
+    found = read_mot_tracks(write(tmp_path, "gt.txt", GT)).by_frame()
+    assert list(found) == [0, 2]
+    np.testing.assert_array_equal(found[0].ids, [2, 7])
+    np.testing.assert_array_equal(found[0].boxes, [[10, 20, 30, 40], [0, 0, 5.5, 6]])
+    np.testing.assert_array_equal(found[0].visibilities, [0.5, 1.0])
+    np.testing.assert_array_equal(found[2].boxes, [[12, 21, 30, 40]])
+
+
 def test_third_last_column_of_ten_is_a_coordinate_not_a_visibility(tmp_path):
     found = read_mot_tracks(write(tmp_path, "gt.txt", b"1,1,0,0,5,5,1,17.5,-23.5,0\n"))
     np.testing.assert_array_equal(found.visibilities[0], [1.0])
