@@ -23,6 +23,10 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
         "entry_point": "servotrack.envs.track.clutter:ClutterTrackingEnv",
         "vector_entry_point": "servotrack.envs.track.clutter:ClutterTrackingVectorEnv",
     },
+    "PedestrianTracking-v0": {
+        "entry_point": "servotrack.envs.track.pedestrians.env:PedestrianTrackingEnv",
+        "vector_entry_point": "servotrack.envs.track.pedestrians.env:PedestrianTrackingVectorEnv",
+    },
     "ColorTracking-v0": {
         "entry_point": "servotrack.envs.track.color:ColorTrackingEnv",
         "vector_entry_point": "servotrack.envs.track.color:ColorTrackingVectorEnv",

@@ -107,7 +107,8 @@ def assemble(paths: Sequence[ImagePath], frames: int, rows: int, width: float) -
         start, stop = max(path.first, 0), min(path.first + len(path.height), frames)
         if stop <= start:
             continue
-        row = int(np.argmax(free_from <= start))
+        # The row that has been free for longest, so that nobody is taken for who left it just before.
+        row = int(np.argmin(free_from))
         if free_from[row] > start:
             there = int((free_from > start).sum()) + 1
             raise ValueError(f"max_people must be at least {there}: so many are there in frame {start}, got {rows}")

@@ -1,0 +1,61 @@
+"""The detector behind the observations `blobs` and `centroids`: paper 000's, which knows the empty lobby."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.track.pedestrians.config import PedestrianConfig
+from servotrack.envs.track.pedestrians.draw import Stage
+from servotrack.envs.track.pedestrians.people import People
+from servotrack.estimators.detect import MaskedBackground
+
+Array = NDArray[np.float64]
+
+_EMPTY_FRAMES = 5
+"""Frames of the empty lobby from which the detector has learned the background."""
+_NOBODY = People(
+    np.zeros(0, np.int64), np.zeros((0, 2)), *(np.zeros(0) for _ in range(4)), np.zeros(0, np.int64)
+)  # fmt: skip
+
+
+class MotionSensor:
+    """Turns the frames of one episode into sets of detections, in random order.
+
+    Args:
+        config: The scene.
+        stage: Of the episode; the sensor has seen it empty.
+        rng: Decides the order of rows, frame by frame.
+    """
+
+    def __init__(self, config: PedestrianConfig, stage: Stage, rng: np.random.Generator) -> None:
+        self._rows, self._boxes = config.measurement_rows, config.answers_boxes
+        self._size = np.array([config.width, config.height], dtype=np.float64)
+        self._detector = MaskedBackground()
+        empty = np.stack([stage.draw(_NOBODY, frame).image for frame in range(_EMPTY_FRAMES)])
+        self._state: Any = self._detector.initial(empty)
+        self._order = rng.random((config.horizon + 1, self._rows))
+
+    def observe(self, image: NDArray[np.uint8], frame: int) -> Array:
+        """Detections in the next frame; where there are more than rows, the smallest are dropped.
+
+        Args:
+            image: RGB, shape (H, W, 3).
+            frame: Its number.
+
+        Returns:
+            Shape (rows, 1 + 4) or (rows, 1 + 2): existence, then boxes or centroids, px.
+        """
+        self._state, found = self._detector.step(self._state, image)
+        states = found.boxes if self._boxes else found.centroids
+        kept = np.argsort(-found.areas, kind="stable")[: self._rows]
+        order = np.argsort(self._order[frame, : len(kept)])
+        states = states[kept[order]]
+        # Boxes have left, top and width, height: two pairs within the frame.
+        limits = np.tile(self._size, states.shape[1] // 2)
+        out = np.zeros((self._rows, 1 + states.shape[1]))
+        out[: len(states), 0] = 1.0
+        out[: len(states), 1:] = np.clip(states, 0.0, limits)
+        return out
