@@ -100,12 +100,26 @@ def _second_share(part, t, nx, ny, nz):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def _span(offset, slope, low, high, first, last):  # type: ignore[no-untyped-def]
+    """The part of [first, last) where offset + slope * column lies between low and high."""
+    if abs(slope) < 1e-4:
+        return (first, last) if low <= offset <= high else (first, first)
+    a, b = (low - offset) / slope, (high - offset) / slope
+    if a > b:
+        a, b = b, a
+    return max(first, math.floor(max(a, -1e6))), min(last, math.ceil(min(b, 1e6)) + 1)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
 def draw_parts(parts, order, count, left, top, grain, patch):  # type: ignore[no-untyped-def]
-    """Draw parts in an order into a patch whose corner is pixel (left, top); the patch must be zeros."""
+    """Draw parts, the last of an order foremost, into a patch whose corner is pixel (left, top) and which is zeros.
+
+    The foremost are drawn first, so that pixels which they cover are shaded once.
+    """
     rows, columns = patch.shape[0], patch.shape[1]
     last = GRAIN_SIDE - 1
     for index in range(count):
-        part = parts[order[index]]
+        part = parts[order[count - 1 - index]]
         x0, y0 = part[0], part[1]
         length = math.hypot(part[2] - x0, part[3] - y0)
         inverse = 1.0 / max(length, 1e-6)
@@ -115,51 +129,61 @@ def draw_parts(parts, order, count, left, top, grain, patch):  # type: ignore[no
         reach = 0.0
         for i in range(SAMPLES):
             reach = max(reach, part[WIDTHS + i])
-        reach = reach * max(1.0, max(part[CAPS], part[CAPS + 1])) + 1.0
-        first_row = max(math.floor(min(y0, part[3]) - reach) - top, 0)
-        last_row = min(math.ceil(max(y0, part[3]) + reach) - top, rows)
-        first_column = max(math.floor(min(x0, part[2]) - reach) - left, 0)
-        last_column = min(math.ceil(max(x0, part[2]) + reach) - left, columns)
+        reach += 0.5
+        head, tail = 1.0 / max(part[CAPS], 1e-3), 1.0 / max(part[CAPS + 1], 1e-3)
+        before, after = -reach / head - 0.5, length + reach / tail + 0.5
+        farthest = max(reach, max(-before, after - length)) + 1.0
+        first_row = max(math.floor(min(y0, part[3]) - farthest) - top, 0)
+        last_row = min(math.ceil(max(y0, part[3]) + farthest) - top, rows)
         relief, bright, folds = part[RELIEF], part[BRIGHTNESS], part[GRAIN]
+        red, green, blue = part[COLOR], part[COLOR + 1], part[COLOR + 2]
+        more_red, more_green, more_blue = part[SECOND] - red, part[SECOND + 1] - green, part[SECOND + 2] - blue
         plain = part[MATERIAL] == PLAIN
         origin = int(part[ORIGIN])
+        knots = inverse * (SAMPLES - 1)
         for i in range(first_row, last_row):
             py = top + i + 0.5 - y0
+            corner = left + 0.5 - x0
+            first_column, last_column = _span(py * ex - corner * ey, -ey, -reach, reach, 0, columns)
+            first_column, last_column = _span(py * ey + corner * ex, ex, before, after, first_column, last_column)
             for j in range(first_column, last_column):
-                px = left + j + 0.5 - x0
+                px = corner + j
                 along = px * ex + py * ey
                 across = py * ex - px * ey
-                beyond, t = 0.0, along * inverse
+                beyond, place = 0.0, along * knots
                 if along < 0.0:
-                    beyond, t = along / max(part[CAPS], 1e-3), 0.0
+                    beyond, place = along * head, 0.0
                 elif along > length:
-                    beyond, t = (along - length) / max(part[CAPS + 1], 1e-3), 1.0
-                place = t * (SAMPLES - 1)
+                    beyond, place = (along - length) * tail, SAMPLES - 1.0
                 knot = min(int(place), SAMPLES - 2)
                 width = part[WIDTHS + knot] + (part[WIDTHS + knot + 1] - part[WIDTHS + knot]) * (place - knot)
                 distance2 = across * across + beyond * beyond
                 outer = width + 0.5
                 if distance2 >= outer * outer:
                     continue
-                distance = math.sqrt(distance2)
-                cover = min(outer - distance, 1.0)
+                free = 1.0 - patch[i, j, 3]
+                if free < 1e-3:
+                    continue
+                inner = width - 0.5
+                cover = 1.0
+                if inner <= 0.0 or distance2 > inner * inner:
+                    cover = min(outer - math.sqrt(distance2), 1.0)
                 scale = 1.0 / max(width, 0.5)
                 na, nb = across * scale, beyond * scale
-                slope2 = min(na * na + nb * nb, 1.0)
                 nx, ny = nb * ex - na * ey, nb * ey + na * ex
-                nz = math.sqrt(1.0 - slope2)
+                nz = math.sqrt(max(1.0 - na * na - nb * nb, 0.0))
                 light = nx * _LIGHT[0] + ny * _LIGHT[1] + nz * _LIGHT[2] - _MEAN_LIGHT
                 shade = bright * (1.0 + relief * light)
                 if folds > 0.0:
                     row = int((along + 64.0) * 0.7) + origin
                     column = int(across * 1.1 + 64.0) + 3 * origin
                     shade *= 1.0 + folds * grain[row & last, column & last]
-                share = 0.0 if plain else _second_share(part, t, nx, ny, nz)
-                keep = 1.0 - cover
-                for c in range(3):
-                    color = part[COLOR + c] + (part[SECOND + c] - part[COLOR + c]) * share
-                    patch[i, j, c] = patch[i, j, c] * keep + cover * min(color * shade, 255.0)
-                patch[i, j, 3] = patch[i, j, 3] * keep + cover
+                share = 0.0 if plain else _second_share(part, place / (SAMPLES - 1), nx, ny, nz)
+                cover *= free
+                patch[i, j, 0] += cover * min((red + more_red * share) * shade, 255.0)
+                patch[i, j, 1] += cover * min((green + more_green * share) * shade, 255.0)
+                patch[i, j, 2] += cover * min((blue + more_blue * share) * shade, 255.0)
+                patch[i, j, 3] += cover
 
 
 @njit(cache=True, nogil=True)
