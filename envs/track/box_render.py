@@ -111,7 +111,7 @@ def draw(scene: BoxScene) -> Image:
 
 def _draw_numbers(panel: Image, scene: BoxScene) -> None:
     truth = np.empty(0) if scene.true_numbers is None else np.asarray(scene.true_numbers)
-    most = max(4.0, *truth.tolist(), *np.asarray(scene.reported_numbers).tolist())
+    most = max([4.0, *truth.tolist(), *np.asarray(scene.reported_numbers).tolist()])
     _axes(panel, printable(scene.title))
     _curve(panel, truth, most * 1.1, scene.horizon, _TRUTH_COLOR, 4)
     _curve(panel, np.asarray(scene.reported_numbers), most * 1.1, scene.horizon, _NUMBER_COLOR, 1)
