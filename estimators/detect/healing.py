@@ -5,8 +5,10 @@ The update of paper 000, equation (6), never learns under foreground. Two kinds 
 * *Ghosts*: somebody stood in the first frame and left. The region's outline is an edge in the background and none in
   the frame; with people it is the other way round, also with those who stand still.
 * *Light* that changed by more than the threshold. Over a large region the frame is the background times a gain plus an
-  offset, channel by channel, so that neighboring pixels differ as they did before. People who stand in the region do
-  not follow that line and stay foreground.
+  offset, channel by channel, so that what is seen of the floor's texture is still seen: differences of neighbors are
+  correlated between frame and background. People hide the texture, and those who stand in the light do not follow
+  the line of gain and offset and stay foreground. (Where there is no texture at all, nothing tells light from a
+  person in plain clothes, and nothing is healed.)
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ from numba import njit
 
 _REACH = 3  # px to either side of an outline that are averaged
 _GHOST_RATIO = 2.0  # how much stronger the edge must be in the background
-_LIGHT_TEXTURE = 0.35  # largest change of neighbors' differences, as a fraction of the change itself
+_LIGHT_CORRELATION = 0.6  # least correlation of neighbors' differences between frame and background
+_LAG = 6  # px between neighbors whose difference is texture
 
 
 @njit(cache=True, nogil=True)
@@ -37,7 +40,7 @@ def heal_regions(image, background, runs, regions, threshold, least_light):  # t
     channels = image.shape[2]
     areas = np.zeros(regions)
     here, before, points = np.zeros(regions), np.zeros(regions), np.zeros(regions)
-    texture, change, pairs = np.zeros(regions), np.zeros(regions), np.zeros(regions)
+    both, seen_texture, known_texture = np.zeros(regions), np.zeros(regions), np.zeros(regions)
     for n in range(runs.shape[0]):
         row, first, stop, k = runs[n]
         if k < 0:
@@ -57,19 +60,20 @@ def heal_regions(image, background, runs, regions, threshold, least_light):  # t
                     known += background[row, column + offset, channel] - background[row, column - 1 - offset, channel]
                 here[k] += abs(seen)
                 before[k] += abs(known)
-        for column in range(first, stop - 2, 2):
-            pairs[k] += 1.0
+        for column in range(first, stop - _LAG, 2):
             for channel in range(channels):
-                one = float(image[row, column, channel]) - background[row, column, channel]
-                two = float(image[row, column + 2, channel]) - background[row, column + 2, channel]
-                texture[k] += abs(two - one)
-                change[k] += abs(one)
+                one = float(image[row, column + _LAG, channel]) - float(image[row, column, channel])
+                two = background[row, column + _LAG, channel] - background[row, column, channel]
+                both[k] += one * two
+                seen_texture[k] += one * one
+                known_texture[k] += two * two
     ghost, light = np.zeros(regions, np.bool_), np.zeros(regions, np.bool_)
     healed = 0
     for k in range(regions):
         sharp = before[k] > 0.3 * threshold * _REACH * points[k]
         ghost[k] = points[k] > 0.0 and sharp and before[k] > _GHOST_RATIO * here[k]
-        light[k] = not ghost[k] and areas[k] >= least_light and texture[k] < _LIGHT_TEXTURE * change[k]
+        alike = both[k] > _LIGHT_CORRELATION * np.sqrt(seen_texture[k] * known_texture[k])
+        light[k] = not ghost[k] and areas[k] >= least_light and alike
         healed += ghost[k] or light[k]
     if healed == 0:
         return 0
