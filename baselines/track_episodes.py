@@ -34,8 +34,15 @@ class SetScoreRecorder:
         Args:
             info: Of the vector environment.
             ending: Rows whose episode ends with this step, shape (N,).
+
+        Raises:
+            ValueError: The world has no truth to score by.
         """
         for name, values in self._steps.items():
+            if name not in info:
+                raise ValueError(
+                    "truth is missing: without it a sequence cannot be scored; give the environment its truth"
+                )
             values.append(np.array(info[name], dtype=np.float64))
         for name in _WHOLE:
             told = np.asarray(info.get(f"_{name}", np.zeros(len(ending), np.bool_)))

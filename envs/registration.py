@@ -31,6 +31,10 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
         "entry_point": "servotrack.envs.track.color:ColorTrackingEnv",
         "vector_entry_point": "servotrack.envs.track.color:ColorTrackingVectorEnv",
     },
+    "VideoTracking-v0": {
+        "entry_point": "servotrack.envs.track.video:VideoTrackingEnv",
+        "vector_entry_point": "servotrack.envs.track.video:VideoTrackingVectorEnv",
+    },
 }
 
 

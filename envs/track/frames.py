@@ -53,7 +53,7 @@ class FrameSource:
         to_rgb(first, self.name)
         self.length, self.frame_rate = decoder.length, decoder.frame_rate
         self.source_size = (first.shape[1], first.shape[0])
-        self.size = _resized(self.source_size, width, height)
+        self.size = resized(self.source_size, width, height)
         if not self.live:
             decoder.close()
 
@@ -159,7 +159,8 @@ def resize(image: Frame, size: tuple[int, int]) -> Frame:
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)  # type: ignore[return-value]
 
 
-def _resized(size: tuple[int, int], width: int | None, height: int | None) -> tuple[int, int]:
+def resized(size: tuple[int, int], width: int | None, height: int | None) -> tuple[int, int]:
+    """The size that frames of `size` are brought to; with only one side given, the shape is kept; px."""
     if width is None and height is None:
         return size
     if width is None:
