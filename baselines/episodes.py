@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.baselines.color_episodes import BoxScoreRecorder
 from servotrack.baselines.results import Row
 from servotrack.baselines.track_episodes import SetScoreRecorder
 
@@ -47,7 +48,7 @@ class EpisodeRecorder:
         self._returns = np.zeros(rows)
         self._lengths = np.zeros(rows, dtype=np.int64)
         self._successes: list[bool | None] = [None] * rows
-        self._sets: SetScoreRecorder | None = None
+        self._sets: SetScoreRecorder | BoxScoreRecorder | None = None
         self._times: list[Array] = []
         self._tracking: list[Array] = []
         self._features: list[Array] = []
@@ -74,6 +75,9 @@ class EpisodeRecorder:
         else:
             for row in np.flatnonzero(self._alive & self.ended):
                 self._successes[row] = _final_success(info, int(row))
+        if "iou" in info:
+            self._sets = self._sets or BoxScoreRecorder(len(self._seeds))
+            self._sets.record(info, self._alive & self.ended)
         if "ospa" in info:
             self._sets = self._sets or SetScoreRecorder(len(self._seeds))
             self._sets.record(info, self._alive & self.ended)

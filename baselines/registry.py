@@ -47,6 +47,18 @@ def _observer(name: str, summary: str, information: Information = "calibrated", 
     )
 
 
+def _color(name: str, summary: str, information: Information = "model-free", **fields: Any) -> AgentCard:
+    fields = {"parameters": {"tracker": name}, "tuning_steps": 0, **fields}
+    return AgentCard(
+        name,
+        "servotrack.baselines.color_observers:create_color_observer",
+        information,
+        summary,
+        worlds=frozenset({"color"}),
+        **fields,
+    )
+
+
 _CARDS = (
     AgentCard(
         "random",
@@ -96,6 +108,15 @@ _CARDS = (
     _observer("gnn-hmm", "the same with the noises taken for independent"),
     _observer("raw-measurements", "reports every measurement as a target", "model-free"),
     _observer("association-oracle", "told which measurement is whose: Kalman filters", "privileged", requires=_TRUTH),
+    _color("monte-carlo-color", "random boxes weighted by their color histograms (paper 001)"),
+    _color("monte-carlo-color-plus", "the same idea with gradients, spatial colors, background weights and inertia"),
+    _color("color-particle-filter", "bootstrap particle filter on color histograms, second-order motion"),
+    _color("kernel-mean-shift", "Comaniciu's mean shift with scales"),
+    _color("opencv-meanshift", "OpenCV's mean shift on the back-projected hue"),
+    _color("opencv-camshift", "OpenCV's CamShift on the back-projected hue"),
+    _color("mil", "OpenCV's multiple-instance learning tracker", in_default_suite=False),
+    _color("first-box", "stays where the object was first: no skill"),
+    _color("box-oracle", "told the true box", "privileged", parameters={"tracker": "true-box"}, requires=_TRUTH),
 )
 
 AGENTS: dict[str, AgentCard] = {card.name: card for card in _CARDS}
