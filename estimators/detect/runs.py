@@ -18,18 +18,22 @@ def label_runs(mask):  # type: ignore[no-untyped-def]
         order of the image; and the number of regions.
     """
     height, width = mask.shape
-    found = 0
+    starts = np.zeros(height, np.int64)
     for row in range(height):
         line = mask[row]
-        before = 0
-        for column in range(width):
-            here = 1 if line[column] != 0 else 0
-            found += here & (1 - before)
-            before = here
+        here = np.int64(line[0] != 0)
+        # No branch and no dependence: the compiler makes vectors of this.
+        for column in range(1, width):
+            here += np.int64((line[column] != 0) & (line[column - 1] == 0))
+        starts[row] = here
+    found = starts.sum()
     runs = np.empty((found, 4), np.int32)
     parent = np.arange(found)
     count, above, above_stop = 0, 0, 0
     for row in range(height):
+        if starts[row] == 0:
+            above = above_stop = count
+            continue
         line = mask[row]
         start_of_row = count
         column = 0
