@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 BODY_RADIUS = 0.2
 """Of the circle that nobody enters, m."""
+_ELBOW_ROOM = 0.35
+"""Between somebody who stands and an obstacle, m."""
 _FRONT = NEAR - 0.4
 
 
@@ -117,6 +119,12 @@ def walk(
     return simulation.walks()
 
 
+# What `body.velocity = ...` and its like end in, without pymunk's detour over `__setattr__`, which costs as much again.
+_set_velocity = pymunk.Body.velocity.fset  # type: ignore[attr-defined]
+_velocity = pymunk.Body.velocity.fget  # type: ignore[attr-defined]
+_position = pymunk.Body.position.fget  # type: ignore[attr-defined]
+
+
 class _Simulation:
     """All people of an episode, those who are there as bodies in one pymunk Space."""
 
@@ -133,6 +141,8 @@ class _Simulation:
         self._legs = np.zeros((count, longest, LEG_NUMBERS))
         for row, plan in enumerate(self.plans):
             self._legs[row, : len(plan.legs)] = plan.legs
+        self._obstacles = np.array(obstacles, dtype=np.float64).reshape(-1, 3)
+        _step_aside(self._legs, self._obstacles)
         self._leg_count = np.array([len(plan.legs) for plan in self.plans], dtype=np.int64)
         self._leg, self._since = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._arrived = np.full(count, -1, dtype=np.int64)
@@ -141,11 +151,12 @@ class _Simulation:
         self._position, self._velocity = np.zeros((count, 2)), np.zeros((count, 2))
         self._walls = np.array([BACK_WALL, _FRONT])
         self._space = pymunk.Space()
+        self._space.collision_slop = 0.01
         self._bodies: dict[int, tuple[pymunk.Body, pymunk.Circle]] = {}
         self._active = np.empty(0, np.int64)
         self._past: dict[int, list[tuple[float, float, float]]] = {}
         self._entered: dict[int, int] = {}
-        self._build_walls(obstacles)
+        self._build_walls()
 
     @property
     def present(self) -> int:
@@ -192,15 +203,16 @@ class _Simulation:
             return
         drive(
             self._active, self._position, self._velocity, self._legs, self._leg_count, self._leg, self._since,
-            self._arrived, self._pace, self._wander, self._party, self._walls, frame, self._dt,
+            self._arrived, self._pace, self._wander, self._party, self._walls, self._obstacles, frame,
+            self._dt,
         )  # fmt: skip
-        bodies = [(index, self._bodies[index][0]) for index in self._active.tolist()]
-        for index, body in bodies:
-            body.velocity = tuple(self._velocity[index].tolist())
+        members = self._active.tolist()
+        bodies = [self._bodies[index][0] for index in members]
+        for body, velocity in zip(bodies, self._velocity[self._active].tolist(), strict=True):
+            _set_velocity(body, velocity)
         self._space.step(self._dt)
-        for index, body in bodies:
-            self._position[index] = body.position
-            self._velocity[index] = body.velocity
+        self._position[self._active] = [_position(body) for body in bodies]
+        self._velocity[self._active] = [_velocity(body) for body in bodies]
 
     def walks(self) -> list[Walk]:
         """What everybody did."""
@@ -215,9 +227,22 @@ class _Simulation:
         self._space.remove(*self._bodies.pop(index))
         self._active = np.array(sorted(self._bodies), dtype=np.int64)
 
-    def _build_walls(self, obstacles: Sequence[tuple[float, float, float]]) -> None:
+    def _build_walls(self) -> None:
         ground = self._space.static_body
         for z in (BACK_WALL, _FRONT):
             self._space.add(pymunk.Segment(ground, (-100.0, z), (100.0, z), 0.05))
-        for x, z, radius in obstacles:
+        for x, z, radius in self._obstacles.tolist():
             self._space.add(pymunk.Circle(ground, radius, (x, z)))
+
+
+def _step_aside(legs: Array, obstacles: Array) -> None:
+    """Move places that are in or at an obstacle off it, away from its middle."""
+    for x, z, radius in obstacles.tolist():
+        off = legs[..., :2] - [x, z]
+        distance = np.hypot(off[..., 0], off[..., 1])
+        free = radius + BODY_RADIUS + _ELBOW_ROOM
+        inside = distance < free
+        direction = np.where(
+            distance[inside, None] > 1e-6, off[inside] / np.maximum(distance[inside, None], 1e-6), [1, 0]
+        )
+        legs[inside, :2] = [x, z] + free * direction

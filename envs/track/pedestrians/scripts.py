@@ -21,9 +21,9 @@ OUTSIDE = 0.55
 WARM_UP = 14.0
 """Time for which people come before an episode that begins with a populated lobby, s."""
 
-_RESIDENCE = {"random": 13.9, "crossing": 11.8, "crowd": 16.1}
-"""Mean time from coming to going, s, as measured: with it `people` is the mean number there."""
-_PARTY_SIZE = {"random": 1.45, "crossing": 1.2, "crowd": 1.78}
+_RESIDENCE = {"random": 12.7, "crossing": 10.5, "crowd": 14.1}
+"""Mean time in sight, s, as measured: with it `people` is the mean number."""
+_PARTY_SIZE = {"random": 1.4, "crossing": 1.2, "crowd": 1.85}
 """Mean number of people of a party."""
 _DOORS = ((-1, 7.4), (-1, 9.6), (-1, 13.0), (1, 7.4), (1, 9.6), (1, 13.0))
 """Side and depth (m) of where people come and go."""

@@ -22,6 +22,8 @@ _STRENGTH, _RANGE, _STEP_TIME = 2.1, 0.3, 2.0
 """V0 (m^2/s^2), sigma (m) and the look-ahead (s) of eqs. (3) and (4)."""
 _WALL_STRENGTH, _WALL_RANGE = 10.0, 0.2
 """U0 (m^2/s^2) and R (m) of eq. (5)."""
+_OBSTACLE_STRENGTH, _OBSTACLE_RANGE = 2.5, 0.25
+"""The same for things that stand about; wider, so that people do not brush against them."""
 _BEHIND, _SEEN_COSINE = 0.5, math.cos(math.radians(100.0))
 """What a person out of sight counts, and where sight ends, eqs. (7) and (8)."""
 _FASTEST = 1.3
@@ -44,7 +46,7 @@ _PATIENCE = 40.0
 
 @njit(cache=True, nogil=True)
 def drive(  # type: ignore[no-untyped-def]
-    active, position, velocity, legs, leg_count, leg, since, arrived, pace, wander, party, walls, frame, dt
+    active, position, velocity, legs, leg_count, leg, since, arrived, pace, wander, party, walls, obstacles, frame, dt
 ):
     """New velocities of all who are there; legs that are done give way to the next.
 
@@ -61,6 +63,7 @@ def drive(  # type: ignore[no-untyped-def]
         wander: Amplitude (rad), rate (rad per frame) and phase (rad) of small changes of direction, shape (n, 3).
         party: Who belongs together, shape (n,).
         walls: z of the wall behind and of the border in front, m.
+        obstacles: x, z and radius of each, shape (o, 3), m.
         frame: Number of the frame.
         dt: Between frames, s.
     """
@@ -129,6 +132,14 @@ def drive(  # type: ignore[no-untyped-def]
                 gx, gz = _FAMILIAR * gx, _FAMILIAR * gz
             fx += turn_c * gx + turn_s * gz
             fz += -turn_s * gx + turn_c * gz
+        for o in range(len(obstacles)):
+            rx, rz = position[i, 0] - obstacles[o, 0], position[i, 1] - obstacles[o, 1]
+            r = max(math.sqrt(rx * rx + rz * rz), 1e-9)
+            size = _OBSTACLE_STRENGTH * math.exp(-max(r - obstacles[o, 2], 0.0) / _OBSTACLE_RANGE) / r
+            # To the side on which one passes anyway.
+            side = 1.0 if rz * wanted[a, 0] > rx * wanted[a, 1] else -1.0
+            fx += size * (rx + side * rz)
+            fz += size * (rz - side * rx)
         behind = max(walls[0] - position[i, 1], 0.0)
         before = max(position[i, 1] - walls[1], 0.0)
         wall = _WALL_STRENGTH / _WALL_RANGE * (math.exp(-before / _WALL_RANGE) - math.exp(-behind / _WALL_RANGE))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.config import COUNTED_FROM, PedestrianConfig
-from servotrack.envs.track.pedestrians.draw import Stage
+from servotrack.envs.track.pedestrians.draw import Stage, occluder_places
 from servotrack.envs.track.pedestrians.episode import draw_movement
 from servotrack.envs.track.pedestrians.motion_sensor import MotionSensor
 from servotrack.envs.track.pedestrians.movement import Movement
@@ -93,7 +93,7 @@ class PedestrianWorld:
         for row, seed in zip(rows, seeds, strict=True):
             stage = Stage(config, seed)
             self._stages[row] = stage
-            self._movements[row] = draw_movement(config, seed, self._recorded)
+            self._movements[row] = draw_movement(config, seed, self._recorded, occluder_places(config, seed))
             if config.observation != "pixels":
                 self._sensors[row] = MotionSensor(config, stage, Streams(seed)[Stream.SHUFFLE])
             self._ids[row], self._boxes[row], self._visibility[row] = 0, 0.0, 0.0
