@@ -217,17 +217,15 @@ def _paint_wall(camera: Camera, foot: float, palette: _Palette, rng: np.random.G
         middle = bay * BAY
         _door(box, middle, frame)
         _panel(box, middle + 0.5 * BAY, wood, accent, frame, rng)
-    # Lamps wash the wall from above.
-    columns = (np.arange(width * _FINE) + 0.5 - camera.center * _FINE) / scale
-    above = (foot * _FINE - np.arange(rows * _FINE) - 0.5) / scale
-    beam = np.abs(columns / 2.5 - np.round(columns / 2.5)) * 2.5
-    spread = 0.35 + 0.42 * (3.1 - above)[:, None]
-    wash = np.where(
-        above[:, None] < 3.02, np.exp(-((beam[None, :] / np.maximum(spread, 0.05)) ** 2)) * np.exp(-spread / 1.1), 0.05
-    )
-    canvas *= (0.84 + 0.62 * wash).astype(np.float32)[..., None]
-    canvas += rng.standard_normal(canvas.shape[:2], dtype=np.float32)[..., None] * np.float32(5.0)
     small = cv2.resize(canvas, (width, rows), interpolation=cv2.INTER_AREA)
+    # Lamps wash the wall from above.
+    across = (np.arange(width) + 0.5 - camera.center) * _FINE / scale
+    above = ((foot - np.arange(rows) - 0.5) * _FINE / scale)[:, None]
+    beam = np.abs(across / 2.5 - np.round(across / 2.5)) * 2.5
+    spread = np.maximum(0.35 + 0.42 * (3.1 - above), 0.05)
+    wash = np.where(above < 3.02, np.exp(-((beam / spread) ** 2)) * np.exp(-spread / 1.1), 0.05)
+    small *= (0.84 + 0.62 * wash).astype(np.float32)[..., None]
+    small += rng.standard_normal(small.shape[:2], dtype=np.float32)[..., None] * np.float32(1.7)
     return np.clip(small, 0.0, 255.0)
 
 

@@ -61,7 +61,7 @@ def plant_at(camera: Camera, x: float, z: float, size: float, rng: np.random.Gen
         _part(foot, scale, (0.0, pot), (0.0, 0.0), 0.12 * size, (1.0, 1.02, 1.0, 0.95, 0.88, 0.8), (92, 78, 70), slope)
     ]
     swaying, lag = [0.0], [0.0]
-    leaves = int(rng.integers(26, 34))
+    leaves = int(rng.integers(20, 26))
     for leaf in range(leaves):
         # Outer leaves hang low and come first, upright ones stand before them.
         upright = leaf / leaves
@@ -70,7 +70,7 @@ def plant_at(camera: Camera, x: float, z: float, size: float, rng: np.random.Gen
         root = (rng.uniform(-0.04, 0.04) * size, pot + size * rng.uniform(0.0, 0.16))
         tip = (root[0] + length * np.sin(angle), root[1] + length * np.cos(angle) - 0.10 * size * abs(angle))
         color = _LEAVES[int(min(rng.integers(2) + 2 * upright, 3))]
-        rows.append(_part(foot, scale, root, tip, size * rng.uniform(0.036, 0.056), _LEAF, color, 1.0))
+        rows.append(_part(foot, scale, root, tip, size * rng.uniform(0.042, 0.062), _LEAF, color, 1.0))
         swaying.append(rng.uniform(0.6, 1.0))
         lag.append(rng.uniform(0.0, 2.0 * np.pi))
     return Prop((x, z, 0.12 * size), float(foot[1]), np.array(rows), np.array(swaying), np.array(lag))
@@ -93,9 +93,9 @@ def sign_at(camera: Camera, x: float, z: float, rng: np.random.Generator) -> Pro
     slope, half = camera.elevation / z, rng.uniform(0.34, 0.44)
     color = _BOARDS[int(rng.integers(len(_BOARDS)))]
     rows = [
-        _part(foot, scale, (0.0, 0.06), (0.0, 0.0), half * 0.9, _STRAIGHT, (58.0, 58.0, 60.0), 0.4 * slope),
-        _part(foot, scale, (0.0, 1.72), (0.0, 0.10), half, _STRAIGHT, color, 0.03),
-        _part(foot, scale, (0.0, 1.60), (0.0, 1.46), half * 0.8, _STRAIGHT, (236.0, 234.0, 228.0), 0.03),
+        _part(foot, scale, (0.0, 0.06), (0.0, 0.0), half * 0.7, _STRAIGHT, (58.0, 58.0, 60.0), slope),
+        _part(foot, scale, (0.0, 1.72), (0.0, 0.10), half, _STRAIGHT, color, 0.08),
+        _part(foot, scale, (0.0, 1.60), (0.0, 1.46), half * 0.8, _STRAIGHT, (236.0, 234.0, 228.0), 0.08),
     ]
     for line in range(5):
         y, reach = 1.3 - 0.16 * line, half * rng.uniform(0.5, 0.78)
