@@ -25,18 +25,18 @@ from servotrack.envs.track.color_config import LEVEL_NAMES
 GRIDS: Mapping[str, Mapping[str, Sequence[Any]]] = {
     "monte-carlo-color": {
         "distance_deviation": (0.03, 0.05, 0.08, 0.12, 0.2),
-        "update_threshold": (0.8, 0.9, 0.95, 1.0),
+        "update_threshold": (0.8, 0.9, 0.95, 0.98),
         "center_deviation": (4.0, 7.0, 10.0, 14.0),
         "scale_deviation": (0.01, 0.02, 0.04, 0.08),
-        "update_rate": (0.02, 0.05, 0.1, 0.2),
+        "update_rate": (0.01, 0.02, 0.05, 0.1),
     },
     "color-particle-filter": {
         "distance_deviation": (0.02, 0.035, 0.06, 0.1, 0.15),
-        "update_threshold": (0.8, 0.9, 0.95, 1.0),
+        "update_threshold": (0.8, 0.9, 0.95, 0.98),
         "center_deviation": (3.0, 5.0, 8.0, 12.0),
         "scale_deviation": (0.01, 0.02, 0.04, 0.08),
         "damping": (0.0, 0.5, 0.8, 1.0),
-        "update_rate": (0.02, 0.05, 0.1, 0.2),
+        "update_rate": (0.01, 0.02, 0.05, 0.1),
     },
     "kernel-mean-shift": {
         "scale_mixing": (0.0, 0.05, 0.1, 0.2, 0.4),
@@ -52,7 +52,7 @@ GRIDS: Mapping[str, Mapping[str, Sequence[Any]]] = {
         "center_deviation": (0.16, 0.22, 0.3, 0.4),
         "hidden_below": (0.5, 0.6, 0.65, 0.7, 0.75),
         "update_rate": (0.02, 0.04, 0.08, 0.12),
-        "loyalty": (0.2, 0.4, 0.6),
+        "loyalty": (0.5, 0.7, 0.85, 1.0),
         "inertia": (0.0, 0.5, 0.8, 1.0),
         "widening": (0.0, 1.0, 2.0, 3.0),
         "scale_deviation": (0.02, 0.04, 0.06),
@@ -60,7 +60,7 @@ GRIDS: Mapping[str, Mapping[str, Sequence[Any]]] = {
         "bins": (8, 16),
     },
 }
-"""What is tried, for each tracker that has values to choose."""
+"""What is tried, for each tracker that has values to choose. A threshold of 1 would leave out eq. (12) of the paper."""
 ROUNDS = 2
 
 

@@ -68,11 +68,11 @@ class MonteCarloColor:
     """
 
     samples: int = 200
-    center_deviation: float = 7.0
+    center_deviation: float = 10.0
     scale_deviation: float = 0.04
-    distance_deviation: float = 0.12
-    update_rate: float = 0.1
-    update_threshold: float = 0.9
+    distance_deviation: float = 0.05
+    update_rate: float = 0.05
+    update_threshold: float = 0.95
     bins: int = 8
     seed: int = 0
 

@@ -28,6 +28,18 @@ from servotrack.estimators.detect.images import Image
 Array = NDArray[np.float64]
 
 
+class View(NamedTuple):
+    """Part of a frame.
+
+    Attributes:
+        integral: As `integrate_channels` writes it.
+        corner: Left and top of the part, then zeros. Shape (4,), px.
+    """
+
+    integral: Features
+    corner: Array
+
+
 class PlusState(NamedTuple):
     """Memory of a `MonteCarloColorPlus`.
 
@@ -83,7 +95,8 @@ class MonteCarloColorPlus:
         inertia: Share of the last velocity that the object is expected to keep.
         update_rate: Of the memory, where the object is in sight.
         loyalty: Share of the first frame's features in the comparison.
-        hidden_below: Share of its usual similarity below which the object counts as hidden.
+        hidden_below: Similarity below which the object counts as hidden.
+        widening: How much wider candidates are drawn, at most, while it is hidden.
         grid: Cells to a side.
         rim: Width of the surroundings, as a share of the box.
         bins: Of each color channel.
@@ -99,8 +112,9 @@ class MonteCarloColorPlus:
     color_share: float = 0.3
     inertia: float = 0.8
     update_rate: float = 0.06
-    loyalty: float = 0.4
+    loyalty: float = 0.7
     hidden_below: float = 0.6
+    widening: float = 1.5
     grid: int = 5
     rim: float = 0.35
     bins: int = 16
@@ -130,7 +144,8 @@ class MonteCarloColorPlus:
         image = checked_frame(frame)
         first = checked_box(box, image.shape)
         inside, outside = self._colors(image, first)
-        features, contrast = self._describe(image, first[None], _chances(inside, outside))
+        view = self._view(image, first[None], _chances(inside, outside))
+        features, contrast = self._describe(view, first[None])
         return PlusState(
             middle(first), np.zeros(2), 1.0, first[2:], inside, outside, features[0], features[0], float(contrast[0]),
             0.0, 1, (image.shape[0], image.shape[1]),
@@ -139,25 +154,25 @@ class MonteCarloColorPlus:
     def step(self, state: PlusState, frame: ArrayLike) -> tuple[PlusState, BoxEstimate]:
         """Find the object in the next frame; arguments and errors as in `MonteCarloColor.step`."""
         image = checked_frame(frame, state.shape)
-        chances = _chances(state.inside, state.outside)
         half = self.samples // 2
         noise = normals(self.seed, state.frame, (self.samples, 3))
         expected = state.center + self.inertia * state.velocity
-        wide = self._draw(state, noise[:half], expected, state.scale, 1.0 + 1.5 * state.lost)
+        wide = self._draw(state, noise[:half], expected, state.scale, 1.0 + self.widening * state.lost)
         # One candidate stays where it is expected, so that a still object is met exactly.
         wide[0] = (*expected, state.scale)
-        coarse = self._similarity(image, state, wide, chances)[0]
-        weights = _weights(coarse, self.sharpness)
-        about = weights @ wide
+        boxes = box_about(wide[:, :2], wide[:, 2:] * state.size)
+        view = self._view(image, boxes, _chances(state.inside, state.outside))
+        coarse = self._similarity(view, state, boxes)[0]
+        about = _weights(coarse, self.sharpness) @ wide
         close = self._draw(state, noise[half:], about[:2], float(about[2]), self.narrowing)
         candidates = np.concatenate([wide, close])
-        similarity, features, contrast = self._similarity(image, state, candidates, chances)
+        boxes = np.concatenate([boxes, box_about(close[:, :2], close[:, 2:] * state.size)])
+        similarity = np.concatenate([coarse, self._similarity(view, state, boxes[half:])[0]])
         weights = _weights(similarity, self.sharpness)
         found = weights @ candidates
         box = box_about(found[:2], found[2] * state.size)
-        own, features, contrast = self._similarity(image, state, found[None], chances)
+        own, features, contrast = self._similarity(view, state, box[None])
         state = self._remember(state, image, found, box, float(own[0]), features[0], float(contrast[0]))
-        boxes = box_about(candidates[:, :2], candidates[:, 2:] * state.size)
         return state, BoxEstimate(box, float(np.clip(own[0], 0.0, 1.0)), boxes, weights)
 
     def _draw(self, state: PlusState, noise: Array, center: Array, scale: float, width: float) -> Array:
@@ -169,33 +184,34 @@ class MonteCarloColorPlus:
         drawn[:, 2] = np.clip(scale * np.exp(deviation * noise[:, 2]), SMALLEST_SCALE, LARGEST_SCALE)
         return drawn
 
-    def _similarity(
-        self, image: Image, state: PlusState, candidates: Array, chances: Features
-    ) -> tuple[Array, Features, Array]:
-        boxes = box_about(candidates[:, :2], candidates[:, 2:] * state.size)
-        features, contrast = self._describe(image, boxes, chances)
+    def _similarity(self, view: View, state: PlusState, boxes: Array) -> tuple[Array, Features, Array]:
+        """Similarity (n,), features (n, 2, f) and contrast (n,) of boxes."""
+        features, contrast = self._describe(view, boxes)
         memory = self.loyalty * state.first + (1.0 - self.loyalty) * state.recent
-        gradients = features[:, 0] @ memory[0]
-        colors = features[:, 1] @ memory[1]
-        relative = np.clip(contrast / max(state.contrast, 0.05), -1.0, 1.5)
+        gradients, colors = features[:, 0] @ memory[0], features[:, 1] @ memory[1]
+        relative = np.clip(contrast / max(state.contrast, _LEAST_CONTRAST), -1.0, 1.5)
         rest = 1.0 - self.gradient_share - self.color_share
         total = self.gradient_share * gradients + self.color_share * colors + rest * relative
         return total.astype(np.float64), features, contrast
 
-    def _describe(self, image: Image, boxes: Array, chances: Features) -> tuple[Features, Array]:
-        """Features (n, 2, f) and contrast (n,) of boxes."""
+    def _view(self, image: Image, boxes: Array, chances: Features) -> View:
+        """The part of a frame that holds boxes with their surroundings, integrated."""
         margin = self.rim * boxes[:, 2:] + 2.0
+        size = np.array([image.shape[1], image.shape[0]])
         low = np.floor((boxes[:, :2] - margin).min(axis=0)).astype(np.int64)
         high = np.ceil((boxes[:, :2] + boxes[:, 2:] + margin).max(axis=0)).astype(np.int64)
-        size = np.array([image.shape[1], image.shape[0]])
-        low, high = np.clip(low, 0, size - 2), np.clip(high, 0, size)
-        high = np.maximum(high, low + 2)
+        low = np.clip(low, 0, size - 2)
+        high = np.maximum(np.clip(high, 0, size), low + 2)
         region = image[low[1] : high[1], low[0] : high[0]]
         integral = np.empty((region.shape[0] + 1, region.shape[1] + 1, CHANNELS), np.float32)
         integrate_channels(region, chances, self.bins, integral)
+        return View(integral, np.array([*low, 0.0, 0.0]))
+
+    def _describe(self, view: View, boxes: Array) -> tuple[Features, Array]:
+        """Features (n, 2, f) and contrast (n,) of boxes."""
         found = np.zeros((len(boxes), 2, self.grid**2 * ORIENTATIONS), np.float32)
         contrast = np.zeros(len(boxes))
-        describe(integral, boxes - np.array([*low, 0.0, 0.0]), self.grid, self.rim, found, contrast)
+        describe(view.integral, boxes - view.corner, self.grid, self.rim, found, contrast)
         return found, contrast
 
     def _colors(self, image: Image, box: Array) -> tuple[Array, Array]:
@@ -238,6 +254,8 @@ def _chances(inside: Array, outside: Array) -> Features:
     return ((inside + _UNSEEN) / (inside + outside + 2.0 * _UNSEEN)).astype(np.float32)
 
 
+_LEAST_CONTRAST = 0.05
+"""An object of less contrast than this is judged as if it had this."""
 _UNSEEN = 1e-3
 """Share of a color below which it tells little."""
 

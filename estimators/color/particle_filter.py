@@ -70,9 +70,9 @@ class ColorParticleFilter:
     damping: float = 0.7
     center_deviation: float = 5.0
     scale_deviation: float = 0.03
-    distance_deviation: float = 0.1
-    update_rate: float = 0.1
-    update_threshold: float = 0.9
+    distance_deviation: float = 0.035
+    update_rate: float = 0.05
+    update_threshold: float = 0.95
     bins: int = 8
     seed: int = 0
 
