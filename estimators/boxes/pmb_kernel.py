@@ -1,0 +1,122 @@
+"""Compiled recursion of the Poisson multi-Bernoulli filter of boxes: one Gaussian per person, sizes as the unit."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from servotrack.estimators.metrics.assignment import assign
+from servotrack.estimators.rfs.association import association_marginals
+
+AXES = 4
+"""Measured entries: center column and row, width, height."""
+
+
+@njit(cache=True, nogil=True)
+def overlap_share(mean, i, j):  # type: ignore[no-untyped-def]
+    """Share of track i's box that track j's box covers."""
+    share = 1.0
+    for axis in range(2):
+        a, b = mean[i, 2 * axis], mean[j, 2 * axis]
+        wide, other = mean[i, 4 + axis], mean[j, 4 + axis]
+        common = min(a + wide / 2, b + other / 2) - max(a - wide / 2, b - other / 2)
+        share *= max(common, 0.0) / wide
+    return share
+
+
+@njit(cache=True, nogil=True)
+def visible_shares(mean, existence, frame_width, frame_height):  # type: ignore[no-untyped-def]
+    """Of each track the share that no nearer person hides, and the share inside the frame (1 for an unknown frame).
+
+    The nearer of two people stands lower in the image.
+    """
+    count = mean.shape[0]
+    visible, inside = np.ones(count), np.ones(count)
+    for i in range(count):
+        foot = mean[i, 2] + mean[i, 5] / 2
+        for j in range(count):
+            if j != i and existence[j] >= 0.5 and mean[j, 2] + mean[j, 5] / 2 > foot:
+                visible[i] = min(visible[i], 1.0 - existence[j] * overlap_share(mean, i, j))
+        if frame_width > 0.0:
+            for axis in range(2):
+                end = frame_width if axis == 0 else frame_height
+                center, size = mean[i, 2 * axis], mean[i, 4 + axis]
+                inside[i] *= max(min(center + size / 2, end) - max(center - size / 2, 0.0), 0.0) / size
+    return visible, inside
+
+
+@njit(cache=True, nogil=True)
+def pair_distances(mean, variance, boxes, noise, gate):  # type: ignore[no-untyped-def]
+    """Squared Mahalanobis distance and log share of the certainty, of every pair inside the gate.
+
+    The second is log sqrt(det R / det S): how thin the prediction's uncertainty spreads a track over measurements.
+
+    Args:
+        mean: Predicted. Shape (T, 6).
+        variance: Predicted. Shape (T, 8).
+        boxes: Left, top, width, height. Shape (Z, 4), px.
+        noise: Standard deviation of a measured position and of a size, as shares of the height.
+        gate: Largest squared distance; beyond, the distance is infinite.
+
+    Returns:
+        Both of shape (T, Z).
+    """
+    distance = np.full((mean.shape[0], boxes.shape[0]), np.inf)
+    thinness = np.zeros((mean.shape[0], boxes.shape[0]))
+    for i in range(mean.shape[0]):
+        spread = 0.0
+        S = np.empty(AXES)
+        for k in range(AXES):
+            share = noise[0] if k < 2 else noise[1]
+            R = (share * mean[i, 5]) ** 2
+            S[k] = R + (variance[i, 3 * k] if k < 2 else variance[i, 4 + k])
+            spread += 0.5 * math.log(R / S[k])
+        for j in range(boxes.shape[0]):
+            total = 0.0
+            for k in range(AXES):
+                if k < 2:
+                    gap = boxes[j, k] + boxes[j, 2 + k] / 2 - mean[i, 2 * k]
+                else:
+                    gap = boxes[j, k] - mean[i, 2 + k]
+                total += gap * gap / S[k]
+            if total <= gate:
+                distance[i, j], thinness[i, j] = total, spread
+    return distance, thinness
+
+
+@njit(cache=True, nogil=True)
+def associate(weight):  # type: ignore[no-untyped-def]
+    """Marginals and the best assignment of tracks to detections.
+
+    Args:
+        weight: Of "track i caused detection j" over "i is missed and j is false or new". Shape (T, Z).
+
+    Returns:
+        missed (T,), assigned (T,): probability that a track caused any; fresh (Z,); partner (T,), -1 for none.
+    """
+    tracks, detections = weight.shape
+    pairs = 0
+    for i in range(tracks):
+        for j in range(detections):
+            pairs += weight[i, j] > 0.0
+    track, to, psi = np.empty(pairs, np.int64), np.empty(pairs, np.int64), np.empty(pairs)
+    cost = np.zeros((tracks, detections + tracks))
+    pairs = 0
+    for i in range(tracks):
+        for j in range(detections):
+            cost[i, j] = 1e6
+            if weight[i, j] > 0.0:
+                track[pairs], to[pairs], psi[pairs] = i, j, weight[i, j]
+                cost[i, j] = -math.log(weight[i, j])
+                pairs += 1
+    missed, share, fresh = association_marginals(track, to, psi, tracks, detections)
+    assigned = np.zeros(tracks)
+    for p in range(pairs):
+        assigned[track[p]] += share[p]
+    partner = assign(cost, tracks, detections + tracks)
+    for i in range(tracks):
+        if partner[i] >= detections:
+            partner[i] = -1
+    return missed, assigned, fresh, partner

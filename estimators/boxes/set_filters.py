@@ -1,0 +1,153 @@
+"""Boxes from any filter of `servotrack.estimators.rfs`: detections in as measurements, identities out as boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.estimators.boxes.model import Kind, measurements
+from servotrack.estimators.boxes.report import check_detections
+from servotrack.estimators.detect.detections import Detections
+from servotrack.estimators.rfs.sets import SetEstimate
+
+Array = NDArray[np.float64]
+
+SIZE_RATE = 0.2
+"""Weight of a new size in that of an identity whose filter knows only its centroid."""
+
+
+class BoxSetState(NamedTuple):
+    """State of a `BoxSetFilter`.
+
+    Attributes:
+        belief: The filter's.
+        labels: Identities whose size is known. Shape (k,).
+        shapes: Of each: the box's left and top less the centroid, width, height. Shape (k, 4), px.
+    """
+
+    belief: Any
+    labels: NDArray[np.int64]
+    shapes: Array
+
+
+@dataclass(frozen=True, eq=False)
+class BoxSetFilter:
+    """A set filter as a tracker of boxes.
+
+    Args:
+        filter: A filter of `servotrack.estimators.rfs` with a model of `servotrack.estimators.boxes.model`.
+        kind: "centroid": the filter gets centroids, and the box around a reported one is that of the nearest
+            detection, averaged over time. "box": the filter has sizes in its state.
+
+    Raises:
+        ValueError: A model whose measurement is of another size.
+    """
+
+    filter: Any
+    kind: Kind = "centroid"
+
+    def __post_init__(self) -> None:
+        wanted, got = (2 if self.kind == "centroid" else 4), self.filter.model.packed.observation.shape[0]
+        if wanted != got:
+            raise ValueError(f"a filter of kind {self.kind!r} must measure {wanted} numbers, got a model with {got}")
+
+    def initial(self, detections: Detections) -> BoxSetState:
+        """State before the first frame; the detections are not looked at."""
+        z = np.zeros((0, 2 if self.kind == "centroid" else 4))
+        return BoxSetState(self.filter.initial(z), np.zeros(0, np.int64), np.zeros((0, 4)))
+
+    def step(self, state: BoxSetState, detections: Detections) -> tuple[BoxSetState, SetEstimate]:
+        """Predict to the next frame and fold its detections in.
+
+        Raises:
+            ValueError: Detections that are not finite.
+        """
+        check_detections(detections)
+        belief, found = self.filter.step(state.belief, measurements(detections, self.kind))
+        if self.kind == "box":
+            shown = replace_states(found, _boxes(found.states), _boxes(found.held_states), _covariances(found))
+            return BoxSetState(belief, state.labels, state.shapes), shown
+        labels = np.concatenate([found.labels, found.held_labels])
+        centers = np.concatenate([found.states, found.held_states])[:, [0, 2]]
+        shapes = _shapes(state, labels, centers, detections)
+        boxes = shapes.copy()
+        boxes[:, :2] += centers
+        covariances = np.zeros((len(found.labels), 4, 4))
+        covariances[:, :2, :2] = found.covariances[:, [[0], [2]], [0, 2]]
+        shown = replace_states(found, boxes[: len(found.labels)], boxes[len(found.labels) :], covariances)
+        return BoxSetState(belief, labels, shapes), shown
+
+
+def replace_states(estimate: SetEstimate, states: Array, held_states: Array, covariances: Array) -> SetEstimate:
+    """The same identities in other coordinates."""
+    return SetEstimate(
+        states,
+        estimate.labels,
+        estimate.existence,
+        covariances,
+        estimate.expected_number,
+        estimate.held_labels,
+        held_states,
+        estimate.held_existence,
+    )
+
+
+def _boxes(states: Array) -> Array:
+    """[x, vx, y, vy, w, h] as boxes."""
+    size = np.maximum(states[:, 4:6], 1.0)
+    return np.concatenate([states[:, [0, 2]] - size / 2.0, size], axis=1)
+
+
+def _covariances(estimate: SetEstimate) -> Array:
+    """Of boxes, from those of [x, vx, y, vy, w, h]."""
+    J = np.array([[1, 0, 0, 0, -0.5, 0], [0, 0, 1, 0, 0, -0.5], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1.0]])
+    return np.einsum("ij,kjl,ml->kim", J, estimate.covariances, J)
+
+
+def _shapes(state: BoxSetState, labels: NDArray[np.int64], centers: Array, detections: Detections) -> Array:
+    """The box around each identity's centroid: as remembered, mixed with that of the nearest detection that is near."""
+    boxes, centroids = detections.boxes, detections.centroids
+    shapes = np.zeros((len(labels), 4))
+    for row, (label, center) in enumerate(zip(labels.tolist(), centers, strict=True)):
+        known = np.flatnonzero(state.labels == label)
+        old = state.shapes[known[0]] if len(known) else None
+        if len(boxes):
+            gap = centroids - center
+            nearest = int(np.argmin((gap * gap).sum(axis=1)))
+            shape = boxes[nearest].copy()
+            shape[:2] -= centroids[nearest]
+            # Farther than half a box away it is another one's.
+            if old is None or bool((np.abs(gap[nearest]) <= 0.5 * old[2:]).all()):
+                shapes[row] = shape if old is None else old + SIZE_RATE * (shape - old)
+                continue
+        if old is not None:
+            shapes[row] = old
+        elif len(state.shapes):
+            shapes[row] = np.median(state.shapes, axis=0)
+        else:
+            shapes[row] = -0.5, -0.5, 1.0, 1.0
+    return shapes
+
+
+def rename(estimate: SetEstimate, names: Mapping[int, int], held: NDArray[np.bool_]) -> SetEstimate:
+    """The same estimate under other identities.
+
+    Args:
+        estimate: All of whose reported identities have a name.
+        names: From identity to name.
+        held: Which of the silent identities are kept. Shape (h,).
+    """
+    return SetEstimate(
+        estimate.states,
+        np.array([names[label] for label in estimate.labels.tolist()], np.int64),
+        estimate.existence,
+        estimate.covariances,
+        estimate.expected_number,
+        np.array([names[label] for label in estimate.held_labels[held].tolist()], np.int64),
+        estimate.held_states[held],
+        estimate.held_existence[held],
+    )
