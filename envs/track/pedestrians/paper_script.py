@@ -22,8 +22,8 @@ MERGE, SPLIT = 450, 468
 """When the two who meet become one region, and when two again."""
 
 _MEETING = (-1.15, 8.6)
-_CLOSE = 0.17
-"""Half the distance of the two who meet, m."""
+_CLOSE = (0.11, 0.17)
+"""Half the way from one to the other of the two who meet, m."""
 _JITTER = 0.25
 """How far places differ from seed to seed, either way, m."""
 _STEADY = (0.0, 0.0, 0.0)
@@ -51,7 +51,7 @@ def meet_split_third_guy(config: PedestrianConfig, camera: Camera, streams: Stre
         return np.array([side * (float(camera.half_width(depth)) - 0.03), depth])
 
     meeting = np.array(_MEETING) + rng.uniform(-_JITTER, _JITTER, 2)
-    sides = np.array([_CLOSE, 0.0])
+    sides = np.array(_CLOSE)
     first = (
         49,
         518,
@@ -59,7 +59,7 @@ def meet_split_third_guy(config: PedestrianConfig, camera: Camera, streams: Stre
         [
             leg(near(0.6, 11.0), until=250.0, due=150.0, face=-1.2),
             leg(near(-2.9, 8.6), until=412.0, due=345.0, face=_RIGHT),
-            leg(meeting - sides, until=463.0, due=457.0, face=_RIGHT),
+            leg(meeting - sides, until=457.0, due=452.0, face=_RIGHT),
             leg(border(-1, 8.4), until=518.0, due=519.0),
         ],
     )
@@ -70,7 +70,7 @@ def meet_split_third_guy(config: PedestrianConfig, camera: Camera, streams: Stre
         [
             leg(near(2.4, 9.3), until=355.0, due=245.0, face=_LEFT),
             leg(near(0.6, 8.6), until=412.0, due=400.0, face=_LEFT),
-            leg(meeting + sides, until=463.0, due=457.0, face=_LEFT),
+            leg(meeting + sides, until=457.0, due=452.0, face=_LEFT),
             leg(near(1.2, 7.6), until=560.0, due=530.0, face=-1.6),
             leg(border(1, 7.4), until=624.0, due=625.0),
         ],

@@ -36,6 +36,8 @@ _STANDING = 0.25
 """What others count for a person who stands."""
 _TOLERANCE = 0.2
 """Distance at which one has arrived to stay, m."""
+_EXACT = 0.05
+"""The same for who is to be there at a certain frame, m."""
 _PASSING = 0.4
 """Distance at which one goes on, m."""
 _SLOWEST, _HURRIED = 0.2, 1.9
@@ -78,6 +80,8 @@ def drive(  # type: ignore[no-untyped-def]
             dx, dz = goal[X] - position[i, 0], goal[Z] - position[i, 1]
             distance = math.sqrt(dx * dx + dz * dz)
             near = _TOLERANCE if goal[PAUSE] > 0.0 or goal[UNTIL] > frame else _PASSING
+            if goal[DUE] >= 0.0:
+                near = _EXACT
             if arrived[i] < 0 and (distance < near or (frame - since[i]) * dt > _PATIENCE):
                 arrived[i] = frame
             if arrived[i] < 0 or frame - arrived[i] < goal[PAUSE] or frame < goal[UNTIL]:
