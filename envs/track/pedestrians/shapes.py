@@ -150,24 +150,29 @@ def draw_parts(parts, order, count, left, top, grain, patch):  # type: ignore[no
                 px = corner + j
                 along = px * ex + py * ey
                 across = py * ex - px * ey
-                beyond, place = 0.0, along * knots
+                beyond, place, steep = 0.0, along * knots, 1.0
                 if along < 0.0:
-                    beyond, place = along * head, 0.0
+                    beyond, place, steep = along * head, 0.0, head
                 elif along > length:
-                    beyond, place = (along - length) * tail, SAMPLES - 1.0
+                    beyond, place, steep = (along - length) * tail, SAMPLES - 1.0, tail
                 knot = min(int(place), SAMPLES - 2)
                 width = part[WIDTHS + knot] + (part[WIDTHS + knot + 1] - part[WIDTHS + knot]) * (place - knot)
                 distance2 = across * across + beyond * beyond
-                outer = width + 0.5
+                # A flat cap is a squeezed half disc: distances to its edge are those of the disc over the gradient.
+                edge = 0.5
+                if beyond != 0.0:
+                    along_edge = beyond * steep
+                    edge = 0.5 * math.sqrt((across * across + along_edge * along_edge) / distance2)
+                outer = width + edge
                 if distance2 >= outer * outer:
                     continue
                 free = 1.0 - patch[i, j, 3]
                 if free < 1e-3:
                     continue
-                inner = width - 0.5
+                inner = width - edge
                 cover = 1.0
                 if inner <= 0.0 or distance2 > inner * inner:
-                    cover = min(outer - math.sqrt(distance2), 1.0)
+                    cover = min((outer - math.sqrt(distance2)) / (2.0 * edge), 1.0)
                 scale = 1.0 / max(width, 0.5)
                 na, nb = across * scale, beyond * scale
                 nx, ny = nb * ex - na * ey, nb * ey + na * ex
