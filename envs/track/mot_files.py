@@ -223,6 +223,6 @@ def _number(path: Path, section: configparser.SectionProxy, key: str) -> float |
         value = float(text)
     except ValueError:
         value = math.nan
-    if not (math.isfinite(value) and 0.0 < value <= 1e9):
+    if not (math.isfinite(value) and 0.0 < value <= 1e12):
         raise SequenceError(f"{path}: {key} must be a positive number, got {text!r}; mend the line or delete it")
     return value

@@ -1,0 +1,242 @@
+"""`servotrack track`: tracks, film and scores of real files; what ends a run early loses nothing."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from servotrack.baselines.results import ResultsError
+from servotrack.baselines.tracking import stopping
+from servotrack.baselines.tracking.inputs import FileInput, PixelInput
+from servotrack.baselines.tracking.painter import BoxPainter
+from servotrack.baselines.tracking.run import track
+from servotrack.baselines.tracking.scores import score_tracks
+from servotrack.baselines.tracking.tracks_file import TracksFile
+from servotrack.envs.track.recorded import RecordedTracks, SequenceError, read_tracks
+from servotrack.estimators.detect.detections import Detections, detections_from_boxes
+from servotrack.estimators.metrics import Track
+from servotrack.estimators.rfs.sets import SetEstimate
+
+FRAMES, SIZE = 12, (128, 96)
+BOX = np.array([16.0, 24.0, 16.0, 40.0])
+STEP = np.array([4.0, 0.0, 0.0, 0.0])
+
+
+class Brightness:
+    """Finds what is bright, and remembers what its background was made of."""
+
+    def __init__(self) -> None:
+        self.learned = 0
+
+    def initial(self, frames: Any) -> int:
+        self.learned = len(frames) if isinstance(frames, list) else 1
+        return 0
+
+    def step(self, state: int, frame: np.ndarray) -> tuple[int, Detections]:
+        box = cv2.boundingRect((frame[..., 0] > 128).astype(np.uint8))
+        return state + 1, detections_from_boxes([box] if box[2] else [])
+
+
+class Following:
+    """Reports every detection under the label of its row."""
+
+    def initial(self, detections: Detections) -> int:
+        return 0
+
+    def step(self, state: int, detections: Detections) -> tuple[int, SetEstimate]:
+        return state + 1, estimate_of(detections.boxes)
+
+
+def estimate_of(boxes: np.ndarray) -> SetEstimate:
+    k = len(boxes)
+    none = np.zeros(0, np.int64)
+    return SetEstimate(
+        np.asarray(boxes, dtype=np.float64).reshape(k, 4), np.arange(1, k + 1), np.ones(k), np.zeros((k, 4, 4)),
+        np.array(float(k)), none, np.zeros((0, 4)), np.zeros(0),
+    )  # fmt: skip
+
+
+def write_video(path: Path, count: int = FRAMES) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10, SIZE)
+    rng = np.random.default_rng(0)
+    for k in range(count):
+        frame = rng.integers(0, 40, (SIZE[1], SIZE[0], 3), np.uint8)
+        left, top, width, height = (BOX + k * STEP).astype(int)
+        frame[top : top + height, left : left + width] = 255
+        writer.write(frame)
+    writer.release()
+    return path
+
+
+def truth_of(count: int = FRAMES) -> RecordedTracks:
+    steps = np.arange(count)
+    return RecordedTracks(np.array([1]), [Track(steps, BOX + steps[:, None] * STEP)], [np.ones(count)])
+
+
+def film_frames(path: Path) -> int:
+    capture, count = cv2.VideoCapture(str(path)), 0
+    while capture.read()[0]:
+        count += 1
+    return count
+
+
+def test_tracks_are_in_the_sources_px_whatever_size_the_detector_works_at(tmp_path):
+    detector = Brightness()
+    source = PixelInput(write_video(tmp_path / "v.avi"), detector, (64, 48), background=4)
+    run = track(source, Following(), tmp_path / "out", BoxPainter((128, 96), truth_of()))
+    assert detector.learned == 4
+    assert run.frames == list(range(FRAMES)) and run.stopped == "" and run.rate > 0
+    found = read_tracks(tmp_path / "out" / "tracks.txt")
+    np.testing.assert_allclose(found.tracks[0].states, truth_of().tracks[0].states, atol=2.0)
+    assert film_frames(tmp_path / "out" / "tracks.mp4") == FRAMES
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["tracks.mp4", "tracks.txt"]
+    scores = score_tracks(truth_of(), found, run.frames, "iou")
+    assert (scores.count_accuracy, scores.mota, scores.idf1, scores.identity_switches) == (1.0, 1.0, 1.0, 0)
+    assert scores.ospa < 0.1
+
+
+def test_start_count_and_stride_keep_the_sources_numbers(tmp_path):
+    source = PixelInput(write_video(tmp_path / "v.avi"), Brightness(), None, start=2, count=3, stride=4)
+    assert (source.length, source.frame_rate) == (3, 2.5)
+    run = track(source, Following(), tmp_path / "out")
+    assert run.frames == [2, 6, 10]
+    found = read_tracks(tmp_path / "out" / "tracks.txt")
+    assert found.tracks[0].steps.tolist() == [2, 6, 10]
+    scores = score_tracks(truth_of(), found, run.frames)
+    assert (scores.frames, scores.mota) == (3, 1.0)
+
+
+def test_detections_of_a_sequence_without_images_are_tracked(tmp_path):
+    (tmp_path / "det").mkdir()
+    (tmp_path / "det" / "det.txt").write_text("2,-1,1,2,3,4,0.5\n5,-1,2,2,3,4,0.5\n")
+    (tmp_path / "seqinfo.ini").write_text("[Sequence]\nseqLength=4000000000\nframeRate=8\nimWidth=64\nimHeight=48\n")
+    source = FileInput(tmp_path)
+    assert source.length == 5 and source.source_size == (64, 48)
+    run = track(source, Following(), tmp_path / "out", BoxPainter((64, 48)))
+    assert run.rows == 2 and film_frames(tmp_path / "out" / "tracks.mp4") == 5
+    assert read_tracks(tmp_path / "out" / "tracks.txt").tracks[0].steps.tolist() == [1, 4]
+    with pytest.raises(SequenceError, match=r"holds no det/det\.txt"):
+        FileInput(tmp_path / "det")
+    with pytest.raises(SequenceError, match="nothing from frame 9 on"):
+        FileInput(tmp_path, start=9)
+
+
+def test_broken_source_keeps_what_was_tracked(tmp_path):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for k in range(6):
+        cv2.imwrite(str(folder / f"{k}.png"), np.full((64, 64, 3), 255 if k < 5 else 0, np.uint8))
+    (folder / "4.png").write_bytes(b"broken")
+    run = track(PixelInput(folder, Brightness(), None), Following(), tmp_path / "out", BoxPainter((64, 64)))
+    assert run.frames == [0, 1, 2, 3] and "4.png is no image" in run.stopped and run.error is not None
+    assert read_tracks(tmp_path / "out" / "tracks.txt").length == 4
+    assert film_frames(tmp_path / "out" / "tracks.mp4") == 4
+
+
+def test_nothing_tracked_leaves_an_earlier_file_alone(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "tracks.txt").write_text("an earlier run's")
+    (tmp_path / "f").mkdir()
+    cv2.imwrite(str(tmp_path / "f" / "1.png"), np.zeros((64, 64, 3), np.uint8))
+    source = PixelInput(tmp_path / "f", Brightness(), None)
+    (tmp_path / "f" / "1.png").write_bytes(b"broken")
+    with pytest.raises(SequenceError, match="is no image"):
+        track(source, Following(), out)
+    assert [p.name for p in out.iterdir()] == ["tracks.txt"] and "earlier" in (out / "tracks.txt").read_text()
+
+
+class FullDisk:
+    """A file on a disk with room for so many bytes."""
+
+    def __init__(self, file: Any, room: int) -> None:
+        self._file, self._room = file, room
+
+    def write(self, content: bytes) -> int:
+        if self._room == 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        written = self._file.write(content[: self._room])
+        self._room -= written
+        return written
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+
+def test_full_disk_keeps_whole_frames(tmp_path, monkeypatch):
+    with pytest.raises(OSError, match="No space left"), TracksFile(tmp_path / "tracks.txt") as tracks:
+        tracks._file = FullDisk(tracks._file, 200)  # type: ignore[assignment]
+        for frame in range(1, 10):
+            tracks.write(frame, estimate_of([BOX, BOX + 1]))
+    found = read_tracks(tmp_path / "tracks.txt")
+    assert [len(t.steps) for t in found.tracks] == [2, 2] and tracks.rows == 4
+
+
+def test_run_ends_before_the_disk_is_full(tmp_path, monkeypatch):
+    free = [1 << 30, 1 << 30, 1 << 20]
+    usage = stopping.shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(stopping.shutil, "disk_usage", lambda _: usage._replace(free=free.pop(0)))
+    source = PixelInput(write_video(tmp_path / "v.avi", 40), Brightness(), None)
+    run = track(source, Following(), tmp_path / "out", BoxPainter(SIZE))
+    assert len(run.frames) == 16 and "No space left on device (1024 KiB free)" in run.stopped
+    assert read_tracks(tmp_path / "out" / "tracks.txt").length == 16
+    assert film_frames(tmp_path / "out" / "tracks.mp4") == 16
+
+
+def test_film_that_does_not_play_is_removed_with_a_warning(tmp_path, monkeypatch):
+    source = PixelInput(write_video(tmp_path / "v.avi"), Brightness(), None)
+    film = tmp_path / "out" / "tracks.mp4"
+    from servotrack.baselines.tracking import run as module
+
+    keep = module._keep_film
+    monkeypatch.setattr(module, "_keep_film", lambda f, r: (film.write_bytes(b"half a film"), keep(f, r)))
+    run = track(source, Following(), tmp_path / "out", BoxPainter(SIZE))
+    assert "could not be finished" in run.warnings[0] and not film.exists()
+    assert [path.name for path in run.files] == ["tracks.txt"]
+
+
+def test_folder_that_cannot_be_written_is_named_before_anything_is_decoded(tmp_path):
+    (tmp_path / "out").write_text("a file")
+    source = PixelInput(write_video(tmp_path / "v.avi"), Brightness(), None)
+    with pytest.raises(ResultsError, match="out is a file, not a results folder"):
+        track(source, Following(), tmp_path / "out")
+    with pytest.raises(ResultsError, match="is not writable"):
+        track(source, Following(), Path("/proc/nowhere"))
+
+
+def test_signal_is_taken_between_two_frames(tmp_path):
+    source = PixelInput(write_video(tmp_path / "v.avi"), Brightness(), None)
+    seen: list[int] = []
+
+    def interrupt() -> None:
+        seen.append(1)
+        if len(seen) == 5:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    run = track(source, Following(), tmp_path / "out", BoxPainter(SIZE), on_frame=interrupt)
+    assert run.signal == signal.SIGINT and run.stopped == "interrupted" and run.frames == list(range(5))
+    assert film_frames(tmp_path / "out" / "tracks.mp4") == 5
+    with pytest.raises(KeyboardInterrupt):  # outside, it acts as ever
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(1.0)
+
+
+def test_centroid_rule_measures_in_heights(tmp_path):
+    truth = truth_of(4)
+    off = BOX + np.array([0.0, 0.55 * BOX[3], 0.0, 0.0])
+    found = RecordedTracks(np.array([5]), [Track(np.arange(4), off + np.arange(4)[:, None] * STEP)], [np.ones(4)])
+    assert score_tracks(truth, found, range(4), "centroid").mota == 1.0
+    assert score_tracks(truth, found, range(4), "iou").mota == -1.0
+    with pytest.raises(ValueError, match="match must be one of iou, centroid, got 'area'"):
+        score_tracks(truth, found, range(4), "area")
