@@ -146,7 +146,7 @@ def put_text(
     left = round(x - shift - height / _DIGIT_HEIGHT)
     top = round(baseline - _ASCENT * height / _DIGIT_HEIGHT)
     opacity = _mask(text, height, weight)
-    opacity = opacity[max(0, -top) : image.shape[0] - top, max(0, -left) : image.shape[1] - left]
+    opacity = opacity[max(0, -top) : max(0, image.shape[0] - top), max(0, -left) : max(0, image.shape[1] - left)]
     if opacity.size == 0:
         return
     row, column = max(top, 0), max(left, 0)
