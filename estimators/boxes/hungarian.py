@@ -62,15 +62,15 @@ class KalmanHungarian:
     """
 
     frame_rate: float = 25.0
-    acceleration: float = 0.6
+    acceleration: float = 0.3
     speed: float = 0.7
     drift: float = 0.1
-    position_noise: float = 0.06
-    size_noise: float = 0.12
-    overlap: float = 0.2
-    confirm: int = 2
+    position_noise: float = 0.08
+    size_noise: float = 0.15
+    overlap: float = 0.1
+    confirm: int = 3
     misses: int = 8
-    shown_misses: int = 0
+    shown_misses: int = 2
 
     def __post_init__(self) -> None:
         for name in ("frame_rate", "acceleration", "speed", "drift", "position_noise", "size_noise"):

@@ -10,9 +10,6 @@ from numba import njit
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.rfs.association import association_marginals
 
-AXES = 4
-"""Measured entries: center column and row, width, height."""
-
 
 @njit(cache=True, nogil=True)
 def overlap_share(mean, i, j):  # type: ignore[no-untyped-def]
@@ -65,22 +62,19 @@ def pair_distances(mean, variance, boxes, noise, gate):  # type: ignore[no-untyp
     """
     distance = np.full((mean.shape[0], boxes.shape[0]), np.inf)
     thinness = np.zeros((mean.shape[0], boxes.shape[0]))
+    center = boxes[:, :2] + boxes[:, 2:] / 2.0
+    S = np.empty(4)
     for i in range(mean.shape[0]):
         spread = 0.0
-        S = np.empty(AXES)
-        for k in range(AXES):
-            share = noise[0] if k < 2 else noise[1]
-            R = (share * mean[i, 5]) ** 2
+        for k in range(4):
+            R = (noise[k // 2] * mean[i, 5]) ** 2
             S[k] = R + (variance[i, 3 * k] if k < 2 else variance[i, 4 + k])
             spread += 0.5 * math.log(R / S[k])
         for j in range(boxes.shape[0]):
             total = 0.0
-            for k in range(AXES):
-                if k < 2:
-                    gap = boxes[j, k] + boxes[j, 2 + k] / 2 - mean[i, 2 * k]
-                else:
-                    gap = boxes[j, k] - mean[i, 2 + k]
-                total += gap * gap / S[k]
+            for k in range(2):
+                total += (center[j, k] - mean[i, 2 * k]) ** 2 / S[k]
+                total += (boxes[j, 2 + k] - mean[i, 4 + k]) ** 2 / S[2 + k]
             if total <= gate:
                 distance[i, j], thinness[i, j] = total, spread
     return distance, thinness
