@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -52,6 +52,9 @@ class MaskedBackground:
         least_threshold: What Otsu's threshold never goes below, gray levels: in an empty scene it would divide noise.
         learning_rate: Weight a of a new frame, per frame, above 0 and below 1.
         start: Of several frames given to `initial`: their "median", or their "mean", as in the paper.
+        smoothing: Side of the square over which a frame is averaged before anything else, px; 1 for none. With it a
+            much lower threshold stands above the camera's noise, so that clothes in the background's colors are found;
+            and so are shadows, where there are any.
         color: Difference of a pixel: "max" over the channels, or of "gray" values.
         hold: Where the background does not learn: at the "pixels" above the threshold, as in the paper, or in the
             "blobs", so that specks are learned and holes in people are not.
@@ -70,6 +73,7 @@ class MaskedBackground:
     least_threshold: float = 15.0
     learning_rate: float = 0.02
     start: str = "median"
+    smoothing: int = 1
     color: str = "max"
     hold: str = "blobs"
     shadows: bool = False
@@ -91,6 +95,8 @@ class MaskedBackground:
         for name, kinds in (("start", ("median", "mean")), ("color", ("max", "gray")), ("hold", ("blobs", "pixels"))):
             if getattr(self, name) not in kinds:
                 raise ValueError(f"{name} must be one of {', '.join(kinds)}, got {getattr(self, name)!r}")
+        if not (isinstance(self.smoothing, int) and 1 <= self.smoothing <= 15):
+            raise ValueError(f"smoothing must be a whole number of pixels from 1 to 15, got {self.smoothing!r}")
         if not (isinstance(self.heal_every, int) and self.heal_every >= 0):
             raise ValueError(f"heal_every must be a whole number of frames, 0 for never, got {self.heal_every!r}")
         if not 0.0 < self.flood <= 1.0:
@@ -114,6 +120,11 @@ class MaskedBackground:
             blobs=BlobFinder(closing=(1, 1), split=False),
         )
 
+    @classmethod
+    def indoor(cls) -> MaskedBackground:
+        """For even light without cast shadows: smoothed frames, a low threshold, and a closing that joins more."""
+        return cls(threshold=10.0, smoothing=3, blobs=BlobFinder(closing=(3, 11)))
+
     def initial(self, frames: ArrayLike) -> BackgroundState:
         """The first background.
 
@@ -128,7 +139,7 @@ class MaskedBackground:
         several = checked_images(frames)
         average = np.median if self.start == "median" else np.mean
         first = several[0] if len(several) == 1 else average(np.stack(several), axis=0)
-        first = np.array(first, dtype=np.float32)
+        first = self._smooth(np.array(first, dtype=np.float32))
         rounded = cv2.convertScaleAbs(first)
         mask = np.zeros(first.shape[:2], np.uint8)
         return BackgroundState(first, rounded, mask, self.blobs.initial(), 0, 0)
@@ -146,7 +157,8 @@ class MaskedBackground:
         Raises:
             ValueError: Not such an image.
         """
-        image = checked_image(frame, shape=state.rounded.shape)
+        original = checked_image(frame, shape=state.rounded.shape)
+        image = self._smooth(original)
         foreground, threshold = self._foreground(image, state.rounded)
         cleaned = self.blobs.clean(foreground)
         runs, regions = label_runs(cleaned.closed)
@@ -165,9 +177,12 @@ class MaskedBackground:
             )
         if flooded:
             runs[:, 3] = -1
-        sizes, found = self.blobs.find(state.sizes, runs, regions, image)
+        sizes, found = self.blobs.find(state.sizes, runs, regions, original)
         rounded = cv2.convertScaleAbs(background)
         return BackgroundState(background, rounded, cleaned.closed, sizes, frames, flooded), found
+
+    def _smooth(self, image: Any) -> Any:
+        return image if self.smoothing == 1 else cv2.blur(image, (self.smoothing, self.smoothing))
 
     def _foreground(self, image: Image, background: Image) -> tuple[Image, float]:
         """Mask of the pixels that differ (equation 5), and the threshold that was used."""

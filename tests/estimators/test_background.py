@@ -239,3 +239,25 @@ def test_bad_first_frames_are_named(bad, match):
 def test_bad_parameters_are_named(arguments, match):
     with pytest.raises(ValueError, match=match):
         MaskedBackground(**arguments)
+
+
+def test_smoothing_finds_clothes_that_hardly_differ_from_the_background() -> None:
+    rng = np.random.default_rng(5)
+
+    def frame(person: bool) -> np.ndarray:
+        image = rng.normal(120.0, 5.0, (120, 160, 3))
+        if person:
+            image[30:90, 70:86] += 16.0
+        return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+    found = {}
+    for name, detector in (("default", MaskedBackground()), ("indoor", MaskedBackground.indoor())):
+        state = detector.initial([frame(False) for _ in range(10)])
+        for _ in range(5):
+            state, detections = detector.step(state, frame(True))
+        found[name] = detections.boxes
+    assert len(found["default"]) == 0
+    (box,) = found["indoor"]
+    assert np.abs(box - [70.0, 30.0, 16.0, 60.0]).max() <= 3.0
+    with pytest.raises(ValueError, match="smoothing"):
+        MaskedBackground(smoothing=0)
