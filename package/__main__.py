@@ -196,6 +196,68 @@ def reproduce(
 
 
 @app.command()
+def track(
+    source: Annotated[
+        str, typer.Argument(help="Video file, folder of images, MOTChallenge sequence, or a camera's index.")
+    ],
+    detector: Annotated[
+        str,
+        typer.Option(
+            "--detector",
+            "-d",
+            help="masked, masked-paper, mog2, knn; `file`: a MOTChallenge sequence's det.txt; auto: that if any.",
+        ),
+    ] = "auto",
+    tracker: Annotated[
+        str,
+        typer.Option(
+            "--tracker", "-t", help="pmb, gm-phd, gm-phd-paper, gm-cbmember, kalman-hungarian, no-filter, ..."
+        ),
+    ] = "pmb",
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder; default: results/track/NAME.")] = None,
+    size: Annotated[
+        str, typer.Option(help="What the detector sees: WxH, `source`, or `fit`: within 384x288 px.")
+    ] = "fit",
+    truth: Annotated[
+        Path | None, typer.Option(help="MOTChallenge's gt.txt or CAVIAR's XML; a MOTChallenge folder's own is found.")
+    ] = None,
+    match: Annotated[str, typer.Option(help="`iou`: at least 0.5; `centroid`: within 0.6 of the true height.")] = "iou",
+    start: Annotated[int, typer.Option(min=0, help="First frame, from 0.")] = 0,
+    frames: Annotated[int | None, typer.Option(min=1, help="Most frames.")] = None,
+    stride: Annotated[int, typer.Option(min=1, help="Every so manieth frame.")] = 1,
+    background: Annotated[
+        int,
+        typer.Option(min=0, help="Frames of a first pass over a file for the background; 0: none, strictly online."),
+    ] = 40,
+    offline: Annotated[bool, typer.Option("--offline", help="Also fill gaps after the fact, in a file apart.")] = False,
+    video: Annotated[bool, typer.Option(help="Write the annotated film.")] = True,
+    show_truth: Annotated[bool, typer.Option("--show-truth", help="Draw true boxes, too.")] = False,
+) -> None:
+    """Real data in; MOTChallenge tracks, an annotated film and, where there is truth, scores out."""
+    from servotrack.baselines.tracking.command import TrackRequest, run_command
+
+    request = TrackRequest(
+        source,
+        out,
+        detector,
+        tracker,
+        size,
+        truth,
+        match,
+        start,
+        frames,
+        stride,
+        background,
+        offline,
+        video,
+        show_truth,
+    )
+    code = run_command(request, _console())
+    if code:
+        raise typer.Exit(code)
+
+
+@app.command()
 def play(
     env: Annotated[str, typer.Argument(help="Gymnasium id.")] = "UncalibServo-v0",
     agent: Annotated[str | None, typer.Option("--agent", "-a", help="Whom to watch; none: drive by keyboard.")] = None,

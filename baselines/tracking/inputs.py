@@ -9,13 +9,14 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from servotrack.envs.track.decoders import Frame
-from servotrack.envs.track.frames import SIDES, FrameSource, open_frames, resize
+from servotrack.envs.track.frames import SIDES, FrameSource, open_frames, resize, resized
 from servotrack.envs.track.mot_files import SequenceInfo, find_mot_folder, read_mot_detections
 from servotrack.envs.track.recorded import SequenceError
 from servotrack.estimators.detect.detections import Detections, detections_from_boxes
 
 _BACKGROUND_SPACING = 25
 """Frames between two of the first pass, at most: an hour's light is not one background."""
+_FITTED = (384, 288)
 NOMINAL_RATE = 25.0
 """Frames per second where the source does not tell."""
 
@@ -66,7 +67,8 @@ class PixelInput:
     Args:
         source: As `open_frames` takes it.
         detector: With `initial(frames)` and `step(state, frame)`.
-        size: Width and height that the detector works at, px; None for the source's own.
+        size: Width and height that the detector works at, px; "source" for the source's own; "fit" for the largest of
+            its shape that fits into 384 by 288 px, where the detectors' parameters were chosen.
         start: First frame.
         count: Most frames.
         stride: Every so manieth frame.
@@ -81,7 +83,7 @@ class PixelInput:
         self,
         source: str | Path,
         detector: Any,
-        size: tuple[int, int] | None,
+        size: tuple[int, int] | str = "fit",
         *,
         start: int = 0,
         count: int | None = None,
@@ -93,7 +95,7 @@ class PixelInput:
         self._start, self._stride = start, stride
         self._background = 0 if self._frames.live else background
         width, height = self._frames.source_size
-        self._size = size or (width, height)
+        self._size = _working_size(size, (width, height))
         self.name = self._frames.name
         self.frame_rate = (self._frames.frame_rate or NOMINAL_RATE) / stride
         self.length: int | None = _steps(self._frames, start, count, stride)
@@ -178,6 +180,15 @@ class FileInput:
         pictures = iter(()) if self._frames is None else iter(self._frames)
         for number in self._numbers:
             yield Step(number, next(pictures, None), self._found.get(number, nothing))
+
+
+def _working_size(size: tuple[int, int] | str, source: tuple[int, int]) -> tuple[int, int]:
+    if not isinstance(size, str):
+        return size
+    if size != "fit" or (source[0] <= _FITTED[0] and source[1] <= _FITTED[1]):
+        return source
+    wide = source[0] * _FITTED[1] > source[1] * _FITTED[0]
+    return resized(source, *((_FITTED[0], None) if wide else (None, _FITTED[1])))
 
 
 def _picture_size(frames: FrameSource | None, info: SequenceInfo) -> tuple[int, int] | None:

@@ -72,7 +72,7 @@ def write_video(path: Path, count: int = FRAMES) -> Path:
     rng = np.random.default_rng(0)
     for k in range(count):
         frame = rng.integers(0, 40, (SIZE[1], SIZE[0], 3), np.uint8)
-        left, top, width, height = (BOX + k * STEP).astype(int)
+        left, top, width, height = (BOX + k % 24 * STEP).astype(int)
         frame[top : top + height, left : left + width] = 255
         writer.write(frame)
     writer.release()
@@ -107,7 +107,7 @@ def test_tracks_are_in_the_sources_px_whatever_size_the_detector_works_at(tmp_pa
 
 
 def test_start_count_and_stride_keep_the_sources_numbers(tmp_path):
-    source = PixelInput(write_video(tmp_path / "v.avi"), Brightness(), None, start=2, count=3, stride=4)
+    source = PixelInput(write_video(tmp_path / "v.avi"), Brightness(), "source", start=2, count=3, stride=4)
     assert (source.length, source.frame_rate) == (3, 2.5)
     run = track(source, Following(), tmp_path / "out")
     assert run.frames == [2, 6, 10]
@@ -138,7 +138,7 @@ def test_broken_source_keeps_what_was_tracked(tmp_path):
     for k in range(6):
         cv2.imwrite(str(folder / f"{k}.png"), np.full((64, 64, 3), 255 if k < 5 else 0, np.uint8))
     (folder / "4.png").write_bytes(b"broken")
-    run = track(PixelInput(folder, Brightness(), None), Following(), tmp_path / "out", BoxPainter((64, 64)))
+    run = track(PixelInput(folder, Brightness()), Following(), tmp_path / "out", BoxPainter((64, 64)))
     assert run.frames == [0, 1, 2, 3] and "4.png is no image" in run.stopped and run.error is not None
     assert read_tracks(tmp_path / "out" / "tracks.txt").length == 4
     assert film_frames(tmp_path / "out" / "tracks.mp4") == 4
@@ -150,7 +150,7 @@ def test_nothing_tracked_leaves_an_earlier_file_alone(tmp_path):
     (out / "tracks.txt").write_text("an earlier run's")
     (tmp_path / "f").mkdir()
     cv2.imwrite(str(tmp_path / "f" / "1.png"), np.zeros((64, 64, 3), np.uint8))
-    source = PixelInput(tmp_path / "f", Brightness(), None)
+    source = PixelInput(tmp_path / "f", Brightness())
     (tmp_path / "f" / "1.png").write_bytes(b"broken")
     with pytest.raises(SequenceError, match="is no image"):
         track(source, Following(), out)
@@ -187,7 +187,7 @@ def test_run_ends_before_the_disk_is_full(tmp_path, monkeypatch):
     free = [1 << 30, 1 << 30, 1 << 20]
     usage = stopping.shutil.disk_usage(tmp_path)
     monkeypatch.setattr(stopping.shutil, "disk_usage", lambda _: usage._replace(free=free.pop(0)))
-    source = PixelInput(write_video(tmp_path / "v.avi", 40), Brightness(), None)
+    source = PixelInput(write_video(tmp_path / "v.avi", 40), Brightness())
     run = track(source, Following(), tmp_path / "out", BoxPainter(SIZE))
     assert len(run.frames) == 16 and "No space left on device (1024 KiB free)" in run.stopped
     assert read_tracks(tmp_path / "out" / "tracks.txt").length == 16
@@ -195,7 +195,7 @@ def test_run_ends_before_the_disk_is_full(tmp_path, monkeypatch):
 
 
 def test_film_that_does_not_play_is_removed_with_a_warning(tmp_path, monkeypatch):
-    source = PixelInput(write_video(tmp_path / "v.avi"), Brightness(), None)
+    source = PixelInput(write_video(tmp_path / "v.avi"), Brightness())
     film = tmp_path / "out" / "tracks.mp4"
     from servotrack.baselines.tracking import run as module
 
@@ -208,7 +208,7 @@ def test_film_that_does_not_play_is_removed_with_a_warning(tmp_path, monkeypatch
 
 def test_folder_that_cannot_be_written_is_named_before_anything_is_decoded(tmp_path):
     (tmp_path / "out").write_text("a file")
-    source = PixelInput(write_video(tmp_path / "v.avi"), Brightness(), None)
+    source = PixelInput(write_video(tmp_path / "v.avi"), Brightness())
     with pytest.raises(ResultsError, match="out is a file, not a results folder"):
         track(source, Following(), tmp_path / "out")
     with pytest.raises(ResultsError, match="is not writable"):
@@ -216,7 +216,7 @@ def test_folder_that_cannot_be_written_is_named_before_anything_is_decoded(tmp_p
 
 
 def test_signal_is_taken_between_two_frames(tmp_path):
-    source = PixelInput(write_video(tmp_path / "v.avi"), Brightness(), None)
+    source = PixelInput(write_video(tmp_path / "v.avi"), Brightness())
     seen: list[int] = []
 
     def interrupt() -> None:
@@ -240,3 +240,88 @@ def test_centroid_rule_measures_in_heights(tmp_path):
     assert score_tracks(truth, found, range(4), "iou").mota == -1.0
     with pytest.raises(ValueError, match="match must be one of iou, centroid, got 'area'"):
         score_tracks(truth, found, range(4), "area")
+
+
+def servotrack(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "servotrack", "track", *arguments],
+        cwd=cwd, env={**os.environ, "COLUMNS": "200"}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def sequence(tmp_path_factory) -> Path:
+    """A folder with a long video and its truth."""
+    folder = tmp_path_factory.mktemp("sequence")
+    write_video(folder / "walk.avi")
+    steps = np.arange(FRAMES)
+    rows = [f"{k + 1},1,{','.join(str(x) for x in BOX + k * STEP)},1,1,1\n" for k in steps]
+    (folder / "gt.txt").write_text("".join(rows))
+    return folder
+
+
+def test_command_writes_tracks_film_and_scores(sequence, tmp_path):
+    process = servotrack(
+        str(sequence / "walk.avi"), "--truth", str(sequence / "gt.txt"), "--match", "centroid", "--offline",
+        "--out", "out", "--background", "0", cwd=tmp_path,
+    )  # fmt: skip
+    text, _ = process.communicate(timeout=120)
+    assert process.returncode == 0, text
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"tracks.txt", "tracks.mp4", "tracks_offline.txt", "scores.json", "scores.md"}
+    record = json.loads((tmp_path / "out" / "scores.json").read_text())
+    assert set(record["scores"]) == {"pmb", "pmb, offline"} and record["match"] == "centroid"
+    assert record["scores"]["pmb"]["frames"] == FRAMES
+    assert "MOTA" in text and "frames/s" in text and "MOTA" in (tmp_path / "out" / "scores.md").read_text()
+
+
+def test_interrupt_in_the_middle_keeps_valid_files_and_says_so(tmp_path):
+    write_video(tmp_path / "long.avi", 2000)
+    process = servotrack("long.avi", "--out", "out", "--background", "0", cwd=tmp_path)
+    growing = tmp_path / "out" / "tracks.txt.unfinished"
+    deadline = time.monotonic() + 90.0
+    while not (growing.exists() and growing.stat().st_size > 1500) and process.poll() is None:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    text, _ = process.communicate(timeout=60)
+    assert process.returncode == 130, text
+    found = read_tracks(tmp_path / "out" / "tracks.txt")
+    kept = film_frames(tmp_path / "out" / "tracks.mp4")
+    assert 20 < found.length <= kept < 2000
+    assert f"SIGINT: {kept} frames are kept, up to frame {kept - 1}" in text
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["tracks.mp4", "tracks.txt"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere.avi"], "source 'nowhere.avi' does not exist"),
+        (["empty.avi"], "empty.avi is empty"),
+        (["walk.avi", "--detector", "maskd"], "did you mean 'masked'"),
+        (["walk.avi", "--tracker", "pbm"], "did you mean 'pmb'"),
+        (["walk.avi", "--size", "big"], "size must be WxH such as 384x288"),
+        (["walk.avi", "--size", "4x4"], "size must have sides from 8 to 16384 px, got '4x4'"),
+        (["walk.avi", "--match", "area"], "match must be one of iou, centroid, got 'area'"),
+        (["walk.avi", "--truth", "bad.txt"], "bad.txt, line 2: boxes must be finite"),
+        (["walk.avi", "--truth", "bomb.xml"], "bomb.xml, line 1: entities are refused"),
+        (["walk.avi", "--detector", "file"], "holds no det/det.txt"),
+        (["walk.avi", "--start", "99"], "ends after 12 frame(s), before the first wanted one; start was 99"),
+        (["walk.avi", "--out", "bad.txt"], "bad.txt is a file"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(sequence, tmp_path, capsys, monkeypatch, arguments, message):
+    from servotrack import __main__ as command_line
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "walk.avi").write_bytes((sequence / "walk.avi").read_bytes())
+    (tmp_path / "empty.avi").touch()
+    (tmp_path / "bad.txt").write_text("1,1,0,0,5,5,1\n2,1,nan,0,5,5,1\n")
+    (tmp_path / "bomb.xml").write_text('<!DOCTYPE d [<!ENTITY a "ha"><!ENTITY b "&a;&a;">]><dataset>&b;</dataset>')
+    monkeypatch.setattr(sys, "argv", ["servotrack", "track", "--out", "out", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        command_line.main()
+    assert ended.value.code == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("servotrack: ") and message in captured.err
+    assert captured.err.count("\n") == 1
