@@ -84,8 +84,8 @@ def draw(scene: BoxScene) -> Image:
     height, width = frame.shape[:2]
     scale = max(_WIDEST // width, 1) if width <= _WIDEST else _WIDEST / width
     size = (max(round(width * scale), 1), max(round(height * scale), 1))
-    large = cv2.resize(frame, size, interpolation=cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA)
-    large = np.ascontiguousarray(large)
+    resized = cv2.resize(frame, size, interpolation=cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA)
+    large = np.ascontiguousarray(resized, dtype=np.uint8)
     annotate(
         large,
         [BoxTrail(trail.label, np.asarray(trail.states) * scale) for trail in scene.reported],

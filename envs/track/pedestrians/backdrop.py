@@ -200,7 +200,7 @@ def _paint_wall(camera: Camera, foot: float, palette: _Palette, rng: np.random.G
     plaster = np.array(palette.plaster, dtype=np.float32)
     canvas[:] = plaster
 
-    def box(x0: float, x1: float, y0: float, y1: float, color: Array | tuple[float, ...], share: float = 1.0) -> None:
+    def box(x0: float, x1: float, y0: float, y1: float, color: NDArray | tuple[float, ...], share: float = 1.0) -> None:
         """A rectangle, m along the wall and m above the floor."""
         left, right = (round(camera.center * _FINE + x * scale) for x in (x0, x1))
         top, bottom = (round(foot * _FINE - y * scale) for y in (y1, y0))
@@ -224,9 +224,9 @@ def _paint_wall(camera: Camera, foot: float, palette: _Palette, rng: np.random.G
     beam = np.abs(across / 2.5 - np.round(across / 2.5)) * 2.5
     spread = np.maximum(0.35 + 0.42 * (3.1 - above), 0.05)
     wash = np.where(above < 3.02, np.exp(-((beam / spread) ** 2)) * np.exp(-spread / 1.1), 0.05)
-    small *= (0.84 + 0.62 * wash).astype(np.float32)[..., None]
-    small += rng.standard_normal(small.shape[:2], dtype=np.float32)[..., None] * np.float32(1.7)
-    return np.clip(small, 0.0, 255.0)
+    rough = 1.7 * rng.standard_normal((rows, width), dtype=np.float32)
+    lit = small * (0.84 + 0.62 * wash).astype(np.float32)[..., None] + rough[..., None]
+    return np.clip(lit, 0.0, 255.0).astype(np.float32)
 
 
 def _door(box, middle: float, frame: Array) -> None:  # type: ignore[no-untyped-def]
@@ -285,4 +285,5 @@ def _vignette(image: NDArray[np.float32]) -> None:
     height, width = image.shape[:2]
     y = (np.arange(height) + 0.5 - 0.55 * height) / (0.5 * width)
     x = (np.arange(width) + 0.5 - 0.5 * width) / (0.5 * width)
-    image *= (1.0 - 0.13 * (y[:, None] ** 2 + x[None, :] ** 2)).astype(np.float32)[..., None]
+    kept = 1.0 - 0.13 * (y[:, None] ** 2 + x[None, :] ** 2)
+    np.multiply(image, kept[..., None].astype(np.float32), out=image)

@@ -97,9 +97,9 @@ def brighten(image: Image, change: float) -> None:
     """Make a frame brighter or darker by whole gray levels, in place."""
     levels = round(change)
     if levels > 0:
-        cv2.add(image, (levels, levels, levels, 0), dst=image)
+        cv2.add(image, np.full(4, float(levels)), dst=image)
     elif levels < 0:
-        cv2.subtract(image, (-levels, -levels, -levels, 0), dst=image)
+        cv2.subtract(image, np.full(4, float(-levels)), dst=image)
 
 
 def compress(image: Image, strength: float) -> Image:
@@ -116,4 +116,6 @@ def compress(image: Image, strength: float) -> Image:
     if not written:
         raise RuntimeError(f"OpenCV could not code a frame of shape {image.shape} as JPEG")
     decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)
-    return cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB, dst=decoded)
+    if decoded is None:
+        raise RuntimeError(f"OpenCV could not read its own JPEG of a frame of shape {image.shape}")
+    return np.asarray(cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB), dtype=np.uint8)
