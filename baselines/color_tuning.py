@@ -3,7 +3,7 @@
     python -m servotrack.baselines.color_tuning monte-carlo-color --episodes 4
 
 Protocol: start from the class's defaults; for one parameter after the other try the values of `GRIDS` on all films, six
-scenarios times `--episodes` tune seeds; keep the one of the highest mean AUC; go round at most twice. The number of
+scenarios times `--episodes` tune seeds; keep the one of the highest mean AUC; go round `--rounds` times. The number of
 trials that is printed counts every setting that was run over all films. Test seeds are never looked at.
 """
 
@@ -61,7 +61,6 @@ GRIDS: Mapping[str, Mapping[str, Sequence[Any]]] = {
     },
 }
 """What is tried, for each tracker that has values to choose. A threshold of 1 would leave out eq. (12) of the paper."""
-ROUNDS = 2
 
 
 def mean_auc(name: str, settings: Sequence[Mapping[str, Any]], episodes: int, jobs: int = -1) -> np.ndarray:
@@ -81,15 +80,15 @@ def mean_auc(name: str, settings: Sequence[Mapping[str, Any]], episodes: int, jo
     return np.array(found).reshape(len(LEVEL_NAMES), episodes, len(settings)).mean(axis=1).T
 
 
-def search(name: str, episodes: int, start: Mapping[str, Any] | None = None, jobs: int = -1) -> dict[str, Any]:
+def search(name: str, episodes: int, rounds: int = 1, jobs: int = -1) -> dict[str, Any]:
     """Coordinate search by the protocol above.
 
     Returns:
         `parameters`, `auc` of each scenario, and `trials`.
     """
-    best = dict(start or {})
+    best: dict[str, Any] = {}
     trials, score = 0, None
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         before = dict(best)
         for parameter, values in GRIDS[name].items():
             settings = [{**best, parameter: value} for value in values]
@@ -124,11 +123,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", default=list(GRIDS))
     parser.add_argument("--episodes", type=int, default=6, help="tune seeds of each scenario")
+    parser.add_argument("--rounds", type=int, default=1, help="of the search")
     parser.add_argument("--jobs", type=int, default=-1, help="processes")
     arguments = parser.parse_args()
     for name in arguments.names:
         print(name)
-        print(search(name, arguments.episodes, jobs=arguments.jobs))
+        print(search(name, arguments.episodes, arguments.rounds, arguments.jobs))
 
 
 if __name__ == "__main__":

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 NOTE = (
     "Films of ColorTracking-v0 on test seeds, 200 frames of 300 x 245, started from the true box, one pass, all "
-    "trackers on the same films. AUC: area under the success curve, thresholds 0, 0.05, ..., 1; a perfect tracker has 20/21. "
-    "Brackets: 95 % bootstrap intervals over films. MIL: a tenth of the films. Times: median step on this machine. "
+    "trackers on the same films. AUC: area under the success curve, thresholds 0, 0.05, ..., 1; a perfect tracker has "
+    "20/21. Brackets: 95 % bootstrap intervals over films. MIL: a tenth of the films. Times: median step on this "
+    "machine. "
     "Assumed, for the paper is silent: the standard deviations of place and scale, sigma_0, alpha and the threshold of "
     "eq. (12), chosen on tune seeds by servotrack.baselines.color_tuning, as all other trackers' values were."
 )

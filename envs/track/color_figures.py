@@ -96,12 +96,30 @@ def put_figure(image: Image, figure: Figure, center: Array, height: float, roll:
         put(image, layer, placement)
 
 
-def head_box(figure: Figure, center: Array, height: float, roll: float, yaw: float) -> Array:
-    """The box of a head as `put_figure` draws it, hair and face, whatever hides it. Left, top, width, height, px."""
-    parts = zip(figure[1:], _head(center, height, roll, yaw), strict=True)
-    points = np.concatenate([placement.of(layer.outline) for layer, placement in parts])
-    low, high = points.min(axis=0), points.max(axis=0)
-    return np.concatenate([low, high - low])
+def head_boxes(figure: Figure, centers: Array, heights: Array, rolls: Array, yaws: Array) -> Array:
+    """The boxes of a head as `put_figure` draws it, hair and face, whatever hides it.
+
+    Args:
+        figure: Who.
+        centers: Middle of the head in every frame, shape (F, 2), px.
+        heights: Of the head, shape (F,), px.
+        rolls: Of the head, shape (F,), rad.
+        yaws: Turn of the head, -1 to 1, shape (F,).
+
+    Returns:
+        Left, top, width and height, shape (F, 4), px.
+    """
+    heads = [_head(*pose) for pose in zip(centers, heights.tolist(), rolls.tolist(), yaws.tolist(), strict=True)]
+    lows, highs = [], []
+    for number, layer in enumerate(figure[1:]):
+        x, y, scale, roll, shift, squash = np.array([head[number] for head in heads]).T[:, :, None]
+        u, v = squash * layer.outline[:, 0] + shift, layer.outline[:, 1]
+        cos, sin = scale * np.cos(roll), scale * np.sin(roll)
+        points = np.stack([x + cos * u - sin * v, y + sin * u + cos * v], axis=2)
+        lows.append(points.min(axis=1))
+        highs.append(points.max(axis=1))
+    low, high = np.minimum.reduce(lows), np.maximum.reduce(highs)
+    return np.concatenate([low, high - low], axis=1)
 
 
 def _head(center: Array, height: float, roll: float, yaw: float) -> tuple[Placement, Placement, Placement]:

@@ -112,12 +112,6 @@ class Placement(NamedTuple):
     shift: float = 0.0
     squash: float = 1.0
 
-    def of(self, outline: Array) -> Array:
-        """Points of a layer in the frame. Shape (k, 2), px."""
-        cos, sin = self.scale * math.cos(self.roll), self.scale * math.sin(self.roll)
-        x, y = self.squash * outline[:, 0] + self.shift, outline[:, 1]
-        return np.stack([self.x + cos * x - sin * y, self.y + sin * x + cos * y], axis=1)
-
 
 def put(image: Image, layer: Layer, placement: Placement) -> None:
     """Lay a layer over an image, in place.

@@ -17,7 +17,7 @@ from servotrack.envs.track.color_figures import (
     Figure,
     Looks,
     draw_looks,
-    head_box,
+    head_boxes,
     paint_figure,
     put_figure,
     similar_looks,
@@ -28,7 +28,7 @@ from servotrack.envs.track.color_scripts import SCENE_ROOM, Motion, Script, Stre
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_NOISE_MARGIN = 64
+_NOISE_MARGIN = 32
 """The noise of a frame is a window of a larger field; this many px it may be shifted either way."""
 
 
@@ -73,10 +73,7 @@ def draw_scene(config: ColorConfig, seed: int) -> Scene:
     )
     noise = np.clip(np.rint(config.sensor_noise * field), -127, 127).astype(np.int8)
     shifts = streams[Stream.NOISE_SHIFT].integers(0, 2 * _NOISE_MARGIN + 1, (frames, 2))
-    motion = script.target
-    boxes = np.stack([
-        head_box(target, motion.centers[k], motion.heights[k], motion.rolls[k], motion.yaws[k]) for k in range(frames)
-    ])  # fmt: skip
+    boxes = head_boxes(target, *script.target)
     backdrop = _paint_backdrop(config, streams[Stream.BACKDROP], looks)
     return Scene(script, target, tuple(distractors), occluders, backdrop, boxes, noise, shifts)
 

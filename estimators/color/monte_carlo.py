@@ -71,8 +71,8 @@ class MonteCarloColor:
     center_deviation: float = 10.0
     scale_deviation: float = 0.04
     distance_deviation: float = 0.05
-    update_rate: float = 0.05
-    update_threshold: float = 0.95
+    update_rate: float = 0.01
+    update_threshold: float = 0.9
     bins: int = 8
     seed: int = 0
 

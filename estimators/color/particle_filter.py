@@ -68,11 +68,11 @@ class ColorParticleFilter:
 
     samples: int = 200
     damping: float = 0.7
-    center_deviation: float = 5.0
+    center_deviation: float = 8.0
     scale_deviation: float = 0.03
     distance_deviation: float = 0.035
-    update_rate: float = 0.05
-    update_threshold: float = 0.95
+    update_rate: float = 0.01
+    update_threshold: float = 0.9
     bins: int = 8
     seed: int = 0
 
