@@ -18,7 +18,6 @@ from servotrack.estimators.boxes import (
     KalmanHungarian,
     KeptIdentities,
     RawDetections,
-    box_model,
     centroid_model,
 )
 from servotrack.estimators.rfs import GMPHD, GMCBMeMBer, MeasurementBirth, Reduction, Spawn
@@ -81,12 +80,12 @@ def phd_as_printed(spawn: bool = True) -> GMPHD:
     model = centroid_model(process_noise=4.0, measurement_noise=2.0)
     return GMPHD(
         model,
-        MeasurementBirth(expected=0.05, hidden_deviation=2.0, largest=0.05),
+        MeasurementBirth(expected=0.05, hidden_deviation=2.0, largest=0.05, places=20),
         clutter_intensity=0.01 / REFERENCE_AREA,
         survival=0.9,
         detection=0.99,
         spawn=(_split(0.02, 1.0),) if spawn else (),
-        reduction=Reduction(prune=0.2, merge=5.0),
+        reduction=Reduction(prune=0.2, merge=5.0, components=50),
     )
 
 
@@ -108,17 +107,14 @@ def _set_filter(filter_class: Callable[..., Any], reduction: Reduction) -> Calla
         scale = _scale(size)
         pace = scale * 10.0 / rate
         found = filter_class(
-            box_model(
-                process_noise=0.7 * pace, measurement_noise=2.0 * scale, drift=0.5 * scale, size_noise=5.0 * scale
-            ),
-            MeasurementBirth(expected=0.05, hidden_deviation=4.0 * pace, largest=0.05),
-            # Sizes spread over some 60 by 60 px.
-            clutter_intensity=0.05 / (REFERENCE_AREA * 3600.0 * scale**4),
+            centroid_model(process_noise=2.0 * pace, measurement_noise=4.0 * scale),
+            MeasurementBirth(expected=0.05, hidden_deviation=4.0 * pace, largest=0.05, places=20),
+            clutter_intensity=0.05 / (REFERENCE_AREA * scale**2),
             survival=0.99,
             detection=0.9,
             reduction=reduction,
         )
-        return KeptIdentities(BoxSetFilter(found, "box"), memory=_frames(MEMORY, rate))
+        return KeptIdentities(BoxSetFilter(found), memory=_frames(MEMORY, rate))
 
     return make
 
@@ -133,7 +129,7 @@ def _peer(name: str) -> Callable[[Size | None, float], PeerTracker]:
 
 TRACKERS: Mapping[str, Callable[[Size | None, float], Any]] = {
     "pmb": lambda size, rate: BoxPMB(frame_rate=rate, frame_size=size),
-    "gm-phd": _set_filter(GMPHD, Reduction(prune=1e-3, merge=4.0, components=60)),
+    "gm-phd": _set_filter(GMPHD, Reduction(prune=1e-3, merge=4.0, components=30)),
     "gm-phd-paper": _paper,
     "gm-cbmember": _set_filter(GMCBMeMBer, Reduction(components=4, tracks=40, existence=1e-2)),
     "kalman-hungarian": lambda size, rate: KalmanHungarian(frame_rate=rate),
@@ -147,6 +143,14 @@ def _masked(**parameters: Any) -> Any:
     from servotrack.estimators.detect import MaskedBackground
 
     return MaskedBackground(**parameters)
+
+
+def _masked_indoor(**parameters: Any) -> Any:
+    from dataclasses import replace
+
+    from servotrack.estimators.detect import MaskedBackground
+
+    return replace(MaskedBackground.indoor(), **parameters)
 
 
 def _masked_paper(**parameters: Any) -> Any:
@@ -171,6 +175,7 @@ def _knn(**parameters: Any) -> Any:
 
 DETECTORS: Mapping[str, Callable[..., Any]] = {
     "masked": _masked,
+    "masked-indoor": _masked_indoor,
     "masked-paper": _masked_paper,
     "mog2": _mog2,
     "knn": _knn,

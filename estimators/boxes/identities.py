@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.estimators.boxes.merged import split_merged
 from servotrack.estimators.boxes.set_filters import rename
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.metrics.assignment import assign
@@ -83,6 +84,7 @@ class KeptIdentities:
         similarity: Least similarity of appearance, where there is one.
         merge_overlap: Share of the smaller box from which two people count as merged.
         margin: By how much the similarities of exchanged identities must exceed those of kept ones.
+        split: Whether the tracker is given blobs that cover several known people taken apart.
 
     Raises:
         ValueError: Naming the argument that is out of range.
@@ -94,6 +96,7 @@ class KeptIdentities:
     similarity: float = 0.7
     merge_overlap: float = 0.3
     margin: float = 0.2
+    split: bool = True
 
     def __post_init__(self) -> None:
         if self.memory < 1 or not self.reach > 0.0 or not 0.0 < self.merge_overlap <= 1.0:
@@ -110,6 +113,8 @@ class KeptIdentities:
 
     def step(self, state: IdentityState, detections: Detections) -> tuple[IdentityState, SetEstimate]:
         """Fold a frame's detections in; errors as the tracker's."""
+        if self.split:
+            detections = split_merged(detections, _expected(state.known))
         inner, estimate = self.tracker.step(state.tracker, detections)
         look, seen = _looks(estimate.states, detections)
         known, next_name = self._adopt(state.known, estimate, look, seen, state.next_name)
@@ -239,6 +244,14 @@ class KeptIdentities:
             for k in np.flatnonzero(inner != known.inner).tolist():
                 box[k] = estimate.states[row_of[int(inner[k])]]
         return known._replace(inner=inner, rival=rival, box=box)
+
+
+def _expected(known: Known) -> Array:
+    """Where those reported in the last frame are expected in this one. Shape (k, 4), px."""
+    here = known.absent == 0
+    box = known.box[here].copy()
+    box[:, :2] += known.velocity[here]
+    return box
 
 
 def _shares(boxes: Array) -> Array:

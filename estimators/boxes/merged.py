@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.estimators.detect.detections import Detections
+from servotrack.estimators.metrics.distances import box_distances
 
 Array = NDArray[np.float64]
 
@@ -17,6 +18,9 @@ LARGER = 1.25
 
 SOLID = 0.97
 """Detections whose area is more of their box than this are boxes of a detector of people, not blobs."""
+
+SAME = 0.7
+"""Predicted boxes that share this much of their union are one person twice."""
 
 LARGEST_SHIFT = 0.25
 """Most that a blob's edge moves a predicted box, as a share of the box's size along that axis."""
@@ -36,7 +40,7 @@ def split_merged(detections: Detections, predicted: Array) -> Detections:
     Returns:
         The same object where no blob covers several people.
     """
-    boxes = detections.boxes
+    boxes, predicted = detections.boxes, _distinct(predicted)
     if len(predicted) < 2 or len(boxes) == 0:
         return detections
     share = np.ones((len(boxes), len(predicted)))
@@ -64,6 +68,14 @@ def split_merged(detections: Detections, predicted: Array) -> Detections:
         np.concatenate([detections.confidences[keep], detections.confidences[origin]]),
         np.concatenate([detections.features[keep], np.zeros((len(parts), detections.features.shape[1]))]),
     )
+
+
+def _distinct(people: Array) -> Array:
+    """The boxes without those that repeat an earlier one."""
+    if len(people) < 2:
+        return people
+    same = np.tril(box_distances(people, people) <= 1.0 - SAME, -1)
+    return people[~same.any(axis=1)]
 
 
 def _shares_of(blob: Array, people: Array) -> Array:
