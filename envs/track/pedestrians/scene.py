@@ -112,8 +112,9 @@ def walk(
             if simulation.present + len(members) + len(parties[party]) <= most:
                 members += simulation.members(party)
         for index in [i for i in members if simulation.plans[i].birth <= frame]:
-            members.remove(index)
-            simulation.enter(index, frame)
+            if simulation.can_enter(index):
+                members.remove(index)
+                simulation.enter(index, frame)
         simulation.record(frame)
         simulation.advance(frame)
     return simulation.walks()
@@ -170,6 +171,11 @@ class _Simulation:
     def members(self, party: int) -> list[int]:
         """Who belongs to a party."""
         return list(range(self._first[party], self._first[party + 1]))
+
+    def can_enter(self, index: int) -> bool:
+        """Whether nobody stands where somebody is to come; otherwise they wait outside."""
+        near = self._space.point_query_nearest(self.plans[index].start, BODY_RADIUS, pymunk.ShapeFilter())
+        return near is None
 
     def enter(self, index: int, frame: int) -> None:
         """Somebody comes, already walking."""

@@ -21,7 +21,7 @@ OUTSIDE = 0.55
 WARM_UP = 14.0
 """Time for which people come before an episode that begins with a populated lobby, s."""
 
-_RESIDENCE = {"random": 12.7, "crossing": 10.5, "crowd": 14.1}
+_RESIDENCE = {"random": 13.3, "crossing": 10.5, "crowd": 14.1}
 """Mean time in sight, s, as measured: with it `people` is the mean number."""
 _PARTY_SIZE = {"random": 1.4, "crossing": 1.2, "crowd": 1.85}
 """Mean number of people of a party."""
