@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from servotrack.baselines.association_oracle import AssociationOracle
 from servotrack.baselines.patience import WaitingRows, allocate_patiently, no_rows
 from servotrack.baselines.track_filters import SMALLEST_CAPACITY, FilterSettings, track_filter
+from servotrack.envs.track.told_video import VideoModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.online import select_rows
 from servotrack.estimators.rfs import RowAllocation
@@ -125,7 +126,8 @@ def create_observer(env: Any, estimator: str, hidden_markov: bool = False, extra
 
     Args:
         env: A tracking environment or vector environment.
-        estimator: A name from `servotrack.baselines.track_filters`, or "association-oracle".
+        estimator: A name from `servotrack.baselines.track_filters`, or "association-oracle"; in worlds of people on
+            video as `create_video_observer` takes it.
         hidden_markov: Ignore the dependence of the noises.
         extraction: "threshold", "sum" or "map".
 
@@ -133,6 +135,10 @@ def create_observer(env: Any, estimator: str, hidden_markov: bool = False, extra
         ValueError: The environment is no tracking world.
     """
     scene = getattr(env.unwrapped, "told", None)
+    if isinstance(scene, VideoModel):
+        from servotrack.baselines.video_observers import create_video_observer
+
+        return create_video_observer(env, estimator)
     space = getattr(env, "single_action_space", env.action_space)
     if scene is None:
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__

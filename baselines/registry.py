@@ -29,6 +29,8 @@ def _servo(name: str, information: Information, summary: str, law: str = DEFAULT
 
 
 _TRUTH = frozenset({"truth"})
+_CLUTTER: frozenset[World] = frozenset({"clutter"})
+_SETS: frozenset[World] = frozenset({"clutter", "video"})
 
 
 def _observer(name: str, summary: str, information: Information = "calibrated", **fields: Any) -> AgentCard:
@@ -42,7 +44,18 @@ def _observer(name: str, summary: str, information: Information = "calibrated", 
         information,
         summary,
         parameters=parameters,
-        worlds=frozenset({"clutter"}),
+        **{"worlds": _CLUTTER, **fields},
+    )
+
+
+def _video(name: str, summary: str, information: Information = "structure", **fields: Any) -> AgentCard:
+    return AgentCard(
+        name,
+        "servotrack.baselines.video_observers:create_video_observer",
+        information,
+        summary,
+        parameters={"estimator": name},
+        worlds=frozenset({"video"}),
         **fields,
     )
 
@@ -97,17 +110,27 @@ _CARDS = (
         law="one-step",
         requires=_TRUTH,
     ),
-    _observer("gm-phd", "Gaussian-mixture PHD filter, pairwise Markov where the noises depend on each other"),
+    _observer(
+        "gm-phd", "Gaussian-mixture PHD filter, pairwise Markov where the noises depend on each other", worlds=_SETS
+    ),
     _observer("gm-phd-hmm", "Gaussian-mixture PHD filter that takes the noises for independent"),
-    _observer("gm-cbmember", "cardinality-balanced multi-Bernoulli filter (paper 004)"),
+    _observer("gm-cbmember", "cardinality-balanced multi-Bernoulli filter (paper 004)", worlds=_SETS),
     _observer("gm-cbmember-hmm", "the same with the noises taken for independent"),
-    _observer("pmb", "track-oriented Poisson multi-Bernoulli filter with belief propagation"),
+    _observer("pmb", "track-oriented Poisson multi-Bernoulli filter with belief propagation", worlds=_SETS),
     _observer("pmb-hmm", "the same with the noises taken for independent"),
     _observer("smc-phd", "particle PHD filter with k-means extraction"),
     _observer("gnn", "Kalman tracks, nearest neighbors by one assignment, 3-of-5 confirmation"),
     _observer("gnn-hmm", "the same with the noises taken for independent"),
-    _observer("raw-measurements", "reports every measurement as a target", "model-free"),
+    _observer("raw-measurements", "reports every measurement as a target", "model-free", worlds=_SETS),
     _observer("association-oracle", "told which measurement is whose: Kalman filters", "privileged", requires=_TRUTH),
+    _video("kalman-hungarian", "Kalman tracks of boxes, matched by overlap (SORT)"),
+    _video("gm-phd-paper", "Gaussian-mixture PHD filter with paper 000's Table 1"),
+    _video("sort", "SORT of the package trackers", in_default_suite=False),
+    _video("bytetrack", "ByteTrack of the package trackers", in_default_suite=False),
+    _video("oc-sort", "OC-SORT of the package trackers", in_default_suite=False),
+    _video("bot-sort", "BoT-SORT of the package trackers, without camera motion", in_default_suite=False),
+    _video("c-biou", "C-BIoU of the package trackers", in_default_suite=False),
+    _video("people-oracle", "reports the true boxes", "privileged", requires=_TRUTH),
     _color("monte-carlo-color", "random boxes weighted by their color histograms (paper 001)"),
     _color("monte-carlo-color-plus", "the same idea with gradients, spatial colors, background weights and inertia"),
     _color("color-particle-filter", "bootstrap particle filter on color histograms, second-order motion"),

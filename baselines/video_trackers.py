@@ -20,7 +20,16 @@ from servotrack.estimators.boxes import (
     RawDetections,
     centroid_model,
 )
-from servotrack.estimators.rfs import GMPHD, GMCBMeMBer, MeasurementBirth, Reduction, Spawn
+from servotrack.estimators.rfs import (
+    GMPHD,
+    PMB,
+    GlobalNearestNeighbor,
+    GMCBMeMBer,
+    MeasurementBirth,
+    RawMeasurements,
+    Reduction,
+    Spawn,
+)
 
 Size = tuple[int, int]
 
@@ -32,6 +41,12 @@ REFERENCE_AREA = 380.0 * 280.0
 
 BODY_WIDTH = 14.0
 """Of a person in frames of the reference height, px."""
+
+REFERENCE_RATE = 10.0
+"""Frames per second that velocities in the set filters' presets refer to."""
+
+PHD_REDUCTION = Reduction(prune=1e-3, merge=4.0, components=30)
+CBMEMBER_REDUCTION = Reduction(components=4, tracks=40, existence=1e-2)
 
 MEMORY = 2.0
 """Time for which a lost identity can return, s."""
@@ -102,21 +117,50 @@ def _scale(size: Size | None) -> float:
     return 1.0 if size is None else size[1] / REFERENCE_HEIGHT
 
 
+def _centroid_setting(size: Size | None, rate: float) -> dict[str, Any]:
+    """Arguments of the Gaussian set filters on centroids, lengths by the frame's height and rates by its own."""
+    scale = _scale(size)
+    pace = scale * REFERENCE_RATE / rate
+    return {
+        "model": centroid_model(process_noise=2.0 * pace, measurement_noise=4.0 * scale),
+        "birth": MeasurementBirth(expected=0.05, hidden_deviation=4.0 * pace, largest=0.05, places=20),
+        "clutter_intensity": 0.05 / (REFERENCE_AREA * scale**2),
+        "survival": 0.99,
+        "detection": 0.9,
+    }
+
+
 def _set_filter(filter_class: Callable[..., Any], reduction: Reduction) -> Callable[[Size | None, float], Any]:
     def make(size: Size | None, rate: float) -> KeptIdentities:
-        scale = _scale(size)
-        pace = scale * 10.0 / rate
-        found = filter_class(
-            centroid_model(process_noise=2.0 * pace, measurement_noise=4.0 * scale),
-            MeasurementBirth(expected=0.05, hidden_deviation=4.0 * pace, largest=0.05, places=20),
-            clutter_intensity=0.05 / (REFERENCE_AREA * scale**2),
-            survival=0.99,
-            detection=0.9,
-            reduction=reduction,
-        )
+        found = filter_class(**_centroid_setting(size, rate), reduction=reduction)
         return KeptIdentities(BoxSetFilter(found), memory=_frames(MEMORY, rate))
 
     return make
+
+
+def centroid_filter(name: str, frame_size: Size | None = None, frame_rate: float = 25.0) -> Any:
+    """A filter of `servotrack.estimators.rfs` for worlds whose measurements and answers are centroids.
+
+    Args:
+        name: "gm-phd", "gm-phd-paper", "gm-cbmember", "pmb", "kalman-hungarian" or "no-filter".
+        frame_size: Width and height, px; None where unknown.
+        frame_rate: Frames per second.
+
+    Raises:
+        ValueError: Another name.
+    """
+    setting = _centroid_setting(frame_size, frame_rate)
+    pace = _scale(frame_size) * REFERENCE_RATE / frame_rate
+    made: dict[str, Callable[[], Any]] = {
+        "gm-phd": lambda: GMPHD(**setting, reduction=PHD_REDUCTION),
+        "gm-phd-paper": phd_as_printed,
+        "gm-cbmember": lambda: GMCBMeMBer(**setting, reduction=CBMEMBER_REDUCTION),
+        "pmb": lambda: PMB(**setting, reduction=Reduction(components=4, tracks=40)),
+        "kalman-hungarian": lambda: GlobalNearestNeighbor(setting["model"], hidden_deviation=4.0 * pace, misses=8),
+        "no-filter": lambda: RawMeasurements(setting["model"]),
+    }
+    _check_name("filter of centroids", name, made)
+    return made[name]()
 
 
 def _frames(seconds: float, rate: float) -> int:
@@ -129,9 +173,9 @@ def _peer(name: str) -> Callable[[Size | None, float], PeerTracker]:
 
 TRACKERS: Mapping[str, Callable[[Size | None, float], Any]] = {
     "pmb": lambda size, rate: BoxPMB(frame_rate=rate, frame_size=size),
-    "gm-phd": _set_filter(GMPHD, Reduction(prune=1e-3, merge=4.0, components=30)),
+    "gm-phd": _set_filter(GMPHD, PHD_REDUCTION),
     "gm-phd-paper": _paper,
-    "gm-cbmember": _set_filter(GMCBMeMBer, Reduction(components=4, tracks=40, existence=1e-2)),
+    "gm-cbmember": _set_filter(GMCBMeMBer, CBMEMBER_REDUCTION),
     "kalman-hungarian": lambda size, rate: KalmanHungarian(frame_rate=rate),
     "no-filter": lambda size, rate: RawDetections(),
     **{name: _peer(name) for name in PEERS},

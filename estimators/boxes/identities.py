@@ -8,18 +8,17 @@ each looking like the other. It is causal: what was reported is not changed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.estimators.boxes.merged import split_merged
-from servotrack.estimators.boxes.set_filters import rename
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import box_distances
-from servotrack.estimators.rfs.sets import SetEstimate
+from servotrack.estimators.rfs.sets import HELD, SetEstimate
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -121,9 +120,20 @@ class KeptIdentities:
         known = self._watch(known, estimate, look, seen)
         if look.shape[1]:
             known = self._exchange(known, estimate, look, seen)
-        names = dict(zip(known.inner.tolist(), known.name.tolist(), strict=True))
-        held = np.array([label in names for label in estimate.held_labels.tolist()], np.bool_)
-        return IdentityState(inner, known, next_name), rename(estimate, names, held)
+        return IdentityState(inner, known, next_name), self._named(known, estimate)
+
+    def _named(self, known: Known, estimate: SetEstimate) -> SetEstimate:
+        """The estimate under the names, all others that are remembered being held."""
+        name_of = dict(zip(known.inner.tolist(), known.name.tolist(), strict=True))
+        existence_of = dict(zip(estimate.held_labels.tolist(), estimate.held_existence.tolist(), strict=True))
+        silent = known.absent > 0
+        return replace(
+            estimate,
+            labels=np.array([name_of[label] for label in estimate.labels.tolist()], np.int64),
+            held_labels=known.name[silent],
+            held_states=known.box[silent],
+            held_existence=np.array([existence_of.get(label, HELD) for label in known.inner[silent].tolist()]),
+        )
 
     def _adopt(
         self, known: Known, estimate: SetEstimate, look: Array, seen: NDArray[np.bool_], next_name: int

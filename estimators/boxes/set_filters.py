@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,7 +68,12 @@ class BoxSetFilter:
         check_detections(detections)
         belief, found = self.filter.step(state.belief, measurements(detections, self.kind))
         if self.kind == "box":
-            shown = replace_states(found, _boxes(found.states), _boxes(found.held_states), _covariances(found))
+            shown = replace(
+                found,
+                states=_boxes(found.states),
+                held_states=_boxes(found.held_states),
+                covariances=_covariances(found),
+            )
             return BoxSetState(belief, state.labels, state.shapes), shown
         labels = np.concatenate([found.labels, found.held_labels])
         centers = np.concatenate([found.states, found.held_states])[:, [0, 2]]
@@ -78,22 +82,9 @@ class BoxSetFilter:
         boxes[:, :2] += centers
         covariances = np.zeros((len(found.labels), 4, 4))
         covariances[:, :2, :2] = found.covariances[:, [[0], [2]], [0, 2]]
-        shown = replace_states(found, boxes[: len(found.labels)], boxes[len(found.labels) :], covariances)
+        count = len(found.labels)
+        shown = replace(found, states=boxes[:count], held_states=boxes[count:], covariances=covariances)
         return BoxSetState(belief, labels, shapes), shown
-
-
-def replace_states(estimate: SetEstimate, states: Array, held_states: Array, covariances: Array) -> SetEstimate:
-    """The same identities in other coordinates."""
-    return SetEstimate(
-        states,
-        estimate.labels,
-        estimate.existence,
-        covariances,
-        estimate.expected_number,
-        estimate.held_labels,
-        held_states,
-        estimate.held_existence,
-    )
 
 
 def _boxes(states: Array) -> Array:
@@ -131,23 +122,3 @@ def _shapes(state: BoxSetState, labels: NDArray[np.int64], centers: Array, detec
         else:
             shapes[row] = -0.5, -0.5, 1.0, 1.0
     return shapes
-
-
-def rename(estimate: SetEstimate, names: Mapping[int, int], held: NDArray[np.bool_]) -> SetEstimate:
-    """The same estimate under other identities.
-
-    Args:
-        estimate: All of whose reported identities have a name.
-        names: From identity to name.
-        held: Which of the silent identities are kept. Shape (h,).
-    """
-    return SetEstimate(
-        estimate.states,
-        np.array([names[label] for label in estimate.labels.tolist()], np.int64),
-        estimate.existence,
-        estimate.covariances,
-        estimate.expected_number,
-        np.array([names[label] for label in estimate.held_labels[held].tolist()], np.int64),
-        estimate.held_states[held],
-        estimate.held_existence[held],
-    )
