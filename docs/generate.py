@@ -24,7 +24,6 @@ from servotrack.envs.registration import ENVIRONMENTS
 
 FOLDER = Path(__file__).parent / "environments"
 IMAGES = Path(__file__).parent / "images"
-LEVELS = range(7)
 
 
 class Picture(NamedTuple):
@@ -40,6 +39,8 @@ class Picture(NamedTuple):
 PICTURES = (
     Picture("servo.png", "UncalibServo-v0", {"level": 3}, "lifted-kf", 160),
     Picture("clutter-tracking.png", "ClutterTracking-v0", {}, "pmb", 88),
+    Picture("pedestrians.png", "PedestrianTracking-v0", {"level": 1}, "pmb", 150),
+    Picture("color-tracking.png", "ColorTracking-v0", {"level": 2}, "monte-carlo-color", 120),
 )
 
 
@@ -107,25 +108,40 @@ def _linked(body: str, env_id: str) -> str:
 
 def _ladder(env_id: str, config_type: type) -> str:
     """Every keyword with its meaning and its value at each level; a dot where a level changes nothing."""
-    meanings = _attributes(config_type)
-    configs = []
-    for level in LEVELS:
-        env: Any = gym.make(env_id, level=level).unwrapped
-        configs.append(env.config)
-        env.close()
-    lines = [
-        "## Keywords and their value at each level",
-        "",
-        "A dot: as at the level before.",
-        "",
-        "| keyword | meaning | " + " | ".join(map(str, LEVELS)) + " |",
-        "|---|---|" + "---|" * len(LEVELS),
-    ]
+    meanings, configs = _attributes(config_type), _configs(env_id)
+    if len(configs) == 1:
+        lines = ["## Keywords", "", "| keyword | meaning | default |", "|---|---|---|"]
+    else:
+        lines = [
+            "## Keywords and their value at each level",
+            "",
+            "A dot: as at the level before.",
+            "",
+            "| keyword | meaning | " + " | ".join(map(str, range(len(configs)))) + " |",
+            "|---|---|" + "---|" * len(configs),
+        ]
     for field in dataclasses.fields(config_type):
         values = [_shown(getattr(config, field.name)) for config in configs]
         cells = [values[0]] + [now if now != before else "·" for before, now in itertools.pairwise(values)]
         lines.append(f"| `{field.name}` | {meanings[field.name]} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def _configs(env_id: str) -> list[Any]:
+    """The configuration at every level; one where there are no levels."""
+    configs: list[Any] = []
+    for level in itertools.count():
+        try:
+            env: Any = gym.make(env_id, level=level).unwrapped
+        except ValueError:
+            break
+        except TypeError:
+            env = gym.make(env_id).unwrapped
+        configs.append(env.config)
+        env.close()
+        if not hasattr(env, "level"):
+            break
+    return configs
 
 
 def _shown(value: Any) -> str:

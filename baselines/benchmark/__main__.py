@@ -12,14 +12,14 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from servotrack.baselines.benchmark import accuracy, clutter, speed
+from servotrack.baselines.benchmark import accuracy, clutter, speed, video
 from servotrack.baselines.results import provenance
 
 
 def speed_report(
     pusht_python: str | None, stone_soup_python: str | None, rounds: int, seconds: float, console: Console
 ) -> str:
-    """The tables of rates: worlds and Jacobian filters, then set filters."""
+    """The tables of rates: worlds and Jacobian filters, then set filters, then video."""
 
     def table(rows: list[speed.Subject]) -> str:
         with Progress(console=console, transient=True) as progress:
@@ -33,6 +33,8 @@ def speed_report(
             f"## Speed\n\nMedian of {rounds} rounds of {seconds:g} s.\n\n{table(speed.subjects(pusht_python))}\n",
             "## Set filters\n\nScans of paper 004's scenario filtered per second, a batch's runs added up.\n\n"
             f"{table(clutter.subjects(scans, stone_soup_python))}\n",
+            "## Video\n\nFrames of 384 x 288 per second, one thread; 300 x 245 for the color trackers.\n\n"
+            f"{table(video.subjects())}\n",
         ]
         if stone_soup_python is not None:
             found = clutter.errors(scans, stone_soup_python, sys.executable)

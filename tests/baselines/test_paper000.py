@@ -1,0 +1,93 @@
+"""Paper 000's reproduction: from frames to counts, scores, claims and figures, on short sequences."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from servotrack.baselines import reproduce
+from servotrack.baselines.paper000 import experiment, report, sequences, transfer
+from servotrack.baselines.paper000.experiment import Method, Outcome, count_right, run_methods
+from servotrack.baselines.paper000.figures import draw_counts
+from servotrack.estimators.metrics import Track
+
+
+def outcome(counts: list[int]) -> Outcome:
+    return Outcome(np.array(counts), [], 1e-3, 1e-4)
+
+
+def test_a_count_is_right_only_where_it_is_equal_and_only_the_first_frames_count() -> None:
+    assert count_right(outcome([1, 2, 0, 5]), np.array([1, 1, 0, 5])) == 0.75
+    assert count_right(outcome([1, 9, 9, 9]), np.array([1, 1, 1, 1]), frames=1) == 1.0
+
+
+def test_methods_share_a_detector_and_answer_every_frame() -> None:
+    frames = np.full((8, 60, 80, 3), 90, np.uint8)
+    for k in range(2, 8):
+        frames[k, 15:45, 10 + 5 * k : 20 + 5 * k] = 220
+    methods = {"raw": Method("masked", "no-filter"), "kalman": Method("masked", "kalman-hungarian")}
+    found = run_methods(iter(frames), (80, 60), 25.0, methods)
+    assert found["raw"].counts.tolist() == [0, 0, 1, 1, 1, 1, 1, 1]
+    assert len(found["kalman"].counts) == 8 and found["kalman"].detection_seconds == found["raw"].detection_seconds
+    with pytest.raises(ValueError, match="at least one frame"):
+        run_methods(iter(()), (80, 60), 25.0, methods)
+
+
+def test_the_rendered_sequence_tells_the_truth_of_the_frames_it_gave() -> None:
+    sequence = sequences.rendered(7, script=sequences.SCRIPT, horizon=60)
+    shown = list(sequence.frames)
+    assert len(shown) == 60 and shown[0].shape == (288, 384, 3)
+    assert sequence.numbers.tolist() == [0] * 49 + [1] * 11
+    (person,) = sequence.truth
+    assert person.steps[0] >= 49 and person.steps[-1] == 59
+
+
+def test_claims_follow_the_measurements() -> None:
+    rng = np.random.default_rng(0)
+
+    def measured(right: float, switches: float) -> report.Measured:
+        noise = 0.01 * rng.standard_normal(12)
+        rest = [np.full(12, 0.9)] * 3
+        return report.Measured(right + noise, *rest, switches + noise, np.full(12, 1e-3), np.full(12, 1e-3))
+
+    found = {name: measured(0.95, 3.0) for name in experiment.METHODS}
+    found[report.TUNED] = measured(0.96, 1.0)
+    verdicts = {claim.id: claim.verdict for claim in report.findings(found)}
+    assert verdicts["phd-video-count"] == "holds" and verdicts["phd-video-identity"] == "holds"
+    found[report.PAPER] = measured(0.6, 3.0)
+    found[report.TUNED] = measured(0.96, 9.0)
+    verdicts = {claim.id: claim.verdict for claim in report.findings(found)}
+    assert verdicts["phd-video-count"] == "does not hold" == verdicts["phd-video-identity"]
+    assert verdicts["phd-video-filter-helps-count"] == "does not hold"
+
+
+def test_ranks_that_agree_correlate() -> None:
+    values = np.arange(12.0)
+    assert transfer.rank_correlation(values, values**3).startswith("+1.00 [+1.00, +1.00]")
+    assert transfer.rank_correlation(values, -values).startswith("-1.00")
+
+
+def test_counts_are_drawn_one_panel_per_method() -> None:
+    figure = draw_counts(np.array([0, 1, 1]), {"a": outcome([0, 1, 2]), "b": outcome([0, 0, 0])}, 25.0)
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["a", "b"]
+
+
+def test_recordings_go_only_with_what_takes_them(tmp_path: Path) -> None:
+    console = Console(file=io.StringIO())
+    with pytest.raises(ValueError, match="--source goes with phd and transfer"):
+        reproduce.reproduce_paper("servo", tmp_path, 1, console, None, [reproduce.Recording("a.avi", None)])
+
+
+def test_a_recording_ends_where_its_frames_end() -> None:
+    track = Track(np.array([0, 5, 9]), np.ones((3, 4)))
+    assert sequences._until(track, 6).steps.tolist() == [0, 5]
+
+
+@pytest.mark.slow
+def test_the_whole_command(tmp_path: Path) -> None:
+    reproduce.reproduce_paper("phd", tmp_path, 1, Console(file=io.StringIO(), width=170))
+    assert {"paper000.md", "claims.yaml", "figure2.png", "figure3.svg"} <= {path.name for path in tmp_path.iterdir()}
