@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from servotrack.envs.track.pedestrians import shapes
@@ -43,13 +44,20 @@ class Prop:
     swaying: Array
     lag: Array
 
-    def swayed(self, shift: float, time: float) -> Array:
-        """Parts when leaves are bent by up to `shift` px at a time in rad of the wind's slow swing."""
-        parts = self.parts.copy()
-        gust = np.sin(time + self.lag) + 0.5 * np.sin(2.3 * time + 1.7 * self.lag)
-        parts[:, shapes.END] += shift * self.swaying * gust
-        parts[:, shapes.END + 1] += 0.3 * shift * self.swaying * np.sin(1.6 * time + 2.0 * self.lag)
-        return parts
+    @property
+    def sways(self) -> bool:
+        """Whether any part moves in the wind."""
+        return bool(self.swaying.any())
+
+
+@njit(cache=True, nogil=True)
+def _sway(rest, swaying, lag, shift, time, parts):  # type: ignore[no-untyped-def]
+    """Write parts whose ends are bent by up to `shift` px at a time in rad of the wind's slow swing."""
+    parts[:] = rest
+    for k in range(len(rest)):
+        gust = math.sin(time + lag[k]) + 0.5 * math.sin(2.3 * time + 1.7 * lag[k])
+        parts[k, shapes.END] += shift * swaying[k] * gust
+        parts[k, shapes.END + 1] += 0.3 * shift * swaying[k] * math.sin(1.6 * time + 2.0 * lag[k])
 
 
 def plant_at(camera: Camera, x: float, z: float, size: float, rng: np.random.Generator) -> Prop:
@@ -174,9 +182,12 @@ class PropPatches:
     def at(self, frame: int) -> PropPatches:
         """The patches with their leaves where the wind has them at a frame: this object itself, drawn into anew."""
         if self._sway > 0.0:
+            time = self._wind + 2.0 * math.pi * frame / _WIND_PERIOD
             for k, prop in enumerate(self._props):
-                if prop.swaying.any():
-                    self._draw(k, prop.swayed(self._sway, self._wind + 2.0 * math.pi * frame / _WIND_PERIOD))
+                if prop.sways:
+                    parts = np.empty_like(prop.parts)
+                    _sway(prop.parts, prop.swaying, prop.lag, self._sway, time, parts)
+                    self._draw(k, parts)
         return self
 
     def _draw(self, k: int, parts: Array) -> None:

@@ -39,6 +39,7 @@ PLAIN, HEAD, OPEN, STRIPES, CHECK = range(5)
 GRAIN_SIDE = 64
 """Rows and columns of the grain's tile; a power of two."""
 
+_HALF, _ONE, _OPAQUE = np.float32(0.5), np.float32(1.0), np.float32(0.9995)
 _LIGHT = (-0.42, -0.62, 0.66)  # where light comes from, in the camera's axes: left, above, the camera's side
 _MEAN_LIGHT = 0.56  # of a tube in that light
 
@@ -222,9 +223,13 @@ def lay_over(patch, left, top, owner, image, owners, visible):  # type: ignore[n
             if cover <= 0.0:
                 continue
             y, x = top + i, left + j
-            keep = 1.0 - cover
-            for c in range(3):
-                image[y, x, c] = np.uint8(image[y, x, c] * keep + patch[i, j, c] + 0.5)
+            if cover >= _OPAQUE:
+                for c in range(3):
+                    image[y, x, c] = np.uint8(patch[i, j, c] + _HALF)
+            else:
+                keep = _ONE - cover
+                for c in range(3):
+                    image[y, x, c] = np.uint8(image[y, x, c] * keep + patch[i, j, c] + _HALF)
             if cover >= 0.5:
                 before = owners[y, x]
                 if before > 0:
