@@ -97,7 +97,7 @@ def draw(scene: BoxScene) -> Image:
     image = np.empty((2 * _MARGIN + size[1] + _GAP + _PLOT_HEIGHT, 2 * _MARGIN + inner, 3), dtype=np.uint8)
     image = image if image.shape[0] % 2 == 0 else np.empty((image.shape[0] + 1, *image.shape[1:]), dtype=np.uint8)
     image = image if image.shape[1] % 2 == 0 else np.empty((image.shape[0], image.shape[1] + 1, 3), dtype=np.uint8)
-    image[:] = PAPER
+    _fill(image, PAPER)
     Panel(_MARGIN + (inner - size[0]) // 2, _MARGIN, *size).of(image)[:] = large
     top = _MARGIN + size[1] + _GAP
     share = 1.0 if scene.errors is None else 0.58
@@ -107,6 +107,11 @@ def draw(scene: BoxScene) -> Image:
         left = _MARGIN + number_width + _GAP
         _draw_errors(Panel(left, top, inner - number_width - _GAP, _PLOT_HEIGHT).of(image), scene, scene.errors)
     return image
+
+
+def _fill(image: Image, color: Color) -> None:
+    # By whole rows: NumPy takes twenty times as long to repeat three bytes.
+    image[:] = np.tile(np.array(color, dtype=np.uint8), (image.shape[1], 1))
 
 
 def _draw_numbers(panel: Image, scene: BoxScene) -> None:
@@ -135,7 +140,7 @@ def _draw_errors(panel: Image, scene: BoxScene, errors: Array) -> None:
 
 
 def _axes(panel: Image, title: str) -> None:
-    panel[:] = FLOOR
+    _fill(panel, FLOOR)
     for third in range(4):
         at = _INSET + _TITLE + round(third * (panel.shape[0] - 2 * _INSET - _TITLE) / 3)
         panel[at, _INSET : panel.shape[1] - _INSET] = FLOOR_GRID
