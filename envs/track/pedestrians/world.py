@@ -216,5 +216,9 @@ class PedestrianWorld:
         true, answered, config = self.true_tracks(row), self.answered_tracks(row), self.config
         truth = stack_tracks(true, config.horizon, 4 if config.answers_boxes else 2)
         self.ospa2[row] = self.scorer.trajectory_score(row, truth)
+        if not true and not answered:
+            # The metrics are defined by shares of nothing then; who reports nobody where nobody is has made no error.
+            self.mota[row] = self.idf1[row] = self.hota[row] = 1.0
+            return
         found = mot_scores(true, answered, self._distances, config.score_cutoff)
         self.mota[row], self.idf1[row], self.hota[row] = found.mota, found.idf1, found.hota

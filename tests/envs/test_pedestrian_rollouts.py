@@ -1,0 +1,88 @@
+"""Short stored rollouts of the pedestrian world: nobody changes it by accident.
+
+A change of behavior means a new version of the id. Where one is meant, `python tests/envs/test_pedestrian_rollouts.py`
+stores them anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import servotrack  # noqa: F401
+
+STORED = Path(__file__).with_name("pedestrian_rollouts.npz")
+ENV_ID = "PedestrianTracking-v0"
+CASES: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "everything": {"level": 5, "observation": "blobs"},
+    "points": {"level": 1, "observation": "centroids", "empty_frames": 3, "people": 8.0},
+}
+SEED, STEPS, BLOCK = 11, 8, 24
+
+
+def rollout(case: str) -> dict[str, Any]:
+    """Everything that comes back, one array for each quantity; of images the means of blocks."""
+    env = gym.make(ENV_ID, horizon=STEPS, **CASES[case])
+    seen, info = env.reset(seed=SEED)
+    rows = []
+    for _ in range(STEPS):
+        truth, answer = info["truth"], np.zeros(env.action_space.shape)
+        n = len(truth["ids"])
+        answer[:n, 0] = truth["ids"] > 0
+        boxes = truth["boxes"] + [3.0, 2.0, 1.0, 0.0]
+        answer[:n, 1:] = boxes if answer.shape[1] == 5 else boxes[:, :2]
+        shown = seen
+        if seen.ndim == 3:
+            shown = seen.reshape(288 // BLOCK, BLOCK, 384 // BLOCK, BLOCK, 3).mean(axis=(1, 3))
+        seen, reward, _, _, info = env.step(answer)
+        rows.append({"seen": shown, "reward": reward, **truth, "ospa": info["ospa"]})
+    arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return arrays | {name: np.array(info[name]) for name in ("ospa2", "mota", "idf1", "hota")}
+
+
+def digests() -> list[str]:
+    found = []
+    for case in CASES:
+        sha = hashlib.sha256()
+        for name, values in sorted(rollout(case).items()):
+            sha.update(name.encode() + np.ascontiguousarray(values).tobytes())
+        found.append(sha.hexdigest())
+    return found
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_stored_rollout_comes_out_again(case: str) -> None:
+    history = rollout(case)
+    with np.load(STORED) as stored:
+        assert {name.split("/")[1] for name in stored if name.startswith(f"{case}/")} == history.keys()
+        for name, values in history.items():
+            expected = stored[f"{case}/{name}"]
+            if name == "seen" and case == "plain":
+                assert np.abs(values - expected).mean() < 1.0
+                continue
+            np.testing.assert_allclose(values, expected, rtol=1e-6, atol=1e-9, err_msg=name)
+
+
+def test_another_process_gets_the_same_bits() -> None:
+    out = subprocess.run(
+        [sys.executable, __file__, "--digests"], capture_output=True, text=True, check=True, timeout=300
+    )
+    assert out.stdout.split() == digests()
+
+
+if __name__ == "__main__":
+    if "--digests" in sys.argv:
+        print("\n".join(digests()))
+    else:
+        np.savez_compressed(
+            STORED,
+            **{f"{case}/{name}": values for case in CASES for name, values in rollout(case).items()},  # type: ignore[arg-type]
+        )
