@@ -22,6 +22,10 @@ CODECS = {".webm": "VP80", ".mp4": "mp4v", ".avi": "MJPG"}
 Frame = NDArray[np.uint8]
 
 
+class FilmError(RuntimeError):
+    """A film that cannot be written here."""
+
+
 def film_episode(
     env_id: str, agent: str, path: Path, env_kwargs: Mapping[str, Any] | None = None, seed: int | None = None
 ) -> int:
@@ -39,7 +43,7 @@ def film_episode(
 
     Raises:
         ValueError: Another suffix, or an environment that draws nothing.
-        RuntimeError: OpenCV cannot write this format here.
+        FilmError: OpenCV cannot write this format here.
     """
     check_film_path(path)
     card = agent_card(agent)
@@ -70,7 +74,7 @@ def write_film(frames: Iterator[Frame], path: Path, rate: float) -> int:
 
     Raises:
         ValueError: Another suffix, or no frames.
-        RuntimeError: OpenCV cannot write this format here.
+        FilmError: OpenCV cannot write this format here.
     """
     with Film(path, rate) as film:
         for frame in frames:
@@ -117,7 +121,7 @@ class Film:
             frame: RGB, of the first one's size. Shape (H, W, 3).
 
         Raises:
-            RuntimeError: OpenCV cannot write this format here.
+            FilmError: OpenCV cannot write this format here.
         """
         import cv2
 
@@ -138,7 +142,7 @@ class Film:
         with _hushed():
             writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*CODECS[suffix]), self._rate, self._size)
         if not writer.isOpened():
-            raise RuntimeError(f"this OpenCV cannot write {CODECS[suffix]} into {suffix}; try {', '.join(CODECS)}")
+            raise FilmError(f"this OpenCV cannot write {CODECS[suffix]} into {suffix}; try {', '.join(CODECS)}")
         return writer
 
 

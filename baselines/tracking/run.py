@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from servotrack.baselines.leaderboard.video import Film, Frame
+from servotrack.baselines.leaderboard.video import Film, FilmError, Frame
 from servotrack.baselines.results import ResultsError
 from servotrack.baselines.tracking.inputs import Input, Step
 from servotrack.baselines.tracking.stopping import Interruption, SpaceGuard
@@ -86,29 +87,29 @@ def track(
     run = TrackRun()
     started = time.perf_counter()
     guard = SpaceGuard(out)
-    with Interruption() as interruption, TracksFile(out / TRACKS) as tracks, _film(source, out, painter) as film:
+    with Interruption() as interruption, TracksFile(out / TRACKS) as tracks, _filming(source, out, painter) as film:
         try:
             for step, estimate in _estimates(source, tracker):
                 guard.check()
                 tracks.write(step.number + 1, estimate)
-                if film is not None and painter is not None:
-                    film.write(painter(step, estimate))
+                film.show(step, estimate)
                 run.frames.append(step.number)
                 on_frame()
                 if interruption.signal:
                     run.signal, run.stopped = interruption.signal, "interrupted"
                     break
+            film.finish()
         except (SequenceError, OSError) as error:
             if not run.frames:
                 raise
             run.error, run.stopped = error, str(error)
-        except RuntimeError as error:  # OpenCV lacks the codec, told before anything is tracked
+        except FilmError as error:
             raise ResultsError(f"{error}; or leave the film out (--no-video)") from error
     run.seconds, run.rows = time.perf_counter() - started, tracks.rows
     run.warnings.extend([source.warning] if source.warning else [])
     run.files.append(out / TRACKS)
-    if film is not None and film.count:
-        _keep_film(film, run)
+    if film.count:
+        _keep_film(out / FILM, run)
     return run
 
 
@@ -123,24 +124,49 @@ def _estimates(source: Input, tracker: Any) -> Iterator[tuple[Step, SetEstimate]
         yield step, replace(estimate, states=estimate.states * factor, held_states=estimate.held_states * factor)
 
 
+class _Filming:
+    """Draws and writes the film, the writing in a thread of its own; draws nothing where no film is wanted."""
+
+    def __init__(self, film: Film | None, painter: Painter | None, pool: ThreadPoolExecutor) -> None:
+        self._film, self._painter, self._pool = film, painter, pool
+        self._writing: Future[None] | None = None
+        self.count = 0
+
+    def show(self, step: Step, estimate: SetEstimate) -> None:
+        """Draw the frame, and write it when the one before is written."""
+        if self._film is None or self._painter is None:
+            return
+        picture = self._painter(step, estimate)
+        self.finish()
+        self._writing = self._pool.submit(self._film.write, picture)
+        self.count += 1
+
+    def finish(self) -> None:
+        """Wait for the frame that is being written; raises what went wrong there."""
+        if self._writing is not None:
+            self._writing.result()
+
+
 @contextlib.contextmanager
-def _film(source: Input, out: Path, painter: Painter | None) -> Iterator[Film | None]:
+def _filming(source: Input, out: Path, painter: Painter | None) -> Iterator[_Filming]:
     if painter is None:
-        yield None
+        with ThreadPoolExecutor(1) as pool:
+            yield _Filming(None, None, pool)
         return
-    with Film(out / FILM, float(np.clip(source.frame_rate, *_FILM_RATES))) as film:
-        yield film
+    # The pool is waited for before the film is closed.
+    with Film(out / FILM, float(np.clip(source.frame_rate, *_FILM_RATES))) as film, ThreadPoolExecutor(1) as pool:
+        yield _Filming(film, painter, pool)
 
 
-def _keep_film(film: Film, run: TrackRun) -> None:
+def _keep_film(path: Path, run: TrackRun) -> None:
     """Keep the film if it plays: OpenCV does not tell that its file could not be finished."""
     import cv2
 
-    capture = cv2.VideoCapture(str(film.path))
+    capture = cv2.VideoCapture(str(path))
     plays = capture.isOpened() and capture.read()[0]
     capture.release()
     if plays:
-        run.files.append(film.path)
+        run.files.append(path)
         return
-    film.path.unlink(missing_ok=True)
-    run.warnings.append(f"{film.path} could not be finished and was removed; the tracks are whole")
+    path.unlink(missing_ok=True)
+    run.warnings.append(f"{path} could not be finished and was removed; the tracks are whole")
