@@ -63,22 +63,22 @@ def draw_success(found: Mapping[str, Mapping[str, Measures]]) -> Figure:
         for panel, (axes, scenario) in enumerate(zip(figure.subplots(2, 3).flat, LEVEL_NAMES, strict=True)):
             for name in (*TRACKERS, *SLOW_TRACKERS):
                 curve = np.mean([success_curve(iou) for iou in found[scenario][name].iou], axis=0)
-                axes.plot(SUCCESS_THRESHOLDS, curve, label=f"{name}  {curve.mean():.2f}", **STYLES[name])
+                axes.plot(SUCCESS_THRESHOLDS, curve, label=name, **STYLES[name])
             axes.set_title(f"{'abcdef'[panel]}   {scenario.replace('_', ' and ')}")
             axes.set_xlim(0.0, 1.0)
             axes.set_ylim(0.0, 1.02)
             axes.grid(color="#e9e9e6", lw=0.5)
-            axes.legend(fontsize=5.6, frameon=True, framealpha=0.85, edgecolor="none", loc="lower left",
-                        handlelength=1.7, borderpad=0.3, labelspacing=0.25)  # fmt: skip
             if panel % 3 == 0:
                 axes.set_ylabel("share of frames")
             if panel >= 3:
                 axes.set_xlabel("overlap above")
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=7, frameon=False)
     return figure
 
 
 def draw_tracked(seed: int) -> Figure:
-    """Frames of every scenario with the true box, the paper's tracker's and the plus variant's."""
+    """Frames of every scenario with the true box, the paper's tracker's and the plus variant's; seeds go on from the given one."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -104,7 +104,8 @@ def _rim() -> list[Any]:
 
 
 def _draw_row(row: Sequence[Axes], level: int, seed: int) -> None:
-    seen = film(seed, level=level)
+    # Another person in every scenario.
+    seen = film(seed + level, level=level)
     paper, plus = (track(color_tracker(name), seen).boxes for name in ("monte-carlo-color", "monte-carlo-color-plus"))
     chosen = np.linspace(0, len(seen.frames) - 1, len(row) + 1).astype(int)[1:]
     if LEVEL_NAMES[level] == "occlusion":

@@ -97,6 +97,7 @@ class MonteCarloColorPlus:
         loyalty: Share of the first frame's features in the comparison.
         hidden_below: Similarity below which the object counts as hidden.
         widening: How much wider candidates are drawn, at most, while it is hidden.
+        braking: Share of its velocity that a hidden object is expected to keep.
         grid: Cells to a side.
         rim: Width of the surroundings, as a share of the box.
         bins: Of each color channel.
@@ -115,6 +116,7 @@ class MonteCarloColorPlus:
     loyalty: float = 0.7
     hidden_below: float = 0.6
     widening: float = 1.5
+    braking: float = 0.8
     grid: int = 5
     rim: float = 0.35
     bins: int = 16
@@ -137,6 +139,7 @@ class MonteCarloColorPlus:
             update_rate=self.update_rate,
             loyalty=self.loyalty,
             hidden_below=self.hidden_below,
+            braking=self.braking,
         )
 
     def initial(self, frame: ArrayLike, box: ArrayLike) -> PlusState:
@@ -170,9 +173,13 @@ class MonteCarloColorPlus:
         similarity = np.concatenate([coarse, self._similarity(view, state, boxes[half:])[0]])
         weights = _weights(similarity, self.sharpness)
         found = weights @ candidates
-        box = box_about(found[:2], found[2] * state.size)
-        own, features, contrast = self._similarity(view, state, box[None])
-        state = self._remember(state, image, found, box, float(own[0]), features[0], float(contrast[0]))
+        own, features, contrast = self._similarity(view, state, self._box(state, found))
+        hidden = bool(own[0] < self.hidden_below)
+        if hidden:
+            # What is there instead must not carry the estimate away: it goes where the object was bound for.
+            found = np.array([*within(expected, state.shape), state.scale])
+        box = self._box(state, found)[0]
+        state = self._remember(state, image, found, hidden, features[0], float(contrast[0]))
         return state, BoxEstimate(box, float(np.clip(own[0], 0.0, 1.0)), boxes, weights)
 
     def _draw(self, state: PlusState, noise: Array, center: Array, scale: float, width: float) -> Array:
@@ -222,30 +229,27 @@ class MonteCarloColorPlus:
         share = float(box[2] * box[3] / (around[2] * around[3]))
         return inside, np.maximum(both - share * inside, 0.0) / (1.0 - share)
 
+    def _box(self, state: PlusState, found: Array) -> Array:
+        """Boxes (1, 4) of a center and a scale."""
+        return box_about(found[None, :2], found[None, 2:] * state.size)
+
     def _remember(
-        self, state: PlusState, image: Image, found: Array, box: Array, similarity: float, features: Features,
-        contrast: float,
-    ) -> PlusState:  # fmt: skip
+        self, state: PlusState, image: Image, found: Array, hidden: bool, features: Features, contrast: float
+    ) -> PlusState:
         """The next state: hidden objects teach nothing and keep going ever more slowly."""
-        hidden = similarity < self.hidden_below
-        rate = 0.0 if hidden else self.update_rate
-        moved = found[:2] - state.center
-        velocity = 0.8 * state.velocity if hidden else 0.5 * state.velocity + 0.5 * moved
-        inside, outside = state.inside, state.outside
-        if not hidden:
-            new_inside, new_outside = self._colors(image, box)
-            inside = (1.0 - rate) * inside + rate * new_inside
-            outside = (1.0 - 2.0 * rate) * outside + 2.0 * rate * new_outside
-        return state._replace(
-            center=within(found[:2], state.shape),
-            velocity=velocity,
-            scale=float(found[2]),
-            inside=inside,
-            outside=outside,
+        after = state._replace(center=found[:2], scale=float(found[2]), frame=state.frame + 1)
+        if hidden:
+            return after._replace(velocity=self.braking * state.velocity, lost=min(1.0, state.lost + _LOSING))
+        inside, outside = self._colors(image, self._box(state, found)[0])
+        rate = self.update_rate
+        return after._replace(
+            velocity=0.5 * (state.velocity + found[:2] - state.center),
+            inside=(1.0 - rate) * state.inside + rate * inside,
+            # What is around changes as the object moves on.
+            outside=(1.0 - 2.0 * rate) * state.outside + 2.0 * rate * outside,
             recent=(1.0 - rate) * state.recent + np.float32(rate) * features,
             contrast=(1.0 - rate) * state.contrast + rate * contrast,
-            lost=min(1.0, state.lost + 0.15) if hidden else 0.5 * state.lost,
-            frame=state.frame + 1,
+            lost=0.5 * state.lost,
         )
 
 
@@ -254,6 +258,8 @@ def _chances(inside: Array, outside: Array) -> Features:
     return ((inside + _UNSEEN) / (inside + outside + 2.0 * _UNSEEN)).astype(np.float32)
 
 
+_LOSING = 0.15
+"""Each hidden frame makes it so much surer that the object is out of sight."""
 _LEAST_CONTRAST = 0.05
 """An object of less contrast than this is judged as if it had this."""
 _UNSEEN = 1e-3
