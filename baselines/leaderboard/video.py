@@ -107,6 +107,11 @@ class Film:
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> Film:
+        import cv2
+
+        # Otherwise it tells the terminal of every frame that a full disk does not take.
+        self._stack.callback(cv2.utils.logging.setLogLevel, cv2.utils.logging.getLogLevel())
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
         return self
 
     def __exit__(self, *error: Any) -> None:
