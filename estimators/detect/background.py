@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from servotrack.estimators.detect.blobs import BlobFinder
 from servotrack.estimators.detect.bodies import BodySizes
 from servotrack.estimators.detect.detections import Detections
+from servotrack.estimators.detect.faint import add_faint_regions
 from servotrack.estimators.detect.healing import heal_regions
 from servotrack.estimators.detect.images import Image, checked_image, checked_images
-from servotrack.estimators.detect.runs import label_runs
+from servotrack.estimators.detect.runs import label_runs, measure_runs
 
 
 class BackgroundState(NamedTuple):
@@ -50,6 +51,8 @@ class MaskedBackground:
     Args:
         threshold: Difference from which a pixel is foreground, gray levels, or "otsu" for Otsu's of every frame.
         least_threshold: What Otsu's threshold never goes below, gray levels: in an empty scene it would divide noise.
+        faint: Lower threshold for slender regions around clear foreground, which completes people who wear the
+            background's colors, gray levels; 0 for none. Slender regions cannot join people.
         learning_rate: Weight a of a new frame, per frame, above 0 and below 1.
         start: Of several frames given to `initial`: their "median", or their "mean", as in the paper.
         smoothing: Side of the square over which a frame is averaged before anything else, px; 1 for none. With it a
@@ -71,6 +74,7 @@ class MaskedBackground:
 
     threshold: float | str = 30.0
     least_threshold: float = 15.0
+    faint: float = 10.0
     learning_rate: float = 0.02
     start: str = "median"
     smoothing: int = 1
@@ -90,6 +94,8 @@ class MaskedBackground:
             )
         if not 0.0 < self.least_threshold <= 255.0:
             raise ValueError(f"least_threshold must be above 0 and at most 255, got {self.least_threshold!r}")
+        if not 0.0 <= self.faint <= 255.0:
+            raise ValueError(f"faint must be at least 0, for none, and at most 255 gray levels, got {self.faint!r}")
         if not 0.0 < self.learning_rate < 1.0:
             raise ValueError(f"learning_rate must lie between 0 and 1, got {self.learning_rate!r}")
         for name, kinds in (("start", ("median", "mean")), ("color", ("max", "gray")), ("hold", ("blobs", "pixels"))):
@@ -112,6 +118,7 @@ class MaskedBackground:
         """
         return cls(
             threshold=25.0,
+            faint=0.0,
             start="mean",
             color="gray",
             hold="pixels",
@@ -159,52 +166,63 @@ class MaskedBackground:
         """
         original = checked_image(frame, shape=state.rounded.shape)
         image = self._smooth(original)
-        foreground, threshold = self._foreground(image, state.rounded)
-        cleaned = self.blobs.clean(foreground)
-        runs, regions = label_runs(cleaned.closed)
-        held = foreground if self.hold == "pixels" else cleaned.closed
+        difference = self._difference(image, state.rounded)
+        foreground, threshold = self._foreground(difference, image, state.rounded)
+        mask = self.blobs.clean(foreground)
+        if 0.0 < self.faint < threshold:
+            faint_runs, faint_regions = label_runs(self.blobs.clean(_above(difference, self.faint)))
+            # The mask may be the foreground itself, which `hold` wants as it is.
+            mask = mask.copy() if mask is foreground else mask
+            add_faint_regions(mask, faint_runs, measure_runs(faint_runs, faint_regions)[0])
+        runs, regions = label_runs(mask)
+        held = foreground if self.hold == "pixels" else mask
         background = state.background.copy()
         cv2.accumulateWeighted(image, background, self.learning_rate, mask=cv2.bitwise_not(held))
         frames = state.frames + 1
-        flooded = state.flooded + 1 if cv2.countNonZero(cleaned.closed) > self.flood * cleaned.closed.size else 0
+        flooded = state.flooded + 1 if cv2.countNonZero(mask) > self.flood * mask.size else 0
         if flooded > self.flood_frames:
             background, flooded = image.astype(np.float32), 0
             runs[:, 3] = -1
         elif self.heal_every and frames % self.heal_every == 0 and regions:
             channels = image.reshape(*image.shape[:2], -1)
-            heal_regions(
-                channels, background.reshape(channels.shape), runs, regions, threshold, 0.02 * cleaned.closed.size
-            )
+            heal_regions(channels, background.reshape(channels.shape), runs, regions, threshold, 0.02 * mask.size)
         if flooded:
             runs[:, 3] = -1
         sizes, found = self.blobs.find(state.sizes, runs, regions, original)
         rounded = cv2.convertScaleAbs(background)
-        return BackgroundState(background, rounded, cleaned.closed, sizes, frames, flooded), found
+        return BackgroundState(background, rounded, mask, sizes, frames, flooded), found
 
     def _smooth(self, image: Any) -> Any:
+        """Average over a square, of a frame or of a background."""
         return image if self.smoothing == 1 else cv2.blur(image, (self.smoothing, self.smoothing))
 
-    def _foreground(self, image: Image, background: Image) -> tuple[Image, float]:
-        """Mask of the pixels that differ (equation 5), and the threshold that was used."""
+    def _difference(self, image: Image, background: Image) -> Image:
+        """How far each pixel is from the background, gray levels."""
         if self.color == "gray" and image.ndim == 3:
-            difference = cv2.absdiff(
-                cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.cvtColor(background, cv2.COLOR_RGB2GRAY)
-            )
-        else:
-            difference = cv2.absdiff(image, background)
-            if image.ndim == 3:
-                red, green, blue = cv2.split(difference)
-                difference = cv2.max(cv2.max(red, green), blue)
+            gray, gray_background = (cv2.cvtColor(one, cv2.COLOR_RGB2GRAY) for one in (image, background))
+            return np.asarray(cv2.absdiff(gray, gray_background), dtype=np.uint8)
+        difference = cv2.absdiff(image, background)
+        if image.ndim == 3:
+            red, green, blue = cv2.split(difference)
+            difference = cv2.max(cv2.max(red, green), blue)
+        return np.asarray(difference, dtype=np.uint8)
+
+    def _foreground(self, difference: Image, image: Image, background: Image) -> tuple[Image, float]:
+        """Mask of the pixels that differ (equation 5), and the threshold that was used."""
         if isinstance(self.threshold, str):
             found, _ = cv2.threshold(difference, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
             threshold = max(found + 1.0, self.least_threshold)
         else:
             threshold = float(self.threshold)
-        # OpenCV's is "greater than" and works on whole numbers.
-        _, mask = cv2.threshold(difference, math.ceil(threshold) - 1, 255, cv2.THRESH_BINARY)
+        mask = _above(difference, threshold)
         if self.shadows and image.ndim == 3:
             _drop_shadows(mask, image, background)
         return mask, threshold
+
+
+def _above(difference: Image, threshold: float) -> Image:
+    """255 where the difference is at least the threshold; OpenCV's is "greater than" and works on whole numbers."""
+    return np.asarray(cv2.threshold(difference, math.ceil(threshold) - 1, 255, cv2.THRESH_BINARY)[1], dtype=np.uint8)
 
 
 @njit(cache=True, nogil=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -16,18 +15,6 @@ from servotrack.estimators.detect.images import Image, checked_image
 from servotrack.estimators.detect.runs import label_runs, measure_runs
 
 _FILLED = 0.2  # pixels of a person who is seen whole, in squares of the height
-
-
-class CleanMask(NamedTuple):
-    """A mask on its way to detections.
-
-    Attributes:
-        opened: After the opening, which takes specks away. Shape (H, W), 0 or 255.
-        closed: And after the closing, which joins the parts of a body.
-    """
-
-    opened: Image
-    closed: Image
 
 
 @dataclass(frozen=True)
@@ -82,19 +69,20 @@ class BlobFinder:
         """Nothing is known about the sizes of people yet."""
         return no_sizes()
 
-    def clean(self, mask: Image) -> CleanMask:
-        """The opening and the closing.
+    def clean(self, mask: Image) -> Image:
+        """The opening, which takes specks away, and the closing, which joins the parts of a body.
 
         Args:
             mask: Not 0 on the foreground. Shape (H, W), uint8.
+
+        Returns:
+            A mask of the same kind.
         """
-        opened = mask
         if self.opening > 1:
-            opened = cv2.morphologyEx(mask, cv2.MORPH_OPEN, _rectangle(self.opening, self.opening))
-        closed = opened
+            mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, _rectangle(self.opening, self.opening))
         if self.closing != (1, 1):
-            closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, _rectangle(*self.closing))
-        return CleanMask(opened, closed)
+            mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _rectangle(*self.closing))
+        return mask
 
     def step(self, state: BodySizes, mask: ArrayLike, image: ArrayLike) -> tuple[BodySizes, Detections]:
         """Detections of one mask.
@@ -111,7 +99,7 @@ class BlobFinder:
             ValueError: Arrays of another type or shape.
         """
         checked = checked_image(image, "image")
-        cleaned = self.clean(checked_image(mask, "mask", checked.shape[:2])).closed
+        cleaned = self.clean(checked_image(mask, "mask", checked.shape[:2]))
         return self.find(state, *label_runs(cleaned), checked)
 
     def find(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 BANDS = 24
+_QUANTILE = 0.65  # of the heights in a band: parts of people are more often missing than something is added
 _MOST = 12  # people in one region
 _ASPECT = 0.36  # width of a person's box, in heights
 _REACH = 0.23  # pixels so near to a person's axis belong to the person, in heights
@@ -74,8 +75,9 @@ def _learn(heights, counts, boxes, areas, rows, columns):  # type: ignore[no-unt
         if counts[band] == 1.0:
             heights[band] = height
         else:
-            step = min(max(height - heights[band], -0.15 * heights[band]), 0.15 * heights[band])
-            heights[band] += step * max(1.0 / counts[band], 0.02)
+            # The step of a running quantile, half of the height at first and one part in fifty in the end.
+            step = heights[band] * max(0.5 / counts[band], 0.02)
+            heights[band] += step * (_QUANTILE if height > heights[band] else _QUANTILE - 1.0)
 
 
 @njit(cache=True, nogil=True)

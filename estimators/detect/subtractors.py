@@ -93,7 +93,7 @@ class _Subtractor:
         mask = model.subtractor.apply(image)
         model.frames += 1
         _, mask = cv2.threshold(mask, _SHADOW, 255, cv2.THRESH_BINARY)
-        cleaned = self.blobs.clean(mask).closed
+        cleaned = self.blobs.clean(mask)
         sizes, found = self.blobs.find(state.sizes, *label_runs(cleaned), image)
         return SubtractorState(model, state.shape, cleaned, sizes, model.frames), found
 

@@ -114,7 +114,7 @@ def test_people_who_touch_are_told_apart(taught, people):
         h = person_height(foot)
         assert np.hypot(*(centers - (x, foot - h / 2)).T).min() < 0.2 * h
     # Every pixel belongs to one of them.
-    assert found.areas.sum() == pytest.approx(np.count_nonzero(BlobFinder().clean(mask).closed))
+    assert found.areas.sum() == pytest.approx(np.count_nonzero(BlobFinder().clean(mask)))
 
 
 def test_without_splitting_they_are_one(taught):
@@ -125,7 +125,7 @@ def test_without_splitting_they_are_one(taught):
 
 def test_parts_of_one_person_are_joined(taught):
     mask = draw(blank(), 150, 240, cut=(0.4, 0.6))
-    assert label_runs(BlobFinder().clean(mask).closed)[1] == 2
+    assert label_runs(BlobFinder().clean(mask))[1] == 2
     _, found = BlobFinder().step(taught, mask, IMAGE)
     assert len(found.boxes) == 1
     assert found.boxes[0, 3] == pytest.approx(person_height(240), rel=0.08)
