@@ -78,7 +78,7 @@ def draw_success(found: Mapping[str, Mapping[str, Measures]]) -> Figure:
 
 
 def draw_tracked(seed: int) -> Figure:
-    """Frames of every scenario with the true box, the paper's tracker's and the plus variant's; seeds go on from the given one."""
+    """Frames of every scenario with three boxes: true, paper's, plus variant's; level k is filmed with seed + k."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 

@@ -51,7 +51,7 @@ def integrate_channels(region, chances, bins, integral):  # type: ignore[no-unty
                 if along > strength:
                     best, strength = k, along
             # The root makes contours of weak and strong contrast more alike.
-            so_far[best] += np.sqrt(np.float32(np.hypot(dx, dy)))
+            so_far[best] += np.sqrt(np.sqrt(dx * dx + dy * dy))
             pixel = region[row, column]
             red, green, blue = np.float32(pixel[0]), np.float32(pixel[1]), np.float32(pixel[2])
             so_far[ORIENTATIONS] += gray[row, column]

@@ -14,6 +14,8 @@ from servotrack.estimators.color.mean_shift import KernelMeanShift, kernel_histo
 from servotrack.estimators.color.monte_carlo import MonteCarloColor
 from servotrack.estimators.color.monte_carlo_plus import MonteCarloColorPlus
 from servotrack.estimators.color.particle_filter import ColorParticleFilter, systematic_resampling
+from servotrack.estimators.color.start import start_from_motion
+from servotrack.estimators.detect.detections import detections_from_boxes
 
 BackProjection, OpenCVTracker = back_projection.BackProjection, opencv_trackers.OpenCVTracker
 VALUES = {
@@ -245,3 +247,32 @@ def test_opencvs_tracker_follows() -> None:
     places = walk(5)
     end = run(OpenCVTracker(), places)[-1]
     assert np.abs(end.box[:2] - box(*places[-1])[:2]).max() < 8.0
+
+
+class Differences:
+    """A detector for tests: what differs from the first frames' median, as one box."""
+
+    def initial(self, frames):
+        return np.median(frames, axis=0)
+
+    def step(self, state, image):
+        rows, columns = np.nonzero(np.abs(image - state).max(axis=2) > 45)
+        if len(rows) == 0:
+            return state, detections_from_boxes(np.zeros((0, 4)))
+        left, top = columns.min(), rows.min()
+        return state, detections_from_boxes([[left, top, columns.max() + 1 - left, rows.max() + 1 - top]])
+
+
+def test_tracking_can_start_from_what_moves() -> None:
+    still = [np.random.default_rng(number).integers(90, 130, (120, 160, 3), dtype=np.uint8) for number in range(5)]
+    moving = [frame(30 + 4 * number, 30, seed=number) for number in range(6)]
+    start = start_from_motion(iter([*still, *moving]), Differences(), background=5, seen=3)
+    assert start.frame == 7
+    assert np.array_equal(start.box, box(38, 30))
+    state = MonteCarloColor().initial(moving[2], start.box)
+    _, estimate = MonteCarloColor().step(state, moving[3])
+    assert np.abs(estimate.box - box(42, 30)).max() < 6.0
+    with pytest.raises(ValueError, match="something that moves in 3 frames in a row, got none in 5 frames"):
+        start_from_motion(still, Differences(), background=4)
+    with pytest.raises(ValueError, match="more than the background's 10, got 5"):
+        start_from_motion(still, Differences())

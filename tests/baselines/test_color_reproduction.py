@@ -1,0 +1,111 @@
+"""Paper 001: films are kept and read again, foreign files refused, and the verdicts follow from the numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rich.progress import Progress
+
+import servotrack  # noqa: F401
+from servotrack.baselines import paper001
+from servotrack.baselines.claims import read_claims
+from servotrack.baselines.color_trackers import color_tracker
+from servotrack.baselines.color_tuning import GRIDS, mean_auc
+from servotrack.baselines.paper001 import MEAN_SHIFT, METHODS, PAPER, PARTICLES, PLUS, Measures, plan, run_all
+from servotrack.baselines.paper001_findings import COMMAND, auc_grid, findings, quality_grid, sensitivity_grid
+from servotrack.baselines.results import ResultsError
+from servotrack.envs.track.color_config import LEVEL_NAMES
+
+SMALL = {"horizon": 5, "width": 160, "height": 120, "head_height": 30.0}
+SECONDS = dict.fromkeys(METHODS, 0.001)
+
+
+def invented(quality: dict[str, float], films: int = 4) -> dict[str, dict[str, Measures]]:
+    """Measures of trackers whose overlap is the same in every frame, with little differences between films."""
+    found = {}
+    for scenario in LEVEL_NAMES:
+        found[scenario] = {}
+        for name in METHODS:
+            level = quality.get(name, 0.4) + 0.01 * np.arange(films)[:, None]
+            iou = np.clip(np.broadcast_to(level, (films, 40)), 0.0, 1.0)
+            found[scenario][name] = Measures(iou, 30.0 * (1.0 - iou), np.sqrt(iou))
+    return found
+
+
+def test_films_are_kept_and_foreign_ones_refused(tmp_path, monkeypatch) -> None:
+    films = [(0, 100_000, (PAPER, MEAN_SHIFT)), (3, 100_001, (PAPER, MEAN_SHIFT))]
+    with Progress(disable=True) as progress:
+        first = run_all(films, tmp_path, progress, jobs=1, env_kwargs=SMALL)
+        monkeypatch.setattr(paper001, "_run", None)
+        again = run_all(films, tmp_path, progress, jobs=1, env_kwargs=SMALL)
+    assert first.keys() == {"irregular", "scale"}
+    measures = first["irregular"][PAPER]
+    assert measures.iou.shape == (1, 5)
+    assert measures.iou[0, 0] == measures.size[0, 0] == 1.0
+    assert np.array_equal(measures.iou, again["irregular"][PAPER].iou)
+    with Progress(disable=True) as progress, pytest.raises(ResultsError, match="another setting"):
+        run_all(films, tmp_path, progress, jobs=1, env_kwargs={**SMALL, "speed": 1.0})
+    (tmp_path / "scale" / "100001.npz").write_bytes(b"no archive")
+    with Progress(disable=True) as progress, pytest.raises(ResultsError, match="delete it"):
+        run_all(films, tmp_path, progress, jobs=1, env_kwargs=SMALL)
+
+
+def test_the_plan_gives_slow_trackers_fewer_films_on_test_seeds() -> None:
+    films = plan(20)
+    assert len(films) == 6 * 20
+    assert min(seed for _, seed, _ in films) == 200_000
+    assert sum("MIL" in methods for *_, methods in films) == 6 * 2
+    assert any("MIL" in methods for *_, methods in plan(1))
+    assert all(color_tracker(name, **parameters) for name, parameters in METHODS.values())
+
+
+def test_verdicts_follow_from_the_numbers() -> None:
+    good = {f.id: f for f in findings(invented({PAPER: 0.7, PLUS: 0.9, MEAN_SHIFT: 0.5, PARTICLES: 0.5}), SECONDS)}
+    bad = {f.id: f for f in findings(invented({PAPER: 0.3, PLUS: 0.4, MEAN_SHIFT: 0.5, PARTICLES: 0.5}), SECONDS)}
+    for claim in ("color-irregular", "color-scale-beats-mean-shift", "color-no-resampling", "color-plus-beats-both"):
+        assert good[claim].verdict == "holds"
+        assert bad[claim].verdict == "does not hold"
+    assert good["color-scale-beats-mean-shift"].effect["value"] == pytest.approx(0.2, abs=0.03)
+    assert good["color-real-time"].verdict == "holds"
+    assert {f.id: f for f in findings(invented({}), dict.fromkeys(METHODS, 0.1))}["color-real-time"].verdict == (
+        "does not hold"
+    )
+
+
+def test_tables_hold_every_tracker_and_every_value() -> None:
+    found = invented({})
+    assert len(auc_grid(found).rows) == len(quality_grid(found, SECONDS).rows) == 7
+    assert len(sensitivity_grid(found).rows) == len(paper001.VARIANTS)
+    assert all(len(row) == 8 for row in auc_grid(found).rows)
+
+
+def test_the_claims_are_on_the_list() -> None:
+    ours = {claim.id for claim in read_claims() if claim.paper == "001"}
+    assert {claim.id for claim in findings(invented({}), SECONDS)} == ours
+    assert all(claim.command in (None, COMMAND) for claim in read_claims() if claim.paper == "001")
+
+
+def test_figures_draw() -> None:
+    pytest.importorskip("matplotlib")
+    from servotrack.baselines.paper001_figures import draw_sensitivity, draw_success
+
+    found = invented({PLUS: 0.8})
+    assert len(draw_success(found).axes) == 6
+    assert len(draw_sensitivity(found).axes) == 3
+
+
+def test_tuning_tries_every_value_on_the_same_tune_films(monkeypatch) -> None:
+    seen = []
+
+    def on_film(name, settings, level, seed):
+        seen.append(seed)
+        return [float(setting["scale_mixing"]) for setting in settings]
+
+    monkeypatch.setattr("servotrack.baselines.color_tuning._on_film", on_film)
+    scores = mean_auc("kernel-mean-shift", [{"scale_mixing": v} for v in (0.1, 0.3)], 2, jobs=1)
+    assert scores.shape == (2, 6)
+    assert (scores[1] > scores[0]).all()
+    assert set(seen) == {100_000, 100_001}
+    for name, grid in GRIDS.items():
+        for parameter, values in grid.items():
+            assert all(color_tracker(name, **{parameter: value}) for value in values)
