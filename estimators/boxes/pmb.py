@@ -139,7 +139,7 @@ class BoxPMB:
     surprise: float = 10.0
     birth: float = 0.2
     overlap: float = 8.0
-    doubt: float = 0.7
+    doubt: float = 1.6
     lifetime: float = 20.0
     velocity_memory: float = 5.0
     memory: float = 2.3

@@ -1,0 +1,306 @@
+"""Trackers of boxes: what all of them keep, and what each is for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from box_scenes import HEIGHT, WIDTH, blob, follow, identity_at, people, person
+
+from servotrack.estimators.boxes import (
+    BoxPMB,
+    BoxSetFilter,
+    DetectThenTrack,
+    KalmanHungarian,
+    KeptIdentities,
+    RawDetections,
+    box_model,
+    centroid_model,
+    fill_gaps,
+    split_merged,
+)
+from servotrack.estimators.detect import Detections, detections_from_boxes
+from servotrack.estimators.metrics import Track
+from servotrack.estimators.rfs import GMPHD, PMB, GMCBMeMBer, MeasurementBirth, Reduction, Spawn
+
+NOBODY = detections_from_boxes(np.zeros((0, 4)))
+
+
+def set_filter(filter_class: Any = GMPHD, kind: str = "centroid", **fields: Any) -> BoxSetFilter:
+    model = centroid_model(1.0, 2.0) if kind == "centroid" else box_model(1.0, 2.0, 0.5, 4.0)
+    made = filter_class(
+        model,
+        MeasurementBirth(expected=0.05, hidden_deviation=3.0, largest=0.05, places=10),
+        clutter_intensity=1e-7 if kind == "centroid" else 1e-10,
+        detection=0.9,
+        reduction=Reduction(components=20, tracks=20),
+        **fields,
+    )
+    return BoxSetFilter(made, kind)  # type: ignore[arg-type]
+
+
+TRACKERS = {
+    "pmb": BoxPMB(frame_size=(300, 200)),
+    "hungarian": KalmanHungarian(),
+    "raw": RawDetections(),
+    "phd": set_filter(),
+    "phd on boxes": set_filter(kind="box"),
+    "cbmember": set_filter(GMCBMeMBer),
+    "pmb on boxes": set_filter(PMB, "box"),
+    "kept phd": KeptIdentities(set_filter()),
+}
+
+
+@pytest.mark.parametrize("name", TRACKERS)
+def test_two_walkers_are_found_where_they_are(name: str) -> None:
+    frames = [people([50.0 + 2.0 * k, 200.0 - k]) for k in range(20)]
+    last = follow(TRACKERS[name], frames)[-1]
+    boxes = np.array(sorted(box.tolist() for box in last.values()))
+    assert np.abs(boxes - [person(88.0), person(181.0)]).max() < 4.0
+
+
+@pytest.mark.parametrize("name", [name for name in TRACKERS if name != "raw"])
+def test_a_walker_keeps_one_identity_and_is_forgotten_at_last(name: str) -> None:
+    frames = [people([50.0 + 2.0 * k]) for k in range(30)] + [NOBODY] * 200
+    answers = follow(TRACKERS[name], frames)
+    assert len({label for answer in answers[:30] for label in answer}) == 1
+    assert identity_at(answers[29], 108.0) > 0
+    assert not answers[-1]
+
+
+@pytest.mark.parametrize("name", TRACKERS)
+def test_states_are_values(name: str) -> None:
+    tracker = TRACKERS[name]
+    state = tracker.initial(NOBODY)
+    for k in range(6):
+        state, _ = tracker.step(state, people([50.0 + k, 120.0]))
+    _, first = tracker.step(state, people([57.0, 120.0]))
+    tracker.step(state, people([30.0]))
+    _, again = tracker.step(state, people([57.0, 120.0]))
+    assert np.array_equal(first.states, again.states)
+    assert np.array_equal(first.labels, again.labels)
+
+
+@pytest.mark.parametrize("name", TRACKERS)
+def test_bad_numbers_are_refused(name: str) -> None:
+    tracker = TRACKERS[name]
+    bad = people([50.0])._replace(boxes=np.array([[0.0, np.nan, 10.0, 20.0]]))
+    with pytest.raises(ValueError, match="finite"):
+        tracker.step(tracker.initial(NOBODY), bad)
+    upside_down = people([50.0])._replace(boxes=np.array([[0.0, 0.0, -10.0, 20.0]]))
+    with pytest.raises(ValueError, match="at least 0"):
+        tracker.step(tracker.initial(NOBODY), upside_down)
+
+
+def test_covariances_are_those_of_boxes() -> None:
+    for name in ("pmb", "hungarian", "phd on boxes"):
+        tracker = TRACKERS[name]
+        state = tracker.initial(NOBODY)
+        for k in range(10):
+            state, estimate = tracker.step(state, people([50.0 + k]))
+        P = estimate.covariances[0]
+        assert np.allclose(P, P.T, rtol=0.0, atol=1e-12)
+        assert np.linalg.eigvalsh(P).min() > 0.0
+        # Right edges are as well known as left ones.
+        assert P[0, 0] == pytest.approx(P[0, 0] + 2.0 * P[0, 2] + P[2, 2], rel=1e-6)
+
+
+def test_pmb_waits_for_a_person_hidden_by_a_nearer_one() -> None:
+    hidden, nearer = person(100.0, 95.0), person(100.0, 105.0)
+
+    def frames(gone: bool) -> list[Detections]:
+        before = [detections_from_boxes([person(100.0 - 2.0 * (15 - k), 95.0), nearer]) for k in range(15)]
+        return before + [detections_from_boxes([nearer])] * 12 if not gone else before
+
+    answers = follow(BoxPMB(), frames(False))
+    assert len(answers[-1]) == 2
+    # Without anybody before it, a person who is not detected is gone from the answer after as long.
+    alone = [detections_from_boxes([hidden])] * 15 + [NOBODY] * 12
+    assert not follow(BoxPMB(), alone)[-1]
+
+
+def test_pmb_knows_a_lost_person_again() -> None:
+    frames = [people([50.0 + 2.0 * k]) for k in range(20)] + [NOBODY] * 20
+    frames += [people([50.0 + 2.0 * k]) for k in range(40, 45)]
+    answers = follow(BoxPMB(), frames)
+    assert not answers[38]
+    assert identity_at(answers[-1], 138.0) == identity_at(answers[19], 88.0) > 0
+
+
+def test_pmb_starts_nobody_on_a_doubtful_detection() -> None:
+    def frames(confidence: float) -> list[Detections]:
+        sure = detections_from_boxes([person(50.0), person(100.0), person(150.0)], [10.0, 9.0, 11.0])
+        four = [person(50.0), person(100.0), person(150.0), person(220.0)]
+        return [sure] * 10 + [detections_from_boxes(four, [10.0, 9.0, 11.0, confidence])] * 3
+
+    assert len(follow(BoxPMB(), frames(2.0))[-1]) == 3
+    assert len(follow(BoxPMB(), frames(10.0))[-1]) == 4
+
+
+def test_pmb_is_the_same_at_any_zoom_and_frame_rate() -> None:
+    frames = [people([50.0 + 2.0 * k, 200.0 - k]) for k in range(20)]
+    large = [detections_from_boxes(4.0 * frame.boxes) for frame in frames]
+    one, two = follow(BoxPMB(), frames), follow(BoxPMB(), large)
+    for a, b in zip(one, two, strict=True):
+        assert a.keys() == b.keys()
+        for label in a:
+            assert np.allclose(4.0 * a[label], b[label])
+
+
+def test_hungarian_confirms_and_ends() -> None:
+    tracker = KalmanHungarian(confirm=3, misses=4, shown_misses=1)
+    answers = follow(tracker, [people([50.0])] * 6 + [NOBODY] * 3 + [people([50.0])] + [NOBODY] * 6 + [people([50.0])])
+    assert [len(answer) for answer in answers] == [0, 0, 1, 1, 1, 1, 1, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0]
+    assert answers[2].keys() == answers[9].keys()
+
+
+def test_hungarian_takes_the_assignment_that_is_best_in_sum() -> None:
+    # Nearest neighbors first would give the left person the right one's detection.
+    tracker = KalmanHungarian(confirm=1, acceleration=0.01, speed=0.01)
+    answers = follow(tracker, [people([50.0, 62.0])] * 4 + [people([57.0, 69.0])])
+    assert identity_at(answers[4], 50.0) == identity_at(answers[3], 50.0)
+    assert len(answers[4].keys() | answers[3].keys()) == 2
+
+
+def test_a_split_is_found_by_spawning() -> None:
+    spawn = Spawn(0.02, np.diag([WIDTH**2, 4.0, WIDTH**2, 4.0]))
+    together = [people([100.0])] * 8
+    # A detector that tells two people apart all at once: the second is far outside the first one's gate.
+    apart = [people([100.0, 122.0])] * 7
+
+    def found(terms: tuple[Spawn, ...]) -> int:
+        def tracker(births: float) -> BoxSetFilter:
+            return BoxSetFilter(
+                GMPHD(
+                    centroid_model(1.0, 2.0),
+                    MeasurementBirth(expected=births, largest=births, hidden_deviation=3.0),
+                    clutter_intensity=1e-7,
+                    detection=0.99,
+                    spawn=terms,
+                    reduction=Reduction(prune=0.2, merge=5.0),
+                )
+            )
+
+        before, after = tracker(0.05), tracker(1e-12)
+        state = before.initial(NOBODY)
+        for frame in together:
+            state, estimate = before.step(state, frame)
+        assert len(estimate.labels) == 1
+        state = state._replace(belief=state.belief._replace(births=after.initial(NOBODY).belief.births))
+        for frame in apart:
+            state, estimate = after.step(state, frame)
+        return len(estimate.labels)
+
+    assert found((spawn,)) == 2
+    assert found(()) == 1
+
+
+def meeting(looks: bool) -> list[Detections]:
+    """Two walk up to each other, are one blob for a while, and each goes back where it came from."""
+    size = 2 if looks else 0
+
+    def two(gap: float) -> Detections:
+        return people([100.0 - gap, 100.0 + gap], [0, 1] if looks else None)
+
+    approach = [two(60.0 - 2.5 * k) for k in range(20)]
+    merged = [blob(100.0 - WIDTH / 2 - 4.0, 100.0 + WIDTH / 2 + 4.0, size)] * 10
+    part = [two(12.0 + 2.5 * k) for k in range(20)]
+    return approach + merged + part
+
+
+def test_identities_are_kept_through_a_merge_by_appearance_and_lost_without() -> None:
+    def kept(looks: bool) -> bool:
+        tracker = KeptIdentities(KalmanHungarian(misses=20), split=False)
+        answers = follow(tracker, meeting(looks))
+        before = [identity_at(answers[18], 100.0 - 15.0), identity_at(answers[18], 100.0 + 15.0)]
+        after = [identity_at(answers[-1], 100.0 - 59.5), identity_at(answers[-1], 100.0 + 59.5)]
+        assert min(before + after) > 0
+        return before == after
+
+    assert kept(True)
+    assert not kept(False)
+
+
+def test_a_lost_identity_returns_where_it_is_expected_and_to_nobody_else() -> None:
+    tracker = KeptIdentities(KalmanHungarian(misses=2), memory=30)
+
+    def after(x: float, look: int) -> tuple[int, int]:
+        frames = [people([50.0 + 2.0 * k], [0]) for k in range(15)] + [people([], [])] * 8
+        frames += [people([x + 2.0 * k], [look]) for k in range(6)]
+        answers = follow(tracker, frames)
+        return identity_at(answers[14], 78.0), identity_at(answers[-1], x + 10.0)
+
+    old, new = after(96.0, 0)
+    assert old == new > 0
+    for x, look in ((96.0, 1), (200.0, 0)):
+        old, new = after(x, look)
+        assert new > 0
+        assert old != new
+
+
+def test_merged_blobs_are_taken_apart_at_the_people_expected() -> None:
+    expected = np.array([person(90.0), person(110.0), person(200.0)])
+    parts = split_merged(blob(82.0, 122.0), expected)
+    assert len(parts.boxes) == 2
+    assert parts.boxes[:, 0].min() == pytest.approx(82.0)
+    assert (parts.boxes[:, 0] + parts.boxes[:, 2]).max() == pytest.approx(122.0)
+    assert parts.areas.sum() == pytest.approx(0.75 * 40.0 * HEIGHT)
+    assert not parts.features.any()
+    # Boxes of a detector of people, and blobs around one person, are left alone.
+    for same in (people([100.0]), blob(88.0, 112.0), blob(190.0, 212.0)):
+        assert split_merged(same, expected[2:]) is same
+    whole = detections_from_boxes([[82.0, 70.0, 40.0, HEIGHT]])
+    assert split_merged(whole, expected) is whole
+
+
+def test_a_frame_goes_through_detector_and_tracker() -> None:
+    class Bright:
+        def initial(self, frame: Any) -> int:
+            return 0
+
+        def step(self, state: int, frame: Any) -> tuple[int, Detections]:
+            rows, columns = np.nonzero(frame[..., 0])
+            box = [columns.min(), rows.min(), np.ptp(columns) + 1, np.ptp(rows) + 1]
+            return state + 1, detections_from_boxes([box])
+
+    pipeline = DetectThenTrack(Bright(), KalmanHungarian(confirm=1))
+    frame = np.zeros((200, 300, 3), np.uint8)
+    frame[70:130, 90:110] = 255
+    state = pipeline.initial(frame)
+    for _ in range(3):
+        state, estimate = pipeline.step(state, frame)
+    assert state.detector == 3
+    assert np.allclose(estimate.states, [[90.0, 70.0, 20.0, 60.0]])
+
+
+def test_gaps_are_filled_by_straight_lines() -> None:
+    gap = Track(np.array([2, 3, 6, 12]), np.array([[0.0], [1.0], [4.0], [10.0]]))
+    short = Track(np.array([5]), np.array([[1.0]]))
+    (filled,) = fill_gaps([gap, short], longest=2, shortest=2)
+    assert filled.steps.tolist() == [2, 3, 4, 5, 6, 12]
+    assert filled.states.ravel().tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 10.0]
+    assert gap.steps.tolist() == [2, 3, 6, 12]
+    assert fill_gaps([gap, short], longest=0)[0].steps.tolist() == [2, 3, 6, 12]
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: BoxPMB(frame_rate=0.0), "frame_rate"),
+        (lambda: BoxPMB(detection=1.0), "detection"),
+        (lambda: BoxPMB(revival=1.0), "revival"),
+        (lambda: BoxPMB(overlap=-1.0), "overlap"),
+        (lambda: KalmanHungarian(overlap=0.0), "overlap"),
+        (lambda: KalmanHungarian(speed=np.nan), "speed"),
+        (lambda: KalmanHungarian(confirm=0), "confirm"),
+        (lambda: KeptIdentities(RawDetections(), memory=0), "memory"),
+        (lambda: centroid_model(0.0, 1.0), "process_noise"),
+        (lambda: box_model(1.0, 1.0, 1.0, -1.0), "size_noise"),
+        (lambda: fill_gaps([], longest=-1), "longest"),
+        (lambda: BoxSetFilter(set_filter().filter, "box"), "4 numbers"),
+    ],
+)
+def test_errors_name_the_argument(make: Any, name: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        make()
