@@ -21,6 +21,9 @@ OUTSIDE = 0.55
 WARM_UP = 14.0
 """Time for which people come before an episode that begins with a populated lobby, s."""
 
+_EVENNESS = 4.0
+"""Shape of the gaps between arrivals; 1 would be Poisson's, with episodes that nobody or everybody visits."""
+
 _RESIDENCE = {"random": 13.3, "crossing": 10.5, "crowd": 14.1}
 """Mean time in sight, s, as measured: with it `people` is the mean number."""
 _PARTY_SIZE = {"random": 1.4, "crossing": 1.2, "crowd": 1.85}
@@ -48,9 +51,9 @@ def draw_parties(config: PedestrianConfig, camera: Camera, seed: int) -> tuple[l
         return [], frames
     arrivals = streams[Stream.ARRIVAL]
     rate = config.people / (_RESIDENCE[config.script] * _PARTY_SIZE[config.script] * config.frame_rate)
-    # Twice the expected gaps and a few more are always enough to fill an episode but for one in many billions.
+    # Enough gaps to fill all but one episode in many billions.
     expected = rate * len(frames)
-    gaps = arrivals.exponential(1.0 / rate, round(expected + 8.0 * math.sqrt(expected) + 16.0))
+    gaps = arrivals.gamma(_EVENNESS, 1.0 / (_EVENNESS * rate), round(expected + 8.0 * math.sqrt(expected) + 16.0))
     births = begin + np.floor(np.cumsum(gaps)).astype(np.int64)
     visit = _VISITS[config.script]
     parties = []
