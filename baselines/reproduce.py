@@ -154,6 +154,12 @@ def _reproduce_transfer(request: Request) -> None:
     reproduce_transfer(request)
 
 
+def _reproduce_color(request: Request) -> None:
+    from servotrack.baselines.paper001_report import reproduce_color
+
+    reproduce_color(request)
+
+
 def _reproduce_pmm(request: Request) -> None:
     from servotrack.baselines.paper004.report import reproduce_pmm
 
@@ -163,11 +169,12 @@ def _reproduce_pmm(request: Request) -> None:
 PAPERS: dict[str, Callable[[Request], None]] = {
     "servo": _reproduce_servo,
     "phd": _reproduce_phd,
+    "color": _reproduce_color,
     "pmm": _reproduce_pmm,
     "transfer": _reproduce_transfer,
 }
 TAKE_RECORDINGS = ("phd", "transfer")
-DEFAULT_RUNS = {"servo": 10, "phd": 20, "pmm": 500, "transfer": 8}
+DEFAULT_RUNS = {"servo": 10, "phd": 20, "color": 20, "pmm": 500, "transfer": 8}
 """As many as the paper has; papers 000 and 001 have one each, which would say nothing about others."""
 
 

@@ -67,10 +67,10 @@ class ColorParticleFilter:
     """
 
     samples: int = 200
-    damping: float = 0.7
-    center_deviation: float = 8.0
-    scale_deviation: float = 0.03
-    distance_deviation: float = 0.035
+    damping: float = 0.5
+    center_deviation: float = 5.0
+    scale_deviation: float = 0.01
+    distance_deviation: float = 0.02
     update_rate: float = 0.01
     update_threshold: float = 0.9
     bins: int = 8

@@ -49,8 +49,9 @@ def blocks(frames: np.ndarray) -> np.ndarray:
 
 
 def digests() -> list[str]:
+    """Of two levels, which together draw everything that can be drawn but distractors."""
     found = []
-    for level in LEVELS:
+    for level in (1, 5):
         sha = hashlib.sha256()
         for name, values in sorted(rollout(level).items()):
             sha.update(name.encode() + np.ascontiguousarray(values).tobytes())
