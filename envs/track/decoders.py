@@ -33,7 +33,9 @@ def find_decoder(source: str | Path | int) -> Decoder:
     Raises:
         SequenceError: Nothing there, or nothing in it.
     """
-    if isinstance(source, (int, np.integer)) and not isinstance(source, bool):
+    if isinstance(source, bool):
+        raise SequenceError(f"source must be a path or a camera's index, got {source!r}")
+    if isinstance(source, (int, np.integer)):
         return Camera(int(source))
     text, path = str(source), Path(source)
     try:

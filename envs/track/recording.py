@@ -136,7 +136,7 @@ def load_recording(config: VideoConfig) -> Recording:
     """
     if config.source is None:
         return _rendered(config)
-    sequence = find_mot_folder(config.source) if Path(str(config.source)).is_dir() else None
+    sequence = find_mot_folder(str(config.source)) if Path(str(config.source)).is_dir() else None
     found: dict[int, Detections] = {}
     if config.observation == "detections":
         if sequence is None or sequence.detections is None:
