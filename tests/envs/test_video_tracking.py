@@ -69,7 +69,6 @@ def test_vector_environment_keeps_the_rules_and_is_the_single_one(tmp_path):
     source = sequence(tmp_path)
     check_vector_env(ENV_ID, source=source, steps=14, max_estimates=3)
     check_vector_matches_single(ENV_ID, source=source, max_estimates=3)
-    check_vector_matches_single(ENV_ID, source=source, observation="detections", max_estimates=3)
 
 
 def test_frames_come_in_order_and_the_last_one_twice_whatever_the_seed(tmp_path):
