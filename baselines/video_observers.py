@@ -156,7 +156,7 @@ class VideoObserver:
         return [{key: value[k] for key, value in arrays.items()} for k in range(len(shown))], False
 
 
-def create_video_observer(env: Any, estimator: str, detector: str = "masked-indoor") -> Any:
+def create_video_observer(env: Any, estimator: str, detector: str = "masked") -> Any:
     """An observer for a world of people on video; only the spaces and what it tells its agents (`told`) are read.
 
     Args:

@@ -189,14 +189,6 @@ def _masked(**parameters: Any) -> Any:
     return MaskedBackground(**parameters)
 
 
-def _masked_indoor(**parameters: Any) -> Any:
-    from dataclasses import replace
-
-    from servotrack.estimators.detect import MaskedBackground
-
-    return replace(MaskedBackground.indoor(), **parameters)
-
-
 def _masked_paper(**parameters: Any) -> Any:
     from dataclasses import replace
 
@@ -219,7 +211,6 @@ def _knn(**parameters: Any) -> Any:
 
 DETECTORS: Mapping[str, Callable[..., Any]] = {
     "masked": _masked,
-    "masked-indoor": _masked_indoor,
     "masked-paper": _masked_paper,
     "mog2": _mog2,
     "knn": _knn,

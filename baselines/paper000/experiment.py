@@ -30,12 +30,12 @@ class Method(NamedTuple):
 METHODS: Mapping[str, Method] = {
     "no filter, detector as printed": Method("masked-paper", "no-filter"),
     "GM-PHD, table 1": Method("masked-paper", "gm-phd-paper"),
-    "no filter": Method("masked-indoor", "no-filter"),
-    "GM-PHD, table 1, our detector": Method("masked-indoor", "gm-phd-paper"),
-    "GM-PHD, tuned": Method("masked-indoor", "gm-phd"),
-    "CBMeMBer": Method("masked-indoor", "gm-cbmember"),
-    "Kalman + Hungarian": Method("masked-indoor", "kalman-hungarian"),
-    "PMB": Method("masked-indoor", "pmb"),
+    "no filter": Method("masked", "no-filter"),
+    "GM-PHD, table 1, our detector": Method("masked", "gm-phd-paper"),
+    "GM-PHD, tuned": Method("masked", "gm-phd"),
+    "CBMeMBer": Method("masked", "gm-cbmember"),
+    "Kalman + Hungarian": Method("masked", "kalman-hungarian"),
+    "PMB": Method("masked", "pmb"),
 }
 """What the paper has first, with and without its filter; then ours on our detector."""
 

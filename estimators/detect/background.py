@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -55,9 +55,6 @@ class MaskedBackground:
             background's colors, gray levels; 0 for none. Slender regions cannot join people.
         learning_rate: Weight a of a new frame, per frame, above 0 and below 1.
         start: Of several frames given to `initial`: their "median", or their "mean", as in the paper.
-        smoothing: Side of the square over which a frame is averaged before anything else, px; 1 for none. With it a
-            much lower threshold stands above the camera's noise, so that clothes in the background's colors are found;
-            and so are shadows, where there are any.
         color: Difference of a pixel: "max" over the channels, or of "gray" values.
         hold: Where the background does not learn: at the "pixels" above the threshold, as in the paper, or in the
             "blobs", so that specks are learned and holes in people are not.
@@ -77,7 +74,6 @@ class MaskedBackground:
     faint: float = 10.0
     learning_rate: float = 0.02
     start: str = "median"
-    smoothing: int = 1
     color: str = "max"
     hold: str = "blobs"
     shadows: bool = False
@@ -101,8 +97,6 @@ class MaskedBackground:
         for name, kinds in (("start", ("median", "mean")), ("color", ("max", "gray")), ("hold", ("blobs", "pixels"))):
             if getattr(self, name) not in kinds:
                 raise ValueError(f"{name} must be one of {', '.join(kinds)}, got {getattr(self, name)!r}")
-        if not (isinstance(self.smoothing, int) and 1 <= self.smoothing <= 15):
-            raise ValueError(f"smoothing must be a whole number of pixels from 1 to 15, got {self.smoothing!r}")
         if not (isinstance(self.heal_every, int) and self.heal_every >= 0):
             raise ValueError(f"heal_every must be a whole number of frames, 0 for never, got {self.heal_every!r}")
         if not 0.0 < self.flood <= 1.0:
@@ -127,11 +121,6 @@ class MaskedBackground:
             blobs=BlobFinder(closing=(1, 1), split=False),
         )
 
-    @classmethod
-    def indoor(cls) -> MaskedBackground:
-        """For even light without cast shadows: smoothed frames, a low threshold, and a closing that joins more."""
-        return cls(threshold=10.0, smoothing=3, blobs=BlobFinder(closing=(3, 11)))
-
     def initial(self, frames: ArrayLike) -> BackgroundState:
         """The first background.
 
@@ -146,7 +135,7 @@ class MaskedBackground:
         several = checked_images(frames)
         average = np.median if self.start == "median" else np.mean
         first = several[0] if len(several) == 1 else average(np.stack(several), axis=0)
-        first = self._smooth(np.array(first, dtype=np.float32))
+        first = np.array(first, dtype=np.float32)
         rounded = cv2.convertScaleAbs(first)
         mask = np.zeros(first.shape[:2], np.uint8)
         return BackgroundState(first, rounded, mask, self.blobs.initial(), 0, 0)
@@ -164,8 +153,7 @@ class MaskedBackground:
         Raises:
             ValueError: Not such an image.
         """
-        original = checked_image(frame, shape=state.rounded.shape)
-        image = self._smooth(original)
+        image = checked_image(frame, shape=state.rounded.shape)
         difference = self._difference(image, state.rounded)
         foreground, threshold = self._foreground(difference, image, state.rounded)
         mask = self.blobs.clean(foreground)
@@ -188,13 +176,9 @@ class MaskedBackground:
             heal_regions(channels, background.reshape(channels.shape), runs, regions, threshold, 0.02 * mask.size)
         if flooded:
             runs[:, 3] = -1
-        sizes, found = self.blobs.find(state.sizes, runs, regions, original)
+        sizes, found = self.blobs.find(state.sizes, runs, regions, image)
         rounded = cv2.convertScaleAbs(background)
         return BackgroundState(background, rounded, mask, sizes, frames, flooded), found
-
-    def _smooth(self, image: Any) -> Any:
-        """Average over a square, of a frame or of a background."""
-        return image if self.smoothing == 1 else cv2.blur(image, (self.smoothing, self.smoothing))
 
     def _difference(self, image: Image, background: Image) -> Image:
         """How far each pixel is from the background, gray levels."""

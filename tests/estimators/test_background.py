@@ -227,6 +227,7 @@ def test_bad_first_frames_are_named(bad, match):
         ({"threshold": "auto"}, "threshold must be above 0"),
         ({"threshold": float("nan")}, "threshold must be above 0"),
         ({"least_threshold": 0.0}, "least_threshold"),
+        ({"faint": -1.0}, "faint must be at least 0"),
         ({"learning_rate": 1.0}, "learning_rate must lie between 0 and 1, got 1.0"),
         ({"start": "mode"}, "start must be one of median, mean, got 'mode'"),
         ({"color": "hue"}, "color must be one of"),
@@ -241,23 +242,32 @@ def test_bad_parameters_are_named(arguments, match):
         MaskedBackground(**arguments)
 
 
-def test_smoothing_finds_clothes_that_hardly_differ_from_the_background() -> None:
-    rng = np.random.default_rng(5)
+def camouflaged(step, x):
+    """Head, hand and shoes stand out; the clothes are 18 gray levels from the floor."""
+    picture = FLOOR.copy()
+    picture[40:100, x : x + 20] += 18.0
+    for top, left in ((40, x + 6), (66, x), (94, x + 8)):
+        picture[top : top + 7, left : left + 8] = (220.0, 60.0, 50.0)
+    return np.clip(picture + NOISE[step % 16], 0, 255).astype(np.uint8)
 
-    def frame(person: bool) -> np.ndarray:
-        image = rng.normal(120.0, 5.0, (120, 160, 3))
-        if person:
-            image[30:90, 70:86] += 16.0
-        return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
-    found = {}
-    for name, detector in (("default", MaskedBackground()), ("indoor", MaskedBackground.indoor())):
-        state = detector.initial([frame(False) for _ in range(10)])
-        for _ in range(5):
-            state, detections = detector.step(state, frame(True))
-        found[name] = detections.boxes
-    assert len(found["default"]) == 0
-    (box,) = found["indoor"]
-    assert np.abs(box - [70.0, 30.0, 16.0, 60.0]).max() <= 3.0
-    with pytest.raises(ValueError, match="smoothing"):
-        MaskedBackground(smoothing=0)
+def test_the_second_threshold_completes_who_wears_the_colors_of_the_floor():
+    for faint, count in ((10.0, 1), (0.0, 3)):
+        detector = MaskedBackground(faint=faint, blobs=PLAIN)
+        _, found, _ = follow(detector, [camouflaged(k, 40 + 2 * k) for k in range(20)], start=frame(0))
+        assert {len(detections.boxes) for detections in found} == {count}
+        if faint:
+            np.testing.assert_allclose(found[-1].boxes, [(78, 40, 20, 60)], atol=4.0)
+
+
+def test_the_second_threshold_neither_finds_shadows_nor_joins_people_by_them():
+    def shade(picture):
+        picture[85:100, 20:170] -= 18.0
+        return picture
+
+    detector = MaskedBackground(blobs=PLAIN)
+    state = detector.initial(frame(0))
+    _, found = detector.step(state, frame(1, (), shade))
+    assert len(found.boxes) == 0
+    _, found = detector.step(state, frame(1, [(40, 42), (110, 42)], shade))
+    assert len(found.boxes) == 2
