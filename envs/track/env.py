@@ -55,7 +55,7 @@ def check_answer(action: Any, shape: tuple[int, ...]) -> Array:
     return values
 
 
-class TrackEnv(gym.Env[NDArray[Any], Array]):
+class TrackEnv(gym.Env[Any, Array]):
     """One scene and its observer. Subclasses give a batched world, the spaces, and a recorder for the picture.
 
     The world's public array `observations` is what agents see; its dictionaries `truth()`, `scores()` and
@@ -74,15 +74,15 @@ class TrackEnv(gym.Env[NDArray[Any], Array]):
     def __init__(
         self,
         world: Any,
-        observation_space: gym.spaces.Box,
+        observation_space: gym.Space[Any],
         action_space: gym.spaces.Box,
         render_mode: str | None,
         title: str,
     ) -> None:
         self.render_mode = check_render_mode(render_mode)
         self.world = world
+        self.observation_space = observation_space
         # Gymnasium types Box without its dtype.
-        self.observation_space = observation_space  # type: ignore[assignment]
         self.action_space = action_space  # type: ignore[assignment]
         self._running = self._started = False
         self._recorder = self._make_recorder() if render_mode is not None else None
@@ -96,9 +96,7 @@ class TrackEnv(gym.Env[NDArray[Any], Array]):
     def _make_recorder(self) -> Any:
         """What remembers the past for the picture."""
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[Any], dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start a new episode.
 
         Args:
@@ -121,7 +119,7 @@ class TrackEnv(gym.Env[NDArray[Any], Array]):
         self._show()
         return self.world.observations[0].copy(), self._info()
 
-    def step(self, action: Any) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Answer the newest observation.
 
         Args:
@@ -206,7 +204,7 @@ class TrackVectorEnv(BatchedVectorEnv):
         self,
         world: Any,
         num_envs: int,
-        observation_space: gym.spaces.Box,
+        observation_space: gym.Space[Any],
         action_space: gym.spaces.Box,
         render_mode: str | None,
         autoreset_mode: AutoresetMode | str,
@@ -223,7 +221,7 @@ class TrackVectorEnv(BatchedVectorEnv):
             max_episode_steps=max_episode_steps,
         )
 
-    def _observe(self) -> NDArray[Any]:
+    def _observe(self) -> Any:
         return self.world.observations.copy()
 
     def _checked(self, actions: Any) -> Array:

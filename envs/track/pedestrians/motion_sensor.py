@@ -16,9 +16,8 @@ Array = NDArray[np.float64]
 
 _EMPTY_FRAMES = 5
 """Frames of the empty lobby from which the detector has learned the background."""
-_NOBODY = People(
-    np.zeros(0, np.int64), np.zeros((0, 2)), *(np.zeros(0) for _ in range(4)), np.zeros(0, np.int64)
-)  # fmt: skip
+_NONE = np.zeros(0)
+_NOBODY = People(np.zeros(0, np.int64), np.zeros((0, 2)), _NONE, _NONE, _NONE, _NONE, np.zeros(0, np.int64))
 
 
 class MotionSensor:

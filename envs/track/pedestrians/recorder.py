@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,13 @@ _TRAIL = 40
 """Frames of a trail."""
 
 
+class _Seen(NamedTuple):
+    """A frame, and the true boxes of those who count in it, shape (n, 4), px."""
+
+    image: Image
+    truth: Array
+
+
 class Recorder:
     """Call `record` after every reset and step; `frame` draws the frame that was answered last.
 
@@ -27,22 +36,28 @@ class Recorder:
 
     def __init__(self, world: PedestrianWorld, row: int = 0, show_truth: bool = False) -> None:
         self._world, self._row, self._show_truth = world, row, show_truth
-        self._forget()
+        self._labels: list[NDArray[np.int64]] = []
+        self._reported: list[NDArray[np.bool_]] = []
+        self._estimates: list[Array] = []
+        self._errors: list[float] = []
+        self._numbers: list[int] = []
+        self._newest = _Seen(world.images[row], np.empty((0, 4)))
+        self._answered: _Seen | None = None
 
     def record(self) -> None:
         """Take the world's newest answer and frame; a reset forgets the old episode."""
         world, row = self._world, self._row
         if world.steps[row] == 0:
-            self._forget()
+            self._labels, self._reported, self._estimates, self._errors, self._numbers = [], [], [], [], []
+            self._answered = None
         elif len(self._errors) < world.steps[row]:
-            self._shown, self._shown_truth = self._newest, self._newest_truth
+            self._answered = self._newest
             self._labels.append(world.scorer.labels[row].copy())
             self._reported.append(world.scorer.reported[row].copy())
             self._estimates.append(world.scorer.estimates[row].copy())
             self._errors.append(float(world.ospa[row]))
-            self._numbers.append(int(self._newest_count))
-        self._newest, self._newest_truth = world.images[row], world.boxes[row][world.exists[row]]
-        self._newest_count = int(world.exists[row].sum())
+            self._numbers.append(len(self._answered.truth))
+        self._newest = _Seen(world.images[row], world.boxes[row][world.exists[row]])
 
     def frame(self) -> Image:
         """Draw the frame answered last, or the first one before any answer.
@@ -51,15 +66,14 @@ class Recorder:
             A new RGB image, uint8.
         """
         world, config = self._world, self._world.config
-        image = self._newest if self._shown is None else self._shown
-        truth = self._newest_truth if self._shown is None else self._shown_truth
+        seen = self._newest if self._answered is None else self._answered
         reported, held = self._trails()
         return draw(
             BoxScene(
-                frame=image,
+                frame=seen.image,
                 reported=reported,
                 held=held,
-                truth=truth if self._show_truth else np.empty((0, 4)),
+                truth=seen.truth if self._show_truth else np.empty((0, 4)),
                 reported_numbers=np.array([int(r.sum()) for r in self._reported], dtype=np.float64),
                 true_numbers=np.array(self._numbers, dtype=np.float64),
                 errors=np.array(self._errors),
@@ -67,17 +81,6 @@ class Recorder:
                 horizon=config.horizon,
             )
         )
-
-    def _forget(self) -> None:
-        self._labels: list[NDArray[np.int64]] = []
-        self._reported: list[NDArray[np.bool_]] = []
-        self._estimates: list[Array] = []
-        self._errors: list[float] = []
-        self._numbers: list[int] = []
-        self._shown: Image | None = None
-        self._newest: Image = self._world.images[self._row]
-        self._newest_truth = self._shown_truth = np.empty((0, 4))
-        self._newest_count = 0
 
     def _trails(self) -> tuple[list[BoxTrail], list[BoxTrail]]:
         """Trails of the identities that are reported now, and of those held silently."""
