@@ -177,8 +177,7 @@ class MaskedBackground:
         if flooded:
             runs[:, 3] = -1
         sizes, found = self.blobs.find(state.sizes, runs, regions, image)
-        rounded = cv2.convertScaleAbs(background)
-        return BackgroundState(background, rounded, mask, sizes, frames, flooded), found
+        return BackgroundState(background, _rounded(background), mask, sizes, frames, flooded), found
 
     def _difference(self, image: Image, background: Image) -> Image:
         """How far each pixel is from the background, gray levels."""
@@ -202,6 +201,10 @@ class MaskedBackground:
         if self.shadows and image.ndim == 3:
             _drop_shadows(mask, image, background)
         return mask, threshold
+
+
+def _rounded(background: NDArray[np.float32]) -> Image:
+    return np.asarray(cv2.convertScaleAbs(background), dtype=np.uint8)
 
 
 def _above(difference: Image, threshold: float) -> Image:

@@ -78,11 +78,12 @@ class BlobFinder:
         Returns:
             A mask of the same kind.
         """
+        clean = mask
         if self.opening > 1:
-            mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, _rectangle(self.opening, self.opening))
+            clean = _morphology(clean, cv2.MORPH_OPEN, self.opening, self.opening)
         if self.closing != (1, 1):
-            mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _rectangle(*self.closing))
-        return mask
+            clean = _morphology(clean, cv2.MORPH_CLOSE, *self.closing)
+        return clean
 
     def step(self, state: BodySizes, mask: ArrayLike, image: ArrayLike) -> tuple[BodySizes, Detections]:
         """Detections of one mask.
@@ -100,7 +101,8 @@ class BlobFinder:
         """
         checked = checked_image(image, "image")
         cleaned = self.clean(checked_image(mask, "mask", checked.shape[:2]))
-        return self.find(state, *label_runs(cleaned), checked)
+        runs, regions = label_runs(cleaned)
+        return self.find(state, runs, regions, checked)
 
     def find(
         self, state: BodySizes, runs: NDArray[np.int32], regions: int, image: Image
@@ -136,5 +138,5 @@ class BlobFinder:
         return state, Detections(boxes, centroids, areas, confidences, features)
 
 
-def _rectangle(width: int, height: int) -> NDArray[np.uint8]:
-    return np.ones((height, width), np.uint8)
+def _morphology(mask: Image, operation: int, width: int, height: int) -> Image:
+    return np.asarray(cv2.morphologyEx(mask, operation, np.ones((height, width), np.uint8)), dtype=np.uint8)

@@ -94,7 +94,8 @@ class _Subtractor:
         model.frames += 1
         _, mask = cv2.threshold(mask, _SHADOW, 255, cv2.THRESH_BINARY)
         cleaned = self.blobs.clean(mask)
-        sizes, found = self.blobs.find(state.sizes, *label_runs(cleaned), image)
+        runs, regions = label_runs(cleaned)
+        sizes, found = self.blobs.find(state.sizes, runs, regions, image)
         return SubtractorState(model, state.shape, cleaned, sizes, model.frames), found
 
 

@@ -73,7 +73,8 @@ def track_sequence(
     dimension = next(np.asarray(track.states).shape[1] for track in everything if len(track.steps))
     there = stack_tracks([*truth, *ignored], length, dimension)
     here = stack_tracks(estimate, length, dimension)
-    exists, reported = ~np.isnan(there).any(axis=2), ~np.isnan(here).any(axis=2)
+    exists = np.asarray(~np.isnan(there).any(axis=2))
+    reported = np.asarray(~np.isnan(here).any(axis=2))
     frames = []
     for step in range(length):
         a, b = np.flatnonzero(exists[:, step]), np.flatnonzero(reported[:, step])
