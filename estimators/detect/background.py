@@ -134,11 +134,10 @@ class MaskedBackground:
         """
         several = checked_images(frames)
         average = np.median if self.start == "median" else np.mean
-        first = several[0] if len(several) == 1 else average(np.stack(several), axis=0)
-        first = np.array(first, dtype=np.float32)
-        rounded = cv2.convertScaleAbs(first)
+        whole = several[0] if len(several) == 1 else average(np.stack(several), axis=0)
+        first = np.array(whole, dtype=np.float32)
         mask = np.zeros(first.shape[:2], np.uint8)
-        return BackgroundState(first, rounded, mask, self.blobs.initial(), 0, 0)
+        return BackgroundState(first, _rounded(first), mask, self.blobs.initial(), 0, 0)
 
     def step(self, state: BackgroundState, frame: ArrayLike) -> tuple[BackgroundState, Detections]:
         """Detect in a frame, then learn from it.
