@@ -160,7 +160,8 @@ def _run(level: int, seed: int, methods: Sequence[str], world: Mapping[str, Any]
         size = np.sqrt(done.boxes[:, 2] * done.boxes[:, 3] / (seen.boxes[:, 2] * seen.boxes[:, 3]))
         arrays[name] = np.stack([done.iou, done.center_error, size])
     with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, setting=np.array(_setting(level, seed, methods, world)), **arrays)
+        arrays["setting"] = np.array(_setting(level, seed, methods, world))
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
 def _read(path: Path, level: int, seed: int, methods: Sequence[str], world: Mapping[str, Any]) -> dict[str, Measures]:

@@ -188,10 +188,11 @@ def reproduce(
     """A paper's tables and figures, ours beside the paper's, and its claims with a verdict each."""
     from servotrack.baselines.reproduce import Recording, reproduce_paper
 
-    sources, truths = source or [], truth or []
-    if truths and len(truths) != len(sources):
+    sources = source or []
+    truths: list[str | None] = [*truth] if truth else [None] * len(sources)
+    if len(truths) != len(sources):
         raise ValueError(f"--truth goes with every --source or with none, got {len(truths)} for {len(sources)}")
-    recordings = [Recording(s, t) for s, t in zip(sources, truths or [None] * len(sources), strict=True)]
+    recordings = [Recording(s, t) for s, t in zip(sources, truths, strict=True)]
     reproduce_paper(paper, output, runs, _console(), claims, recordings)
 
 

@@ -24,7 +24,7 @@ Frame = NDArray[np.uint8]
 
 VIDEO = Path(__file__)
 FRAMES = 250
-SIX_PEOPLE = {"level": 5, "script": "random", "people": 6.0}
+SIX_PEOPLE: dict[str, Any] = {"level": 5, "script": "random", "people": 6.0}
 """Every axis of the picture on, with six people on average."""
 MOG2, MIL = "OpenCV's MOG2, mask alone", "OpenCV's MIL"
 

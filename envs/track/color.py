@@ -119,8 +119,8 @@ class ColorTrackingEnv(TrackEnv):
         Returns:
             The next frame with the first frame's box, reward, terminated, truncated, info.
         """
-        frame, *rest = super().step(action)
-        return self._observation(frame), *rest
+        frame, reward, terminated, truncated, info = super().step(action)
+        return self._observation(frame), reward, terminated, truncated, info
 
     def _observation(self, frame: NDArray[Any]) -> Observation:
         return {"frame": frame, "first_box": self.world.first_boxes[0].copy()}

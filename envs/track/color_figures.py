@@ -178,7 +178,7 @@ def _face(looks: Looks, rng: np.random.Generator) -> Layer:
     width, chin = rng.uniform(22.5, 25.5), rng.uniform(33.0, 36.0)
     jaw = oval(0, 2, width, chin)
     jaw[:, 0] *= 1.0 - 0.13 * np.clip((jaw[:, 1] - 8.0) / 28.0, 0.0, 1.0)
-    for sign in (-1, 1):
+    for sign in (-1.0, 1.0):
         canvas.paint(oval(sign * width, 5, 3.6, 6.2), canvas.shades(looks.skin, 0.84 * light))
     canvas.paint(jaw, skin)
     dark = _mix(looks.skin, (30.0, 18.0, 16.0), 0.62)

@@ -181,7 +181,7 @@ class KeptIdentities:
         cost = 0.5 * distance + 0.3 * size
         if look.shape[1]:
             similar = known.look[lost] @ look.T
-            comparable = (known.look[lost].any(axis=1)[:, None]) & seen[None]
+            comparable = np.asarray(known.look[lost].any(axis=1))[:, None] & seen[None]
             possible &= ~comparable | (similar >= self.similarity)
             cost += np.where(comparable, 0.4 * (1.0 - similar), 0.0)
         return np.where(possible, cost, NO_MATCH)
@@ -208,7 +208,7 @@ class KeptIdentities:
         absent = np.where(here, 0, known.absent + 1)
         keep = (absent <= self.memory) | np.isin(known.inner, estimate.held_labels)
         after = Known(known.name, known.inner, box, velocity, mean_look, absent, rival)
-        return Known(*[values[keep] for values in after])
+        return Known(*[values[keep] for values in after])  # type: ignore[arg-type]
 
     def _rivals(self, name: Labels, rival: Labels, box: Array, here: NDArray[np.bool_]) -> Labels:
         """With whom each identity is merged now, or was and has not parted: then the old rival stays."""

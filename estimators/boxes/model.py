@@ -32,9 +32,9 @@ def centroid_model(process_noise: float, measurement_noise: float, frames: float
     axes = np.eye(2)
     F, Q = _axis(process_noise, frames)
     return HiddenMarkovModel(
-        transition=np.kron(axes, F),
-        process_noise=np.kron(axes, Q),
-        observation=np.kron(axes, [[1.0, 0.0]]),
+        transition=np.asarray(np.kron(axes, F), dtype=np.float64),
+        process_noise=np.asarray(np.kron(axes, Q), dtype=np.float64),
+        observation=np.asarray(np.kron(axes, [[1.0, 0.0]]), dtype=np.float64),
         measurement_noise=measurement_noise**2 * axes,
     )
 
