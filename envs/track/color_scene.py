@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -56,8 +57,14 @@ class Scene(NamedTuple):
     noise_shifts: NDArray[np.int64]
 
 
+@lru_cache(maxsize=8)
 def draw_scene(config: ColorConfig, seed: int) -> Scene:
-    """Draw an episode's script and paint all that its frames are made of."""
+    """Draw an episode's script and paint all that its frames are made of; the last few are kept, nothing changes them.
+
+    Args:
+        config: The world's parameters.
+        seed: Of the episode.
+    """
     streams = Streams(seed)
     script = draw_script(config, streams)
     looks = draw_looks(streams[Stream.FIGURE])
