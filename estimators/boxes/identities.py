@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.estimators.boxes.merged import split_merged
+from servotrack.estimators.boxes.overlap import covered_by
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import box_distances
@@ -266,12 +267,8 @@ def _expected(known: Known) -> Array:
 
 def _shares(boxes: Array) -> Array:
     """Intersections as shares of the smaller box of each pair. Shape (k, k)."""
-    common = np.ones((len(boxes), len(boxes)))
-    for axis in (0, 1):
-        low, high = boxes[:, axis], boxes[:, axis] + boxes[:, 2 + axis]
-        common *= np.maximum(np.minimum(high[:, None], high) - np.maximum(low[:, None], low), 0.0)
-    area = np.maximum(boxes[:, 2] * boxes[:, 3], 1e-9)
-    return common / np.minimum(area[:, None], area)
+    share = covered_by(boxes, boxes)
+    return np.maximum(share, share.T)
 
 
 def _looks(boxes: Array, detections: Detections) -> tuple[Array, NDArray[np.bool_]]:

@@ -88,4 +88,7 @@ def started_boxes(boxes: Array, position_noise: float, size_noise: float, speed:
 
 def center_boxes(mean: Array) -> Array:
     """The boxes of tracks: left, top, width, height. Shape (T, 4), px."""
-    return np.stack([mean[:, 0] - mean[:, 4] / 2, mean[:, 2] - mean[:, 5] / 2, mean[:, 4], mean[:, 5]], axis=1)
+    boxes = np.empty((len(mean), 4))
+    boxes[:, 2:] = mean[:, 4:]
+    boxes[:, :2] = mean[:, [0, 2]] - 0.5 * mean[:, 4:]
+    return boxes

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.estimators.boxes.overlap import covered_by
 from servotrack.estimators.detect.detections import Detections
-from servotrack.estimators.metrics.distances import box_distances
 
 Array = NDArray[np.float64]
 
 COVERED = 0.6
 """Share of a predicted box inside a blob from which the person may be part of it."""
 
-LARGER = 1.25
+LARGER = 1.4
 """A blob this much wider or taller than a person holds more than this person."""
 
 SOLID = 0.97
@@ -40,19 +40,15 @@ def split_merged(detections: Detections, predicted: Array) -> Detections:
     Returns:
         The same object where no blob covers several people.
     """
-    boxes, predicted = detections.boxes, _distinct(predicted)
-    if len(predicted) < 2 or len(boxes) == 0:
-        return detections
-    share = np.ones((len(boxes), len(predicted)))
-    for axis in (0, 1):
-        low, size = boxes[:, axis, None], boxes[:, 2 + axis, None]
-        start, own = predicted[None, :, axis], predicted[None, :, 2 + axis]
-        share *= np.maximum(np.minimum(low + size, start + own) - np.maximum(low, start), 0.0) / own
-    larger = (boxes[:, None, 2:] > LARGER * predicted[None, :, 2:]).any(axis=2)
+    boxes = np.asarray(detections.boxes, dtype=np.float64)
     blob = detections.areas < SOLID * boxes[:, 2] * boxes[:, 3]
-    inside = (share >= COVERED) & larger & blob[:, None]
+    if len(predicted) < 2 or not blob.any():
+        return detections
+    predicted = _distinct(predicted)
+    share = covered_by(predicted, boxes).T
+    larger = (boxes[:, None, 2:] > LARGER * predicted[None, :, 2:]).any(axis=2)
     # A person belongs to one blob.
-    inside &= share == share.max(axis=0)
+    inside = (share >= COVERED) & larger & blob[:, None] & (share == share.max(axis=0))
     several = np.flatnonzero(inside.sum(axis=1) >= 2)
     if len(several) == 0:
         return detections
@@ -72,10 +68,11 @@ def split_merged(detections: Detections, predicted: Array) -> Detections:
 
 def _distinct(people: Array) -> Array:
     """The boxes without those that repeat an earlier one."""
-    if len(people) < 2:
-        return people
-    same = np.tril(box_distances(people, people) <= 1.0 - SAME, -1)
-    return people[~same.any(axis=1)]
+    share = covered_by(people, people)
+    # Over the union, from the shares of both.
+    both = 1.0 / np.maximum(share, 1e-9) + 1.0 / np.maximum(share.T, 1e-9) - 1.0
+    same = np.tril(both <= 1.0 / SAME, -1)
+    return people[~same.any(axis=1)] if same.any() else people
 
 
 def _shares_of(blob: Array, people: Array) -> Array:

@@ -19,8 +19,9 @@ from scipy.special import chdtri
 
 from servotrack.estimators.boxes.kalman import center_boxes, correct_boxes, predict_boxes, started_boxes
 from servotrack.estimators.boxes.merged import split_merged
-from servotrack.estimators.boxes.pmb_kernel import associate, pair_distances, visible_shares
-from servotrack.estimators.boxes.report import box_covariances, check_detections, covered_shares, set_of_boxes
+from servotrack.estimators.boxes.overlap import covered_by
+from servotrack.estimators.boxes.pmb_kernel import associate, mix_looks, pair_distances, visible_shares
+from servotrack.estimators.boxes.report import box_covariances, check_detections, set_of_boxes
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs.sets import SetEstimate
 
@@ -134,10 +135,10 @@ class BoxPMB:
     drift: float = 0.07
     position_noise: float = 0.06
     size_noise: float = 0.18
-    detection: float = 0.8
+    detection: float = 0.87
     patience: float = 0.055
     surprise: float = 10.0
-    birth: float = 0.2
+    birth: float = 0.03
     overlap: float = 8.0
     doubt: float = 1.6
     lifetime: float = 20.0
@@ -234,7 +235,7 @@ class BoxPMB:
         """The tracks worth keeping, and a new one for each detection that no track explains."""
         sure = tracks.existence >= 0.5
         if sure.any() and len(chance):
-            cover = covered_shares(detections.boxes, center_boxes(tracks.mean[sure]))
+            cover = covered_by(detections.boxes, center_boxes(tracks.mean[sure])).max(axis=1)
             chance = chance * np.maximum(1.0 - cover, 0.0) ** self.overlap
         keep = np.flatnonzero((tracks.existence >= FORGET) & (tracks.missed <= self.memory * self.frame_rate))
         new = np.flatnonzero(chance >= FORGET)
@@ -270,11 +271,8 @@ def _learned_looks(tracks: BoxTracks, own: NDArray[np.bool_], partner: NDArray[n
     """Mean appearances after a frame, of those whose detection shows them and nobody else."""
     if features.shape[1] == 0 or not own.any():
         return tracks.look
-    look, rows = tracks.look.copy(), np.flatnonzero(own)
-    rows = rows[features[partner[rows]].any(axis=1)]
-    rate = np.maximum(LOOK_RATE, 1.0 / (tracks.seen[rows] + 1.0))[:, None]
-    mixed = (1.0 - rate) * look[rows] + rate * features[partner[rows]]
-    look[rows] = mixed / np.maximum(np.sqrt((mixed * mixed).sum(axis=1, keepdims=True)), 1e-12)
+    look = tracks.look.copy()
+    mix_looks(look, own, partner, np.asarray(features, dtype=np.float64), tracks.seen, LOOK_RATE)
     return look
 
 

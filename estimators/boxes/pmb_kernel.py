@@ -114,3 +114,34 @@ def associate(weight):  # type: ignore[no-untyped-def]
         if partner[i] >= detections:
             partner[i] = -1
     return missed, assigned, fresh, partner
+
+
+@njit(cache=True, nogil=True)
+def mix_looks(look, own, partner, features, seen, least_rate):  # type: ignore[no-untyped-def]
+    """Mix the appearances of their detections into those of tracks, in place: a mean at first, then a fading one.
+
+    Args:
+        look: Of unit length, or zero. Shape (T, F).
+        own: Which tracks' detections show them alone. Shape (T,).
+        partner: Detection of each track. Shape (T,).
+        features: Of the detections; zeros where unknown. Shape (Z, F).
+        seen: Detections of each track so far. Shape (T,).
+        least_rate: Least weight of a new frame.
+    """
+    for i in range(look.shape[0]):
+        if not own[i]:
+            continue
+        new = features[partner[i]]
+        known = 0.0
+        for k in range(new.shape[0]):
+            known += new[k] * new[k]
+        if known == 0.0:
+            continue
+        rate = max(least_rate, 1.0 / (seen[i] + 1.0))
+        length = 0.0
+        for k in range(new.shape[0]):
+            look[i, k] = (1.0 - rate) * look[i, k] + rate * new[k]
+            length += look[i, k] * look[i, k]
+        length = math.sqrt(length)
+        for k in range(new.shape[0]):
+            look[i, k] /= length

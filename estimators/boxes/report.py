@@ -77,22 +77,3 @@ def set_of_boxes(
         boxes[held],
         np.minimum(existence[held], 0.49),
     )
-
-
-def covered_shares(boxes: Array, others: Array) -> Array:
-    """Largest share of each box that one of the others covers.
-
-    Args:
-        boxes: Left, top, width, height. Shape (k, 4), px.
-        others: Shape (n, 4), n at least 1, px.
-
-    Returns:
-        Shape (k,), from 0 to 1.
-    """
-    share = np.ones((len(boxes), len(others)))
-    for axis in (0, 1):
-        low, size = boxes[:, axis, None], boxes[:, 2 + axis, None]
-        start, width = others[None, :, axis], others[None, :, 2 + axis]
-        common = np.minimum(low + size, start + width) - np.maximum(low, start)
-        share *= np.maximum(common, 0.0) / np.maximum(size, 1e-9)
-    return share.max(axis=1)
