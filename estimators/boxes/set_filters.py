@@ -101,24 +101,21 @@ def _covariances(estimate: SetEstimate) -> Array:
 
 def _shapes(state: BoxSetState, labels: NDArray[np.int64], centers: Array, detections: Detections) -> Array:
     """The box around each identity's centroid: as remembered, mixed with that of the nearest detection that is near."""
-    boxes, centroids = detections.boxes, detections.centroids
-    shapes = np.zeros((len(labels), 4))
-    for row, (label, center) in enumerate(zip(labels.tolist(), centers, strict=True)):
-        known = np.flatnonzero(state.labels == label)
-        old = state.shapes[known[0]] if len(known) else None
-        if len(boxes):
-            gap = centroids - center
-            nearest = int(np.argmin((gap * gap).sum(axis=1)))
-            shape = boxes[nearest].copy()
-            shape[:2] -= centroids[nearest]
-            # Farther than half a box away it is another one's.
-            if old is None or bool((np.abs(gap[nearest]) <= 0.5 * old[2:]).all()):
-                shapes[row] = shape if old is None else old + SIZE_RATE * (shape - old)
-                continue
-        if old is not None:
-            shapes[row] = old
-        elif len(state.shapes):
-            shapes[row] = np.median(state.shapes, axis=0)
-        else:
-            shapes[row] = -0.5, -0.5, 1.0, 1.0
-    return shapes
+    count, same = len(labels), labels[:, None] == state.labels
+    known = same.any(axis=1)
+    shapes = np.tile(_UNKNOWN if len(state.shapes) == 0 else np.median(state.shapes, axis=0), (count, 1))
+    if known.any():
+        shapes[known] = state.shapes[same[known].argmax(axis=1)]
+    if count == 0 or len(detections.boxes) == 0:
+        return shapes
+    gap = np.abs(detections.centroids - centers[:, None])
+    nearest = (gap * gap).sum(axis=2).argmin(axis=1)
+    found = detections.boxes[nearest]
+    found[:, :2] -= detections.centroids[nearest]
+    # Farther than half a box away it is another one's.
+    near = (gap[np.arange(count), nearest] <= 0.5 * shapes[:, 2:]).all(axis=1) | ~known
+    rate = np.where(known, SIZE_RATE, 1.0) * near
+    return shapes + rate[:, None] * (found - shapes)
+
+
+_UNKNOWN = np.array([-0.5, -0.5, 1.0, 1.0])
