@@ -46,7 +46,13 @@ def test_vector_environment_keeps_the_rules(short_warm_up):
     check_vector_env(ENV_ID, level=5, observation="blobs", horizon=9, max_episode_steps=4, steps=9, **SMALL)
 
 
-@pytest.mark.parametrize("axes", [{"horizon": 2}, {"observation": "blobs", "level": 5, "horizon": 4}])
+@pytest.mark.parametrize(
+    "axes",
+    [
+        pytest.param({"horizon": 2}, marks=pytest.mark.slow),
+        {"observation": "blobs", "level": 5, "horizon": 3},
+    ],
+)
 def test_vector_environment_is_the_single_one_to_the_bit(axes, short_warm_up):
     check_vector_matches_single(ENV_ID, **SMALL, **axes)
 

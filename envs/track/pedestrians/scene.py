@@ -13,7 +13,7 @@ import pymunk
 from numpy.typing import NDArray
 
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, NEAR
-from servotrack.envs.track.pedestrians.social_force import FACE, LEG_NUMBERS, drive
+from servotrack.envs.track.pedestrians.social_force import LEG_NUMBERS, drive
 
 Array = NDArray[np.float64]
 
@@ -22,6 +22,7 @@ BODY_RADIUS = 0.2
 _ELBOW_ROOM = 0.35
 """Between somebody who stands and an obstacle, m."""
 _FRONT = NEAR - 0.4
+_NEVER = 2**62
 
 
 class Stream(IntEnum):
@@ -104,13 +105,14 @@ def walk(
         One walk per person, in the order in which they came.
     """
     simulation = _Simulation(parties, dt, obstacles)
-    waiting = list(range(len(parties)))
+    births = [min(plan.birth for plan in party) for party in parties]
+    coming = 0
     members: list[int] = []
     for frame in frames:
-        while waiting and simulation.first_birth(waiting[0]) <= frame:
-            party = waiting.pop(0)
-            if simulation.present + len(members) + len(parties[party]) <= most:
-                members += simulation.members(party)
+        while coming < len(parties) and births[coming] <= frame:
+            if simulation.present + len(members) + len(parties[coming]) <= most:
+                members += simulation.members(coming)
+            coming += 1
         for index in [i for i in members if simulation.plans[i].birth <= frame]:
             if simulation.can_enter(index):
                 members.remove(index)
@@ -147,6 +149,8 @@ class _Simulation:
         self._leg_count = np.array([len(plan.legs) for plan in self.plans], dtype=np.int64)
         self._leg, self._since = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._arrived = np.full(count, -1, dtype=np.int64)
+        self._facing, self._over = np.full(count, math.nan), np.zeros(count, np.bool_)
+        self._deaths = np.array([_NEVER if p.death is None else p.death for p in self.plans], dtype=np.int64)
         self._pace = np.array([plan.pace for plan in self.plans], dtype=np.float64)
         self._wander = np.array([plan.wander for plan in self.plans], dtype=np.float64).reshape(count, 3)
         self._position, self._velocity = np.zeros((count, 2)), np.zeros((count, 2))
@@ -155,7 +159,7 @@ class _Simulation:
         self._space.collision_slop = 0.01
         self._bodies: dict[int, tuple[pymunk.Body, pymunk.Circle]] = {}
         self._active = np.empty(0, np.int64)
-        self._past: dict[int, list[tuple[float, float, float]]] = {}
+        self._history: list[tuple[NDArray[np.int64], Array, Array]] = []
         self._entered: dict[int, int] = {}
         self._build_walls()
 
@@ -163,10 +167,6 @@ class _Simulation:
     def present(self) -> int:
         """How many are there."""
         return len(self._bodies)
-
-    def first_birth(self, party: int) -> int:
-        """When the first of a party comes."""
-        return min(self.plans[index].birth for index in self.members(party))
 
     def members(self, party: int) -> list[int]:
         """Who belongs to a party."""
@@ -189,19 +189,18 @@ class _Simulation:
         self._position[index] = plan.start
         self._velocity[index] = plan.pace * goal / max(float(np.hypot(*goal)), 1e-9)
         self._since[index] = frame
-        self._past[index], self._entered[index] = [], frame
+        self._entered[index] = frame
         self._active = np.array(sorted(self._bodies), dtype=np.int64)
 
     def record(self, frame: int) -> None:
         """Note where everybody is; those whose time is over are gone."""
-        for index in self._active.tolist():
-            plan, leg = self.plans[index], int(self._leg[index])
-            if (plan.death is not None and frame >= plan.death) or (plan.death is None and leg >= len(plan.legs)):
+        active = self._active
+        over = self._over[active] | (self._deaths[active] <= frame)
+        if over.any():
+            for index in active[over].tolist():
                 self._leave(index)
-                continue
-            x, z = self._position[index].tolist()
-            face = self._legs[index, min(leg, len(plan.legs) - 1), FACE]
-            self._past[index].append((x, z, face if self._arrived[index] >= 0 else np.nan))
+            active = self._active
+        self._history.append((active, self._position[active], self._facing[active]))
 
     def advance(self, frame: int) -> None:
         """One step of time: forces give velocities, bodies move with them and stop each other."""
@@ -209,8 +208,8 @@ class _Simulation:
             return
         drive(
             self._active, self._position, self._velocity, self._legs, self._leg_count, self._leg, self._since,
-            self._arrived, self._pace, self._wander, self._party, self._walls, self._obstacles, frame,
-            self._dt,
+            self._arrived, self._facing, self._over, self._pace, self._wander, self._party, self._walls,
+            self._obstacles, frame, self._dt,
         )  # fmt: skip
         members = self._active.tolist()
         bodies = [self._bodies[index][0] for index in members]
@@ -222,11 +221,14 @@ class _Simulation:
 
     def walks(self) -> list[Walk]:
         """What everybody did."""
+        if not self._history:
+            return []
+        who, positions, facing = (np.concatenate(parts) for parts in zip(*self._history, strict=True))
         found = []
-        for index, past in self._past.items():
-            path = np.array(past).reshape(-1, 3)
-            if len(path):
-                found.append(Walk(self.plans[index], self._entered[index], path[:, :2].copy(), path[:, 2].copy()))
+        for index, first in self._entered.items():
+            mine = np.flatnonzero(who == index)
+            if len(mine):
+                found.append(Walk(self.plans[index], first, positions[mine], facing[mine]))
         return found
 
     def _leave(self, index: int) -> None:

@@ -48,7 +48,23 @@ _PATIENCE = 40.0
 
 @njit(cache=True, nogil=True)
 def drive(  # type: ignore[no-untyped-def]
-    active, position, velocity, legs, leg_count, leg, since, arrived, pace, wander, party, walls, obstacles, frame, dt
+    active,
+    position,
+    velocity,
+    legs,
+    leg_count,
+    leg,
+    since,
+    arrived,
+    facing,
+    over,
+    pace,
+    wander,
+    party,
+    walls,
+    obstacles,
+    frame,
+    dt,
 ):
     """New velocities of all who are there; legs that are done give way to the next.
 
@@ -61,6 +77,8 @@ def drive(  # type: ignore[no-untyped-def]
         leg: The present one, shape (n,); advanced, and equal to `leg_count` when all are done.
         since: Frame at which the present leg began, shape (n,); advanced with it.
         arrived: Frame of arrival at the present leg's end, -1 before, shape (n,); changed.
+        facing: Where to face, NaN while walking and for no preference, shape (n,), rad; replaced.
+        over: Whose legs are all done, shape (n,), bool; changed.
         pace: Desired speed, shape (n,), m/s.
         wander: Amplitude (rad), rate (rad per frame) and phase (rad) of small changes of direction, shape (n, 3).
         party: Who belongs together, shape (n,).
@@ -89,10 +107,13 @@ def drive(  # type: ignore[no-untyped-def]
             leg[i] += 1
             since[i] = frame
             arrived[i] = -1
+        facing[i] = math.nan
         if leg[i] >= leg_count[i]:
+            over[i] = True
             continue
         goal = legs[i, leg[i]]
         if arrived[i] >= 0:
+            facing[i] = goal[FACE]
             # Those who were pushed come back slowly.
             back = 0.0 if distance < 0.5 * _TOLERANCE else 0.4
             wanted[a, 0], wanted[a, 1] = back * dx, back * dz
