@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from servotrack.baselines.leaderboard.table import Grid
 from servotrack.envs.track.recorded import RecordedTracks
-from servotrack.estimators.metrics import Track, box_distances, centroid_distances, mot_scores, score_distances
+from servotrack.estimators.metrics import (
+    Track,
+    box_distances,
+    centroid_distances,
+    members_by_step,
+    mot_scores,
+    score_distances,
+)
 
 Array = NDArray[np.float64]
 
@@ -126,22 +133,18 @@ def _within(tracks: RecordedTracks, numbers: NDArray[np.int64]) -> list[Track]:
 
 def _by_frame(true: list[Track], estimated: list[Track], length: int, rule: MatchRule) -> tuple[float, float]:
     """Share of frames with the right number, and mean OSPA."""
-    there, here = _boxes_by_frame(true, length), _boxes_by_frame(estimated, length)
-    right = np.array([len(a) == len(b) for a, b in zip(there, here, strict=True)])
+    there, here = members_by_step(true, length, 4), members_by_step(estimated, length, 4)
+    right = np.array([len(a.rows) == len(b.rows) for a, b in zip(there, here, strict=True)])
     ospa = [
         float(
             score_distances(
-                rule.distances(a, b), np.ones(len(a), np.bool_), np.ones(len(b), np.bool_), rule.cutoff
+                rule.distances(a.states, b.states),
+                np.ones(len(a.rows), np.bool_),
+                np.ones(len(b.rows), np.bool_),
+                rule.cutoff,
             ).ospa
         )
         for a, b in zip(there, here, strict=True)
     ]
-    return float(right.mean()), float(np.mean(ospa))
-
-
-def _boxes_by_frame(tracks: list[Track], length: int) -> list[Array]:
-    if not tracks:
-        return [np.zeros((0, 4))] * length
-    steps, boxes = np.concatenate([t.steps for t in tracks]), np.concatenate([t.states for t in tracks])
-    order = np.argsort(steps, kind="stable")
-    return np.split(boxes[order], np.searchsorted(steps[order], np.arange(1, length)))
+    # Rounding may leave a distance of equal boxes below 0.
+    return float(right.mean()), max(float(np.mean(ospa)), 0.0)

@@ -15,7 +15,7 @@ from servotrack.estimators.metrics.sets import (
     score_distances,
     score_points,
 )
-from servotrack.estimators.metrics.tracks import Track, stack_tracks, tracks_from_rows
+from servotrack.estimators.metrics.tracks import Track, members_by_step, stack_tracks, tracks_from_rows
 from servotrack.estimators.metrics.trajectories import TrajectoryGospaParts, ospa2, trajectory_gospa
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "box_distances",
     "centroid_distances",
     "gospa",
+    "members_by_step",
     "mot_scores",
     "ospa",
     "ospa2",

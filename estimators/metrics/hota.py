@@ -32,17 +32,22 @@ def hota_scores(sequence: TrackSequence) -> HotaScores:
     Args:
         sequence: From `track_sequence`.
     """
-    true, reported = sequence.truth_counts[:, None], sequence.estimate_counts[None, :]
     alignment = _alignment(sequence)
-    together = np.zeros((len(THRESHOLDS), *alignment.shape))
+    # Of every match its pair of tracks and how many thresholds it passes; few of all pairs ever meet.
+    pairs, passed = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     for truth, estimate, similarity in sequence.frames:
         rows, columns = linear_sum_assignment(alignment[np.ix_(truth, estimate)] * similarity, maximize=True)
-        enough = similarity[rows, columns] >= THRESHOLDS[:, None] - EPSILON
-        together[:, truth[rows], estimate[columns]] += enough
-    matches = together.sum(axis=(1, 2))
+        pairs.append(truth[rows] * alignment.shape[1] + estimate[columns])
+        passed.append((similarity[rows, columns][:, None] >= THRESHOLDS - EPSILON).sum(axis=1))
+    met, pair = np.unique(np.concatenate(pairs), return_inverse=True)
+    steps = len(THRESHOLDS) + 1
+    levels = np.bincount(pair * steps + np.concatenate(passed), minlength=len(met) * steps).reshape(len(met), steps)
+    together = np.cumsum(levels[:, :0:-1], axis=1)[:, ::-1].T.astype(np.float64)
+    true, reported = sequence.truth_counts, sequence.estimate_counts
+    matches = together.sum(axis=1)
     deta = matches / np.maximum(true.sum() + reported.sum() - matches, 1.0)
-    association = together / np.maximum(true + reported - together, 1.0)
-    assa = (together * association).sum(axis=(1, 2)) / np.maximum(matches, 1.0)
+    either = true[met // alignment.shape[1]] + reported[met % alignment.shape[1]] if len(met) else np.zeros(0)
+    assa = (together * together / np.maximum(either - together, 1.0)).sum(axis=1) / np.maximum(matches, 1.0)
     return HotaScores(np.sqrt(deta * assa), deta, assa)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from servotrack.estimators.metrics.tracks import Array, Track, stack_tracks
+from servotrack.estimators.metrics.tracks import Array, Track, members_by_step
 
 EPSILON = float(np.finfo(np.float64).eps)  # rounding that a similarity at the threshold is forgiven
 
@@ -71,21 +71,25 @@ def track_sequence(
     if length == 0:
         return TrackSequence([], np.zeros(len(truth), np.int64), np.zeros(len(estimate), np.int64))
     dimension = next(np.asarray(track.states).shape[1] for track in everything if len(track.steps))
-    there = stack_tracks([*truth, *ignored], length, dimension)
-    here = stack_tracks(estimate, length, dimension)
-    exists = np.asarray(~np.isnan(there).any(axis=2))
-    reported = np.asarray(~np.isnan(here).any(axis=2))
+    there = members_by_step([*truth, *ignored], length, dimension)
+    here = members_by_step(estimate, length, dimension)
     frames = []
-    for step in range(length):
-        a, b = np.flatnonzero(exists[:, step]), np.flatnonzero(reported[:, step])
-        similarity = np.clip(1.0 - distances(there[a, step], here[b, step]) / cutoff, 0.0, 1.0)
+    for (a, true), (b, estimated) in zip(there, here, strict=True):
+        similarity = np.clip(1.0 - distances(true, estimated) / cutoff, 0.0, 1.0)
         counted = a < len(truth)
         if not counted.all():
             kept = _not_ignored(similarity, counted, threshold)
-            reported[b[~kept], step] = False
             a, b, similarity = a[counted], b[kept], similarity[np.ix_(counted, kept)]
         frames.append(Frame(a, b, similarity))
-    return TrackSequence(frames, exists[: len(truth)].sum(axis=1), reported.sum(axis=1))
+    return TrackSequence(
+        frames,
+        _counts([frame.truth for frame in frames], len(truth)),
+        _counts([frame.estimate for frame in frames], len(estimate)),
+    )
+
+
+def _counts(members: list[NDArray[np.intp]], number: int) -> NDArray[np.int64]:
+    return np.bincount(np.concatenate(members), minlength=number).astype(np.int64)
 
 
 def _not_ignored(similarity: Array, counted: NDArray[np.bool_], threshold: float) -> NDArray[np.bool_]:

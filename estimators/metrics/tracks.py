@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -38,16 +39,62 @@ def stack_tracks(tracks: Sequence[Track], length: int, dimension: int) -> Array:
         ValueError: A track with steps outside 0..T - 1, or states of another shape.
     """
     stacked = np.full((len(tracks), length, dimension), np.nan)
-    for row, (steps, states) in enumerate(tracks):
-        steps, states = np.asarray(steps, dtype=np.int64), np.asarray(states, dtype=np.float64)
-        if states.shape != (len(steps), dimension):
-            raise ValueError(f"tracks[{row}].states must have shape ({len(steps)}, {dimension}), got {states.shape}")
-        if len(steps) and not (steps.min() >= 0 and steps.max() < length):
-            raise ValueError(
-                f"tracks[{row}].steps must lie in 0..{length - 1}, got {steps.min()}..{steps.max()}; raise length"
-            )
+    for row, track in enumerate(tracks):
+        steps, states = _checked(row, track, length, dimension)
         stacked[row, steps] = states
     return stacked
+
+
+class Members(NamedTuple):
+    """Who exists at one step.
+
+    Attributes:
+        rows: Indices of the tracks, increasing. Shape (k,).
+        states: Shape (k, d).
+    """
+
+    rows: NDArray[np.intp]
+    states: Array
+
+
+def members_by_step(tracks: Sequence[Track], length: int, dimension: int) -> list[Members]:
+    """Tracks step by step, in memory that grows with what exists and not with tracks times steps.
+
+    Args:
+        tracks: Any number, also none. States with NaN do not exist.
+        length: Number of steps T.
+        dimension: Numbers of a state d.
+
+    Returns:
+        T of them.
+
+    Raises:
+        ValueError: A track with steps outside 0..T - 1, or states of another shape.
+    """
+    steps, rows, states = [np.zeros(0, np.int64)], [np.zeros(0, np.intp)], [np.zeros((0, dimension))]
+    for row, track in enumerate(tracks):
+        checked = _checked(row, track, length, dimension)
+        exists = ~np.isnan(checked.states).any(axis=1)
+        steps.append(checked.steps[exists])
+        rows.append(np.full(np.count_nonzero(exists), row, np.intp))
+        states.append(checked.states[exists])
+    at, who, what = np.concatenate(steps), np.concatenate(rows), np.concatenate(states)
+    # Stable: the rows stay in order within a step.
+    order = np.argsort(at, kind="stable")
+    bounds = np.searchsorted(at[order], np.arange(length + 1)).tolist()
+    who, what = who[order], what[order]
+    return [Members(who[a:b], what[a:b]) for a, b in pairwise(bounds)]
+
+
+def _checked(row: int, track: Track, length: int, dimension: int) -> Track:
+    steps, states = np.asarray(track.steps, dtype=np.int64), np.asarray(track.states, dtype=np.float64)
+    if states.shape != (len(steps), dimension):
+        raise ValueError(f"tracks[{row}].states must have shape ({len(steps)}, {dimension}), got {states.shape}")
+    if len(steps) and not (steps.min() >= 0 and steps.max() < length):
+        raise ValueError(
+            f"tracks[{row}].steps must lie in 0..{length - 1}, got {steps.min()}..{steps.max()}; raise length"
+        )
+    return Track(steps, states)
 
 
 def tracks_from_rows(labels: ArrayLike, states: ArrayLike) -> list[Track]:

@@ -15,6 +15,7 @@ from servotrack.estimators.metrics import (
     box_distances,
     centroid_distances,
     gospa,
+    members_by_step,
     mot_scores,
     ospa,
     ospa2,
@@ -264,3 +265,18 @@ def test_centers_are_apart_in_heights_of_the_true_box() -> None:
     assert centroid_distances(truth[:0], found).shape == (0, 2)
     with pytest.raises(ValueError, match="left, top, width, height"):
         centroid_distances(truth[:, :2], found[:, :2])
+
+
+def test_members_of_a_step_are_the_rows_of_the_stack():
+    rng = np.random.default_rng(0)
+    tracks = [Track(np.sort(rng.choice(9, k, replace=False)), rng.standard_normal((k, 2))) for k in (5, 0, 9, 1)]
+    tracks[2].states[4] = np.nan
+    stacked = stack_tracks(tracks, 10, 2)
+    members = members_by_step(tracks, 10, 2)
+    assert len(members) == 10 and len(members[9].rows) == 0
+    for step, (rows, states) in enumerate(members):
+        assert np.array_equal(rows, np.flatnonzero(~np.isnan(stacked[:, step, 0])))
+        assert np.array_equal(states, stacked[rows, step])
+    with pytest.raises(ValueError, match="raise length"):
+        members_by_step(tracks, 4, 2)
+    assert [member.states.shape for member in members_by_step([], 2, 4)] == [(0, 4), (0, 4)]
