@@ -39,11 +39,11 @@ def find_decoder(source: str | Path | int) -> Decoder:
         return Camera(int(source))
     text, path = str(source), Path(source)
     try:
-        if path.is_dir():
-            return _folder_decoder(path)
-        there = path.is_file()
+        folder, there = path.is_dir(), path.is_file()
     except (OSError, ValueError) as error:
         raise SequenceError(f"source {text!r} cannot be a path ({error})") from error
+    if folder:
+        return _folder_decoder(path)
     if not there and text.isascii() and text.isdigit():
         return Camera(int(text))
     if not there:

@@ -20,7 +20,7 @@ SOLID = 0.97
 """Detections whose area is more of their box than this are boxes of a detector of people, not blobs."""
 
 SAME = 0.7
-"""Predicted boxes that share this much of their union are one person twice."""
+"""Of two predicted boxes that share this much of the smaller one, only one person can be seen in a blob."""
 
 LARGEST_SHIFT = 0.25
 """Most that a blob's edge moves a predicted box, as a share of the box's size along that axis."""
@@ -67,11 +67,9 @@ def split_merged(detections: Detections, predicted: Array) -> Detections:
 
 
 def _distinct(people: Array) -> Array:
-    """The boxes without those that repeat an earlier one."""
+    """The boxes without those that hide behind an earlier one or repeat it."""
     share = covered_by(people, people)
-    # Over the union, from the shares of both.
-    both = 1.0 / np.maximum(share, 1e-9) + 1.0 / np.maximum(share.T, 1e-9) - 1.0
-    same = np.tril(both <= 1.0 / SAME, -1)
+    same = np.tril(np.maximum(share, share.T) >= SAME, -1)
     return people[~same.any(axis=1)] if same.any() else people
 
 

@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 GATE = float(chdtri(4, 1e-4))
 """Squared Mahalanobis distance beyond which no detection is a track's."""
 
+UNCONFIRMED = 0.49
+"""Highest existence told of a person who is not confirmed."""
+
 FORGET = 0.01
 """Tracks less probable than this are dropped."""
 
@@ -123,6 +126,7 @@ class BoxPMB:
         appearance: Log likelihood ratio per unit of similarity, at least 0.
         typical_similarity: Similarity that speaks neither for nor against one person.
         split: Whether blobs that cover several known people are taken apart.
+        confirm: Detections before which nobody is reported, at least 1.
 
     Raises:
         ValueError: Naming the argument that is out of range.
@@ -148,6 +152,7 @@ class BoxPMB:
     appearance: float = 6.0
     typical_similarity: float = 0.72
     split: bool = True
+    confirm: int = 3
 
     def __post_init__(self) -> None:
         for name in _POSITIVE:
@@ -159,6 +164,8 @@ class BoxPMB:
                 raise ValueError(f"{name} must be in (0, 1), got {getattr(self, name)!r}")
         if not 0.0 <= self.revival < 1.0:
             raise ValueError(f"revival must be in [0, 1), got {self.revival!r}")
+        if self.confirm < 1:
+            raise ValueError(f"confirm must be at least 1, got {self.confirm!r}")
         for name in ("overlap", "appearance"):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"{name} must be at least 0, got {getattr(self, name)!r}")
@@ -185,7 +192,9 @@ class BoxPMB:
         believable = detections.confidences >= confidence.mean - self.doubt * confidence.deviation
         after, next_label = self._extended(tracks, detections, self.birth * fresh * believable, state.next_label)
         covariances = box_covariances(after.variance[:, [0, 3]], after.variance[:, 6:])
-        estimate = set_of_boxes(center_boxes(after.mean), covariances, after.label, after.existence)
+        # Certain or not, who was detected less often than `confirm` times is held silently.
+        shown = np.where(after.seen >= self.confirm, after.existence, np.minimum(after.existence, UNCONFIRMED))
+        estimate = set_of_boxes(center_boxes(after.mean), covariances, after.label, shown)
         return BoxPMBState(after, next_label, confidence), estimate
 
     def _predicted(self, tracks: BoxTracks) -> tuple[BoxTracks, Array]:

@@ -48,9 +48,9 @@ class BackProjection:
     """
 
     method: Method = "meanshift"
-    bins: int = 16
-    saturation: int = 60
-    darkest: int = 32
+    bins: int = 32
+    saturation: int = 0
+    darkest: int = 64
     iterations: int = 10
 
     def __post_init__(self) -> None:

@@ -105,15 +105,15 @@ class MonteCarloColorPlus:
     """
 
     samples: int = 200
-    center_deviation: float = 0.22
-    scale_deviation: float = 0.04
+    center_deviation: float = 0.16
+    scale_deviation: float = 0.05
     narrowing: float = 0.3
     sharpness: float = 60.0
-    gradient_share: float = 0.45
-    color_share: float = 0.3
+    gradient_share: float = 0.6
+    color_share: float = 0.2
     inertia: float = 0.8
     update_rate: float = 0.06
-    loyalty: float = 0.7
+    loyalty: float = 1.0
     hidden_below: float = 0.6
     widening: float = 1.5
     braking: float = 0.8

@@ -46,15 +46,33 @@ def test_vector_environment_keeps_the_rules(short_warm_up):
     check_vector_env(ENV_ID, level=5, observation="blobs", horizon=9, max_episode_steps=4, steps=9, **SMALL)
 
 
-@pytest.mark.parametrize(
-    "axes",
-    [
-        pytest.param({"horizon": 2}, marks=pytest.mark.slow),
-        {"observation": "blobs", "level": 5, "horizon": 3},
-    ],
-)
-def test_vector_environment_is_the_single_one_to_the_bit(axes, short_warm_up):
+@pytest.mark.slow
+@pytest.mark.parametrize("axes", [{"horizon": 2}, {"observation": "blobs", "level": 5, "horizon": 3}])
+def test_vector_environment_is_the_single_one_in_all_modes(axes, short_warm_up):
     check_vector_matches_single(ENV_ID, **SMALL, **axes)
+
+
+def test_vector_environment_is_the_single_one_to_the_bit(short_warm_up):
+    axes = {"observation": "blobs", "level": 5, "horizon": 5, **SMALL}
+    vector = gym.make_vec(ENV_ID, 2, vectorization_mode="vector_entry_point", autoreset_mode="SameStep", **axes)
+    singles = [gym.make(ENV_ID, **axes).unwrapped for _ in range(2)]
+    seen, _ = vector.reset(seed=7)
+    for row, env in enumerate(singles):
+        assert np.array_equal(seen[row], env.reset(seed=7 + row)[0])
+    rng = np.random.default_rng(0)
+    for step in range(7):
+        actions = rng.uniform(0.0, 1.0, vector.action_space.shape) * vector.action_space.high
+        seen, rewards, _, truncated, infos = vector.step(actions)
+        for row, env in enumerate(singles):
+            observation, reward, _, over, info = env.step(actions[row])
+            assert reward == rewards[row]
+            assert over == truncated[row] == (step == 4)
+            if over:
+                assert info["hota"] == infos["final_info"]["hota"][row]
+                assert np.array_equal(observation, infos["final_obs"][row])
+                observation, info = env.reset()
+            assert np.array_equal(observation, seen[row])
+            assert np.array_equal(info["truth"]["boxes"], infos["truth"]["boxes"][row])
 
 
 @pytest.mark.parametrize(("level", "observation"), [(0, "blobs"), (2, "centroids"), (4, "pixels"), (5, "blobs")])

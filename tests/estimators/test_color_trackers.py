@@ -23,8 +23,8 @@ VALUES = {
     "plus": MonteCarloColorPlus(),
     "particle filter": ColorParticleFilter(),
     "mean shift": KernelMeanShift(),
-    "opencv meanshift": BackProjection(),
-    "opencv camshift": BackProjection("camshift"),
+    "opencv meanshift": BackProjection(saturation=60),
+    "opencv camshift": BackProjection("camshift", saturation=60),
 }
 """Trackers whose states are values."""
 
