@@ -11,6 +11,8 @@ from servotrack.envs.track.pedestrians.config import PedestrianConfig
 from servotrack.envs.track.pedestrians.draw import Stage
 from servotrack.envs.track.pedestrians.people import People
 from servotrack.estimators.detect import MaskedBackground
+from servotrack.estimators.detect.blobs import BlobFinder
+from servotrack.estimators.detect.bodies import Cover
 
 Array = NDArray[np.float64]
 
@@ -18,6 +20,29 @@ _EMPTY_FRAMES = 5
 """Frames of the empty lobby from which the detector has learned the background."""
 _NONE = np.zeros(0)
 _NOBODY = People(np.zeros(0, np.int64), np.zeros((0, 2)), _NONE, _NONE, _NONE, _NONE, np.zeros(0, np.int64))
+_DETECTOR = MaskedBackground(
+    threshold=30.0,
+    least_threshold=15.0,
+    faint=10.0,
+    learning_rate=0.02,
+    start="median",
+    color="max",
+    hold="blobs",
+    shadows=False,
+    heal_every=5,
+    flood=0.5,
+    flood_frames=20,
+    blobs=BlobFinder(
+        opening=3,
+        closing=(3, 7),
+        smallest=40,
+        split=True,
+        least_height=20.0,
+        bins=0,
+        cover=Cover(wide=0.5, tall=1.2, gap=0.4, core=0.2, share=0.25, penalty=0.25, below=0.5, score=0.15),
+    ),
+)
+"""Every parameter is given: the world stays the same where the defaults of the detector change."""
 
 
 class MotionSensor:
@@ -32,9 +57,8 @@ class MotionSensor:
     def __init__(self, config: PedestrianConfig, stage: Stage, rng: np.random.Generator) -> None:
         self._rows, self._boxes = config.measurement_rows, config.answers_boxes
         self._size = np.array([config.width, config.height], dtype=np.float64)
-        self._detector = MaskedBackground()
         empty = np.stack([stage.draw(_NOBODY, frame).image for frame in range(_EMPTY_FRAMES)])
-        self._state: Any = self._detector.initial(empty)
+        self._state: Any = _DETECTOR.initial(empty)
         self._order = rng.random((config.horizon + 1, self._rows))
 
     def observe(self, image: NDArray[np.uint8], frame: int) -> Array:
@@ -47,7 +71,7 @@ class MotionSensor:
         Returns:
             Shape (rows, 1 + 4) or (rows, 1 + 2): existence, then boxes or centroids, px.
         """
-        self._state, found = self._detector.step(self._state, image)
+        self._state, found = _DETECTOR.step(self._state, image)
         states = found.boxes if self._boxes else found.centroids
         kept = np.argsort(-found.areas, kind="stable")[: self._rows]
         order = np.argsort(self._order[frame, : len(kept)])
