@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.baselines.color_episodes import BoxScoreRecorder
+from servotrack.baselines.color.episodes import BoxScoreRecorder
 from servotrack.baselines.results import Row
 from servotrack.baselines.track_episodes import SetScoreRecorder
 

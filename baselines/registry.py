@@ -64,7 +64,7 @@ def _color(name: str, summary: str, information: Information = "model-free", **f
     fields = {"parameters": {"tracker": name}, "tuning_steps": 0, **fields}
     return AgentCard(
         name,
-        "servotrack.baselines.color_observers:create_color_observer",
+        "servotrack.baselines.color.observers:create_color_observer",
         information,
         summary,
         worlds=frozenset({"color"}),

@@ -155,7 +155,7 @@ def _reproduce_transfer(request: Request) -> None:
 
 
 def _reproduce_color(request: Request) -> None:
-    from servotrack.baselines.paper001_report import reproduce_color
+    from servotrack.baselines.paper001.report import reproduce_color
 
     reproduce_color(request)
 

@@ -28,8 +28,8 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
         "vector_entry_point": "servotrack.envs.track.pedestrians.env:PedestrianTrackingVectorEnv",
     },
     "ColorTracking-v0": {
-        "entry_point": "servotrack.envs.track.color:ColorTrackingEnv",
-        "vector_entry_point": "servotrack.envs.track.color:ColorTrackingVectorEnv",
+        "entry_point": "servotrack.envs.track.color.env:ColorTrackingEnv",
+        "vector_entry_point": "servotrack.envs.track.color.env:ColorTrackingVectorEnv",
     },
     "VideoTracking-v0": {
         "entry_point": "servotrack.envs.track.video:VideoTrackingEnv",

@@ -105,7 +105,7 @@ def steps(kind: str, name: str) -> tuple[Callable[[], Any], int]:
 
 
 def _color_steps(name: str) -> tuple[Callable[[], Any], int]:
-    from servotrack.baselines.color_trackers import color_tracker
+    from servotrack.baselines.color.trackers import color_tracker
 
     frames, box = color_frames()
     tracker = color_tracker(name)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.baselines.color_films import film, track
-from servotrack.baselines.color_observers import create_color_observer
-from servotrack.baselines.color_trackers import COLOR_TRACKERS, color_tracker
+from servotrack.baselines.color.films import film, track
+from servotrack.baselines.color.observers import create_color_observer
+from servotrack.baselines.color.trackers import COLOR_TRACKERS, color_tracker
 from servotrack.baselines.evaluate import make_vector, run_episodes
 from servotrack.baselines.registry import AGENTS, agent_card, create_agent
 

@@ -7,14 +7,23 @@ import pytest
 from rich.progress import Progress
 
 import servotrack  # noqa: F401
-from servotrack.baselines import paper001
 from servotrack.baselines.claims import read_claims
-from servotrack.baselines.color_trackers import color_tracker
-from servotrack.baselines.color_tuning import GRIDS, mean_auc
-from servotrack.baselines.paper001 import MEAN_SHIFT, METHODS, PAPER, PARTICLES, PLUS, Measures, plan, run_all
-from servotrack.baselines.paper001_findings import COMMAND, auc_grid, findings, quality_grid, sensitivity_grid
+from servotrack.baselines.color.trackers import color_tracker
+from servotrack.baselines.color.tuning import GRIDS, mean_auc
+from servotrack.baselines.paper001 import experiment
+from servotrack.baselines.paper001.experiment import (
+    MEAN_SHIFT,
+    METHODS,
+    PAPER,
+    PARTICLES,
+    PLUS,
+    Measures,
+    plan,
+    run_all,
+)
+from servotrack.baselines.paper001.findings import COMMAND, auc_grid, findings, quality_grid, sensitivity_grid
 from servotrack.baselines.results import ResultsError
-from servotrack.envs.track.color_config import LEVEL_NAMES
+from servotrack.envs.track.color.config import LEVEL_NAMES
 
 SMALL = {"horizon": 5, "width": 160, "height": 120, "head_height": 30.0}
 SECONDS = dict.fromkeys(METHODS, 0.001)
@@ -36,7 +45,7 @@ def test_films_are_kept_and_foreign_ones_refused(tmp_path, monkeypatch) -> None:
     films = [(0, 100_000, (PAPER, MEAN_SHIFT)), (3, 100_001, (PAPER, MEAN_SHIFT))]
     with Progress(disable=True) as progress:
         first = run_all(films, tmp_path, progress, jobs=1, env_kwargs=SMALL)
-        monkeypatch.setattr(paper001, "_run", None)
+        monkeypatch.setattr(experiment, "_run", None)
         again = run_all(films, tmp_path, progress, jobs=1, env_kwargs=SMALL)
     assert first.keys() == {"irregular", "scale"}
     measures = first["irregular"][PAPER]
@@ -75,7 +84,7 @@ def test_verdicts_follow_from_the_numbers() -> None:
 def test_tables_hold_every_tracker_and_every_value() -> None:
     found = invented({})
     assert len(auc_grid(found).rows) == len(quality_grid(found, SECONDS).rows) == 7
-    assert len(sensitivity_grid(found).rows) == len(paper001.VARIANTS)
+    assert len(sensitivity_grid(found).rows) == len(experiment.VARIANTS)
     assert all(len(row) == 8 for row in auc_grid(found).rows)
 
 
@@ -87,7 +96,7 @@ def test_the_claims_are_on_the_list() -> None:
 
 def test_figures_draw() -> None:
     pytest.importorskip("matplotlib")
-    from servotrack.baselines.paper001_figures import draw_sensitivity, draw_success
+    from servotrack.baselines.paper001.figures import draw_sensitivity, draw_success
 
     found = invented({PLUS: 0.8})
     assert len(draw_success(found).axes) == 6
@@ -101,7 +110,7 @@ def test_tuning_tries_every_value_on_the_same_tune_films(monkeypatch) -> None:
         seen.append(seed)
         return [float(setting["scale_mixing"]) for setting in settings]
 
-    monkeypatch.setattr("servotrack.baselines.color_tuning._on_film", on_film)
+    monkeypatch.setattr("servotrack.baselines.color.tuning._on_film", on_film)
     scores = mean_auc("kernel-mean-shift", [{"scale_mixing": v} for v in (0.1, 0.3)], 2, jobs=1)
     assert scores.shape == (2, 6)
     assert (scores[1] > scores[0]).all()

@@ -12,7 +12,7 @@ from gymnasium.wrappers import RescaleAction
 
 import servotrack  # noqa: F401
 from servotrack.envs.testing import check_vector_env, check_vector_matches_single
-from servotrack.envs.track.color_render import ANSWER
+from servotrack.envs.track.color.render import ANSWER
 from servotrack.envs.wrappers import PrivilegedObservation, VectorPrivilegedObservation
 
 ENV_ID = "ColorTracking-v0"

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.envs.track.color_config import LEVEL_NAMES
+from servotrack.envs.track.color.config import LEVEL_NAMES
 
 STORED = Path(__file__).with_name("color_rollouts.npz")
 ENV_ID = "ColorTracking-v0"

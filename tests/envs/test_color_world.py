@@ -8,10 +8,10 @@ import pytest
 
 import servotrack  # noqa: F401
 from servotrack.envs.streams import Streams
-from servotrack.envs.track.color_config import LEVEL_NAMES, color_config
-from servotrack.envs.track.color_scene import Painter, draw_scene
-from servotrack.envs.track.color_scoring import center_errors, failures, overlaps, precision, success_curve
-from servotrack.envs.track.color_scripts import draw_script, wander
+from servotrack.envs.track.color.config import LEVEL_NAMES, color_config
+from servotrack.envs.track.color.scene import Painter, draw_scene
+from servotrack.envs.track.color.scoring import center_errors, failures, overlaps, precision, success_curve
+from servotrack.envs.track.color.scripts import draw_script, wander
 
 ENV_ID = "ColorTracking-v0"
 

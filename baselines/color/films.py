@@ -1,0 +1,96 @@
+"""Films of the color world, and trackers run over them: what tuning and reproduction share."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.track.color.scoring import center_errors, failures, overlaps, precision, success_curve
+
+Array = NDArray[np.float64]
+
+ENV_ID = "ColorTracking-v0"
+
+
+class Film(NamedTuple):
+    """An episode of the world as its observer sees it, with the truth.
+
+    Attributes:
+        frames: RGB, uint8; as many as are answered.
+        boxes: The true ones, shape (F, 4), px.
+    """
+
+    frames: list[NDArray[np.uint8]]
+    boxes: Array
+
+
+class Pass(NamedTuple):
+    """A tracker's one pass over a film.
+
+    Attributes:
+        boxes: Its answers, the first the given box. Shape (F, 4), px.
+        iou: Of every frame, shape (F,).
+        center_error: Of every frame, shape (F,), px.
+        seconds: Of every step but the first two, shape (F - 3,).
+    """
+
+    boxes: Array
+    iou: Array
+    center_error: Array
+    seconds: Array
+
+    @property
+    def auc(self) -> float:
+        """Area under the success curve."""
+        return float(success_curve(self.iou).mean())
+
+    @property
+    def precision(self) -> float:
+        """Share of frames within 20 px."""
+        return precision(self.center_error)
+
+    @property
+    def failures(self) -> int:
+        """How many times the target was lost."""
+        return failures(self.iou)
+
+
+def film(seed: int, **env_kwargs: Any) -> Film:
+    """What an agent sees on a seed: answers change nothing in this world.
+
+    Args:
+        seed: Of the environment.
+        **env_kwargs: Its arguments.
+    """
+    env = gym.make(ENV_ID, **env_kwargs)
+    observation, info = env.reset(seed=seed)
+    answer = observation["first_box"]
+    frames, boxes, truncated = [observation["frame"]], [info["truth"]["box"]], False
+    while not truncated:
+        observation, _, _, truncated, info = env.step(answer)
+        frames.append(observation["frame"])
+        boxes.append(info["truth"]["box"])
+    # The frame after the last answer is not answered.
+    return Film(frames[:-1], np.array(boxes[:-1]))
+
+
+def track(tracker: Any, seen: Film) -> Pass:
+    """Run a tracker over a film from the true box of its first frame.
+
+    Args:
+        tracker: As `color_tracker` makes it.
+        seen: The film.
+    """
+    state = tracker.initial(seen.frames[0], seen.boxes[0])
+    boxes, seconds = [seen.boxes[0]], []
+    for frame in seen.frames[1:]:
+        begin = time.perf_counter()
+        state, estimate = tracker.step(state, frame)
+        seconds.append(time.perf_counter() - begin)
+        boxes.append(estimate.box)
+    answers = np.array(boxes)
+    return Pass(answers, overlaps(answers, seen.boxes), center_errors(answers, seen.boxes), np.array(seconds[2:]))

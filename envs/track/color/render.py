@@ -1,0 +1,136 @@
+"""Pictures of a color world: the frame twice as large with both boxes and a trail, and the overlap so far beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.glyphs import put_text
+from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, PAPER, SOFT_INK, Color, Image, Panel, mix
+from servotrack.envs.track.color.world import ColorWorld
+
+Array = NDArray[np.float64]
+
+ANSWER: Color = (255, 138, 0)
+"""Color of the answer's box, its trail and its overlap."""
+TRUTH: Color = (255, 255, 255)
+_ZOOM = 2
+_MARGIN, _SIDE, _INSET, _TITLE = 16, 208, 14, 26
+_TRAIL_LENGTH = 60
+_SHIFT = 4
+
+
+class ColorRecorder:
+    """Call `record` after every reset and step; `frame` draws the frame that was answered last.
+
+    Args:
+        world: The world, which the recorder only reads.
+        row: Which of its scenes.
+    """
+
+    def __init__(self, world: ColorWorld, row: int = 0) -> None:
+        self._world, self._row = world, row
+        self._newest = self._answered = np.zeros(0, np.uint8)
+        self._truth = self._newest_truth = np.zeros(4)
+        self._answers: list[Array] = []
+
+    def record(self) -> None:
+        """Take the world's newest answer; a reset forgets the old episode."""
+        world, row = self._world, self._row
+        started = world.steps[row] == 0
+        if started:
+            self._answers = []
+        elif world.steps[row] > len(self._answers):
+            self._answers.append(world.answers[row].copy())
+            self._answered, self._truth = self._newest, self._newest_truth
+        self._newest, self._newest_truth = world.observations[row].copy(), world.boxes[row].copy()
+        if started:
+            self._answered, self._truth = self._newest, self._newest_truth
+
+    @property
+    def frame(self) -> Callable[..., Image]:
+        """Draws the frame answered last, or the first one before any answer."""
+        return self._draw
+
+    def _draw(self) -> Image:
+        """A new RGB image, uint8."""
+        config = self._world.config
+        scene, plot = panels(config.width, config.height)
+        image = _backdrop(config.width, config.height).copy()
+        picture = scene.of(image)
+        cv2.resize(self._answered, (scene.width, scene.height), dst=picture, interpolation=cv2.INTER_LINEAR)
+        draw_box(picture, _ZOOM * self._truth, TRUTH, 1)
+        if self._answers:
+            draw_trail(picture, [_ZOOM * answer for answer in self._answers[-_TRAIL_LENGTH:]])
+            draw_box(picture, _ZOOM * self._answers[-1], ANSWER, 2)
+            self._plot(plot.of(image))
+        return image
+
+    def _plot(self, panel: Image) -> None:
+        iou = self._world.answered_overlaps(self._row)
+        height, width = panel.shape[0] - 2 * _INSET - _TITLE, panel.shape[1] - 2 * _INSET
+        x = _INSET + width * (np.arange(len(iou)) + 0.5) / self._world.config.horizon
+        y = _INSET + _TITLE + height * (1.0 - iou)
+        floor = np.array([[x[-1], _INSET + _TITLE + height], [x[0], _INSET + _TITLE + height]])
+        line = np.stack([x, y], axis=1)
+        cv2.fillPoly(panel, [_fixed(np.concatenate([line, floor]))], mix(FLOOR, ANSWER, 0.18), cv2.LINE_8, _SHIFT)
+        cv2.polylines(panel, [_fixed(line)], False, ANSWER, 2, cv2.LINE_AA, _SHIFT)
+        put_text(panel, f"{iou[-1]:.2f}", panel.shape[1] - _INSET, _INSET + 8, INK, align="right")
+
+
+def draw_box(image: Image, box: Array, color: Color, thickness: int) -> None:
+    """A rectangle with a dark rim, so that it shows on every ground.
+
+    Args:
+        image: Changed in place.
+        box: Left, top, width and height, px of the image.
+        color: Of the line.
+        thickness: Of the line, px.
+    """
+    # Far outside is far enough: OpenCV's fixed-point numbers end at 2^15 px.
+    low = np.clip(box[:2], -4000.0, 8000.0)
+    high = np.clip(box[:2] + box[2:], -4000.0, 8000.0)
+    for shade, weight in ((mix(color, INK, 0.85), thickness + 2), (color, thickness)):
+        cv2.rectangle(image, _fixed(low).tolist(), _fixed(high).tolist(), shade, weight, cv2.LINE_AA, _SHIFT)
+
+
+def draw_trail(image: Image, boxes: Sequence[Array]) -> None:
+    """Where the middles of boxes were, the newest last.
+
+    Args:
+        image: Changed in place.
+        boxes: Left, top, width and height of each, px of the image.
+    """
+    middles = np.clip([box[:2] + box[2:] / 2.0 for box in boxes], -4000.0, 8000.0)
+    cv2.polylines(image, [_fixed(middles)], False, mix(ANSWER, INK, 0.6), 3, cv2.LINE_AA, _SHIFT)
+    cv2.polylines(image, [_fixed(middles)], False, ANSWER, 1, cv2.LINE_AA, _SHIFT)
+
+
+def panels(width: int, height: int) -> tuple[Panel, Panel]:
+    """Where the frame and where the plot lies in the picture of a frame of that size."""
+    scene = Panel(_MARGIN, _MARGIN, _ZOOM * width, _ZOOM * height)
+    return scene, Panel(scene.left + scene.width + _MARGIN, _MARGIN, _SIDE, scene.height)
+
+
+@lru_cache(maxsize=4)
+def _backdrop(width: int, height: int) -> Image:
+    scene, plot = panels(width, height)
+    image = np.empty((scene.height + 2 * _MARGIN, plot.left + plot.width + _MARGIN, 3), dtype=np.uint8)
+    image[:] = PAPER
+    panel = plot.of(image)
+    panel[:] = FLOOR
+    for quarter in range(5):
+        at = _INSET + _TITLE + round(quarter * (panel.shape[0] - 2 * _INSET - _TITLE) / 4)
+        panel[min(at, panel.shape[0] - _INSET - 1), _INSET : panel.shape[1] - _INSET] = FLOOR_GRID
+    put_text(panel, "overlap", _INSET, _INSET + 8, SOFT_INK)
+    image.setflags(write=False)
+    return image
+
+
+def _fixed(points: Array) -> NDArray[np.int32]:
+    """Fixed-point pixels for OpenCV, whose pixel centers are whole numbers."""
+    return np.rint((np.asarray(points) - 0.5) * (1 << _SHIFT)).astype(np.int32)

@@ -1,0 +1,214 @@
+"""How everybody moves in an episode of the color world: head, camera, light, distractors, and what passes before."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servotrack.envs.streams import Streams
+from servotrack.envs.track.color.config import ColorConfig
+
+Array = NDArray[np.float64]
+
+
+class Stream(IntEnum):
+    """The random streams of an episode."""
+
+    PATH = 0
+    POSE = 1
+    ZOOM = 2
+    PAN = 3
+    LIGHT = 4
+    TINT = 5
+    OCCLUSION = 6
+    OCCLUDER = 7
+    DISTRACTOR_PATH = 8
+    FIGURE = 9
+    DISTRACTOR = 10
+    BACKDROP = 11
+    NOISE = 12
+    NOISE_SHIFT = 13
+
+
+class Motion(NamedTuple):
+    """One figure in every frame.
+
+    Attributes:
+        centers: Middle of the head in the frame. Shape (F, 2), px.
+        heights: Height of the head in the frame. Shape (F,), px.
+        rolls: Shape (F,), rad.
+        yaws: How far the head is turned, -1 to 1. Shape (F,).
+    """
+
+    centers: Array
+    heights: Array
+    rolls: Array
+    yaws: Array
+
+
+class Script(NamedTuple):
+    """All that moves in an episode of F frames.
+
+    Attributes:
+        target: The head to be tracked.
+        distractors: People behind it.
+        occluders: What passes before it, out of the frame most of the time.
+        zooms: Of the camera. Shape (F,).
+        pans: Point of the scene in the middle of the frame, from the scene's own middle. Shape (F, 2), px of the scene.
+        gains: Of the light on red, green and blue. Shape (F, 3).
+    """
+
+    target: Motion
+    distractors: tuple[Motion, ...]
+    occluders: tuple[Motion, ...]
+    zooms: Array
+    pans: Array
+    gains: Array
+
+
+SCENE_ROOM = 1.12
+"""Frames lie inside the painted scene by this factor at the widest zoom."""
+_HALF_WIDTH, _HALF_HEIGHT = 0.62, 0.72
+"""Half a head with all its hair, in head heights: what has to stay inside the frame."""
+_OCCLUDER_SIZE = 2.3
+"""Width of what passes, in heads' widths."""
+_HEAD_WIDTH = 0.8
+"""In head heights."""
+
+
+def draw_script(config: ColorConfig, streams: Streams) -> Script:
+    """Draw an episode's motion; every quantity is a stream of its own."""
+    frames = config.horizon + 1
+    slow = 1.6 * config.frame_rate
+    zooms = np.exp(np.log(config.zoom) * np.clip(wander(streams[Stream.ZOOM], frames, slow), -1.6, 1.6) / 1.6)
+    # Every zoom starts at 1, so that the head starts at its own size.
+    zooms = zooms / zooms[0] if config.zoom > 1.0 else zooms
+    zooms = np.clip(zooms, 1.0 / config.zoom, config.zoom)
+    pan = np.stack([wander(streams[Stream.PAN, axis], frames, slow) for axis in (0, 1)], axis=1)
+    pans = config.pan * np.array([1.0, 0.5]) * np.clip(pan, -2.0, 2.0)
+    heights = config.head_height * zooms
+    target = _draw_target(config, streams, heights)
+    return Script(
+        target,
+        tuple(_draw_distractor(config, streams, target, member) for member in range(config.distractors)),
+        tuple(_draw_occluder(config, streams, target, member) for member in range(config.occlusions)),
+        zooms,
+        pans,
+        _draw_light(config, streams, frames),
+    )
+
+
+def wander(rng: np.random.Generator, frames: int, period: float, columns: int = 1) -> Array:
+    """A smooth random walk that comes back: twice filtered white noise of unit variance.
+
+    Args:
+        rng: Where from; the first frames do not depend on how many follow.
+        frames: How many.
+        period: Time constant, frames.
+        columns: How many independent ones; 1 gives shape (frames,), more (frames, columns).
+    """
+    keep = np.exp(-1.0 / max(period / 2.0, 1e-9))
+    warm_up = int(8 * period)
+    white = rng.standard_normal((warm_up + frames, columns))
+    # Variance of a white noise after two filters x <- keep x + (1 - keep) u.
+    gain = 1.0 - keep
+    variance = gain**4 * (1.0 + keep**2) / (1.0 - keep**2) ** 3
+    found = _filtered_twice(white, keep)[warm_up:] / np.sqrt(variance)
+    return found[:, 0] if columns == 1 else found
+
+
+@njit(cache=True, nogil=True)
+def _filtered_twice(white, keep):  # type: ignore[no-untyped-def]
+    found = np.empty_like(white)
+    for column in range(white.shape[1]):
+        first = second = 0.0
+        for k in range(len(white)):
+            first = keep * first + (1.0 - keep) * white[k, column]
+            second = keep * second + (1.0 - keep) * first
+            found[k, column] = second
+    return found
+
+
+def _draw_target(config: ColorConfig, streams: Streams, heights: Array) -> Motion:
+    rolls, yaws = _draw_pose(config, streams, Stream.POSE, len(heights))
+    return Motion(_draw_path(config, streams[Stream.PATH], heights), heights, rolls, yaws)
+
+
+def _draw_pose(config: ColorConfig, streams: Streams, stream: Stream, frames: int) -> tuple[Array, Array]:
+    pose = wander(streams[stream], frames, 0.7 * config.frame_rate, 2)
+    return config.tilt * pose[:, 0], config.turning * np.tanh(pose[:, 1])
+
+
+def _draw_path(config: ColorConfig, rng: np.random.Generator, heights: Array) -> Array:
+    """Velocities that are taken up at random instants, and turned back where the head would leave the frame."""
+    size = np.array([config.width, config.height], dtype=np.float64)
+    draws = rng.random((len(heights), 4))
+    half = np.array([_HALF_WIDTH, _HALF_HEIGHT])
+    center = size / 2.0 + 0.35 * (draws[0, :2] - 0.5) * size
+    chance = config.restlessness / config.frame_rate
+    velocity = np.zeros(2)
+    wanted = _velocity(config, draws[0, 2:])
+    path = np.empty((len(heights), 2))
+    for k, height in enumerate(heights):
+        margin = np.minimum(half * height + 2.0, size / 2.0)
+        path[k] = center = np.clip(center, margin, size - margin)
+        if draws[k, 0] < chance:
+            wanted = _velocity(config, draws[k, 2:])
+        velocity = velocity + 0.35 * (wanted - velocity)
+        after = center + velocity
+        back = (after < margin) | (after > size - margin)
+        wanted, velocity = np.where(back, -wanted, wanted), np.where(back, -0.5 * velocity, velocity)
+        center = center + velocity
+    return path
+
+
+def _velocity(config: ColorConfig, uniform: Array) -> Array:
+    """Of a uniform direction and of 0.3 to 1 of the largest speed, px per frame."""
+    angle = 2.0 * np.pi * uniform[0]
+    return config.speed * (0.3 + 0.7 * uniform[1]) * np.array([np.cos(angle), 0.7 * np.sin(angle)])
+
+
+def _draw_distractor(config: ColorConfig, streams: Streams, target: Motion, member: int) -> Motion:
+    """Somebody who stays near: about a head's width away, and now and then behind the target."""
+    rng = streams[Stream.DISTRACTOR_PATH, member]
+    frames = len(target.heights)
+    phase, side, size = rng.random(3)
+    sway = wander(rng, frames, 1.2 * config.frame_rate, 4)
+    turns = np.arange(frames) / (5.5 * config.frame_rate)
+    across = 2.1 * np.sin(2.0 * np.pi * (turns + phase)) + 0.25 * sway[:, 0] + 0.9 * member * np.sign(side - 0.5)
+    down = 0.1 + 0.12 * sway[:, 1]
+    offset = np.stack([across, down], axis=1) * target.heights[:, None] * np.array([_HEAD_WIDTH, 1.0])
+    heights = target.heights * (0.9 + 0.15 * size)
+    return Motion(target.centers + offset, heights, config.tilt * sway[:, 2], config.turning * np.tanh(sway[:, 3]))
+
+
+def _draw_occluder(config: ColorConfig, streams: Streams, target: Motion, member: int) -> Motion:
+    """Something that passes before the head, once, straight, as fast as keeps the head out of sight long enough."""
+    rng = streams[Stream.OCCLUSION, member]
+    when, side, shift = rng.random(3)
+    frames = len(target.heights)
+    share = (member + 0.35 + 0.5 * when) / config.occlusions
+    meeting = min(frames - 1, round(share * (frames - 1)))
+    height = float(target.heights[meeting])
+    width = _OCCLUDER_SIZE * _HEAD_WIDTH * height
+    hidden = width - _HEAD_WIDTH * height
+    speed = hidden / max(config.occlusion_frames, 1e-3)
+    speed = min(speed, 0.5 * width) * (1.0 if side < 0.5 else -1.0)
+    time = np.arange(frames) - meeting
+    x = target.centers[meeting, 0] + speed * time
+    y = np.full(frames, target.centers[meeting, 1] + 0.1 * (shift - 0.5) * height)
+    return Motion(np.stack([x, y], axis=1), np.full(frames, height), np.zeros(frames), np.zeros(frames))
+
+
+def _draw_light(config: ColorConfig, streams: Streams, frames: int) -> Array:
+    level = np.tanh(wander(streams[Stream.LIGHT], frames, 1.2 * config.frame_rate))
+    tint = np.tanh(wander(streams[Stream.TINT], frames, 2.0 * config.frame_rate))
+    # The first frame has the light that the colors were painted in.
+    level, tint = level - level[0], tint - tint[0]
+    bright = np.clip(np.log(config.light_change) * level, -np.log(config.light_change), np.log(config.light_change))
+    warm = 0.5 * np.log(config.light_tint) * tint
+    return np.exp(bright[:, None] + warm[:, None] * np.array([1.0, 0.0, -1.0]))
