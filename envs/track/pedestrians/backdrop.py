@@ -158,31 +158,35 @@ def _paint_floor(image, mirrored, noise, tones, stone, focal, center, horizon, e
             lower = min(upper + 1, mirrored.shape[0] - 1)
             weight = wall_row - upper
             grain = 3.6 / (1.0 + (step_z / 0.05) ** 2 * 0.15)
+            band = BACK_WALL - z
+            dark_band = 0.45 < band < 0.95
+            fade, reach = math.exp(-band / 2.6), 0.19 + 0.05 * band / 2.0
+            shade = 1.0 - 0.20 * math.exp(-band / 0.35)
+            tz = z / _TILE
+            iz = math.floor(tz)
+            nearest_z = min(tz - iz, 1.0 - (tz - iz)) * _TILE
+            joint_z = _joint(nearest_z, 0.5 * step_z)
+            pz = z / _SPOT_SPACING_Z - math.floor(z / _SPOT_SPACING_Z) - 0.5
             for sub_column in range(2):
                 for j in range(width):
                     x = (j + 0.25 + 0.5 * sub_column - center) * step_x
-                    tx, tz = x / _TILE, z / _TILE
-                    ix, iz = math.floor(tx), math.floor(tz)
+                    tx = x / _TILE
+                    ix = math.floor(tx)
                     tone = tones[int(iz) & 63, int(ix) & 63]
                     light = 1.0 + 0.022 * tone
                     if (int(ix) + int(iz)) & 1:
                         light *= 0.955
                     nearest_x = min(tx - ix, 1.0 - (tx - ix)) * _TILE
-                    nearest_z = min(tz - iz, 1.0 - (tz - iz)) * _TILE
-                    joint = max(_joint(nearest_x, 0.5 * step_x), _joint(nearest_z, 0.5 * step_z))
-                    band = BACK_WALL - z
-                    if 0.45 < band < 0.95:
+                    joint = max(_joint(nearest_x, 0.5 * step_x), joint_z)
+                    if dark_band:
                         light *= 0.80
                         joint = 0.0
                     # Pools under the ceiling's lamps, daylight in front of the doors, shade along the wall.
                     px = x / _SPOT_SPACING_X - math.floor(x / _SPOT_SPACING_X) - 0.5
-                    pz = z / _SPOT_SPACING_Z - math.floor(z / _SPOT_SPACING_Z) - 0.5
                     pool = math.exp(-(px * px + pz * pz) * 7.5)
                     door = x / BAY - math.floor(x / BAY + 0.5)
-                    fade = math.exp(-band / 2.6)
-                    reach = 0.19 + 0.05 * band / 2.0
-                    daylight = fade / (1.0 + math.exp((abs(door) - reach) * 42.0))
-                    shade = 1.0 - 0.20 * math.exp(-band / 0.35)
+                    beside = (abs(door) - reach) * 42.0
+                    daylight = fade / (1.0 + math.exp(beside)) if beside < 40.0 else 0.0
                     level = light * shade * (0.86 + 0.20 * pool + 0.22 * daylight) * (1.0 - 0.30 * joint)
                     speckle = grain * (_stone(noise, x, z) + 0.8 * _stone(noise, 0.21 * z, 0.23 * x + 3.0))
                     for c in range(3):
@@ -199,13 +203,16 @@ def _paint_wall(camera: Camera, foot: float, palette: _Palette, rng: np.random.G
     canvas = np.empty((rows * _FINE, width * _FINE, 3), dtype=np.float32)
     plaster = np.array(palette.plaster, dtype=np.float32)
     canvas[:] = plaster
+    places: list[tuple[int, int, int, int]] = []
+    paints: list[tuple[float, ...]] = []
 
     def box(x0: float, x1: float, y0: float, y1: float, color: NDArray | tuple[float, ...], share: float = 1.0) -> None:
         """A rectangle, m along the wall and m above the floor."""
-        left, right = (round(camera.center * _FINE + x * scale) for x in (x0, x1))
-        top, bottom = (round(foot * _FINE - y * scale) for y in (y1, y0))
-        part = canvas[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
-        part += (np.asarray(color, dtype=np.float32) - part) * np.float32(share)
+        left, right = (max(round(camera.center * _FINE + x * scale), 0) for x in (x0, x1))
+        top, bottom = (max(round(foot * _FINE - y * scale), 0) for y in (y1, y0))
+        if left < min(right, canvas.shape[1]):
+            places.append((left, right, top, bottom))
+            paints.append((*color, share))
 
     half = math.ceil(0.5 * width / scale * _FINE / BAY) + 1
     wood, accent = np.array(palette.wood, dtype=np.float64), np.array(palette.accent, dtype=np.float64)
@@ -217,6 +224,7 @@ def _paint_wall(camera: Camera, foot: float, palette: _Palette, rng: np.random.G
         middle = bay * BAY
         _door(box, middle, frame)
         _panel(box, middle + 0.5 * BAY, wood, accent, frame, rng)
+    _paint_boxes(canvas, np.array(places), np.array(paints, dtype=np.float32))
     small = cv2.resize(canvas, (width, rows), interpolation=cv2.INTER_AREA)
     # Lamps wash the wall from above.
     across = (np.arange(width) + 0.5 - camera.center) * _FINE / scale
@@ -227,6 +235,18 @@ def _paint_wall(camera: Camera, foot: float, palette: _Palette, rng: np.random.G
     rough = 1.7 * rng.standard_normal((rows, width), dtype=np.float32)
     lit = small * (0.84 + 0.62 * wash).astype(np.float32)[..., None] + rough[..., None]
     return np.clip(lit, 0.0, 255.0).astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _paint_boxes(canvas, places, paints):  # type: ignore[no-untyped-def]
+    """Paint rectangles one over the other: left, right, top, bottom; red, green, blue and how opaque."""
+    for i in range(canvas.shape[0]):
+        for k in range(len(places)):
+            if not places[k, 2] <= i < places[k, 3]:
+                continue
+            for j in range(places[k, 0], min(places[k, 1], canvas.shape[1])):
+                for c in range(3):
+                    canvas[i, j, c] += (paints[k, c] - canvas[i, j, c]) * paints[k, 3]
 
 
 def _door(box, middle: float, frame: Array) -> None:  # type: ignore[no-untyped-def]
