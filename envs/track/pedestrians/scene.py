@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pymunk
+import pymunk.batch
 from numpy.typing import NDArray
 
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, NEAR
@@ -23,6 +24,7 @@ _ELBOW_ROOM = 0.35
 """Between somebody who stands and an obstacle, m."""
 _FRONT = NEAR - 0.4
 _NEVER = 2**62
+_MOTION = pymunk.batch.BodyFields.POSITION | pymunk.batch.BodyFields.VELOCITY
 
 
 class Stream(IntEnum):
@@ -122,12 +124,6 @@ def walk(
     return simulation.walks()
 
 
-# What `body.velocity = ...` and its like end in, without pymunk's detour over `__setattr__`, which costs as much again.
-_set_velocity = pymunk.Body.velocity.fset  # type: ignore[attr-defined]
-_velocity = pymunk.Body.velocity.fget  # type: ignore[attr-defined]
-_position = pymunk.Body.position.fget  # type: ignore[attr-defined]
-
-
 class _Simulation:
     """All people of an episode, those who are there as bodies in one pymunk Space."""
 
@@ -153,12 +149,17 @@ class _Simulation:
         self._deaths = np.array([_NEVER if p.death is None else p.death for p in self.plans], dtype=np.int64)
         self._pace = np.array([plan.pace for plan in self.plans], dtype=np.float64)
         self._wander = np.array([plan.wander for plan in self.plans], dtype=np.float64).reshape(count, 3)
-        self._position, self._velocity = np.zeros((count, 2)), np.zeros((count, 2))
+        self._position, self._velocity = np.zeros((count + 1, 2)), np.zeros((count + 1, 2))
         self._walls = np.array([BACK_WALL, _FRONT])
         self._space = pymunk.Space()
         self._space.collision_slop = 0.01
         self._bodies: dict[int, tuple[pymunk.Body, pymunk.Circle]] = {}
         self._active = np.empty(0, np.int64)
+        # All bodies' numbers are read and written in one call; the Space has them in an order of its own.
+        self._order = np.empty(0, np.int64)
+        self._read, self._written = pymunk.batch.Buffer(), pymunk.batch.Buffer()
+        self._given = np.zeros((0, 2))
+        self._someone_over, self._next_death = False, _NEVER
         self._history: list[tuple[NDArray[np.int64], Array, Array]] = []
         self._entered: dict[int, int] = {}
         self._build_walls()
@@ -190,34 +191,33 @@ class _Simulation:
         self._velocity[index] = plan.pace * goal / max(float(np.hypot(*goal)), 1e-9)
         self._since[index] = frame
         self._entered[index] = frame
-        self._active = np.array(sorted(self._bodies), dtype=np.int64)
+        self._note_active()
 
     def record(self, frame: int) -> None:
         """Note where everybody is; those whose time is over are gone."""
-        active = self._active
-        over = self._over[active] | (self._deaths[active] <= frame)
-        if over.any():
-            for index in active[over].tolist():
-                self._leave(index)
+        if self._someone_over or frame >= self._next_death:
             active = self._active
+            for index in active[self._over[active] | (self._deaths[active] <= frame)].tolist():
+                self._leave(index)
+        active = self._active
         self._history.append((active, self._position[active], self._facing[active]))
 
     def advance(self, frame: int) -> None:
         """One step of time: forces give velocities, bodies move with them and stop each other."""
         if not len(self._active):
             return
-        drive(
+        self._someone_over = drive(
             self._active, self._position, self._velocity, self._legs, self._leg_count, self._leg, self._since,
             self._arrived, self._facing, self._over, self._pace, self._wander, self._party, self._walls,
             self._obstacles, frame, self._dt,
         )  # fmt: skip
-        members = self._active.tolist()
-        bodies = [self._bodies[index][0] for index in members]
-        for body, velocity in zip(bodies, self._velocity[self._active].tolist(), strict=True):
-            _set_velocity(body, velocity)
+        self._given[:] = self._velocity[self._order]
+        pymunk.batch.set_space_bodies(self._space, pymunk.batch.BodyFields.VELOCITY, self._written)
         self._space.step(self._dt)
-        self._position[self._active] = [_position(body) for body in bodies]
-        self._velocity[self._active] = [_velocity(body) for body in bodies]
+        self._read.clear()
+        pymunk.batch.get_space_bodies(self._space, _MOTION, self._read)
+        moved = np.frombuffer(self._read.float_buf()).reshape(-1, 4)
+        self._position[self._order], self._velocity[self._order] = moved[:, :2], moved[:, 2:]
 
     def walks(self) -> list[Walk]:
         """What everybody did."""
@@ -233,7 +233,21 @@ class _Simulation:
 
     def _leave(self, index: int) -> None:
         self._space.remove(*self._bodies.pop(index))
+        self._note_active()
+
+    def _note_active(self) -> None:
+        """Who is there, and in which order the Space has them."""
         self._active = np.array(sorted(self._bodies), dtype=np.int64)
+        self._read.clear()
+        pymunk.batch.get_space_bodies(self._space, pymunk.batch.BodyFields.BODY_ID, self._read)
+        # The ground is among them; the last row of the arrays is its own.
+        owners = {body.id: index for index, (body, _) in self._bodies.items()}
+        owners[self._space.static_body.id] = len(self.plans)
+        ids = np.frombuffer(self._read.int_buf(), dtype=np.uintp).tolist()
+        self._order = np.array([owners[number] for number in ids], dtype=np.int64)
+        self._given = np.zeros((len(ids), 2))
+        self._written.set_float_buf(self._given)
+        self._next_death = int(self._deaths[self._active].min(initial=_NEVER))
 
     def _build_walls(self) -> None:
         ground = self._space.static_body

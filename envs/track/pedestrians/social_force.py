@@ -86,8 +86,12 @@ def drive(  # type: ignore[no-untyped-def]
         obstacles: x, z and radius of each, shape (o, 3), m.
         frame: Number of the frame.
         dt: Between frames, s.
+
+    Returns:
+        Whether anybody's legs are all done.
     """
     count = len(active)
+    someone_over = False
     wanted = np.zeros((count, 2))
     speeds = np.zeros(count)
     for a in range(count):
@@ -109,7 +113,7 @@ def drive(  # type: ignore[no-untyped-def]
             arrived[i] = -1
         facing[i] = math.nan
         if leg[i] >= leg_count[i]:
-            over[i] = True
+            over[i] = someone_over = True
             continue
         goal = legs[i, leg[i]]
         if arrived[i] >= 0:
@@ -178,3 +182,4 @@ def drive(  # type: ignore[no-untyped-def]
         if speed > most:
             vx, vz = vx * most / speed, vz * most / speed
         velocity[i, 0], velocity[i, 1] = vx, vz
+    return someone_over
