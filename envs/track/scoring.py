@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from servotrack.envs.track.forgiving import forgiven
@@ -87,11 +88,7 @@ class SetScorer:
                 nobody misses them, and an answer at theirs is left out of all scores; see `forgiven`.
         """
         existence = answers[..., 0]
-        held = existence >= HELD_FROM
-        new = held & (self.labels < 0)
-        fresh = self._next[:, None] + np.cumsum(new, axis=1) - 1
-        self.labels = np.where(held, np.where(new, fresh, self.labels), -1)
-        self._next += new.sum(axis=1)
+        self.labels = _labeled(existence, self.labels, self._next)
         self.reported = existence >= REPORTED_FROM
         self.estimates = answers[..., 1:].copy()
         distances = self._distances(truth, self.estimates)
@@ -119,3 +116,18 @@ class SetScorer:
         if self._distances is point_distances:
             return ospa2(truth, tracks, self._cutoff)
         return ospa2(truth, tracks, self._cutoff, distances=self._distances)
+
+
+@njit(cache=True, nogil=True)
+def _labeled(existence, labels, following):  # type: ignore[no-untyped-def]
+    """Identities after an answer, shape (N, rows): a row that was empty gets `following`, which is counted up."""
+    out = np.full(labels.shape, -1, np.int64)
+    for row in range(len(labels)):
+        for k in range(labels.shape[1]):
+            if existence[row, k] < HELD_FROM:
+                continue
+            out[row, k] = labels[row, k]
+            if labels[row, k] < 0:
+                out[row, k] = following[row]
+                following[row] += 1
+    return out

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
@@ -44,15 +47,10 @@ def box_distances(first: ArrayLike, second: ArrayLike) -> Array:
     a, b = _pair(first, second)
     if a.shape[-1] != 4:
         raise ValueError(f"boxes must be (left, top, width, height), got {a.shape[-1]} numbers each")
-    overlap = np.ones((*np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), a.shape[-2], b.shape[-2]))
-    for axis in (0, 1):
-        start = np.maximum(a[..., :, None, axis], b[..., None, :, axis])
-        stop = np.minimum(
-            a[..., :, None, axis] + a[..., :, None, axis + 2], b[..., None, :, axis] + b[..., None, :, axis + 2]
-        )
-        overlap *= np.maximum(stop - start, 0.0)
-    union = (a[..., 2] * a[..., 3])[..., :, None] + (b[..., 2] * b[..., 3])[..., None, :] - overlap
-    return 1.0 - np.divide(overlap, union, out=np.zeros_like(overlap), where=union > 0.0)
+    batch = a.shape[:-2] if a.shape[:-2] == b.shape[:-2] else np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
+    out = np.empty((*batch, a.shape[-2], b.shape[-2]))
+    _box_distances(_stacked(a, batch), _stacked(b, batch), _stacked(out, batch))
+    return out
 
 
 def centroid_distances(first: ArrayLike, second: ArrayLike) -> Array:
@@ -111,3 +109,24 @@ def _pair(first: ArrayLike, second: ArrayLike) -> tuple[Array, Array]:
     if a.shape[-1] != b.shape[-1]:
         raise ValueError(f"first and second must have members of one dimension, got {a.shape[-1]} and {b.shape[-1]}")
     return a, b
+
+
+def _stacked(values: Array, batch: tuple[int, ...]) -> Array:
+    """Values of shape (*batch, n, k) as (rows, n, k); a view where no broadcasting is needed."""
+    whole = values if values.shape[:-2] == batch else np.broadcast_to(values, (*batch, *values.shape[-2:]))
+    return np.ascontiguousarray(whole).reshape(math.prod(batch), *values.shape[-2:])
+
+
+@njit(cache=True, nogil=True)
+def _box_distances(first, second, out):  # type: ignore[no-untyped-def]
+    # NumPy's maximum and minimum hand NaN on, so that a box with one is apart from everything.
+    for row in range(len(out)):
+        for i in range(out.shape[1]):
+            a = first[row, i]
+            for j in range(out.shape[2]):
+                b = second[row, j]
+                wide = np.minimum(a[0] + a[2], b[0] + b[2]) - np.maximum(a[0], b[0])
+                high = np.minimum(a[1] + a[3], b[1] + b[3]) - np.maximum(a[1], b[1])
+                overlap = np.maximum(wide, 0.0) * np.maximum(high, 0.0)
+                union = a[2] * a[3] + b[2] * b[3] - overlap
+                out[row, i, j] = 1.0 - overlap / union if union > 0.0 else 1.0

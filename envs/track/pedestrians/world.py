@@ -199,7 +199,13 @@ class PedestrianWorld:
         self._boxes[row, frame, rows] = drawn.boxes
         self._visibility[row, frame, rows] = np.where(inside, drawn.visibility, 0.0)
         sensor = self._sensors[row]
-        self.observations[row] = drawn.image if sensor is None else sensor.observe(drawn.image, frame)
+        if sensor is not None:
+            self.observations[row] = sensor.observe(drawn.image, frame)
+        elif self.count == 1:
+            # A single scene's frame needs no copy to stand in an array of one.
+            self.observations = drawn.image[None]
+        else:
+            self.observations[row] = drawn.image
 
     def _newest(self) -> None:
         rows = np.arange(self.count)
