@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from servotrack.estimators.color.contract import BoxEstimate, check_count, checked_box, checked_frame
+from servotrack.estimators.color.contract import BoxEstimate, check_count, checked_frame, start
 from servotrack.estimators.color.histogram import pixel_edges
 from servotrack.estimators.detect.images import Image
 
@@ -64,8 +64,7 @@ class BackProjection:
 
     def initial(self, frame: ArrayLike, box: ArrayLike) -> BackProjectionState:
         """Take the object's hues; arguments and errors as in `MonteCarloColor.initial`."""
-        image = checked_frame(frame)
-        first = checked_box(box, image.shape)
+        image, first, pose = start(frame, box)
         left, top, right, bottom = pixel_edges(first[None], image.shape)[0].tolist()
         hsv = np.asarray(cv2.cvtColor(image[top:bottom, left:right], cv2.COLOR_RGB2HSV), np.uint8)
         histogram = cv2.calcHist([hsv], [0], self._votes(hsv), [self.bins], [0, 180])
@@ -73,7 +72,7 @@ class BackProjection:
             # An object without color: every hue then counts alike, as gray pixels have hue 0.
             histogram = cv2.calcHist([hsv], [0], None, [self.bins], [0, 180])
         scaled = (histogram * (255.0 / histogram.max())).astype(np.float32)
-        return BackProjectionState((left, top, right - left, bottom - top), scaled, image.shape[:2])
+        return BackProjectionState((left, top, right - left, bottom - top), scaled, pose.shape)
 
     def step(self, state: BackProjectionState, frame: ArrayLike) -> tuple[BackProjectionState, BoxEstimate]:
         """Search from the last window; arguments and errors as in `MonteCarloColor.step`."""

@@ -6,6 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from servotrack.estimators.color.histogram import color_bin
+
 Array = NDArray[np.float64]
 Features = NDArray[np.float32]
 
@@ -57,8 +59,7 @@ def integrate_channels(region, chances, bins, integral):  # type: ignore[no-unty
             so_far[ORIENTATIONS] += gray[row, column]
             so_far[ORIENTATIONS + 1] += red - green
             so_far[ORIENTATIONS + 2] += np.float32(0.5) * (red + green) - blue
-            color = ((pixel[0] * bins >> 8) * bins + (pixel[1] * bins >> 8)) * bins + (pixel[2] * bins >> 8)
-            so_far[CHANCE] += chances[color]
+            so_far[CHANCE] += chances[color_bin(pixel, bins)]
             above, here = integral[row, column + 1], integral[row + 1, column + 1]
             for k in range(CHANNELS):
                 here[k] = above[k] + so_far[k]

@@ -6,7 +6,8 @@ States are values: a step makes a new one. `initial` looks at the first frame, e
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +31,62 @@ class BoxEstimate(NamedTuple):
     similarity: float
     particles: Array | None = None
     weights: Array | None = None
+
+
+class Pose(NamedTuple):
+    """A box by its center and its scale, in frames of one size.
+
+    Attributes:
+        center: Of the box, shape (2,), px.
+        scale: Of the box, 1 for the first one.
+        size: Width and height of the first box, px.
+        shape: Height and width of the frames.
+    """
+
+    center: Array
+    scale: float
+    size: Array
+    shape: tuple[int, int]
+
+    @property
+    def box(self) -> Array:
+        """Left, top, width and height. Shape (4,), px."""
+        return self.boxes(self.center, np.array(self.scale))
+
+    def boxes(self, centers: Array, scales: Array) -> Array:
+        """Boxes at other centers (..., 2), px, and scales (...). Shape (..., 4), px."""
+        size = scales[..., None] * self.size
+        return np.concatenate([centers - size / 2.0, size], axis=-1)
+
+    def within(self, centers: Array) -> Array:
+        """Centers no farther out than the frame's border. Shape (..., 2), px."""
+        return np.clip(centers, 0.0, np.array([self.shape[1], self.shape[0]], dtype=np.float64))
+
+
+SMALLEST_SCALE, LARGEST_SCALE = 0.1, 10.0
+"""How far a box may shrink and grow against the first one."""
+_MOST_BINS = 16
+"""Of each color channel."""
+_FARTHEST = 1e6
+"""A box's numbers may be as large as this, px."""
+
+
+def start(frame: ArrayLike, box: ArrayLike) -> tuple[Image, Array, Pose]:
+    """What every tracker takes from the first frame.
+
+    Args:
+        frame: RGB (H, W, 3) or gray (H, W), uint8.
+        box: Left, top, width and height, px.
+
+    Returns:
+        The frame as RGB, the box, shape (4,), px, and the same as a pose.
+
+    Raises:
+        ValueError: No such frame, or a box without area or outside of it.
+    """
+    image = checked_frame(frame)
+    first = checked_box(box, image.shape)
+    return image, first, Pose(first[:2] + first[2:] / 2.0, 1.0, first[2:], (image.shape[0], image.shape[1]))
 
 
 def checked_frame(frame: ArrayLike, shape: tuple[int, ...] | None = None) -> Image:
@@ -62,11 +119,16 @@ def checked_box(box: ArrayLike, shape: tuple[int, ...]) -> Array:
         shape: Height and width of the frame first.
 
     Raises:
-        ValueError: Not four finite numbers, no area, or no pixel inside the frame.
+        ValueError: Not four finite numbers, too large ones, no area, or no pixel inside the frame.
     """
-    values = np.array(box, dtype=np.float64)
+    try:
+        values = np.array(box, dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.zeros(0)
     if values.shape != (4,) or not np.isfinite(values).all():
         raise ValueError(f"box must be four finite numbers, left, top, width, height, got {box!r}")
+    if np.abs(values).max() > _FARTHEST:
+        raise ValueError(f"box must lie within {_FARTHEST:g} px of the frame's corner, got {box!r}")
     left, top, width, height = values.tolist()
     if width < 1.0 or height < 1.0:
         raise ValueError(f"box must be at least 1 px wide and high, got width {width:g} and height {height:g}")
@@ -77,16 +139,6 @@ def checked_box(box: ArrayLike, shape: tuple[int, ...]) -> Array:
             f"height {height:g}"
         )
     return values
-
-
-def middle(box: Array) -> Array:
-    """Center of a box, or of each of several. Shape (..., 2), px."""
-    return box[..., :2] + box[..., 2:] / 2.0
-
-
-def box_about(center: Array, size: Array) -> Array:
-    """Boxes from centers and sizes, each of shape (..., 2), px."""
-    return np.concatenate([center - size / 2.0, size], axis=-1)
 
 
 def normals(seed: int, frame: int, shape: tuple[int, ...]) -> Array:
@@ -100,9 +152,24 @@ def normals(seed: int, frame: int, shape: tuple[int, ...]) -> Array:
     return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 0, frame])).standard_normal(shape)
 
 
-def within(center: Array, shape: tuple[int, ...]) -> Array:
-    """A center, or several, no farther out than the frame's border. Shape (..., 2), px."""
-    return np.clip(center, 0.0, np.array([shape[1], shape[0]], dtype=np.float64))
+def check_fields(
+    tracker: Any, counts: Sequence[str] = (), positive: Sequence[str] = (), shares: Sequence[str] = ()
+) -> None:
+    """Raises ValueError, naming it, where a tracker's field is not what it has to be; bins and seed where it has them.
+
+    Args:
+        tracker: The dataclass.
+        counts: Names of its whole numbers of at least 1.
+        positive: Names of its numbers above 0.
+        shares: Names of its numbers from 0 to 1.
+    """
+    check_count(**{name: getattr(tracker, name) for name in counts})
+    check_positive(**{name: getattr(tracker, name) for name in positive})
+    check_shares(**{name: getattr(tracker, name) for name in shares})
+    for name, low, high in (("bins", 1, _MOST_BINS), ("seed", 0, 2**64 - 1)):
+        value = getattr(tracker, name, low)
+        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not low <= value <= high:
+            raise ValueError(f"{name} must be a whole number from {low} to {high}, got {value!r}")
 
 
 def check_positive(**values: float) -> None:

@@ -37,6 +37,38 @@ def bhattacharyya(p: Array, q: Array) -> float:
     return float(np.sqrt(p * q).sum())
 
 
+def color_weights(similarity: Array, variance: float) -> Array:
+    """Weights of sum 1 from Bhattacharyya coefficients (paper 001, eqs (9) and (11)).
+
+    Args:
+        similarity: rho, shape (n,); the distance is the root of 1 - rho.
+        variance: By which squared distances are divided; the factor before the exponential cancels.
+
+    Returns:
+        Shape (n,).
+    """
+    squared = np.maximum(1.0 - similarity, 0.0)
+    # The nearest candidate has exponent 0, so that not all of them vanish.
+    weights = np.exp((squared.min() - squared) / variance)
+    return weights / weights.sum()
+
+
+def learn(reference: Array, found: Array, rate: float, threshold: float) -> tuple[float, Array]:
+    """Update a reference by what was found, where it is like enough (paper 001, eq. (12)).
+
+    Args:
+        reference: A histogram, shape (bins ** 3,).
+        found: The histogram of the estimated box, of the same shape.
+        rate: alpha.
+        threshold: Similarity above which the reference is updated.
+
+    Returns:
+        Similarity of the two, 0 to 1, and the new reference.
+    """
+    similarity = min(bhattacharyya(reference, found), 1.0)
+    return similarity, (1.0 - rate) * reference + rate * found if similarity > threshold else reference
+
+
 def similarities(frame: Image, boxes: Array, reference: Array, bins: int = 8) -> Array:
     """Bhattacharyya coefficient of every box's histogram with a reference (paper 001, eqs (7) and (8)).
 
@@ -78,6 +110,12 @@ def pixel_edges(boxes: Array, shape: tuple[int, ...]) -> NDArray[np.int64]:
 
 
 @njit(cache=True, nogil=True)
+def color_bin(pixel, bins):  # type: ignore[no-untyped-def]
+    """Bin of a pixel, as `servotrack.estimators.detect.appearance.color_bins` numbers them."""
+    return ((pixel[0] * bins >> 8) * bins + (pixel[1] * bins >> 8)) * bins + (pixel[2] * bins >> 8)
+
+
+@njit(cache=True, nogil=True)
 def _integrate(region, bins, columns, integral):  # type: ignore[no-untyped-def]
     """Counts of every kept bin above and left of every corner, modulo the type's range."""
     rows, width, kept = region.shape[0], region.shape[1], integral.shape[2]
@@ -87,10 +125,7 @@ def _integrate(region, bins, columns, integral):  # type: ignore[no-untyped-def]
     for row in range(rows):
         so_far[:] = 0
         for column in range(width):
-            red = region[row, column, 0] * bins >> 8
-            green = region[row, column, 1] * bins >> 8
-            blue = region[row, column, 2] * bins >> 8
-            so_far[columns[(red * bins + green) * bins + blue]] += 1
+            so_far[columns[color_bin(region[row, column], bins)]] += 1
             above, here = integral[row, column + 1], integral[row + 1, column + 1]
             for k in range(kept):
                 here[k] = above[k] + so_far[k]

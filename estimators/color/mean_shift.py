@@ -10,17 +10,15 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.color.contract import (
+    LARGEST_SCALE,
+    SMALLEST_SCALE,
     BoxEstimate,
-    box_about,
-    check_count,
-    check_positive,
-    check_shares,
-    checked_box,
+    Pose,
+    check_fields,
     checked_frame,
-    middle,
-    within,
+    start,
 )
-from servotrack.estimators.color.monte_carlo import LARGEST_SCALE, SMALLEST_SCALE
+from servotrack.estimators.color.histogram import color_bin
 from servotrack.estimators.detect.images import Image
 
 Array = NDArray[np.float64]
@@ -30,18 +28,12 @@ class MeanShiftState(NamedTuple):
     """Memory of a `KernelMeanShift`.
 
     Attributes:
-        center: Of the box, shape (2,), px.
-        scale: Of the box, 1 for the first one.
-        size: Width and height of the first box, px.
+        pose: The last estimate.
         reference: Kernel-weighted histogram of the object, shape (bins ** 3,).
-        shape: Height and width of the frames.
     """
 
-    center: Array
-    scale: float
-    size: Array
+    pose: Pose
     reference: Array
-    shape: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -67,33 +59,31 @@ class KernelMeanShift:
 
     def __post_init__(self) -> None:
         """Check every field; raises ValueError that names it."""
-        check_shares(scale_step=self.scale_step, scale_mixing=self.scale_mixing)
-        check_count(iterations=self.iterations, bins=self.bins)
-        check_positive(tolerance=self.tolerance)
+        check_fields(self, counts=("iterations",), positive=("tolerance",), shares=("scale_step", "scale_mixing"))
 
     def initial(self, frame: ArrayLike, box: ArrayLike) -> MeanShiftState:
         """Take the object's reference; arguments and errors as in `MonteCarloColor.initial`."""
-        image = checked_frame(frame)
-        first = checked_box(box, image.shape)
-        reference = kernel_histogram(image, middle(first), first[2:], self.bins)
-        return MeanShiftState(middle(first), 1.0, first[2:], reference, (image.shape[0], image.shape[1]))
+        image, first, pose = start(frame, box)
+        return MeanShiftState(pose, kernel_histogram(image, pose.center, first[2:], self.bins))
 
     def step(self, state: MeanShiftState, frame: ArrayLike) -> tuple[MeanShiftState, BoxEstimate]:
         """Climb from the last place; arguments and errors as in `MonteCarloColor.step`."""
-        image = checked_frame(frame, state.shape)
-        best_center, best_scale, best = state.center, state.scale, -1.0
+        last = state.pose
+        image = checked_frame(frame, last.shape)
+        best_center, best_scale, best = last.center, last.scale, -1.0
         for factor in (1.0, 1.0 - self.scale_step, 1.0 + self.scale_step):
-            scale = float(np.clip(factor * state.scale, SMALLEST_SCALE, LARGEST_SCALE))
+            scale = float(np.clip(factor * last.scale, SMALLEST_SCALE, LARGEST_SCALE))
             center, similarity = self._climb(image, state, scale)
             if similarity > best:
                 best_center, best_scale, best = center, scale, similarity
-        scale = self.scale_mixing * best_scale + (1.0 - self.scale_mixing) * state.scale
-        center = within(best_center, state.shape)
-        return state._replace(center=center, scale=scale), BoxEstimate(box_about(center, scale * state.size), best)
+        scale = self.scale_mixing * best_scale + (1.0 - self.scale_mixing) * last.scale
+        pose = last._replace(center=last.within(best_center), scale=scale)
+        return state._replace(pose=pose), BoxEstimate(pose.box, best)
 
     def _climb(self, image: Image, state: MeanShiftState, scale: float) -> tuple[Array, float]:
+        size = scale * state.pose.size
         x, y, similarity = _climb(
-            image, state.center, scale * state.size, state.reference, self.bins, self.iterations, self.tolerance
+            image, state.pose.center, size, state.reference, self.bins, self.iterations, self.tolerance
         )
         return np.array([x, y]), min(float(similarity), 1.0)
 
@@ -122,11 +112,6 @@ def _window(middle, half, limit):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _bin(pixel, bins):  # type: ignore[no-untyped-def]
-    return ((pixel[0] * bins >> 8) * bins + (pixel[1] * bins >> 8)) * bins + (pixel[2] * bins >> 8)
-
-
-@njit(cache=True, nogil=True)
 def _fill_histogram(image, x, y, half_width, half_height, bins, out):  # type: ignore[no-untyped-def]
     out[:] = 0.0
     left, right = _window(x, half_width, image.shape[1])
@@ -138,7 +123,7 @@ def _fill_histogram(image, x, y, half_width, half_height, bins, out):  # type: i
             u = (column + 0.5 - x) / half_width
             weight = 1.0 - u * u - v * v
             if weight > 0.0:
-                out[_bin(image[row, column], bins)] += weight
+                out[color_bin(image[row, column], bins)] += weight
                 total += weight
     if total > 0.0:
         for k in range(out.shape[0]):
@@ -171,7 +156,7 @@ def _climb(image, center, size, reference, bins, iterations, tolerance):  # type
             for column in range(left, right):
                 u = (column + 0.5 - x) / half_width
                 if u * u + v * v < 1.0:
-                    k = _bin(image[row, column], bins)
+                    k = color_bin(image[row, column], bins)
                     weight = np.sqrt(reference[k] / here[k]) if here[k] > 0.0 else 0.0
                     total += weight
                     sum_x += weight * (column + 0.5)

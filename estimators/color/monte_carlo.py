@@ -9,43 +9,32 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.color.contract import (
+    LARGEST_SCALE,
+    SMALLEST_SCALE,
     BoxEstimate,
-    box_about,
-    check_count,
-    check_positive,
-    check_shares,
-    checked_box,
+    Pose,
+    check_fields,
     checked_frame,
-    middle,
     normals,
-    within,
+    start,
 )
-from servotrack.estimators.color.histogram import bhattacharyya, color_histogram, similarities
+from servotrack.estimators.color.histogram import color_histogram, color_weights, learn, similarities
 
 Array = NDArray[np.float64]
-
-SMALLEST_SCALE, LARGEST_SCALE = 0.1, 10.0
-"""How far a box may shrink and grow against the first one."""
 
 
 class MonteCarloState(NamedTuple):
     """Memory of a `MonteCarloColor`.
 
     Attributes:
-        center: Of the box, shape (2,), px.
-        scale: Of the box, 1 for the first one.
-        size: Width and height of the first box, px.
+        pose: The last estimate.
         reference: Histogram of the object, shape (bins ** 3,).
         frame: Number of frames seen.
-        shape: Height and width of the frames.
     """
 
-    center: Array
-    scale: float
-    size: Array
+    pose: Pose
     reference: Array
     frame: int
-    shape: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -78,13 +67,12 @@ class MonteCarloColor:
 
     def __post_init__(self) -> None:
         """Check every field; raises ValueError that names it."""
-        check_count(samples=self.samples, bins=self.bins)
-        check_positive(
-            center_deviation=self.center_deviation,
-            scale_deviation=self.scale_deviation,
-            distance_deviation=self.distance_deviation,
+        check_fields(
+            self,
+            counts=("samples",),
+            positive=("center_deviation", "scale_deviation", "distance_deviation"),
+            shares=("update_rate", "update_threshold"),
         )
-        check_shares(update_rate=self.update_rate, update_threshold=self.update_threshold)
 
     def initial(self, frame: ArrayLike, box: ArrayLike) -> MonteCarloState:
         """Take the object's reference from the first frame (steps 1 and 2 of section 3.2).
@@ -96,10 +84,8 @@ class MonteCarloColor:
         Raises:
             ValueError: No such frame, or a box without area or outside of it.
         """
-        image = checked_frame(frame)
-        first = checked_box(box, image.shape)
-        reference = color_histogram(image, first, self.bins)
-        return MonteCarloState(middle(first), 1.0, first[2:], reference, 1, (image.shape[0], image.shape[1]))
+        image, first, pose = start(frame, box)
+        return MonteCarloState(pose, color_histogram(image, first, self.bins), 1)
 
     def step(self, state: MonteCarloState, frame: ArrayLike) -> tuple[MonteCarloState, BoxEstimate]:
         """Find the object in the next frame (steps 3 and 4).
@@ -111,20 +97,14 @@ class MonteCarloColor:
         Raises:
             ValueError: No such frame, or one of another size.
         """
-        image = checked_frame(frame, state.shape)
+        image = checked_frame(frame, state.pose.shape)
         centers, scales = self.draw(state)
-        boxes = box_about(centers, scales[:, None] * state.size)
-        # Eqs (8), (9) and (11): the distance is the root of 1 - rho; the factor before the exponential cancels.
-        weights = self.weigh(similarities(image, boxes, state.reference, self.bins))
-        center, scale = weights @ centers, float(weights @ scales)
-        box = box_about(center, scale * state.size)
-        found = color_histogram(image, box, self.bins)
-        similarity = min(bhattacharyya(state.reference, found), 1.0)
-        reference = state.reference
-        if similarity > self.update_threshold:
-            reference = (1.0 - self.update_rate) * reference + self.update_rate * found
-        state = state._replace(center=center, scale=scale, reference=reference, frame=state.frame + 1)
-        return state, BoxEstimate(box, similarity, boxes, weights)
+        boxes = state.pose.boxes(centers, scales)
+        weights = color_weights(similarities(image, boxes, state.reference, self.bins), self.distance_deviation**2)
+        pose = state.pose._replace(center=weights @ centers, scale=float(weights @ scales))
+        found = color_histogram(image, pose.box, self.bins)
+        similarity, reference = learn(state.reference, found, self.update_rate, self.update_threshold)
+        return MonteCarloState(pose, reference, state.frame + 1), BoxEstimate(pose.box, similarity, boxes, weights)
 
     def draw(self, state: MonteCarloState) -> tuple[Array, Array]:
         """Candidates, Gaussian about the last estimate, none outside of the frame.
@@ -133,13 +113,6 @@ class MonteCarloColor:
             Centers (n, 2), px, and scales (n,).
         """
         noise = normals(self.seed, state.frame, (self.samples, 3))
-        centers = within(state.center + self.center_deviation * noise[:, :2], state.shape)
-        scales = state.scale * (1.0 + self.scale_deviation * noise[:, 2])
+        centers = state.pose.within(state.pose.center + self.center_deviation * noise[:, :2])
+        scales = state.pose.scale * (1.0 + self.scale_deviation * noise[:, 2])
         return centers, np.clip(scales, SMALLEST_SCALE, LARGEST_SCALE)
-
-    def weigh(self, similarity: Array) -> Array:
-        """Weights of sum 1 from Bhattacharyya coefficients (eqs (9) and (11)). Shape (n,)."""
-        squared = np.maximum(1.0 - similarity, 0.0)
-        # The nearest candidate has exponent 0, so that not all of them vanish.
-        weights = np.exp((squared.min() - squared) / self.distance_deviation**2)
-        return weights / weights.sum()

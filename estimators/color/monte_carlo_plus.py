@@ -10,19 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.color.cells import CHANNELS, ORIENTATIONS, Features, describe, integrate_channels
 from servotrack.estimators.color.contract import (
+    LARGEST_SCALE,
+    SMALLEST_SCALE,
     BoxEstimate,
-    box_about,
-    check_count,
-    check_positive,
-    check_shares,
-    checked_box,
+    Pose,
+    check_fields,
     checked_frame,
-    middle,
     normals,
-    within,
+    start,
 )
 from servotrack.estimators.color.histogram import color_histogram
-from servotrack.estimators.color.monte_carlo import LARGEST_SCALE, SMALLEST_SCALE
 from servotrack.estimators.detect.images import Image
 
 Array = NDArray[np.float64]
@@ -44,10 +41,8 @@ class PlusState(NamedTuple):
     """Memory of a `MonteCarloColorPlus`.
 
     Attributes:
-        center: Of the box, shape (2,), px.
+        pose: The last estimate.
         velocity: Of the center, shape (2,), px per frame.
-        scale: Of the box, 1 for the first one.
-        size: Width and height of the first box, px.
         inside: Histogram of the object's colors, shape (bins ** 3,).
         outside: Histogram of the colors around it, shape (bins ** 3,).
         first: Features of the first box, shape (2, f).
@@ -55,13 +50,10 @@ class PlusState(NamedTuple):
         contrast: Usual contrast of the object with its surroundings.
         lost: How sure it is that the object is out of sight, 0 to 1.
         frame: Number of frames seen.
-        shape: Height and width of the frames.
     """
 
-    center: Array
+    pose: Pose
     velocity: Array
-    scale: float
-    size: Array
     inside: Array
     outside: Array
     first: Features
@@ -69,7 +61,6 @@ class PlusState(NamedTuple):
     contrast: float
     lost: float
     frame: int
-    shape: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -124,69 +115,70 @@ class MonteCarloColorPlus:
 
     def __post_init__(self) -> None:
         """Check every field; raises ValueError that names it."""
-        check_count(samples=self.samples - 1, grid=self.grid, bins=self.bins)
-        check_positive(
-            center_deviation=self.center_deviation,
-            scale_deviation=self.scale_deviation,
-            narrowing=self.narrowing,
-            sharpness=self.sharpness,
-            rim=self.rim,
-        )
-        check_shares(
-            gradient_share=self.gradient_share,
-            color_share=self.color_share,
-            inertia=self.inertia,
-            update_rate=self.update_rate,
-            loyalty=self.loyalty,
-            hidden_below=self.hidden_below,
-            braking=self.braking,
-        )
+        check_fields(
+            self,
+            counts=("samples", "grid"),
+            positive=("center_deviation", "scale_deviation", "narrowing", "sharpness", "rim"),
+            shares=(
+                "gradient_share", "color_share", "inertia", "update_rate", "loyalty", "hidden_below", "braking",
+            ),
+        )  # fmt: skip
+        if self.samples < 2:
+            raise ValueError(f"samples must be at least 2, wide ones and close ones, got {self.samples!r}")
+        if self.gradient_share + self.color_share > 1.0:
+            raise ValueError(
+                "gradient_share + color_share must be at most 1, contrast has the rest, got "
+                f"{self.gradient_share!r} + {self.color_share!r}"
+            )
+        if not 0.0 <= self.widening < np.inf:
+            raise ValueError(f"widening must be finite and at least 0, got {self.widening!r}")
 
     def initial(self, frame: ArrayLike, box: ArrayLike) -> PlusState:
         """Take the object's features; arguments and errors as in `MonteCarloColor.initial`."""
-        image = checked_frame(frame)
-        first = checked_box(box, image.shape)
+        image, first, pose = start(frame, box)
         inside, outside = self._colors(image, first)
         view = self._view(image, first[None], _chances(inside, outside))
         features, contrast = self._describe(view, first[None])
         return PlusState(
-            middle(first), np.zeros(2), 1.0, first[2:], inside, outside, features[0], features[0], float(contrast[0]),
-            0.0, 1, (image.shape[0], image.shape[1]),
-        )  # fmt: skip
+            pose, np.zeros(2), inside, outside, features[0], features[0], float(contrast[0]), lost=0.0, frame=1
+        )
 
     def step(self, state: PlusState, frame: ArrayLike) -> tuple[PlusState, BoxEstimate]:
         """Find the object in the next frame; arguments and errors as in `MonteCarloColor.step`."""
-        image = checked_frame(frame, state.shape)
+        last = state.pose
+        image = checked_frame(frame, last.shape)
         half = self.samples // 2
         noise = normals(self.seed, state.frame, (self.samples, 3))
-        expected = state.center + self.inertia * state.velocity
-        wide = self._draw(state, noise[:half], expected, state.scale, 1.0 + self.widening * state.lost)
+        expected = last.center + self.inertia * state.velocity
+        wide = self._draw(last, noise[:half], expected, last.scale, 1.0 + self.widening * state.lost)
         # One candidate stays where it is expected, so that a still object is met exactly.
-        wide[0] = (*expected, state.scale)
-        boxes = box_about(wide[:, :2], wide[:, 2:] * state.size)
+        wide[0] = (*expected, last.scale)
+        boxes = last.boxes(wide[:, :2], wide[:, 2])
         view = self._view(image, boxes, _chances(state.inside, state.outside))
         coarse = self._similarity(view, state, boxes)[0]
         about = _weights(coarse, self.sharpness) @ wide
-        close = self._draw(state, noise[half:], about[:2], float(about[2]), self.narrowing)
+        close = self._draw(last, noise[half:], about[:2], float(about[2]), self.narrowing)
         candidates = np.concatenate([wide, close])
-        boxes = np.concatenate([boxes, box_about(close[:, :2], close[:, 2:] * state.size)])
+        boxes = np.concatenate([boxes, last.boxes(close[:, :2], close[:, 2])])
         similarity = np.concatenate([coarse, self._similarity(view, state, boxes[half:])[0]])
         weights = _weights(similarity, self.sharpness)
         found = weights @ candidates
-        own, features, contrast = self._similarity(view, state, self._box(state, found))
+        own, features, contrast = self._similarity(view, state, last.boxes(found[None, :2], found[None, 2]))
         hidden = bool(own[0] < self.hidden_below)
-        if hidden:
-            # What is there instead must not carry the estimate away: it goes where the object was bound for.
-            found = np.array([*within(expected, state.shape), state.scale])
-        box = self._box(state, found)[0]
-        state = self._remember(state, image, found, hidden, features[0], float(contrast[0]))
-        return state, BoxEstimate(box, float(np.clip(own[0], 0.0, 1.0)), boxes, weights)
+        # What is there instead must not carry the estimate away: it goes where the object was bound for.
+        pose = (
+            last._replace(center=last.within(expected))
+            if hidden
+            else last._replace(center=found[:2], scale=float(found[2]))
+        )
+        state = self._remember(state, image, pose, hidden, features[0], float(contrast[0]))
+        return state, BoxEstimate(pose.box, float(np.clip(own[0], 0.0, 1.0)), boxes, weights)
 
-    def _draw(self, state: PlusState, noise: Array, center: Array, scale: float, width: float) -> Array:
+    def _draw(self, last: Pose, noise: Array, center: Array, scale: float, width: float) -> Array:
         """Candidates as rows of center x, y and scale."""
-        spread = width * self.center_deviation * scale * float(np.sqrt(state.size[0] * state.size[1]))
+        spread = width * self.center_deviation * scale * float(np.sqrt(last.size[0] * last.size[1]))
         drawn = np.empty((len(noise), 3))
-        drawn[:, :2] = within(center + spread * noise[:, :2], state.shape)
+        drawn[:, :2] = last.within(center + spread * noise[:, :2])
         deviation = min(width, 1.0) * self.scale_deviation
         drawn[:, 2] = np.clip(scale * np.exp(deviation * noise[:, 2]), SMALLEST_SCALE, LARGEST_SCALE)
         return drawn
@@ -207,8 +199,8 @@ class MonteCarloColorPlus:
         size = np.array([image.shape[1], image.shape[0]])
         low = np.floor((boxes[:, :2] - margin).min(axis=0)).astype(np.int64)
         high = np.ceil((boxes[:, :2] + boxes[:, 2:] + margin).max(axis=0)).astype(np.int64)
-        low = np.clip(low, 0, size - 2)
-        high = np.maximum(np.clip(high, 0, size), low + 2)
+        low = np.clip(low, 0, size - 1)
+        high = np.maximum(np.clip(high, 0, size), low + 1)
         region = image[low[1] : high[1], low[0] : high[0]]
         integral = np.empty((region.shape[0] + 1, region.shape[1] + 1, CHANNELS), np.float32)
         integrate_channels(region, chances, self.bins, integral)
@@ -229,21 +221,17 @@ class MonteCarloColorPlus:
         share = float(box[2] * box[3] / (around[2] * around[3]))
         return inside, np.maximum(both - share * inside, 0.0) / (1.0 - share)
 
-    def _box(self, state: PlusState, found: Array) -> Array:
-        """Boxes (1, 4) of a center and a scale."""
-        return box_about(found[None, :2], found[None, 2:] * state.size)
-
     def _remember(
-        self, state: PlusState, image: Image, found: Array, hidden: bool, features: Features, contrast: float
+        self, state: PlusState, image: Image, pose: Pose, hidden: bool, features: Features, contrast: float
     ) -> PlusState:
         """The next state: hidden objects teach nothing and keep going ever more slowly."""
-        after = state._replace(center=found[:2], scale=float(found[2]), frame=state.frame + 1)
+        after = state._replace(pose=pose, frame=state.frame + 1)
         if hidden:
             return after._replace(velocity=self.braking * state.velocity, lost=min(1.0, state.lost + _LOSING))
-        inside, outside = self._colors(image, self._box(state, found)[0])
+        inside, outside = self._colors(image, pose.box)
         rate = self.update_rate
         return after._replace(
-            velocity=0.5 * (state.velocity + found[:2] - state.center),
+            velocity=0.5 * (state.velocity + pose.center - state.pose.center),
             inside=(1.0 - rate) * state.inside + rate * inside,
             # What is around changes as the object moves on.
             outside=(1.0 - 2.0 * rate) * state.outside + 2.0 * rate * outside,

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from servotrack.estimators.color.contract import BoxEstimate, checked_box, checked_frame
+from servotrack.estimators.color.contract import BoxEstimate, checked_frame, start
 from servotrack.estimators.color.histogram import pixel_edges
 
 Array = NDArray[np.float64]
@@ -65,18 +65,31 @@ class OpenCVTracker:
         return None
 
     def initial(self, frame: ArrayLike, box: ArrayLike) -> OpenCVState:
-        """Start a tracker; arguments and errors as in `MonteCarloColor.initial`."""
-        image = checked_frame(frame)
-        first = checked_box(box, image.shape)
+        """Start a tracker; arguments as in `MonteCarloColor.initial`.
+
+        Raises:
+            ValueError: As there, or a box that leaves OpenCV's tracker no pixels to learn from.
+        """
+        image, first, pose = start(frame, box)
         left, top, right, bottom = pixel_edges(first[None], image.shape)[0].tolist()
         tracker = self._maker()()
-        tracker.init(_bgr(image), (left, top, max(right - left, 1), max(bottom - top, 1)))
-        return OpenCVState(tracker, first, image.shape[:2])
+        try:
+            tracker.init(_bgr(image), (left, top, right - left, bottom - top))
+        except cv2.error as error:
+            raise ValueError(
+                f"box must leave {self.name} pixels inside and around it to learn from, got {first.tolist()} in a "
+                f"frame of {image.shape[1]} x {image.shape[0]} px; choose a smaller or larger box, or another tracker"
+            ) from error
+        return OpenCVState(tracker, first, pose.shape)
 
     def step(self, state: OpenCVState, frame: ArrayLike) -> tuple[OpenCVState, BoxEstimate]:
         """Let the tracker look at the next frame; arguments and errors as in `MonteCarloColor.step`."""
         image = checked_frame(frame, state.shape)
-        found, window = state.tracker.update(_bgr(image))
+        try:
+            found, window = state.tracker.update(_bgr(image))
+        except cv2.error:
+            # OpenCV gives up where no candidate is left, such as at the frame's corner: the box waits where it was.
+            found, window = False, None
         box = np.array(window, dtype=np.float64) if found else state.box
         return state._replace(box=box), BoxEstimate(box.copy(), float(bool(found)))
 

@@ -9,19 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.color.contract import (
+    LARGEST_SCALE,
+    SMALLEST_SCALE,
     BoxEstimate,
-    box_about,
-    check_count,
-    check_positive,
-    check_shares,
-    checked_box,
+    Pose,
+    check_fields,
     checked_frame,
-    middle,
     normals,
-    within,
+    start,
 )
-from servotrack.estimators.color.histogram import bhattacharyya, color_histogram, similarities
-from servotrack.estimators.color.monte_carlo import LARGEST_SCALE, SMALLEST_SCALE
+from servotrack.estimators.color.histogram import color_histogram, color_weights, learn, similarities
 
 Array = NDArray[np.float64]
 
@@ -32,18 +29,16 @@ class ParticleState(NamedTuple):
     Attributes:
         particles: Center x, y (px) and scale of each. Shape (n, 3).
         previous: The same, one frame earlier. Shape (n, 3).
-        size: Width and height of the first box, px.
+        pose: The last estimate.
         reference: Histogram of the object, shape (bins ** 3,).
         frame: Number of frames seen.
-        shape: Height and width of the frames.
     """
 
     particles: Array
     previous: Array
-    size: Array
+    pose: Pose
     reference: Array
     frame: int
-    shape: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -78,45 +73,37 @@ class ColorParticleFilter:
 
     def __post_init__(self) -> None:
         """Check every field; raises ValueError that names it."""
-        check_count(samples=self.samples, bins=self.bins)
-        check_positive(
-            center_deviation=self.center_deviation,
-            scale_deviation=self.scale_deviation,
-            distance_deviation=self.distance_deviation,
+        check_fields(
+            self,
+            counts=("samples",),
+            positive=("center_deviation", "scale_deviation", "distance_deviation"),
+            shares=("damping", "update_rate", "update_threshold"),
         )
-        check_shares(damping=self.damping, update_rate=self.update_rate, update_threshold=self.update_threshold)
 
     def initial(self, frame: ArrayLike, box: ArrayLike) -> ParticleState:
         """All particles on the box; arguments and errors as in `MonteCarloColor.initial`."""
-        image = checked_frame(frame)
-        first = checked_box(box, image.shape)
-        particles = np.tile([*middle(first), 1.0], (self.samples, 1))
-        reference = color_histogram(image, first, self.bins)
-        return ParticleState(particles, particles, first[2:], reference, 1, (image.shape[0], image.shape[1]))
+        image, first, pose = start(frame, box)
+        particles = np.tile([*pose.center, pose.scale], (self.samples, 1))
+        return ParticleState(particles, particles, pose, color_histogram(image, first, self.bins), 1)
 
     def step(self, state: ParticleState, frame: ArrayLike) -> tuple[ParticleState, BoxEstimate]:
         """Predict, weigh, estimate, resample; arguments and errors as in `MonteCarloColor.step`."""
-        image = checked_frame(frame, state.shape)
+        image = checked_frame(frame, state.pose.shape)
         noise = normals(self.seed, state.frame, (self.samples + 1, 3))
         moved = state.particles + self.damping * (state.particles - state.previous)
-        moved[:, :2] = within(moved[:, :2] + self.center_deviation * noise[:-1, :2], state.shape)
+        moved[:, :2] = state.pose.within(moved[:, :2] + self.center_deviation * noise[:-1, :2])
         moved[:, 2] = np.clip(moved[:, 2] * (1.0 + self.scale_deviation * noise[:-1, 2]), SMALLEST_SCALE, LARGEST_SCALE)
-        boxes = box_about(moved[:, :2], moved[:, 2:] * state.size)
-        squared = np.maximum(1.0 - similarities(image, boxes, state.reference, self.bins), 0.0)
-        weights = np.exp((squared.min() - squared) / (2.0 * self.distance_deviation**2))
-        weights /= weights.sum()
-        mean = weights @ moved
-        box = box_about(mean[:2], mean[2] * state.size)
-        found = color_histogram(image, box, self.bins)
-        similarity = min(bhattacharyya(state.reference, found), 1.0)
-        reference = state.reference
-        if similarity > self.update_threshold:
-            reference = (1.0 - self.update_rate) * reference + self.update_rate * found
-        chosen = systematic_resampling(weights, float(_uniform(noise[-1, 0])))
-        state = ParticleState(
-            moved[chosen], state.particles[chosen], state.size, reference, state.frame + 1, state.shape
+        boxes = state.pose.boxes(moved[:, :2], moved[:, 2])
+        weights = color_weights(
+            similarities(image, boxes, state.reference, self.bins), 2.0 * self.distance_deviation**2
         )
-        return state, BoxEstimate(box, similarity, boxes, weights)
+        mean = weights @ moved
+        pose = state.pose._replace(center=mean[:2], scale=float(mean[2]))
+        found = color_histogram(image, pose.box, self.bins)
+        similarity, reference = learn(state.reference, found, self.update_rate, self.update_threshold)
+        chosen = systematic_resampling(weights, float(_uniform(noise[-1, 0])))
+        state = ParticleState(moved[chosen], state.particles[chosen], pose, reference, state.frame + 1)
+        return state, BoxEstimate(pose.box, similarity, boxes, weights)
 
 
 def systematic_resampling(weights: Array, offset: float) -> NDArray[np.int64]:

@@ -8,7 +8,7 @@ import pytest
 from color_film import box, frame, walk
 
 from servotrack.estimators.color import back_projection, opencv_trackers
-from servotrack.estimators.color.contract import box_about, normals
+from servotrack.estimators.color.contract import Pose, normals
 from servotrack.estimators.color.histogram import color_histogram, similarities
 from servotrack.estimators.color.mean_shift import KernelMeanShift, kernel_histogram
 from servotrack.estimators.color.monte_carlo import MonteCarloColor
@@ -71,7 +71,7 @@ def test_the_estimate_is_the_weighted_mean_worked_out_by_hand() -> None:
     state = tracker.initial(frame(40, 30), box(40, 30))
     image = frame(43, 31, seed=9)
     centers, scales = tracker.draw(state)
-    boxes = box_about(centers, scales[:, None] * np.array([24.0, 32.0]))
+    boxes = Pose(np.zeros(2), 1.0, np.array([24.0, 32.0]), (120, 160)).boxes(centers, scales)
     total, mean = 0.0, np.zeros(3)
     for (x, y), scale, candidate in zip(centers, scales, boxes, strict=True):
         rho = np.sqrt(color_histogram(image, candidate) * state.reference).sum()
@@ -80,7 +80,7 @@ def test_the_estimate_is_the_weighted_mean_worked_out_by_hand() -> None:
     x, y, scale = mean / total
     after, estimate = tracker.step(state, image)
     np.testing.assert_allclose(estimate.box, [x - 12 * scale, y - 16 * scale, 24 * scale, 32 * scale], rtol=1e-9)
-    assert after.scale == pytest.approx(scale)
+    assert after.pose.scale == pytest.approx(scale)
     assert estimate.weights.sum() == pytest.approx(1.0)
 
 
@@ -149,10 +149,10 @@ def test_mean_shift_climbs() -> None:
     tracker = KernelMeanShift(scale_step=0.0)
     state = tracker.initial(frame(60, 40), box(60, 40))
     moved = frame(66, 44, seed=2)
-    before = np.sqrt(kernel_histogram(moved, state.center, state.size) * state.reference).sum()
+    before = np.sqrt(kernel_histogram(moved, state.pose.center, state.pose.size) * state.reference).sum()
     after, estimate = tracker.step(state, moved)
     assert estimate.similarity > before
-    np.testing.assert_allclose(after.center, [78.0, 60.0], atol=1.0)
+    np.testing.assert_allclose(after.pose.center, [78.0, 60.0], atol=1.0)
 
 
 def test_systematic_resampling_takes_each_as_often_as_its_weight_says() -> None:
@@ -186,6 +186,9 @@ def test_gray_frames_are_colors_of_three_equal_channels() -> None:
         ([3, 3, 0, 10], "at least 1 px wide"),
         ([200, 3, 10, 10], "must overlap the frame of 160 x 120 px"),
         ([-11, 3, 10, 10], "must overlap the frame"),
+        ([-1e300, 3, 2e300, 10], "must lie within 1e\\+06 px"),
+        ("left", "four finite numbers"),
+        (None, "four finite numbers"),
     ],
 )
 def test_bad_boxes_are_named(name: str, bad: list[float], match: str) -> None:
@@ -215,6 +218,20 @@ def test_a_box_at_the_border_and_an_empty_frame_do_no_harm(name: str) -> None:
         assert (estimate.box[2:] > 0.0).all()
 
 
+@pytest.mark.parametrize("name", VALUES)
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9, 3), (9, 1), (2, 2, 3)])
+def test_frames_of_a_few_pixels_are_tracked(name: str, shape: tuple[int, ...]) -> None:
+    tracker = VALUES[name]
+    rng = np.random.default_rng(2)
+    for first in ([0.0, 0.0, 1.0, 1.0], [-0.2, -0.2, 1.2, 1.2], [-500.0, -500.0, 1000.0, 1000.0]):
+        state = tracker.initial(rng.integers(0, 256, shape, np.uint8), first)
+        for _ in range(3):
+            state, estimate = tracker.step(state, rng.integers(0, 256, shape, np.uint8))
+            assert np.isfinite(estimate.box).all()
+            assert (estimate.box[2:] > 0.0).all()
+            assert 0.0 <= estimate.similarity <= 1.0
+
+
 @pytest.mark.parametrize(
     ("make", "match"),
     [
@@ -225,6 +242,12 @@ def test_a_box_at_the_border_and_an_empty_frame_do_no_harm(name: str) -> None:
         (lambda: KernelMeanShift(tolerance=np.nan), "tolerance must be finite"),
         (lambda: BackProjection("snake"), "method must be one of meanshift, camshift"),
         (lambda: MonteCarloColorPlus(grid=0), "grid must be a whole number"),
+        (lambda: MonteCarloColor(bins=17), "bins must be a whole number from 1 to 16, got 17"),
+        (lambda: KernelMeanShift(bins=0), "bins must be a whole number from 1 to 16, got 0"),
+        (lambda: ColorParticleFilter(seed=-1), "seed must be a whole number from 0"),
+        (lambda: MonteCarloColorPlus(samples=1), "samples must be at least 2"),
+        (lambda: MonteCarloColorPlus(gradient_share=0.9), "gradient_share \\+ color_share must be at most 1"),
+        (lambda: MonteCarloColorPlus(widening=np.nan), "widening must be finite"),
         (lambda: OpenCVTracker("GOTURN"), "name must be one of MIL, CSRT, KCF"),
     ],
 )
@@ -240,13 +263,32 @@ def test_a_tracker_that_opencv_lacks_says_what_to_install(monkeypatch) -> None:
         OpenCVTracker("CSRT")
 
 
+needs_mil = pytest.mark.skipif(not hasattr(cv2, "TrackerMIL_create"), reason="this OpenCV has no MIL")
+
+
+@needs_mil
 def test_opencvs_tracker_follows() -> None:
-    pytest.importorskip("cv2")
-    if not hasattr(cv2, "TrackerMIL_create"):
-        pytest.skip("this OpenCV has no MIL")
     places = walk(5)
     end = run(OpenCVTracker(), places)[-1]
     assert np.abs(end.box[:2] - box(*places[-1])[:2]).max() < 8.0
+
+
+@needs_mil
+def test_opencvs_errors_are_told_as_what_they_mean(monkeypatch) -> None:
+    with pytest.raises(ValueError, match="box must leave MIL pixels inside and around it"):
+        OpenCVTracker().initial(np.zeros((1, 1, 3), np.uint8), [0, 0, 1, 1])
+
+    class GivesUp:
+        def init(self, image, window):
+            pass
+
+        def update(self, image):
+            raise cv2.error("no candidate")
+
+    monkeypatch.setattr(OpenCVTracker, "_maker", lambda self: GivesUp)
+    _, estimate = OpenCVTracker().step(OpenCVTracker().initial(frame(40, 30), box(40, 30)), frame(41, 30))
+    assert np.array_equal(estimate.box, box(40, 30))
+    assert estimate.similarity == 0.0
 
 
 class Differences:
