@@ -62,7 +62,8 @@ def test_films_are_kept_and_foreign_ones_refused(tmp_path, monkeypatch) -> None:
 def test_the_plan_gives_slow_trackers_fewer_films_on_test_seeds() -> None:
     films = plan(20)
     assert len(films) == 6 * 20
-    assert min(seed for _, seed, _ in films) == 200_000
+    # Seed 200000 was looked at while the trackers were made.
+    assert {seed for _, seed, _ in films} == set(range(200_001, 200_021))
     assert sum("MIL" in methods for *_, methods in films) == 6 * 2
     assert any("MIL" in methods for *_, methods in plan(1))
     assert all(color_tracker(name, **parameters) for name, parameters in METHODS.values())
