@@ -36,6 +36,7 @@ def cast_shadow(image, patch, left, top, x, y, height, slope, sun, opacity):  # 
     """
     rows, columns = patch.shape[0], patch.shape[1]
     fall = max(_TOWARDS * slope, 0.05)
+    taps = np.empty(5, np.int64)
     tall = y - top  # the highest point that casts
     first, last = max(int(y), 0), min(int(y + tall * fall) + 2, image.shape[0])
     for i in range(first, last):
@@ -48,11 +49,13 @@ def cast_shadow(image, patch, left, top, x, y, height, slope, sun, opacity):  # 
         strength = opacity * (1.0 - 0.45 * min(up / height, 1.0))
         start = max(int(left + shift - 2.0 * blur), 0)
         stop = min(int(left + columns + shift + 2.0 * blur) + 1, image.shape[1])
+        # Where the five taps of the penumbra look in the patch, against the column of the image.
+        for tap in range(5):
+            taps[tap] = math.floor(0.5 - shift - left + (tap - 2) * 0.75 * blur)
         for j in range(start, stop):
-            place = j + 0.5 - shift - left
             cover = 0.0
             for tap in range(5):
-                column = math.floor(place + (tap - 2) * 0.75 * blur)
+                column = j + taps[tap]
                 if 0 <= column < columns:
                     cover += patch[row, column, 3]
             if cover > 0.0:

@@ -148,6 +148,9 @@ def draw_parts(parts, order, count, left, top, grain, patch):  # type: ignore[no
             first_column, last_column = _span(py * ex - corner * ey, -ey, -reach, reach, 0, columns)
             first_column, last_column = _span(py * ey + corner * ex, ex, before, after, first_column, last_column)
             for j in range(first_column, last_column):
+                free = 1.0 - patch[i, j, 3]
+                if free < 1e-3:
+                    continue
                 px = corner + j
                 along = px * ex + py * ey
                 across = py * ex - px * ey
@@ -166,9 +169,6 @@ def draw_parts(parts, order, count, left, top, grain, patch):  # type: ignore[no
                     edge = 0.5 * math.sqrt((across * across + along_edge * along_edge) / distance2)
                 outer = width + edge
                 if distance2 >= outer * outer:
-                    continue
-                free = 1.0 - patch[i, j, 3]
-                if free < 1e-3:
                     continue
                 inner = width - edge
                 cover = 1.0
