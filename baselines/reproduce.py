@@ -56,6 +56,7 @@ class Request(NamedTuple):
         console: Where to print.
         claims: Claims file to fill in; None for a copy of the shipped one in `output`.
         recordings: The user's own sequences, for "phd" and "transfer".
+        into: A Markdown file with marks that the tables go into, too, for "color".
     """
 
     output: Path
@@ -63,6 +64,7 @@ class Request(NamedTuple):
     console: Console
     claims: Path | None = None
     recordings: tuple[Recording, ...] = ()
+    into: Path | None = None
 
 
 def reproduce_paper(
@@ -72,6 +74,7 @@ def reproduce_paper(
     console: Console,
     claims_path: Path | None = None,
     recordings: Sequence[Recording] = (),
+    into: Path | None = None,
 ) -> None:
     """Reproduce one paper.
 
@@ -82,22 +85,25 @@ def reproduce_paper(
         console: Where to print.
         claims_path: Claims file to fill in; None for a copy of the shipped one in `output`.
         recordings: The user's own sequences, for "phd" and "transfer".
+        into: A Markdown file with the marks `<!-- paper001:begin -->` and `<!-- paper001:end -->`, for "color".
 
     Raises:
-        ValueError: Another paper, or recordings for one that takes none.
+        ValueError: Another paper, or recordings or a file for one that takes none.
         ResultsError: `output` cannot be written.
     """
     if paper not in PAPERS:
         raise ValueError(f"paper must be one of {', '.join(PAPERS)}, got {paper!r}")
     if recordings and paper not in TAKE_RECORDINGS:
         raise ValueError(f"--source goes with {' and '.join(TAKE_RECORDINGS)}, got it with {paper!r}; leave it out")
+    if into is not None and paper not in TAKE_INTO:
+        raise ValueError(f"--into goes with {' and '.join(TAKE_INTO)}, got it with {paper!r}; leave it out")
     PAPERS[paper](
-        Request(output, DEFAULT_RUNS[paper] if runs is None else runs, console, claims_path, tuple(recordings))
+        Request(output, DEFAULT_RUNS[paper] if runs is None else runs, console, claims_path, tuple(recordings), into)
     )
 
 
 def _reproduce_servo(request: Request) -> None:
-    output, runs, console, claims_path, _ = request
+    output, runs, console, claims_path, *_ = request
     seed = seeds.TEST[0]
     with progress_bars() as progress:
         tracking = _runs(TRACKING, runs, seed, progress)
@@ -174,6 +180,7 @@ PAPERS: dict[str, Callable[[Request], None]] = {
     "transfer": _reproduce_transfer,
 }
 TAKE_RECORDINGS = ("phd", "transfer")
+TAKE_INTO = ("color",)
 DEFAULT_RUNS = {"servo": 10, "phd": 20, "color": 20, "pmm": 500, "transfer": 8}
 """As many as the paper has; papers 000 and 001 have one each, which would say nothing about others."""
 

@@ -184,6 +184,9 @@ def reproduce(
         list[str] | None,
         typer.Option("--truth", "-t", help="CAVIAR XML or MOTChallenge gt.txt of each SOURCE, in their order."),
     ] = None,
+    into: Annotated[
+        Path | None, typer.Option(help="For `color`: also put the tables between the marks of a Markdown file.")
+    ] = None,
 ) -> None:
     """A paper's tables and figures, ours beside the paper's, and its claims with a verdict each."""
     from servotrack.baselines.reproduce import Recording, reproduce_paper
@@ -193,7 +196,7 @@ def reproduce(
     if len(truths) != len(sources):
         raise ValueError(f"--truth goes with every --source or with none, got {len(truths)} for {len(sources)}")
     recordings = [Recording(s, t) for s, t in zip(sources, truths, strict=True)]
-    reproduce_paper(paper, output, runs, _console(), claims, recordings)
+    reproduce_paper(paper, output, runs, _console(), claims, recordings, into)
 
 
 @app.command()

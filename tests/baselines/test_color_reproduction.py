@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rich.console import Console
 from rich.progress import Progress
 
 import servotrack  # noqa: F401
 from servotrack.baselines.claims import read_claims
 from servotrack.baselines.color.trackers import color_tracker
 from servotrack.baselines.color.tuning import GRIDS, mean_auc
-from servotrack.baselines.paper001 import experiment
+from servotrack.baselines.paper001 import experiment, report
 from servotrack.baselines.paper001.experiment import (
     MEAN_SHIFT,
     METHODS,
@@ -22,6 +23,7 @@ from servotrack.baselines.paper001.experiment import (
     run_all,
 )
 from servotrack.baselines.paper001.findings import COMMAND, auc_grid, findings, quality_grid, sensitivity_grid
+from servotrack.baselines.reproduce import reproduce_paper
 from servotrack.baselines.results import ResultsError
 from servotrack.envs.track.color.config import LEVEL_NAMES
 
@@ -119,3 +121,25 @@ def test_tuning_tries_every_value_on_the_same_tune_films(monkeypatch) -> None:
     for name, grid in GRIDS.items():
         for parameter, values in grid.items():
             assert all(color_tracker(name, **{parameter: value}) for value in values)
+
+
+def test_the_report_is_written_and_put_into_a_document(tmp_path, monkeypatch) -> None:
+    from matplotlib.figure import Figure
+
+    monkeypatch.setattr(report, "run_all", lambda *_: invented({PLUS: 0.8}))
+    monkeypatch.setattr(report, "median_steps", lambda *_: SECONDS)
+    monkeypatch.setattr(report, "draw_tracked", lambda *_: Figure())
+    document = tmp_path / "page.md"
+    document.write_text("# Page\n<!-- paper001:begin -->\nstale\n<!-- paper001:end -->\n", encoding="utf-8")
+    reproduce_paper("color", tmp_path / "out", 2, Console(quiet=True), into=document)
+    page, alone = document.read_text(encoding="utf-8"), (tmp_path / "out" / "paper001.md").read_text(encoding="utf-8")
+    assert "stale" not in page
+    assert "### AUC by scenario" in page
+    assert "\n## AUC by scenario" in alone
+    assert {f"{name}.png" for name in ("success", "figure4", "sensitivity")} <= {
+        path.name for path in (tmp_path / "out").iterdir()
+    }
+    filled = {claim.id: claim.verdict for claim in read_claims(tmp_path / "out" / "claims.yaml")}
+    assert filled["color-plus-beats-both"] == "holds"
+    with pytest.raises(ValueError, match="--into goes with color, got it with 'servo'"):
+        reproduce_paper("servo", tmp_path, 1, Console(quiet=True), into=document)
