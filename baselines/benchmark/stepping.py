@@ -65,6 +65,9 @@ def stepper(job: Job) -> Callable[[float], float]:
     else:
         env = gym.make(job["env_id"], **job["kwargs"])
         run = _frame_run(env) if job["counts"] == "frames" else _single_run(env)
+    if "cv2" in sys.modules:
+        # Rates are those of one thread; OpenCV takes all cores unless told.
+        sys.modules["cv2"].setNumThreads(1)
     env.reset(seed=0)
     run(WARM_UP)
     return run
