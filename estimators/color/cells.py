@@ -66,15 +66,15 @@ def integrate_channels(region, chances, bins, integral):  # type: ignore[no-unty
 
 
 @njit(cache=True, nogil=True)
-def _corner(integral, x, y, out):  # type: ignore[no-untyped-def]
-    """The integral at any point, bilinear; outside of the region that of its border."""
+def _corner(integral, x, y, first, out):  # type: ignore[no-untyped-def]
+    """The integral's channels from `first` on at any point, bilinear; outside of the region that of its border."""
     rows, columns = integral.shape[0] - 1, integral.shape[1] - 1
     x, y = min(max(x, 0.0), float(columns)), min(max(y, 0.0), float(rows))
     left, top = min(int(x), columns - 1), min(int(y), rows - 1)
     a, b = np.float32(x - left), np.float32(y - top)
     p, q, r, s = integral[top, left], integral[top, left + 1], integral[top + 1, left], integral[top + 1, left + 1]
     one = np.float32(1.0)
-    for k in range(CHANNELS):
+    for k in range(first, CHANNELS):
         out[k] = (one - b) * ((one - a) * p[k] + a * q[k]) + b * ((one - a) * r[k] + a * s[k])
 
 
@@ -97,12 +97,12 @@ def describe(integral, boxes, grid, rim, found, contrast):  # type: ignore[no-un
     for n in range(boxes.shape[0]):
         left, top, width, height = boxes[n]
         for column in range(grid + 1):
-            _corner(integral, left + width * column / grid, top, first[column])
+            _corner(integral, left + width * column / grid, top, 0, first[column])
         gradients, colors = found[n, 0], found[n, 1]
         inside = np.float32(0.0)
         for row in range(grid):
             for column in range(grid + 1):
-                _corner(integral, left + width * column / grid, top + height * (row + 1) / grid, second[column])
+                _corner(integral, left + width * column / grid, top + height * (row + 1) / grid, 0, second[column])
             for column in range(grid):
                 at = row * grid + column
                 for k in range(CHANNELS):
@@ -120,6 +120,7 @@ def describe(integral, boxes, grid, rim, found, contrast):  # type: ignore[no-un
                 integral,
                 left - rim * width + (1.0 + 2.0 * rim) * width * across,
                 top - rim * height + (1.0 + 2.0 * rim) * height * along,
+                CHANCE,
                 corner[k],
             )
         outside = corner[3, CHANCE] - corner[2, CHANCE] - corner[1, CHANCE] + corner[0, CHANCE] - inside

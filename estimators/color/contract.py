@@ -60,7 +60,13 @@ class Pose(NamedTuple):
 
     def within(self, centers: Array) -> Array:
         """Centers no farther out than the frame's border. Shape (..., 2), px."""
-        return np.clip(centers, 0.0, np.array([self.shape[1], self.shape[0]], dtype=np.float64))
+        return np.minimum(np.maximum(centers, 0.0), self.shape[::-1])
+
+    @staticmethod
+    def bounded(scales: Array) -> Array:
+        """Scales no farther from 1 than a box may shrink and grow."""
+        # On a few hundred numbers NumPy's clip takes three times as long.
+        return np.minimum(np.maximum(scales, SMALLEST_SCALE), LARGEST_SCALE)
 
 
 SMALLEST_SCALE, LARGEST_SCALE = 0.1, 10.0

@@ -10,8 +10,6 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.color.contract import (
-    LARGEST_SCALE,
-    SMALLEST_SCALE,
     BoxEstimate,
     Pose,
     check_fields,
@@ -72,7 +70,7 @@ class KernelMeanShift:
         image = checked_frame(frame, last.shape)
         best_center, best_scale, best = last.center, last.scale, -1.0
         for factor in (1.0, 1.0 - self.scale_step, 1.0 + self.scale_step):
-            scale = float(np.clip(factor * last.scale, SMALLEST_SCALE, LARGEST_SCALE))
+            scale = float(last.bounded(np.array(factor * last.scale)))
             center, similarity = self._climb(image, state, scale)
             if similarity > best:
                 best_center, best_scale, best = center, scale, similarity

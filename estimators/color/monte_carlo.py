@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.color.contract import (
-    LARGEST_SCALE,
-    SMALLEST_SCALE,
     BoxEstimate,
     Pose,
     check_fields,
@@ -115,4 +113,4 @@ class MonteCarloColor:
         noise = normals(self.seed, state.frame, (self.samples, 3))
         centers = state.pose.within(state.pose.center + self.center_deviation * noise[:, :2])
         scales = state.pose.scale * (1.0 + self.scale_deviation * noise[:, 2])
-        return centers, np.clip(scales, SMALLEST_SCALE, LARGEST_SCALE)
+        return centers, state.pose.bounded(scales)

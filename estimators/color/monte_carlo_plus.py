@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.color.cells import CHANNELS, ORIENTATIONS, Features, describe, integrate_channels
 from servotrack.estimators.color.contract import (
-    LARGEST_SCALE,
-    SMALLEST_SCALE,
     BoxEstimate,
     Pose,
     check_fields,
@@ -172,7 +170,7 @@ class MonteCarloColorPlus:
             else last._replace(center=found[:2], scale=float(found[2]))
         )
         state = self._remember(state, image, pose, hidden, features[0], float(contrast[0]))
-        return state, BoxEstimate(pose.box, float(np.clip(own[0], 0.0, 1.0)), boxes, weights)
+        return state, BoxEstimate(pose.box, min(max(float(own[0]), 0.0), 1.0), boxes, weights)
 
     def _draw(self, last: Pose, noise: Array, center: Array, scale: float, width: float) -> Array:
         """Candidates as rows of center x, y and scale."""
@@ -180,7 +178,7 @@ class MonteCarloColorPlus:
         drawn = np.empty((len(noise), 3))
         drawn[:, :2] = last.within(center + spread * noise[:, :2])
         deviation = min(width, 1.0) * self.scale_deviation
-        drawn[:, 2] = np.clip(scale * np.exp(deviation * noise[:, 2]), SMALLEST_SCALE, LARGEST_SCALE)
+        drawn[:, 2] = last.bounded(scale * np.exp(deviation * noise[:, 2]))
         return drawn
 
     def _similarity(self, view: View, state: PlusState, boxes: Array) -> tuple[Array, Features, Array]:
@@ -188,7 +186,7 @@ class MonteCarloColorPlus:
         features, contrast = self._describe(view, boxes)
         memory = self.loyalty * state.first + (1.0 - self.loyalty) * state.recent
         gradients, colors = features[:, 0] @ memory[0], features[:, 1] @ memory[1]
-        relative = np.clip(contrast / max(state.contrast, _LEAST_CONTRAST), -1.0, 1.5)
+        relative = np.minimum(np.maximum(contrast / max(state.contrast, _LEAST_CONTRAST), -1.0), 1.5)
         rest = 1.0 - self.gradient_share - self.color_share
         total = self.gradient_share * gradients + self.color_share * colors + rest * relative
         return total.astype(np.float64), features, contrast

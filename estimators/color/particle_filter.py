@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.color.contract import (
-    LARGEST_SCALE,
-    SMALLEST_SCALE,
     BoxEstimate,
     Pose,
     check_fields,
@@ -92,7 +90,7 @@ class ColorParticleFilter:
         noise = normals(self.seed, state.frame, (self.samples + 1, 3))
         moved = state.particles + self.damping * (state.particles - state.previous)
         moved[:, :2] = state.pose.within(moved[:, :2] + self.center_deviation * noise[:-1, :2])
-        moved[:, 2] = np.clip(moved[:, 2] * (1.0 + self.scale_deviation * noise[:-1, 2]), SMALLEST_SCALE, LARGEST_SCALE)
+        moved[:, 2] = state.pose.bounded(moved[:, 2] * (1.0 + self.scale_deviation * noise[:-1, 2]))
         boxes = state.pose.boxes(moved[:, :2], moved[:, 2])
         weights = color_weights(
             similarities(image, boxes, state.reference, self.bins), 2.0 * self.distance_deviation**2

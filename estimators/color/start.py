@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.estimators.color.contract import check_count, checked_frame
+from servotrack.estimators.detect.images import Image
 
 Array = NDArray[np.float64]
 
@@ -19,10 +20,12 @@ class Start(NamedTuple):
     Attributes:
         frame: Number of the frame, from 0.
         box: Left, top, width and height of what moved most, px.
+        image: The frame itself as RGB, which a camera or an iterator would not give again. Shape (H, W, 3), uint8.
     """
 
     frame: int
     box: Array
+    image: Image
 
 
 def start_from_motion(frames: Iterable[NDArray[np.uint8]], detector: Any, background: int = 10, seen: int = 3) -> Start:
@@ -46,10 +49,11 @@ def start_from_motion(frames: Iterable[NDArray[np.uint8]], detector: Any, backgr
     state, in_a_row = detector.initial(np.stack(first)), 0
     number = background - 1
     for number, frame in enumerate(source, background):
-        state, detections = detector.step(state, checked_frame(frame))
+        image = checked_frame(frame)
+        state, detections = detector.step(state, image)
         in_a_row = in_a_row + 1 if len(detections.boxes) else 0
         if in_a_row >= seen:
-            return Start(number, detections.boxes[int(np.argmax(detections.areas))].copy())
+            return Start(number, detections.boxes[int(np.argmax(detections.areas))].copy(), image)
     raise ValueError(
         f"frames must show something that moves in {seen} frames in a row, got none in {number + 1} frames; "
         "give a box, or a more sensitive detector"

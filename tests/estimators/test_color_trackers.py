@@ -308,11 +308,14 @@ class Differences:
 def test_tracking_can_start_from_what_moves() -> None:
     still = [np.random.default_rng(number).integers(90, 130, (120, 160, 3), dtype=np.uint8) for number in range(5)]
     moving = [frame(30 + 4 * number, 30, seed=number) for number in range(6)]
-    start = start_from_motion(iter([*still, *moving]), Differences(), background=5, seen=3)
+    frames = iter([*still, *moving])
+    start = start_from_motion(frames, Differences(), background=5, seen=3)
     assert start.frame == 7
+    assert np.array_equal(start.image, moving[2])
     assert np.array_equal(start.box, box(38, 30))
-    state = MonteCarloColor().initial(moving[2], start.box)
-    _, estimate = MonteCarloColor().step(state, moving[3])
+    # The rest of the same iterator is what comes next.
+    state = MonteCarloColor().initial(start.image, start.box)
+    _, estimate = MonteCarloColor().step(state, next(frames))
     assert np.abs(estimate.box - box(42, 30)).max() < 6.0
     with pytest.raises(ValueError, match="something that moves in 3 frames in a row, got none in 5 frames"):
         start_from_motion(still, Differences(), background=4)
