@@ -40,18 +40,19 @@ def check_answer(action: Any, shape: tuple[int, ...]) -> Array:
     """An answer as float64 of the right shape.
 
     Raises:
-        ValueError: Another shape, or a value that is not finite.
+        ValueError: No numbers, another shape, or a value that is not finite.
     """
-    values = np.asarray(action, dtype=np.float64)
+    try:
+        values = np.asarray(action, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"action must be numbers of shape {shape}, got {action!r}") from error
     if values.shape != shape:
         raise ValueError(
-            f"action must have shape {shape}, existence and state of every row, got {values.shape}; "
-            "leave rows that are not used at zero"
+            f"action must have shape {shape}, that of the action space, got {values.shape}; rows of a set that are not "
+            "used are zeros"
         )
-    if not np.isfinite(values.sum()):
-        raise ValueError(
-            "action must be finite, got NaN or infinity; give unused rows existence 0 and any finite state"
-        )
+    if not np.isfinite(values).all():
+        raise ValueError("action must be finite, got NaN or infinity; rows of a set that are not used are zeros")
     return values
 
 

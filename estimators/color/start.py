@@ -39,17 +39,19 @@ def start_from_motion(frames: Iterable[NDArray[np.uint8]], detector: Any, backgr
         seen: Frames in a row in which something has to move before it counts; the last one's box is taken.
 
     Raises:
-        ValueError: Too few frames, or nothing that moved in `seen` frames in a row.
+        ValueError: Too few frames, no such frames, frames of unlike sizes, or nothing that moved in `seen` frames in a row.
     """
     check_count(background=background, seen=seen)
     source = iter(frames)
-    first = [checked_frame(frame) for _, frame in zip(range(background), source, strict=False)]
+    first: list[Image] = []
+    for _, frame in zip(range(background), source, strict=False):
+        first.append(checked_frame(frame, first[0].shape[:2] if first else None))
     if len(first) < background:
         raise ValueError(f"frames must be more than the background's {background}, got {len(first)}")
     state, in_a_row = detector.initial(np.stack(first)), 0
     number = background - 1
     for number, frame in enumerate(source, background):
-        image = checked_frame(frame)
+        image = checked_frame(frame, first[0].shape[:2])
         state, detections = detector.step(state, image)
         in_a_row = in_a_row + 1 if len(detections.boxes) else 0
         if in_a_row >= seen:

@@ -157,6 +157,7 @@ def test_an_episode_tells_its_scores_at_the_end_and_counts_the_first_frame() -> 
         ({"sensor_noise": float("nan")}, "sensor_noise must lie in"),
         ({"horizon": 2.5}, "horizon must be a whole number"),
         ({"head_height": 100.0, "zoom": 2.0}, "the head has to stay inside"),
+        ({"head_height": 100.0, "width": 96, "height": 400}, "0.75 of its width = 72 px, got 100"),
         ({"render_mode": "text"}, "render_mode must be None or one of"),
     ],
 )
@@ -181,3 +182,15 @@ def test_bad_answers_are_named() -> None:
         env.step(np.zeros(5))
     with pytest.raises(ValueError, match="action must be finite"):
         env.step([0.0, np.nan, 1.0, 1.0])
+    with pytest.raises(ValueError, match="action must be numbers"):
+        env.step(["left"] * 4)
+
+
+@pytest.mark.filterwarnings("error")
+def test_absurd_answers_are_scored() -> None:
+    env = gym.make(ENV_ID, width=120, height=96, head_height=24.0).unwrapped
+    env.reset(seed=0)
+    for answer in ([1e308] * 4, [-1e308, -1e308, 1e308, 1e308], [0.0, 0.0, -5.0, -5.0], np.zeros(4, np.int8)):
+        _, reward, _, _, info = env.step(answer)
+        assert reward == pytest.approx(0.0, abs=1e-9)
+        assert np.isfinite(info["center_error"])

@@ -321,3 +321,5 @@ def test_tracking_can_start_from_what_moves() -> None:
         start_from_motion(still, Differences(), background=4)
     with pytest.raises(ValueError, match="more than the background's 10, got 5"):
         start_from_motion(still, Differences())
+    with pytest.raises(ValueError, match=r"height and width \(120, 160\)"):
+        start_from_motion([still[0], still[1][:-1]], Differences(), background=2)

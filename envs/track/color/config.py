@@ -69,10 +69,11 @@ class ColorConfig:
                 if int(value) != value:
                     raise ValueError(f"{name} must be a whole number, got {value!r}")
                 object.__setattr__(self, name, int(value))
-        if self.head_height * self.zoom > _ROOM * self.height:
+        tallest = min(_ROOM * self.height, _BREADTH * self.width)
+        if self.head_height * self.zoom > tallest:
             raise ValueError(
-                f"head_height * zoom must be at most {_ROOM:g} of the frame's height = {_ROOM * self.height:g} px, got "
-                f"{self.head_height * self.zoom:g}; the head has to stay inside"
+                f"head_height * zoom must be at most {_ROOM:g} of the frame's height and {_BREADTH:g} of its width = "
+                f"{tallest:g} px, got {self.head_height * self.zoom:g}; the head has to stay inside"
             )
 
 
@@ -100,6 +101,8 @@ _BOUNDS: tuple[tuple[str, float, float], ...] = (
 _WHOLE = frozenset({"horizon", "width", "height", "occlusions", "distractors"})
 _ROOM = 0.5
 """Largest share of the frame's height that a head may take."""
+_BREADTH = 0.75
+"""Largest height of a head, which with all its hair is a little wider than high, as a share of the frame's width."""
 
 _LEVELS: tuple[dict[str, Any], ...] = (
     {"speed": 8.0, "restlessness": 3.0, "turning": 0.8, "tilt": 0.15},

@@ -14,6 +14,10 @@ from servotrack.envs.track.color.scoring import center_errors, failures, overlap
 Array = NDArray[np.float64]
 
 
+_FARTHEST = 1e12
+"""Answers count as no farther out than this, px."""
+
+
 class ColorWorld:
     """N scenes with N observers, stepped together; arrays carry a leading axis of N.
 
@@ -76,6 +80,8 @@ class ColorWorld:
         """
         if running is None:
             running = np.ones(self.count, np.bool_)
+        # Numbers whose products would be infinite tell no more than these.
+        answers = np.minimum(np.maximum(answers, -_FARTHEST), _FARTHEST)
         self.iou, self.center_error = overlaps(answers, self.boxes), center_errors(answers, self.boxes)
         self.reward = self.iou
         self.answers = np.where(running[:, None], answers, self.answers)
