@@ -22,6 +22,11 @@ from servotrack.baselines.color.films import Film, film, track
 from servotrack.baselines.color.trackers import color_tracker
 from servotrack.envs.track.color.config import LEVEL_NAMES
 
+_HUES: Mapping[str, Sequence[Any]] = {
+    "saturation": (0, 30, 60, 90, 120, 150),
+    "bins": (16, 32, 64, 128),
+    "darkest": (0, 32, 64, 96),
+}
 GRIDS: Mapping[str, Mapping[str, Sequence[Any]]] = {
     "monte-carlo-color": {
         "distance_deviation": (0.03, 0.05, 0.08, 0.12, 0.2),
@@ -43,8 +48,12 @@ GRIDS: Mapping[str, Mapping[str, Sequence[Any]]] = {
         "scale_step": (0.05, 0.1, 0.2),
         "bins": (4, 8, 16),
     },
-    "opencv-meanshift": {"saturation": (0, 30, 60, 90), "bins": (8, 16, 32), "darkest": (0, 32, 64)},
-    "opencv-camshift": {"saturation": (0, 30, 60, 90), "bins": (8, 16, 32), "darkest": (0, 32, 64)},
+    "opencv-meanshift": {
+        "saturation": (0, 30, 60, 90, 120, 150),
+        "bins": (16, 32, 64, 128),
+        "darkest": (0, 32, 64, 96),
+    },
+    "opencv-camshift": {"saturation": (0, 30, 60, 90, 120, 150), "bins": (16, 32, 64, 128), "darkest": (0, 32, 64, 96)},
     "monte-carlo-color-plus": {
         "loyalty": (0.5, 0.7, 0.85, 1.0),
         "gradient_share": (0.45, 0.6, 0.7),

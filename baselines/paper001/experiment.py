@@ -137,16 +137,23 @@ def run_all(
     }
 
 
-def median_steps(names: Sequence[str], seed: int, repetitions: int = 3) -> dict[str, float]:
-    """Median duration of a step of each method, s: the least of several passes over a film, one method at a time."""
+def median_steps(names: Sequence[str], seed: int, repetitions: int = 5) -> dict[str, float]:
+    """Median duration of a step of each method on one thread, s: the least of several passes over a film."""
+    import cv2
+
     seen = film(seed, horizon=60)
     found: dict[str, float] = {}
-    for name in names:
-        tracker, parameters = METHODS[name]
-        times = 1 if name in SLOW_TRACKERS else repetitions
-        found[name] = min(
-            float(np.median(track(color_tracker(tracker, **parameters), seen).seconds)) for _ in range(times)
-        )
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        for name in names:
+            tracker, parameters = METHODS[name]
+            times = 1 if name in SLOW_TRACKERS else repetitions
+            found[name] = min(
+                float(np.median(track(color_tracker(tracker, **parameters), seen).seconds)) for _ in range(times)
+            )
+    finally:
+        cv2.setNumThreads(threads)
     return found
 
 

@@ -63,7 +63,8 @@ def draw_success(found: Mapping[str, Mapping[str, Measures]]) -> Figure:
         for panel, (axes, scenario) in enumerate(zip(figure.subplots(2, 3).flat, LEVEL_NAMES, strict=True)):
             for name in (*TRACKERS, *SLOW_TRACKERS):
                 curve = np.mean([success_curve(iou) for iou in found[scenario][name].iou], axis=0)
-                axes.plot(SUCCESS_THRESHOLDS, curve, label=name, **STYLES[name])
+                label = f"{name} (a tenth of the films)" if name in SLOW_TRACKERS else name
+                axes.plot(SUCCESS_THRESHOLDS, curve, label=label, **STYLES[name])
             axes.set_title(f"{'abcdef'[panel]}   {scenario.replace('_', ' and ')}")
             axes.set_xlim(0.0, 1.0)
             axes.set_ylim(0.0, 1.02)
@@ -142,13 +143,14 @@ def draw_sensitivity(found: Mapping[str, Mapping[str, Measures]]) -> Figure:
     from matplotlib.figure import Figure
 
     panels = (
-        ("a   sigma_0 of eq. (11)", [f"{v:g}" for v in DEVIATIONS], [deviation_name(v) for v in DEVIATIONS]),
+        ("a   $\\sigma_0$ of eq. (11)", [f"{v:g}" for v in DEVIATIONS], [deviation_name(v) for v in DEVIATIONS]),
         ("b   update above similarity", [*(f"{v:g}" for v in THRESHOLDS[:-1]), "never"],
          [threshold_name(v) for v in THRESHOLDS]),
         ("c   number of samples", [str(v) for v in SAMPLES], [samples_name(v) for v in SAMPLES]),
     )  # fmt: skip
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.4, 2.5), layout="constrained")
+        figure.get_layout_engine().set(wspace=0.06)  # type: ignore[union-attr]
         for axes, (title, labels, names) in zip(figure.subplots(1, 3, sharey=True), panels, strict=True):
             places = np.arange(len(names))
             for label, color, values in (

@@ -39,7 +39,7 @@ def start_from_motion(frames: Iterable[NDArray[np.uint8]], detector: Any, backgr
         seen: Frames in a row in which something has to move before it counts; the last one's box is taken.
 
     Raises:
-        ValueError: Too few frames, no such frames, frames of unlike sizes, or nothing that moved in `seen` frames in a row.
+        ValueError: Too few frames, frames of unlike sizes, or nothing that moved in `seen` frames in a row.
     """
     check_count(background=background, seen=seen)
     source = iter(frames)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from servotrack.estimators.color.cells import ORIENTATIONS, direction
 from servotrack.estimators.color.histogram import bhattacharyya, color_histogram, similarities
 
 
@@ -50,3 +51,10 @@ def test_a_pixel_belongs_to_the_box_that_holds_its_center() -> None:
     frame[1, 2] = 255
     assert color_histogram(frame, np.array([2.4, 1.4, 0.5, 0.5]))[-1] == 1.0
     assert color_histogram(frame, np.array([2.6, 1.4, 1.0, 0.5]))[-1] == 0.0
+
+
+def test_a_gradient_goes_to_the_direction_along_which_it_is_strongest() -> None:
+    axes = np.pi * np.arange(ORIENTATIONS) / ORIENTATIONS
+    for dx, dy in np.random.default_rng(6).integers(-255, 256, (500, 2)).astype(np.float32):
+        along = np.abs(np.cos(axes) * dx + np.sin(axes) * dy)
+        assert along[direction(dx, dy)] == pytest.approx(along.max(), rel=1e-5)
