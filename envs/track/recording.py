@@ -26,7 +26,7 @@ VIDEO_OBSERVATIONS = ("pixels", "detections")
 LONGEST = 3000
 """Frames of an episode unless a horizon is given: two minutes."""
 _NOMINAL_RATE = 25.0
-_RENDERED_FRAMES = 60
+_RENDERED_FRAMES, _RENDERED_EMPTY = 60, 10
 _RENDERED_SEED = 0
 
 
@@ -238,7 +238,8 @@ def detection_bounds(width: int, height: int) -> tuple[list[float], list[float]]
 def _rendered(config: VideoConfig) -> Recording:
     """Frames of the pedestrian scene, the same whatever the seed, as those of a file are."""
     detects = config.observation == "detections"
-    scene = PedestrianConfig(horizon=_RENDERED_FRAMES, observation="blobs" if detects else "pixels")
+    shown = "blobs" if detects else "pixels"
+    scene = PedestrianConfig(horizon=_RENDERED_FRAMES, empty_frames=_RENDERED_EMPTY, observation=shown)
     world = PedestrianWorld(scene, 1)
     world.reset([0], [_RENDERED_SEED])
     horizon = min(config.horizon or _RENDERED_FRAMES, _RENDERED_FRAMES)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from servotrack.estimators.detect.blobs import BlobFinder
 from servotrack.estimators.detect.bodies import BodySizes
 from servotrack.estimators.detect.detections import Detections
-from servotrack.estimators.detect.faint import add_faint_regions
+from servotrack.estimators.detect.faint import add_faint_regions, join_by_faint_regions
 from servotrack.estimators.detect.healing import heal_regions
 from servotrack.estimators.detect.images import Image, checked_image, checked_images
 from servotrack.estimators.detect.runs import label_runs, measure_runs
@@ -160,8 +160,12 @@ class MaskedBackground:
             faint_runs, faint_regions = label_runs(self.blobs.clean(_above(difference, self.faint)))
             # The mask may be the foreground itself, which `hold` wants as it is.
             mask = mask.copy() if mask is foreground else mask
-            add_faint_regions(mask, faint_runs, measure_runs(faint_runs, faint_regions)[0])
-        runs, regions = label_runs(mask)
+            faint_boxes = measure_runs(faint_runs, faint_regions)[0]
+            add_faint_regions(mask, faint_runs, faint_boxes)
+            runs, regions = label_runs(mask)
+            join_by_faint_regions(runs, regions, faint_runs, faint_boxes)
+        else:
+            runs, regions = label_runs(mask)
         held = foreground if self.hold == "pixels" else mask
         background = state.background.copy()
         cv2.accumulateWeighted(image, background, self.learning_rate, mask=cv2.bitwise_not(held))

@@ -9,7 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.detect.appearance import run_appearance
-from servotrack.estimators.detect.bodies import BodySizes, Cover, body_line, find_bodies, learn_sizes, no_sizes
+from servotrack.estimators.detect.bodies import (
+    BODY_ASPECT,
+    BodySizes,
+    Cover,
+    body_line,
+    find_bodies,
+    learn_sizes,
+    no_sizes,
+)
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.detect.images import Image, checked_image
 from servotrack.estimators.detect.runs import label_runs, measure_runs
@@ -133,7 +141,11 @@ class BlobFinder:
                 runs[:, 3] = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)[runs[:, 3]]
                 boxes = boxes[keep]
                 _, centroids, areas = measure_runs(runs, len(boxes))
-                confidences = np.minimum(areas / (_FILLED * heights[keep] ** 2), 1.0)
+                whole = _FILLED * heights[keep] ** 2
+                # What the image's border cuts off is not hidden by anybody.
+                cut = (boxes[:, 0] <= 0.0) | (boxes[:, 0] + boxes[:, 2] >= image.shape[1])
+                whole[cut] *= np.minimum(boxes[cut, 2] / (BODY_ASPECT * heights[keep][cut]), 1.0)
+                confidences = np.minimum(areas / whole, 1.0)
         features = run_appearance(image, runs, len(boxes), self.bins) if self.bins else np.zeros((len(boxes), 0))
         return state, Detections(boxes, centroids, areas, confidences, features)
 

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 BANDS = 24
+BODY_ASPECT = 0.36
+"""Width of a person's box, in heights."""
 _QUANTILE = 0.65  # of the heights in a band: parts of people are more often missing than something is added
 _MOST = 12  # people in one region
-_ASPECT = 0.36  # width of a person's box, in heights
 _REACH = 0.23  # pixels so near to a person's axis belong to the person, in heights
 
 
@@ -235,7 +236,7 @@ def _explain(pixels, left, top, intercept, slope, core, share, penalty, below, s
         if best < score:
             return found[:count]
         height = _height(top + best_foot, intercept, slope)
-        width = _ASPECT * height
+        width = BODY_ASPECT * height
         found[count, 0], found[count, 1] = left + best_x - width / 2, top + best_foot - height
         found[count, 2], found[count, 3] = width, height
         half, head = int(_REACH * height + 0.5), best_foot - int(height + 0.5)

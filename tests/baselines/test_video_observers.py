@@ -19,7 +19,7 @@ OBSERVERS = tuple(
     name for name, card in AGENTS.items() if "video" in card.worlds and name not in PEERS and name != "random"
 )
 FRAMES = 12
-SMALL = {"width": 192, "height": 144, "horizon": FRAMES}
+SMALL = {"width": 192, "height": 144, "horizon": FRAMES, "empty_frames": 0}
 
 
 @cache
@@ -86,11 +86,11 @@ def test_what_an_observer_knows_shows_in_its_score() -> None:
 
 
 def test_a_real_sequence_is_answered() -> None:
-    env = gym.make("VideoTracking-v0", observation="detections", horizon=FRAMES)
+    env = gym.make("VideoTracking-v0", observation="detections", horizon=10 + FRAMES)
     agent = create_agent("pmb", env)
     seen, _ = env.reset(seed=0)
     state, reported = None, 0.0
-    for step in range(FRAMES):
+    for step in range(10 + FRAMES):
         answer, state = agent.predict(seen, state, np.array(step == 0))
         seen, *_ = env.step(answer)
         reported = (answer[:, 0] >= 0.5).sum()

@@ -18,7 +18,7 @@ from servotrack.envs.track.pedestrians import scripts
 from servotrack.envs.wrappers import PrivilegedObservation
 
 ENV_ID = "PedestrianTracking-v0"
-SMALL = {"width": 96, "height": 72}
+SMALL = {"width": 96, "height": 72, "empty_frames": 0}
 
 
 @pytest.mark.parametrize("observation", ["pixels", "blobs", "centroids"])
@@ -98,8 +98,8 @@ def test_agents_do_not_influence_the_frames():
 
 
 def test_detections_are_the_same_people_whatever_is_observed():
-    blobs = gym.make(ENV_ID, observation="blobs")
-    centroids = gym.make(ENV_ID, observation="centroids")
+    blobs = gym.make(ENV_ID, observation="blobs", empty_frames=0)
+    centroids = gym.make(ENV_ID, observation="centroids", empty_frames=0)
     boxes, _ = blobs.reset(seed=1)
     points, _ = centroids.reset(seed=1)
     assert boxes[:, 0].sum() == points[:, 0].sum() > 0
@@ -175,7 +175,7 @@ def test_pictures_show_answers_and_change_nothing(observation):
 
 
 def test_the_picture_shows_the_frame_that_was_answered():
-    env = gym.make(ENV_ID, render_mode="rgb_array", horizon=3).unwrapped
+    env = gym.make(ENV_ID, render_mode="rgb_array", horizon=3, empty_frames=0).unwrapped
     frames = [env.reset(seed=5)[0]]
     silent = np.zeros(env.action_space.shape)
     for _ in range(3):

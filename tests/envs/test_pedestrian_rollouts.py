@@ -21,8 +21,8 @@ import servotrack  # noqa: F401
 STORED = Path(__file__).with_name("pedestrian_rollouts.npz")
 ENV_ID = "PedestrianTracking-v0"
 CASES: dict[str, dict[str, Any]] = {
-    "plain": {},
-    "everything": {"level": 5, "observation": "blobs"},
+    "plain": {"empty_frames": 2},
+    "everything": {"level": 5, "observation": "blobs", "empty_frames": 0},
     "points": {"level": 1, "observation": "centroids", "empty_frames": 3, "people": 8.0},
 }
 SEED, STEPS, BLOCK = 11, 8, 24

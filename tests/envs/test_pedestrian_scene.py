@@ -29,7 +29,7 @@ def lives(movement):
 
 @pytest.fixture(scope="module")
 def movements():
-    return [draw_movement(pedestrian_config(0, horizon=FRAMES), seed) for seed in range(6)]
+    return [draw_movement(pedestrian_config(0, horizon=FRAMES, empty_frames=0), seed) for seed in range(6)]
 
 
 def test_people_move_as_on_real_video(movements):
@@ -50,13 +50,16 @@ def test_people_move_as_on_real_video(movements):
 
 
 def test_as_many_people_as_asked_for():
-    numbers = [(draw_movement(pedestrian_config(0, horizon=600), seed).ids > 0).sum(axis=1) for seed in range(16)]
+    numbers = [
+        (draw_movement(pedestrian_config(0, horizon=600, empty_frames=0), seed).ids > 0).sum(axis=1)
+        for seed in range(16)
+    ]
     assert np.mean(numbers) == pytest.approx(4.0, abs=1.2)
     assert abs(np.mean([n[:200].mean() for n in numbers]) - np.mean(numbers)) < 1.0  # warmed up
-    crowd = draw_movement(pedestrian_config(2, horizon=FRAMES), 0).ids > 0
+    crowd = draw_movement(pedestrian_config(2, horizon=FRAMES, empty_frames=0), 0).ids > 0
     assert crowd.sum(axis=1).mean() > 6.0
     assert draw_movement(pedestrian_config(0, people=0.0), 0).ids.max() == 0
-    few = draw_movement(pedestrian_config(2, people=3.0, max_people=3, horizon=FRAMES), 0).ids > 0
+    few = draw_movement(pedestrian_config(2, people=3.0, max_people=3, horizon=FRAMES, empty_frames=0), 0).ids > 0
     assert few.sum(axis=1).max() == 3
 
 
@@ -138,11 +141,11 @@ def test_papers_two_merge_and_part_and_everybody_can_be_seen():
         assert len(together) == together[-1] - together[0] + 1
 
 
-def test_first_frames_are_empty_when_asked_for():
-    movement = draw_movement(pedestrian_config(1, empty_frames=60), 0)
-    assert not (movement.ids[:60] > 0).any()
-    assert (movement.ids[200:] > 0).any()
-    assert (draw_movement(pedestrian_config(1), 0).ids[0] > 0).any()
+def test_first_frames_are_empty_and_then_the_lobby_is_as_populated_as_it_will_be():
+    for asked, empty in (({}, 25), ({"empty_frames": 60}, 60), ({"empty_frames": 0}, 0)):
+        movements = [draw_movement(pedestrian_config(1, **asked), seed) for seed in range(8)]
+        assert not any((movement.ids[:empty] > 0).any() for movement in movements)
+        assert np.mean([(movement.ids[empty] > 0).sum() for movement in movements]) > 2.5
 
 
 def test_movement_depends_on_the_seed_alone():

@@ -25,7 +25,7 @@ def true_answer(env, info):
 
 @pytest.mark.parametrize(("observation", "level"), [("pixels", 2), ("centroids", 1)])
 def test_truth_scores_zero(observation, level):
-    env = gym.make(ENV_ID, level=level, observation=observation, horizon=60).unwrapped
+    env = gym.make(ENV_ID, level=level, observation=observation, horizon=60, empty_frames=0).unwrapped
     _, info = env.reset(seed=3)
     truncated = False
     while not truncated:
@@ -47,7 +47,7 @@ def test_nobody_reported_where_nobody_is_makes_no_error():
 
 
 def test_silence_scores_all_missed_and_a_false_box_a_half():
-    env = gym.make(ENV_ID).unwrapped
+    env = gym.make(ENV_ID, empty_frames=0).unwrapped
     _, info = env.reset(seed=1)
     present = int(info["truth"]["exists"].sum())
     assert present > 0
@@ -67,14 +67,14 @@ def test_silence_scores_all_missed_and_a_false_box_a_half():
 
 
 def test_a_shifted_box_costs_one_minus_its_overlap_and_a_shifted_point_its_way():
-    env = gym.make(ENV_ID, script="crossing").unwrapped
+    env = gym.make(ENV_ID, script="crossing", empty_frames=0).unwrapped
     _, info = env.reset(seed=0)
     answer = true_answer(env, info)
     row = int(np.argmax(info["truth"]["exists"]))
     answer[row, 1] += 0.25 * answer[row, 3]
     _, reward, *_ = env.step(answer)
     assert reward == pytest.approx(-(1.0 - 0.75 / 1.25))
-    env = gym.make(ENV_ID, script="crossing", observation="centroids").unwrapped
+    env = gym.make(ENV_ID, script="crossing", observation="centroids", empty_frames=0).unwrapped
     _, info = env.reset(seed=0)
     answer = true_answer(env, info)
     answer[row, 2] += 10.0
@@ -108,7 +108,7 @@ def test_number_of_counted_people_is_the_papers():
 
 
 def test_truth_is_what_the_picture_shows():
-    env = gym.make(ENV_ID, level=2, sensor_noise=0.0).unwrapped
+    env = gym.make(ENV_ID, level=2, sensor_noise=0.0, empty_frames=0).unwrapped
     frame, info = env.reset(seed=2)
     truth = info["truth"]
     there = truth["ids"] > 0
@@ -125,7 +125,7 @@ def test_truth_is_what_the_picture_shows():
 
 
 def test_blobs_are_where_people_are():
-    env = gym.make(ENV_ID, observation="blobs", camouflage=0.0).unwrapped
+    env = gym.make(ENV_ID, observation="blobs", camouflage=0.0, empty_frames=0).unwrapped
     found, info = env.reset(seed=1)
     overlaps = []
     for _ in range(40):
@@ -190,7 +190,7 @@ def test_scorer_without_hidden_members_is_as_before():
 
 
 def test_episode_scores_are_those_of_the_tracks():
-    env = gym.make(ENV_ID, script="crossing", horizon=40, people=6.0).unwrapped
+    env = gym.make(ENV_ID, script="crossing", horizon=40, people=6.0, empty_frames=0).unwrapped
     _, info = env.reset(seed=0)
     rng, truncated = np.random.default_rng(1), False
     while not truncated:
@@ -218,7 +218,7 @@ def test_ospa2_of_boxes_uses_their_distance():
 
 
 def test_bad_answers_are_named():
-    env = gym.make(ENV_ID, width=96, height=72).unwrapped
+    env = gym.make(ENV_ID, width=96, height=72, empty_frames=0).unwrapped
     with pytest.raises(gym.error.ResetNeeded):
         env.step(np.zeros(env.action_space.shape))
     env.reset(seed=0)

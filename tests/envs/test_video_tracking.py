@@ -131,10 +131,10 @@ def test_a_source_that_breaks_ends_the_episode_with_a_warning(tmp_path):
 
 
 def test_rendered_frames_serve_where_there_is_no_source():
-    env = gym.make(ENV_ID, horizon=3)
+    env = gym.make(ENV_ID, horizon=12)
     first, _, info = episode(env)
     second, _, _ = episode(env)
-    assert len(first) == 4 and first[0].shape == (288, 384, 3)
+    assert len(first) == 13 and first[0].shape == (288, 384, 3)
     np.testing.assert_array_equal(first, second)
     assert info["truth"]["exists"].any()
 

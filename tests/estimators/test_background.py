@@ -260,6 +260,18 @@ def test_the_second_threshold_completes_who_wears_the_colors_of_the_floor():
             np.testing.assert_allclose(found[-1].boxes, [(78, 40, 20, 60)], atol=4.0)
 
 
+def test_the_second_threshold_joins_parts_of_which_every_row_is_seen_and_leaves_the_box_tight():
+    """Legs apart and a sleeve make two regions that no row is without."""
+    picture = FLOOR.copy()
+    picture[36:104, 36:64] += 18.0
+    picture[40:74, 40:48] = picture[70:100, 52:60] = (220.0, 60.0, 50.0)
+    image = np.clip(picture + NOISE[1], 0, 255).astype(np.uint8)
+    for faint, boxes in ((10.0, [(40, 40, 20, 60)]), (0.0, [(40, 40, 8, 34), (52, 70, 8, 30)])):
+        detector = MaskedBackground(faint=faint, blobs=PLAIN)
+        _, found = detector.step(detector.initial(frame(0)), image)
+        np.testing.assert_allclose(found.boxes, boxes, atol=1.0)
+
+
 def test_the_second_threshold_neither_finds_shadows_nor_joins_people_by_them():
     def shade(picture):
         picture[85:100, 20:170] -= 18.0

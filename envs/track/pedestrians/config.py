@@ -38,7 +38,8 @@ class PedestrianConfig:
         frame_rate: Frames per second.
         people: Mean number in the scene at a time (`random`, `crossing`, `crowd`).
         max_people: Most at a time.
-        empty_frames: How many first frames show nobody; of `meet_split_third_guy` at most 49, and of `replay` what
+        empty_frames: How many first frames show the lobby empty, as before opening hours, so that a background can be
+            learned; then it is as populated as it will be. Of `meet_split_third_guy` at most 49, and of `replay` what
             the recording has, so that there it says only what agents are told.
         camouflage: Share of clothes in the background's colors, 0 to 1.
         shadow: Opacity of cast shadows, 0 to 1.
@@ -63,7 +64,7 @@ class PedestrianConfig:
     frame_rate: float = 25.0
     people: float = 4.0
     max_people: int = 12
-    empty_frames: int = 0
+    empty_frames: int = 25
     camouflage: float = 0.4
     shadow: float = 0.0
     flicker: float = 0.0
@@ -139,6 +140,7 @@ class PedestrianConfig:
 
 
 _PAPER = {"horizon": PAPER_FRAMES, "empty_frames": PAPER_EMPTY_FRAMES}
+_BY_SCRIPT: dict[Any, dict[str, Any]] = {"meet_split_third_guy": _PAPER, "replay": {"empty_frames": 0}}
 _LIGHT = {"shadow": 0.4, "flicker": 1.5, "light_drift": 15.0, "light_step": 25.0}
 _LEVELS: tuple[dict[str, Any], ...] = (
     {},
@@ -168,7 +170,7 @@ def pedestrian_config(level: int = 0, **axes: Any) -> PedestrianConfig:
     Args:
         level: 0 `plain`, 1 `crossing`, 2 `crowd`, 3 `camouflage`, 4 `light`, 5 `everything`.
         **axes: Fields of `PedestrianConfig`. The script `meet_split_third_guy` brings a horizon of 922 frames, of
-            which the first 49 are empty.
+            which the first 49 are empty; `replay` tells agents of no empty frames.
 
     Raises:
         ValueError: A level that does not exist, or a value outside its bounds.
@@ -181,9 +183,7 @@ def pedestrian_config(level: int = 0, **axes: Any) -> PedestrianConfig:
             near = difflib.get_close_matches(name, AXES, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(AXES)}"
             raise TypeError(f"unknown keyword {name!r}{hint}")
-    settings = _LEVELS[int(level)]
-    if axes.get("script") == "meet_split_third_guy":
-        settings = settings | _PAPER
+    settings = _LEVELS[int(level)] | _BY_SCRIPT.get(axes.get("script"), {})
     return replace(PedestrianConfig(), **{**settings, **axes})
 
 

@@ -84,7 +84,8 @@ class PedestrianTrackingEnv(TrackEnv):
 
     ## Starting State
 
-    Frame 0: a lobby with people in it, or without for the first `empty_frames`. Everything is drawn from the seed, each
+    Frame 0: an empty lobby, from which a background can be learned; after `empty_frames` (default 25) a lobby with
+    people in it; with 0 they are there from the first frame on. Everything is drawn from the seed, each
     quantity from a stream of its own; all observers on one seed see the same frames.
 
     ## Episode End

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from servotrack.envs.streams import Streams
-from servotrack.envs.track.pedestrians.config import PedestrianConfig
+from servotrack.envs.track.pedestrians.config import POPULATED, PedestrianConfig
 from servotrack.envs.track.pedestrians.floor import Camera, lobby_camera
 from servotrack.envs.track.pedestrians.movement import ImagePath, Movement, assemble, gait
 from servotrack.envs.track.pedestrians.replay import replay
@@ -40,7 +40,9 @@ def draw_movement(
         parties, frames = draw_parties(config, camera, seed)
         dt = 1.0 / config.frame_rate
         paths = [_seen(done, camera, dt) for done in walk(parties, frames, dt, config.max_people, obstacles)]
-    return assemble(paths, config.horizon + 1, config.max_people, float(config.width))
+    # Whoever is there by the end of the empty frames appears with all others.
+    shown_from = config.empty_frames if config.script in POPULATED else 0
+    return assemble(paths, config.horizon + 1, config.max_people, float(config.width), shown_from)
 
 
 def _seen(done: Walk, camera: Camera, dt: float) -> ImagePath:

@@ -84,7 +84,7 @@ class Movement:
         )
 
 
-def assemble(paths: Sequence[ImagePath], frames: int, rows: int, width: float) -> Movement:
+def assemble(paths: Sequence[ImagePath], frames: int, rows: int, width: float, shown_from: int = 0) -> Movement:
     """Give everybody a row.
 
     Args:
@@ -92,6 +92,7 @@ def assemble(paths: Sequence[ImagePath], frames: int, rows: int, width: float) -
         frames: Number of frames K.
         rows: Number of rows n.
         width: Of the image, px.
+        shown_from: First frame that shows anybody.
 
     Raises:
         ValueError: More people at a time than rows.
@@ -104,7 +105,7 @@ def assemble(paths: Sequence[ImagePath], frames: int, rows: int, width: float) -
     free_from = np.zeros(rows, np.int64)
     identity = 0
     for path in paths:
-        start, stop = max(path.first, 0), min(path.first + len(path.height), frames)
+        start, stop = max(path.first, shown_from), min(path.first + len(path.height), frames)
         if stop <= start:
             continue
         # The row that has been free for longest, so that nobody is taken for who left it just before.

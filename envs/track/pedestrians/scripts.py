@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 OUTSIDE = 0.55
 """How far beyond the image's border people come and go, m."""
 WARM_UP = 14.0
-"""Time for which people come before an episode that begins with a populated lobby, s."""
+"""Time for which people come before anybody is shown, so that the lobby is populated then, s."""
 
 _EVENNESS = 4.0
 """Shape of the gaps between arrivals; 1 would be Poisson's, with episodes that nobody or everybody visits."""
@@ -45,7 +45,7 @@ def draw_parties(config: PedestrianConfig, camera: Camera, seed: int) -> tuple[l
     streams = Streams(seed)
     if config.script == "meet_split_third_guy":
         return meet_split_third_guy(config, camera, streams), range(config.horizon + 1)
-    begin = config.empty_frames if config.empty_frames else -round(WARM_UP * config.frame_rate)
+    begin = config.empty_frames - round(WARM_UP * config.frame_rate)
     frames = range(min(begin, config.horizon + 1), config.horizon + 1)
     if config.people == 0.0:
         return [], frames
