@@ -16,7 +16,7 @@ from servotrack.baselines import paper002, seeds
 from servotrack.baselines.bench import progress_bars
 from servotrack.baselines.claims import SHIPPED, Claim, fill, judge_smaller, read_claims, write_claims
 from servotrack.baselines.leaderboard.figure import save_figure
-from servotrack.baselines.leaderboard.table import Grid, as_markdown, as_rich
+from servotrack.baselines.leaderboard.table import Grid, as_rich, as_sections
 from servotrack.baselines.paper002 import POSITIONING, TRACKING, WORLD, Run
 from servotrack.baselines.paper002_figures import draw_trajectories
 from servotrack.baselines.results import atomic_path
@@ -56,7 +56,7 @@ class Request(NamedTuple):
         console: Where to print.
         claims: Claims file to fill in; None for a copy of the shipped one in `output`.
         recordings: The user's own sequences, for "phd" and "transfer".
-        into: A Markdown file with marks that the tables go into, too, for "color".
+        into: A Markdown file with marks that the tables go into, too, for `TAKE_INTO`.
     """
 
     output: Path
@@ -85,7 +85,8 @@ def reproduce_paper(
         console: Where to print.
         claims_path: Claims file to fill in; None for a copy of the shipped one in `output`.
         recordings: The user's own sequences, for "phd" and "transfer".
-        into: A Markdown file with the marks `<!-- paper001:begin -->` and `<!-- paper001:end -->`, for "color".
+        into: A Markdown file with marks: for "color" `<!-- paper001:begin -->` and `<!-- paper001:end -->`, for "phd"
+            likewise with paper000, for "transfer" with transfer.
 
     Raises:
         ValueError: Another paper, or recordings or a file for one that takes none.
@@ -132,9 +133,8 @@ def _reproduce_servo(request: Request) -> None:
 
     written = [output / "paper002.md", claims_path or output / "claims.yaml"]
     with atomic_path(written[0]) as temporary:
-        parts = [f"# Paper 002\n\nWritten by `{command_line()}`. {ASSUMED}\n"]
-        parts += [f"## {title}\n\n{as_markdown(grid)}" for title, grid in tables.items()]
-        temporary.write_text("\n".join(parts), encoding="utf-8")
+        intro = f"# Paper 002\n\nWritten by `{command_line()}`. {ASSUMED}\n\n"
+        temporary.write_text(intro + as_sections(tables, "##"), encoding="utf-8")
     write_claims(claims, written[1])
     for name, found, title in (
         ("figure3", positioning, "Positioning (paper 002, figure 3)"),
@@ -180,7 +180,7 @@ PAPERS: dict[str, Callable[[Request], None]] = {
     "transfer": _reproduce_transfer,
 }
 TAKE_RECORDINGS = ("phd", "transfer")
-TAKE_INTO = ("color",)
+TAKE_INTO = ("phd", "color", "transfer")
 DEFAULT_RUNS = {"servo": 10, "phd": 20, "color": 20, "pmm": 500, "transfer": 8}
 """As many as the paper has; papers 000 and 001 have one each, which would say nothing about others."""
 

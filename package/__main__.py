@@ -185,7 +185,8 @@ def reproduce(
         typer.Option("--truth", "-t", help="CAVIAR XML or MOTChallenge gt.txt of each SOURCE, in their order."),
     ] = None,
     into: Annotated[
-        Path | None, typer.Option(help="For `color`: also put the tables between the marks of a Markdown file.")
+        Path | None,
+        typer.Option(help="For `phd`, `color`, `transfer`: also put the tables between the marks of a Markdown file."),
     ] = None,
 ) -> None:
     """A paper's tables and figures, ours beside the paper's, and its claims with a verdict each."""

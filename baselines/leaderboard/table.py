@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from rich.table import Table
@@ -140,6 +140,16 @@ def as_markdown(grid: Grid) -> str:
     alignment = [":--" if i < grid.words else "--:" for i in range(len(grid.headings))]
     lines = [grid.headings, alignment, *grid.rows]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
+
+
+def as_sections(grids: Mapping[str, Grid], heading: str) -> str:
+    """Tables under their titles as Markdown.
+
+    Args:
+        grids: By their titles.
+        heading: What begins a title, "##" for example.
+    """
+    return "\n".join(f"{heading} {title}\n\n{as_markdown(grid)}" for title, grid in grids.items())
 
 
 def markdown_overview(tasks: Sequence[TaskSummary], command: str) -> str:

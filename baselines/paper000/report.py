@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from servotrack.baselines import seeds
 from servotrack.baselines.bench import progress_bars
 from servotrack.baselines.claims import SHIPPED, Claim, Verdict, fill, judge_smaller, read_claims, write_claims
+from servotrack.baselines.leaderboard.embed import embed
 from servotrack.baselines.leaderboard.figure import save_figure
-from servotrack.baselines.leaderboard.table import Grid, as_markdown, as_rich
+from servotrack.baselines.leaderboard.table import Grid, as_rich, as_sections
 from servotrack.baselines.paper000 import sequences
 from servotrack.baselines.paper000.experiment import (
     COUNTED_FRAMES,
@@ -95,9 +96,7 @@ def reproduce_phd(request: Request) -> None:
 
     written = [output / "paper000.md", request.claims or output / "claims.yaml"]
     with atomic_path(written[0]) as temporary:
-        parts = [f"# Paper 000\n\nWritten by `{command_line()}`, {request.runs} sequences. {NOTE}\n"]
-        parts += [f"## {title}\n\n{as_markdown(grid)}" for title, grid in tables.items()]
-        temporary.write_text("\n".join(parts), encoding="utf-8")
+        temporary.write_text(f"# Paper 000\n\n{_document(tables, request.runs, '##')}", encoding="utf-8")
     write_claims(claims, written[1])
     shown = {name: outcomes[0][name] for name in SHOWN_COUNTS}
     for name, figure in (
@@ -107,8 +106,16 @@ def reproduce_phd(request: Request) -> None:
         for suffix in (".png", ".svg"):
             save_figure(figure, output / f"{name}{suffix}")
             written.append(output / f"{name}{suffix}")
+    if request.into is not None:
+        embed(_document(tables, request.runs, "###"), request.into, "paper000")
+        written.append(request.into)
     for path in written:
         console.print(str(path), soft_wrap=True)
+
+
+def _document(tables: Mapping[str, Grid], runs: int, heading: str) -> str:
+    """All tables as Markdown, with the command that wrote them; `heading` is what begins their titles."""
+    return f"Written by `{command_line()}`, {runs} sequences. {NOTE}\n\n{as_sections(tables, heading)}"
 
 
 def measure(outcomes: Sequence[Mapping[str, Outcome]], played: Sequence[sequences.Sequence]) -> dict[str, Measured]:

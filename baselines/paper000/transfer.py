@@ -11,7 +11,8 @@ from scipy.stats import spearmanr
 
 from servotrack.baselines import seeds
 from servotrack.baselines.bench import progress_bars
-from servotrack.baselines.leaderboard.table import Grid, as_markdown, as_rich
+from servotrack.baselines.leaderboard.embed import embed
+from servotrack.baselines.leaderboard.table import Grid, as_rich, as_sections
 from servotrack.baselines.paper000 import sequences
 from servotrack.baselines.paper000.experiment import Method, run_methods, scores
 from servotrack.baselines.reproduce import Request, command_line
@@ -60,10 +61,16 @@ def reproduce_transfer(request: Request) -> None:
     )  # fmt: skip
     console.print(NOTE + hint, style="dim")
     with atomic_path(output / "transfer.md") as temporary:
-        parts = [f"# Transfer\n\nWritten by `{command_line()}`, {request.runs} runs per scene. {NOTE}\n"]
-        parts += [f"## {title}\n\n{as_markdown(grid)}" for title, grid in tables.items()]
-        temporary.write_text("\n".join(parts), encoding="utf-8")
+        temporary.write_text(f"# Transfer\n\n{_document(tables, request.runs, '##')}", encoding="utf-8")
     console.print(str(output / "transfer.md"), soft_wrap=True)
+    if request.into is not None:
+        embed(_document(tables, request.runs, "###"), request.into, "transfer")
+        console.print(str(request.into), soft_wrap=True)
+
+
+def _document(tables: Mapping[str, Grid], runs: int, heading: str) -> str:
+    """All tables as Markdown, with the command that wrote them; `heading` is what begins their titles."""
+    return f"Written by `{command_line()}`, {runs} runs per scene. {NOTE}\n\n{as_sections(tables, heading)}"
 
 
 def _mota(sequence: sequences.Sequence) -> Array:

@@ -9,8 +9,9 @@ from rich.progress import Progress
 
 import servotrack  # noqa: F401
 from servotrack.baselines.claims import read_claims
+from servotrack.baselines.color.grids import EPISODES, GRIDS
 from servotrack.baselines.color.trackers import color_tracker
-from servotrack.baselines.color.tuning import GRIDS, mean_auc
+from servotrack.baselines.color.tuning import mean_auc, search
 from servotrack.baselines.paper001 import experiment, report
 from servotrack.baselines.paper001.experiment import (
     MEAN_SHIFT,
@@ -23,6 +24,7 @@ from servotrack.baselines.paper001.experiment import (
     run_all,
 )
 from servotrack.baselines.paper001.findings import COMMAND, auc_grid, findings, quality_grid, sensitivity_grid
+from servotrack.baselines.registry import agent_card
 from servotrack.baselines.reproduce import reproduce_paper
 from servotrack.baselines.results import ResultsError
 from servotrack.envs.track.color.config import LEVEL_NAMES
@@ -118,6 +120,12 @@ def test_tuning_tries_every_value_on_the_same_tune_films(monkeypatch) -> None:
     assert scores.shape == (2, 6)
     assert (scores[1] > scores[0]).all()
     assert set(seen) == {100_000, 100_001}
+    seen.clear()
+    monkeypatch.setitem(GRIDS, "kernel-mean-shift", {"scale_mixing": (0.1, 0.3, 0.2)})
+    found = search("kernel-mean-shift", EPISODES, jobs=1)
+    assert found["parameters"] == {"scale_mixing": 0.3}
+    # What the table of agents says that a search takes is what it takes.
+    assert len(seen) * found["trials"] * 200 == agent_card("kernel-mean-shift").tuning_steps // 11 * 3
     for name, grid in GRIDS.items():
         for parameter, values in grid.items():
             assert all(color_tracker(name, **{parameter: value}) for value in values)
@@ -141,5 +149,5 @@ def test_the_report_is_written_and_put_into_a_document(tmp_path, monkeypatch) ->
     }
     filled = {claim.id: claim.verdict for claim in read_claims(tmp_path / "out" / "claims.yaml")}
     assert filled["color-plus-beats-both"] == "holds"
-    with pytest.raises(ValueError, match="--into goes with color, got it with 'servo'"):
+    with pytest.raises(ValueError, match="--into goes with phd and color and transfer, got it with 'servo'"):
         reproduce_paper("servo", tmp_path, 1, Console(quiet=True), into=document)
