@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, get_args
 
+from servotrack.baselines.color.grids import tuning_steps
 from servotrack.baselines.protocol import Agent, AgentCard, Information, World
 from servotrack.baselines.tuning_record import shipped_tuning_steps
 
@@ -61,7 +62,7 @@ def _video(name: str, summary: str, information: Information = "structure", **fi
 
 
 def _color(name: str, summary: str, information: Information = "model-free", **fields: Any) -> AgentCard:
-    fields = {"parameters": {"tracker": name}, "tuning_steps": 0, **fields}
+    fields = {"parameters": {"tracker": name}, "tuning_steps": tuning_steps(name), **fields}
     return AgentCard(
         name,
         "servotrack.baselines.color.observers:create_color_observer",

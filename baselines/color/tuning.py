@@ -1,10 +1,10 @@
 """How the color trackers' values were chosen: coordinate search on tune seeds, the same for all.
 
-    python -m servotrack.baselines.color.tuning monte-carlo-color --episodes 4
+    python -m servotrack.baselines.color.tuning monte-carlo-color
 
-Protocol: start from the class's defaults; for one parameter after the other try the values of `GRIDS` on all films, six
-scenarios times `--episodes` tune seeds; keep the one of the highest mean AUC; go round `--rounds` times. The number of
-trials that is printed counts every setting that was run over all films. Test seeds are never looked at.
+Protocol: start from the values that a tracker has; for one parameter after the other try the values of its grid on all
+films, six scenarios times `--episodes` tune seeds; keep the one of the highest mean AUC; go round `--rounds` times. The
+number of trials that is printed counts every setting that was run over all films. Test seeds are never looked at.
 """
 
 from __future__ import annotations
@@ -19,54 +19,9 @@ from joblib import Parallel, delayed
 
 from servotrack.baselines import seeds
 from servotrack.baselines.color.films import Film, film, track
+from servotrack.baselines.color.grids import EPISODES, GRIDS
 from servotrack.baselines.color.trackers import color_tracker
 from servotrack.envs.track.color.config import LEVEL_NAMES
-
-_HUES: Mapping[str, Sequence[Any]] = {
-    "saturation": (0, 30, 60, 90, 120, 150),
-    "bins": (16, 32, 64, 128),
-    "darkest": (0, 32, 64, 96),
-}
-GRIDS: Mapping[str, Mapping[str, Sequence[Any]]] = {
-    "monte-carlo-color": {
-        "distance_deviation": (0.03, 0.05, 0.08, 0.12, 0.2),
-        "update_threshold": (0.8, 0.9, 0.95, 0.98),
-        "center_deviation": (4.0, 7.0, 10.0, 14.0),
-        "scale_deviation": (0.01, 0.02, 0.04, 0.08),
-        "update_rate": (0.01, 0.02, 0.05, 0.1),
-    },
-    "color-particle-filter": {
-        "distance_deviation": (0.02, 0.035, 0.06, 0.1, 0.15),
-        "update_threshold": (0.8, 0.9, 0.95, 0.98),
-        "center_deviation": (3.0, 5.0, 8.0, 12.0),
-        "scale_deviation": (0.01, 0.02, 0.04, 0.08),
-        "damping": (0.0, 0.5, 0.8, 1.0),
-        "update_rate": (0.01, 0.02, 0.05, 0.1),
-    },
-    "kernel-mean-shift": {
-        "scale_mixing": (0.0, 0.05, 0.1, 0.2, 0.4),
-        "scale_step": (0.05, 0.1, 0.2),
-        "bins": (4, 8, 16),
-    },
-    "opencv-meanshift": {
-        "saturation": (0, 30, 60, 90, 120, 150),
-        "bins": (16, 32, 64, 128),
-        "darkest": (0, 32, 64, 96),
-    },
-    "opencv-camshift": {"saturation": (0, 30, 60, 90, 120, 150), "bins": (16, 32, 64, 128), "darkest": (0, 32, 64, 96)},
-    "monte-carlo-color-plus": {
-        "loyalty": (0.5, 0.7, 0.85, 1.0),
-        "gradient_share": (0.45, 0.6, 0.7),
-        "color_share": (0.1, 0.2, 0.3),
-        "scale_deviation": (0.03, 0.05, 0.08),
-        "sharpness": (30.0, 60.0, 120.0),
-        "center_deviation": (0.16, 0.22, 0.3),
-        "hidden_below": (0.45, 0.55, 0.65),
-        "update_rate": (0.03, 0.06, 0.1),
-        "grid": (4, 5, 7),
-    },
-}
-"""What is tried, for each tracker that has values to choose. A threshold of 1 would leave out eq. (12) of the paper."""
 
 
 def mean_auc(name: str, settings: Sequence[Mapping[str, Any]], episodes: int, jobs: int = -1) -> np.ndarray:
@@ -128,7 +83,7 @@ def main() -> None:
     """The command line above."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", default=list(GRIDS))
-    parser.add_argument("--episodes", type=int, default=6, help="tune seeds of each scenario")
+    parser.add_argument("--episodes", type=int, default=EPISODES, help="tune seeds of each scenario")
     parser.add_argument("--rounds", type=int, default=1, help="of the search")
     parser.add_argument("--jobs", type=int, default=-1, help="processes")
     arguments = parser.parse_args()

@@ -9,7 +9,7 @@ from rich.progress import Progress
 
 import servotrack  # noqa: F401
 from servotrack.baselines.claims import read_claims
-from servotrack.baselines.color.grids import EPISODES, GRIDS
+from servotrack.baselines.color.grids import EPISODES, GRIDS, tuning_steps
 from servotrack.baselines.color.trackers import color_tracker
 from servotrack.baselines.color.tuning import mean_auc, search
 from servotrack.baselines.paper001 import experiment, report
@@ -24,7 +24,6 @@ from servotrack.baselines.paper001.experiment import (
     run_all,
 )
 from servotrack.baselines.paper001.findings import COMMAND, auc_grid, findings, quality_grid, sensitivity_grid
-from servotrack.baselines.registry import agent_card
 from servotrack.baselines.reproduce import reproduce_paper
 from servotrack.baselines.results import ResultsError
 from servotrack.envs.track.color.config import LEVEL_NAMES
@@ -125,7 +124,7 @@ def test_tuning_tries_every_value_on_the_same_tune_films(monkeypatch) -> None:
     found = search("kernel-mean-shift", EPISODES, jobs=1)
     assert found["parameters"] == {"scale_mixing": 0.3}
     # What the table of agents says that a search takes is what it takes.
-    assert len(seen) * found["trials"] * 200 == agent_card("kernel-mean-shift").tuning_steps // 11 * 3
+    assert len(seen) * found["trials"] * 200 == tuning_steps("kernel-mean-shift")
     for name, grid in GRIDS.items():
         for parameter, values in grid.items():
             assert all(color_tracker(name, **{parameter: value}) for value in values)
