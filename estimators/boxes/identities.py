@@ -8,14 +8,16 @@ each looking like the other. It is causal: what was reported is not changed.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from servotrack.estimators.boxes.merged import split_merged
-from servotrack.estimators.boxes.overlap import covered_by
+from servotrack.estimators.boxes.overlap import covered_boxes, covered_by
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import box_distances
@@ -32,6 +34,9 @@ SPEED_RATE = 0.3
 
 APART = 0.05
 """Overlap below which two identities have parted."""
+
+NEAR = 0.6
+"""Distance (one minus overlap) up to which a detection is the one that a reported box comes from."""
 
 NO_MATCH = 1e3
 """Cost beyond that of any allowed pair."""
@@ -125,15 +130,13 @@ class KeptIdentities:
 
     def _named(self, known: Known, estimate: SetEstimate) -> SetEstimate:
         """The estimate under the names, all others that are remembered being held."""
-        name_of = dict(zip(known.inner.tolist(), known.name.tolist(), strict=True))
-        existence_of = dict(zip(estimate.held_labels.tolist(), estimate.held_existence.tolist(), strict=True))
         silent = known.absent > 0
         return replace(
             estimate,
-            labels=np.array([name_of[label] for label in estimate.labels.tolist()], np.int64),
+            labels=_looked_up(estimate.labels, known.inner, known.name, 0),
             held_labels=known.name[silent],
             held_states=known.box[silent],
-            held_existence=np.array([existence_of.get(label, HELD) for label in known.inner[silent].tolist()]),
+            held_existence=_looked_up(known.inner[silent], estimate.held_labels, estimate.held_existence, HELD),
         )
 
     def _adopt(
@@ -189,46 +192,22 @@ class KeptIdentities:
 
     def _watch(self, known: Known, estimate: SetEstimate, look: Array, seen: NDArray[np.bool_]) -> Known:
         """Follow the reported identities; those lost for too long are forgotten."""
-        row_of = {label: row for row, label in enumerate(estimate.labels.tolist())}
-        rows = np.array([row_of.get(label, -1) for label in known.inner.tolist()], np.int64)
+        rows, box, velocity, absent = _followed(
+            known.inner, known.box, known.velocity, known.absent, estimate.labels, np.ascontiguousarray(estimate.states)
+        )
         here = rows >= 0
-        box, velocity, mean_look = known.box.copy(), known.velocity.copy(), known.look.copy()
-        new = estimate.states[rows[here]]
-        moved = (new[:, :2] + new[:, 2:] / 2.0) - (box[here, :2] + box[here, 2:] / 2.0)
-        velocity[here] += SPEED_RATE * (moved / (known.absent[here] + 1.0)[:, None] - velocity[here])
-        box[here] = new
-        rival = self._rivals(known.name, known.rival, box, here)
+        rival = _rivals(known.name, known.rival, box, here, self.merge_overlap)
+        mean_look = known.look
         if look.shape[1]:
-            # While two are merged neither's appearance is its own.
-            own = here & (rival == 0)
-            own[here] &= seen[rows[here]]
-            first = own & ~mean_look.any(axis=1)
-            rate = np.where(first, 1.0, LOOK_RATE)[own][:, None]
-            mixed = (1.0 - rate) * mean_look[own] + rate * look[rows[own]]
-            mean_look[own] = mixed / np.maximum(np.sqrt((mixed * mixed).sum(axis=1, keepdims=True)), 1e-12)
-        absent = np.where(here, 0, known.absent + 1)
+            mean_look = _mixed_looks(known.look, look, rows, seen, rival)
         keep = (absent <= self.memory) | _among(known.inner, estimate.held_labels)
         after = Known(known.name, known.inner, box, velocity, mean_look, absent, rival)
-        return Known(*[values[keep] for values in after])  # type: ignore[arg-type]
-
-    def _rivals(self, name: Labels, rival: Labels, box: Array, here: NDArray[np.bool_]) -> Labels:
-        """With whom each identity is merged now, or was and has not parted: then the old rival stays."""
-        rows = np.flatnonzero(here)
-        if len(rows) < 2 and not rival.any():
-            return rival
-        share = _shares(box)
-        share[:, ~here] = 0.0
-        np.fill_diagonal(share, 0.0)
-        closest = share.argmax(axis=1)
-        overlap = share[np.arange(len(name)), closest]
-        merged = here & (overlap >= self.merge_overlap)
-        out = rival.copy()
-        free = merged & (rival == 0)
-        out[free] = name[closest[free]]
-        return out
+        return after if keep.all() else Known(*[values[keep] for values in after])
 
     def _exchange(self, known: Known, estimate: SetEstimate, look: Array, seen: NDArray[np.bool_]) -> Known:
         """Rivals that have parted: exchange their names where they look like each other; then they are no rivals."""
+        if not _any_parted(known.name, known.inner, known.rival, known.box, estimate.labels, seen):
+            return known
         row_of = {label: row for row, label in enumerate(estimate.labels.tolist())}
         place = {name: k for k, name in enumerate(known.name.tolist())}
         inner, rival = known.inner.copy(), known.rival.copy()
@@ -257,6 +236,110 @@ class KeptIdentities:
         return known._replace(inner=inner, rival=rival, box=box)
 
 
+@njit(cache=True, nogil=True)
+def _followed(inner, box, velocity, absent, labels, states):  # type: ignore[no-untyped-def]
+    """Each identity's row among the reported labels, -1 for none, and its box, velocity and absence after them."""
+    rows = np.full(len(inner), -1, np.int64)
+    box, velocity, absent = box.copy(), velocity.copy(), absent + 1
+    for k in range(len(inner)):
+        for row in range(len(labels)):
+            if labels[row] == inner[k]:
+                rows[k] = row
+        if rows[k] < 0:
+            continue
+        new = states[rows[k]]
+        for axis in range(2):
+            moved = (new[axis] + new[axis + 2] / 2.0) - (box[k, axis] + box[k, axis + 2] / 2.0)
+            velocity[k, axis] += SPEED_RATE * (moved / absent[k] - velocity[k, axis])
+        box[k] = new
+        absent[k] = 0
+    return rows, box, velocity, absent
+
+
+@njit(cache=True, nogil=True)
+def _rivals(name, rival, box, here, merge_overlap):  # type: ignore[no-untyped-def]
+    """With whom each identity is merged now, or was and has not parted: then the old rival stays."""
+    out = rival.copy()
+    covered = covered_boxes(box, box)
+    for k in range(len(name)):
+        if not here[k] or rival[k] != 0:
+            continue
+        overlap = 0.0
+        for other in range(len(name)):
+            share = max(covered[k, other], covered[other, k])
+            if other != k and here[other] and share > overlap:
+                overlap = share
+                if overlap >= merge_overlap:
+                    out[k] = name[other]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _mixed_looks(known, look, rows, seen, rival):  # type: ignore[no-untyped-def]
+    """Mean appearances after a frame; while two are merged neither's appearance is its own, and none is learned."""
+    out = known.copy()
+    for k in range(len(known)):
+        if rows[k] < 0 or rival[k] != 0 or not seen[rows[k]]:
+            continue
+        rate = LOOK_RATE if known[k].any() else 1.0
+        total = 0.0
+        for c in range(known.shape[1]):
+            out[k, c] = (1.0 - rate) * known[k, c] + rate * look[rows[k], c]
+            total += out[k, c] * out[k, c]
+        out[k] /= max(math.sqrt(total), 1e-12)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _own_looks(distance, features):  # type: ignore[no-untyped-def]
+    """Of each box, by its distances to detections: the nearest one's appearance, if it is near and nobody else's."""
+    best, users = np.zeros(len(distance), np.int64), np.zeros(len(features), np.int64)
+    seen, out = np.zeros(len(distance), np.bool_), np.zeros((len(distance), features.shape[1]))
+    for k in range(len(distance)):
+        best[k] = distance[k].argmin()
+        seen[k] = distance[k, best[k]] <= NEAR
+        users[best[k]] += seen[k]
+    for k in range(len(distance)):
+        # A detection that two boxes share is a merged blob: nobody's appearance.
+        seen[k] = seen[k] and users[best[k]] == 1 and features[best[k]].any()
+        if seen[k]:
+            out[k] = features[best[k]]
+    return out, seen
+
+
+@njit(cache=True, nogil=True)
+def _any_parted(name, inner, rival, box, labels, seen):  # type: ignore[no-untyped-def]
+    """Whether any identity's rival is gone, or both are seen and do not overlap any more."""
+    clear = np.zeros(len(name), np.bool_)
+    for k in range(len(name)):
+        for row in range(len(labels)):
+            if labels[row] == inner[k]:
+                clear[k] = seen[row]
+    for k in range(len(name)):
+        if rival[k] <= 0:
+            continue
+        gone = True
+        for other in range(len(name)):
+            if name[other] == rival[k]:
+                covered = covered_boxes(box[k : k + 1], box[other : other + 1])[0, 0]
+                covers = covered_boxes(box[other : other + 1], box[k : k + 1])[0, 0]
+                gone = clear[k] and clear[other] and max(covered, covers) <= APART
+        if gone:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _looked_up(keys, known, values, missing):  # type: ignore[no-untyped-def]
+    """The value beside each key, the last one where a key is there twice."""
+    out = np.full(len(keys), missing, values.dtype)
+    for k in range(len(keys)):
+        for row in range(len(known)):
+            if known[row] == keys[k]:
+                out[k] = values[row]
+    return out
+
+
 def _among(labels: Labels, others: Labels) -> NDArray[np.bool_]:
     """Which labels are among the others; for a handful this is faster than a sort."""
     return (labels[:, None] == others).any(axis=1)
@@ -281,11 +364,4 @@ def _looks(boxes: Array, detections: Detections) -> tuple[Array, NDArray[np.bool
     features = detections.features
     if features.shape[1] == 0 or len(features) == 0 or len(boxes) == 0:
         return np.zeros((len(boxes), features.shape[1])), np.zeros(len(boxes), np.bool_)
-    distance = box_distances(boxes, detections.boxes)
-    best = distance.argmin(axis=1)
-    seen = distance[np.arange(len(boxes)), best] <= 0.6
-    # A detection that two boxes share is a merged blob: nobody's appearance.
-    counts = np.bincount(best[seen], minlength=len(features))
-    seen &= counts[best] == 1
-    seen &= features[best].any(axis=1)
-    return np.where(seen[:, None], features[best], 0.0), seen
+    return _own_looks(box_distances(boxes, detections.boxes), np.ascontiguousarray(features))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from servotrack.estimators.boxes.overlap import covered_by
+from servotrack.estimators.boxes.overlap import covered_boxes, covered_by
 from servotrack.estimators.detect.detections import Detections
 
 Array = NDArray[np.float64]
@@ -42,7 +43,7 @@ def split_merged(detections: Detections, predicted: Array) -> Detections:
     """
     boxes = np.asarray(detections.boxes, dtype=np.float64)
     blob = detections.areas < SOLID * boxes[:, 2] * boxes[:, 3]
-    if len(predicted) < 2 or not blob.any():
+    if len(predicted) < 2 or not _may_cover_several(np.ascontiguousarray(boxes), blob, predicted):
         return detections
     predicted = _distinct(predicted)
     share = covered_by(predicted, boxes).T
@@ -52,7 +53,7 @@ def split_merged(detections: Detections, predicted: Array) -> Detections:
     several = np.flatnonzero(inside.sum(axis=1) >= 2)
     if len(several) == 0:
         return detections
-    keep = np.setdiff1d(np.arange(len(boxes)), several)
+    keep = np.flatnonzero(inside.sum(axis=1) < 2)
     sources = [(j, _shares_of(boxes[j], predicted[inside[j]])) for j in several.tolist()]
     parts = np.concatenate([part for _, part in sources])
     origin = np.concatenate([np.full(len(part), j) for j, part in sources])
@@ -64,6 +65,21 @@ def split_merged(detections: Detections, predicted: Array) -> Detections:
         np.concatenate([detections.confidences[keep], detections.confidences[origin]]),
         np.concatenate([detections.features[keep], np.zeros((len(parts), detections.features.shape[1]))]),
     )
+
+
+@njit(cache=True, nogil=True)
+def _may_cover_several(boxes, blob, predicted):  # type: ignore[no-untyped-def]
+    """Whether any blob covers two people or more; in most frames none does, and nothing else need be looked at."""
+    covered = covered_boxes(predicted, boxes)
+    for j in range(len(boxes)):
+        count = 0
+        for k in range(len(predicted) if blob[j] else 0):
+            larger = boxes[j, 2] > LARGER * predicted[k, 2] or boxes[j, 3] > LARGER * predicted[k, 3]
+            if covered[k, j] >= COVERED and larger:
+                count += 1
+        if count >= 2:
+            return True
+    return False
 
 
 def _distinct(people: Array) -> Array:

@@ -19,11 +19,12 @@ def covered_by(boxes: Array, others: Array) -> Array:
     Returns:
         Shape (k, n), from 0 to 1; 0 for boxes without an area.
     """
-    return _covered(np.ascontiguousarray(boxes, dtype=np.float64), np.ascontiguousarray(others, dtype=np.float64))
+    return covered_boxes(np.ascontiguousarray(boxes, dtype=np.float64), np.ascontiguousarray(others, dtype=np.float64))
 
 
 @njit(cache=True, nogil=True)
-def _covered(boxes, others):  # type: ignore[no-untyped-def]
+def covered_boxes(boxes, others):  # type: ignore[no-untyped-def]
+    """`covered_by` for compiled code; the arrays are contiguous."""
     out = np.zeros((boxes.shape[0], others.shape[0]))
     for i in range(boxes.shape[0]):
         left, top, width, height = boxes[i]

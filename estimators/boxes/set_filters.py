@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from servotrack.estimators.boxes.model import Kind, measurements
@@ -101,21 +102,49 @@ def _covariances(estimate: SetEstimate) -> Array:
 
 def _shapes(state: BoxSetState, labels: NDArray[np.int64], centers: Array, detections: Detections) -> Array:
     """The box around each identity's centroid: as remembered, mixed with that of the nearest detection that is near."""
-    count, same = len(labels), labels[:, None] == state.labels
-    known = same.any(axis=1)
-    shapes = np.tile(_UNKNOWN if len(state.shapes) == 0 else np.median(state.shapes, axis=0), (count, 1))
-    if known.any():
-        shapes[known] = state.shapes[same[known].argmax(axis=1)]
-    if count == 0 or len(detections.boxes) == 0:
-        return shapes
-    gap = np.abs(detections.centroids - centers[:, None])
-    nearest = (gap * gap).sum(axis=2).argmin(axis=1)
-    found = detections.boxes[nearest]
-    found[:, :2] -= detections.centroids[nearest]
-    # Farther than half a box away it is another one's.
-    near = (gap[np.arange(count), nearest] <= 0.5 * shapes[:, 2:]).all(axis=1) | ~known
-    rate = np.where(known, SIZE_RATE, 1.0) * near
-    return shapes + rate[:, None] * (found - shapes)
+    shapes = np.empty((len(labels), 4))
+    remembered = _recall(state.labels, state.shapes, labels, shapes)
+    if not remembered.all():
+        shapes[~remembered] = _UNKNOWN if len(state.shapes) == 0 else np.median(state.shapes, axis=0)
+    if len(detections.boxes):
+        _learn(centers, remembered, detections.boxes, detections.centroids, shapes)
+    return shapes
+
+
+@njit(cache=True, nogil=True)
+def _recall(known, known_shapes, labels, shapes):  # type: ignore[no-untyped-def]
+    """Fill in the shapes of known labels; returns which are known."""
+    found = np.zeros(len(labels), np.bool_)
+    for k in range(len(labels)):
+        for other in range(len(known)):
+            if known[other] == labels[k]:
+                shapes[k] = known_shapes[other]
+                found[k] = True
+                break
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _learn(centers, remembered, boxes, centroids, shapes):  # type: ignore[no-untyped-def]
+    """Mix the shape of the nearest detection in; a shape that was not remembered is replaced by it."""
+    for k in range(len(centers)):
+        nearest, least = 0, np.inf
+        for j in range(len(boxes)):
+            dx, dy = centroids[j, 0] - centers[k, 0], centroids[j, 1] - centers[k, 1]
+            distance = dx * dx + dy * dy
+            if distance < least:
+                nearest, least = j, distance
+        # Farther than half a box away it is another one's.
+        near = (
+            abs(centroids[nearest, 0] - centers[k, 0]) <= 0.5 * shapes[k, 2]
+            and abs(centroids[nearest, 1] - centers[k, 1]) <= 0.5 * shapes[k, 3]
+        )
+        if remembered[k] and not near:
+            continue
+        rate = SIZE_RATE if remembered[k] else 1.0
+        for c in range(4):
+            seen = boxes[nearest, c] - (centroids[nearest, c] if c < 2 else 0.0)
+            shapes[k, c] += rate * (seen - shapes[k, c])
 
 
 _UNKNOWN = np.array([-0.5, -0.5, 1.0, 1.0])

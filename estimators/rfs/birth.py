@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.rfs.models import RangeBearingModel, TargetModel, checked_covariance
@@ -98,6 +100,10 @@ class MeasurementBirth:
         if self.places < 1:
             raise ValueError(f"places must be at least 1, got {self.places!r}")
 
+    @cached_property
+    def _deviation(self) -> tuple[float, ...]:
+        return _hashable(self.hidden_deviation)
+
     def empty(self, batch: int, n: int) -> BirthMixture:
         """No births yet, for `batch` runs."""
         return BirthMixture(
@@ -112,28 +118,54 @@ class MeasurementBirth:
             measurements: Shape (batch, Z, m).
             unexplained: Probability that a measurement is clutter or new; 0 for unused rows. Shape (batch, Z).
         """
-        kept = min(self.places, measurements.shape[1])
-        order = np.argsort(-unexplained, axis=1, kind="stable")[:, :kept]
-        unexplained = np.take_along_axis(unexplained, order, axis=1)
-        z = np.take_along_axis(measurements, order[:, :, None], axis=1)
-        mean, covariance = state_from_measurement(model, z, self.hidden_deviation)
-        n = mean.shape[-1]
+        batch, kept = measurements.shape[0], min(self.places, measurements.shape[1])
         packed = model.packed
-        # A target's first measurement is known, so under a pairwise model it pushes the next state.
-        B, sigma = packed.transition[:n], packed.noise[:n, :n]
-        known = np.concatenate([mean, z], axis=-1)
-        births = self.empty(measurements.shape[0], n)
+        n = packed.observation.shape[1]
+        births = self.empty(batch, n)
         if kept == 0:
             return births
-        # A running sum gives the same bits however many unused rows follow.
-        total = np.cumsum(unexplained, axis=1)[:, -1:]
-        share = np.divide(self.expected * unexplained, total, out=np.zeros_like(unexplained), where=total > 0.0)
-        births.weight[:, :kept] = np.minimum(share, self.largest)
-        used = share > 0.0
-        births.mean[:, :kept] = np.where(used[..., None], np.einsum("rk,bzk->bzr", B, known), 0.0)
-        moved = np.einsum("rk,bzkl,cl->bzrc", B[:, :n], covariance, B[:, :n]) + sigma
-        births.covariance[:, :kept] = np.where(used[..., None, None], 0.5 * (moved + np.swapaxes(moved, -1, -2)), 0.0)
+        z, chance = _least_explained(np.ascontiguousarray(measurements), unexplained, kept)
+        mean, covariance = _born(model, z, self._deviation)
+        _fill(births, z, chance, mean, covariance, packed.transition, self.expected, self.largest)
         return births
+
+
+@njit(cache=True, nogil=True)
+def _least_explained(measurements, unexplained, kept):  # type: ignore[no-untyped-def]
+    """The `kept` measurements of each run that are least explained, the least first, and their chances to be new."""
+    batch, _, m = measurements.shape
+    z, chance = np.empty((batch, kept, m)), np.empty((batch, kept))
+    for b in range(batch):
+        order = np.argsort(-unexplained[b], kind="mergesort")
+        for k in range(kept):
+            z[b, k], chance[b, k] = measurements[b, order[k]], unexplained[b, order[k]]
+    return z, chance
+
+
+@njit(cache=True, nogil=True)
+def _fill(births, z, chance, mean, covariance, transition, expected, largest):  # type: ignore[no-untyped-def]
+    """Share the expected number of births out and predict each, of those with any share.
+
+    A target's first measurement is known, so under a pairwise model it pushes the next state.
+    """
+    batch, kept, n = mean.shape
+    for b in range(batch):
+        total = 0.0
+        for k in range(kept):
+            total += chance[b, k]
+        for k in range(kept):
+            share = expected * chance[b, k] / total if total > 0.0 else 0.0
+            births.weight[b, k] = min(share, largest)
+            if share <= 0.0:
+                continue
+            for r in range(n):
+                value = 0.0
+                for c in range(n):
+                    value += transition[r, c] * mean[b, k, c]
+                for c in range(z.shape[2]):
+                    value += transition[r, n + c] * z[b, k, c]
+                births.mean[b, k, r] = value
+            births.covariance[b, k] = covariance[min(b, len(covariance) - 1), min(k, covariance.shape[1] - 1)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,11 +229,7 @@ def state_from_measurement(model: TargetModel, z: Array, hidden_deviation: Array
         mean (*batch, n) with zeros where nothing is known, covariance (*batch, n, n).
     """
     packed = model.packed
-    H = packed.observation
-    inverse = np.linalg.pinv(H)
-    deviation = np.broadcast_to(np.asarray(hidden_deviation, dtype=np.float64), (H.shape[1],))
-    blind = np.eye(H.shape[1]) - inverse @ H
-    hidden = blind @ np.diag(deviation**2) @ blind.T
+    inverse, hidden = _unmeasured(model, _hashable(hidden_deviation))
     if isinstance(model, RangeBearingModel):
         distance, bearing = z[..., 0], z[..., 1]
         cosine, sine = np.cos(bearing), np.sin(bearing)
@@ -215,3 +243,41 @@ def state_from_measurement(model: TargetModel, z: Array, hidden_deviation: Array
         noise = np.broadcast_to(packed.measurement_noise, (*z.shape[:-1], *packed.measurement_noise.shape))
     mean = np.einsum("rk,...k->...r", inverse, position)
     return mean, hidden + np.einsum("rk,...kl,cl->...rc", inverse, noise, inverse)
+
+
+def _born(model: TargetModel, z: Array, deviation: tuple[float, ...]) -> tuple[Array, Array]:
+    """Means (batch, Z, n) at measurements, and their covariances a step later, which may have axes of size 1."""
+    if isinstance(model, RangeBearingModel):
+        mean, covariance = state_from_measurement(model, z, deviation)
+        return mean, _next_covariance(model, covariance)
+    return np.einsum("rk,...k->...r", _unmeasured(model, deviation)[0], z), _same_covariance(model, deviation)
+
+
+@lru_cache(maxsize=64)
+def _same_covariance(model: TargetModel, deviation: tuple[float, ...]) -> Array:
+    """Covariance of what is born under a linear model, whatever was measured. Shape (1, 1, n, n)."""
+    _, covariance = state_from_measurement(model, np.zeros((1, 1, model.packed.observation.shape[0])), deviation)
+    return _next_covariance(model, covariance)
+
+
+def _next_covariance(model: TargetModel, covariance: Array) -> Array:
+    """Covariances (batch, Z, n, n) a step later."""
+    n = covariance.shape[-1]
+    B, sigma = model.packed.transition[:n], model.packed.noise[:n, :n]
+    moved = np.einsum("rk,bzkl,cl->bzrc", B[:, :n], covariance, B[:, :n]) + sigma
+    return 0.5 * (moved + np.swapaxes(moved, -1, -2))
+
+
+@lru_cache(maxsize=64)
+def _unmeasured(model: TargetModel, deviation: tuple[float, ...]) -> tuple[Array, Array]:
+    """The inverse of the observation, shape (n, m), and the covariance of what it does not see, shape (n, n)."""
+    H = model.packed.observation
+    inverse = np.linalg.pinv(H)
+    blind = np.eye(H.shape[1]) - inverse @ H
+    variances = np.broadcast_to(np.asarray(deviation), (H.shape[1],)) ** 2
+    return inverse, blind @ np.diag(variances) @ blind.T
+
+
+def _hashable(deviation: ArrayLike) -> tuple[float, ...]:
+    """A deviation, or n of them, as a key."""
+    return tuple(np.atleast_1d(np.asarray(deviation, dtype=np.float64)).tolist())
