@@ -8,16 +8,23 @@ each looking like the other. It is causal: what was reported is not changed.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from servotrack.estimators.boxes.identity_kernel import (
+    APART,
+    any_parted,
+    find_rivals,
+    follow,
+    look_up,
+    mix_looks,
+    own_looks,
+)
 from servotrack.estimators.boxes.merged import split_merged
-from servotrack.estimators.boxes.overlap import covered_boxes, covered_by
+from servotrack.estimators.boxes.overlap import covered_by
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import box_distances
@@ -25,18 +32,6 @@ from servotrack.estimators.rfs.sets import HELD, SetEstimate
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
-
-LOOK_RATE = 0.1
-"""Weight of a new frame in an identity's mean appearance."""
-
-SPEED_RATE = 0.3
-"""Weight of a new frame in an identity's velocity."""
-
-APART = 0.05
-"""Overlap below which two identities have parted."""
-
-NEAR = 0.6
-"""Distance (one minus overlap) up to which a detection is the one that a reported box comes from."""
 
 NO_MATCH = 1e3
 """Cost beyond that of any allowed pair."""
@@ -133,10 +128,10 @@ class KeptIdentities:
         silent = known.absent > 0
         return replace(
             estimate,
-            labels=_looked_up(estimate.labels, known.inner, known.name, 0),
+            labels=look_up(estimate.labels, known.inner, known.name, 0),
             held_labels=known.name[silent],
             held_states=known.box[silent],
-            held_existence=_looked_up(known.inner[silent], estimate.held_labels, estimate.held_existence, HELD),
+            held_existence=look_up(known.inner[silent], estimate.held_labels, estimate.held_existence, HELD),
         )
 
     def _adopt(
@@ -192,21 +187,21 @@ class KeptIdentities:
 
     def _watch(self, known: Known, estimate: SetEstimate, look: Array, seen: NDArray[np.bool_]) -> Known:
         """Follow the reported identities; those lost for too long are forgotten."""
-        rows, box, velocity, absent = _followed(
+        rows, box, velocity, absent = follow(
             known.inner, known.box, known.velocity, known.absent, estimate.labels, np.ascontiguousarray(estimate.states)
         )
         here = rows >= 0
-        rival = _rivals(known.name, known.rival, box, here, self.merge_overlap)
+        rival = find_rivals(known.name, known.rival, box, here, self.merge_overlap)
         mean_look = known.look
         if look.shape[1]:
-            mean_look = _mixed_looks(known.look, look, rows, seen, rival)
+            mean_look = mix_looks(known.look, look, rows, seen, rival)
         keep = (absent <= self.memory) | _among(known.inner, estimate.held_labels)
         after = Known(known.name, known.inner, box, velocity, mean_look, absent, rival)
         return after if keep.all() else Known(*[values[keep] for values in after])
 
     def _exchange(self, known: Known, estimate: SetEstimate, look: Array, seen: NDArray[np.bool_]) -> Known:
         """Rivals that have parted: exchange their names where they look like each other; then they are no rivals."""
-        if not _any_parted(known.name, known.inner, known.rival, known.box, estimate.labels, seen):
+        if not any_parted(known.name, known.inner, known.rival, known.box, estimate.labels, seen):
             return known
         row_of = {label: row for row, label in enumerate(estimate.labels.tolist())}
         place = {name: k for k, name in enumerate(known.name.tolist())}
@@ -236,110 +231,6 @@ class KeptIdentities:
         return known._replace(inner=inner, rival=rival, box=box)
 
 
-@njit(cache=True, nogil=True)
-def _followed(inner, box, velocity, absent, labels, states):  # type: ignore[no-untyped-def]
-    """Each identity's row among the reported labels, -1 for none, and its box, velocity and absence after them."""
-    rows = np.full(len(inner), -1, np.int64)
-    box, velocity, absent = box.copy(), velocity.copy(), absent + 1
-    for k in range(len(inner)):
-        for row in range(len(labels)):
-            if labels[row] == inner[k]:
-                rows[k] = row
-        if rows[k] < 0:
-            continue
-        new = states[rows[k]]
-        for axis in range(2):
-            moved = (new[axis] + new[axis + 2] / 2.0) - (box[k, axis] + box[k, axis + 2] / 2.0)
-            velocity[k, axis] += SPEED_RATE * (moved / absent[k] - velocity[k, axis])
-        box[k] = new
-        absent[k] = 0
-    return rows, box, velocity, absent
-
-
-@njit(cache=True, nogil=True)
-def _rivals(name, rival, box, here, merge_overlap):  # type: ignore[no-untyped-def]
-    """With whom each identity is merged now, or was and has not parted: then the old rival stays."""
-    out = rival.copy()
-    covered = covered_boxes(box, box)
-    for k in range(len(name)):
-        if not here[k] or rival[k] != 0:
-            continue
-        overlap = 0.0
-        for other in range(len(name)):
-            share = max(covered[k, other], covered[other, k])
-            if other != k and here[other] and share > overlap:
-                overlap = share
-                if overlap >= merge_overlap:
-                    out[k] = name[other]
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _mixed_looks(known, look, rows, seen, rival):  # type: ignore[no-untyped-def]
-    """Mean appearances after a frame; while two are merged neither's appearance is its own, and none is learned."""
-    out = known.copy()
-    for k in range(len(known)):
-        if rows[k] < 0 or rival[k] != 0 or not seen[rows[k]]:
-            continue
-        rate = LOOK_RATE if known[k].any() else 1.0
-        total = 0.0
-        for c in range(known.shape[1]):
-            out[k, c] = (1.0 - rate) * known[k, c] + rate * look[rows[k], c]
-            total += out[k, c] * out[k, c]
-        out[k] /= max(math.sqrt(total), 1e-12)
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _own_looks(distance, features):  # type: ignore[no-untyped-def]
-    """Of each box, by its distances to detections: the nearest one's appearance, if it is near and nobody else's."""
-    best, users = np.zeros(len(distance), np.int64), np.zeros(len(features), np.int64)
-    seen, out = np.zeros(len(distance), np.bool_), np.zeros((len(distance), features.shape[1]))
-    for k in range(len(distance)):
-        best[k] = distance[k].argmin()
-        seen[k] = distance[k, best[k]] <= NEAR
-        users[best[k]] += seen[k]
-    for k in range(len(distance)):
-        # A detection that two boxes share is a merged blob: nobody's appearance.
-        seen[k] = seen[k] and users[best[k]] == 1 and features[best[k]].any()
-        if seen[k]:
-            out[k] = features[best[k]]
-    return out, seen
-
-
-@njit(cache=True, nogil=True)
-def _any_parted(name, inner, rival, box, labels, seen):  # type: ignore[no-untyped-def]
-    """Whether any identity's rival is gone, or both are seen and do not overlap any more."""
-    clear = np.zeros(len(name), np.bool_)
-    for k in range(len(name)):
-        for row in range(len(labels)):
-            if labels[row] == inner[k]:
-                clear[k] = seen[row]
-    for k in range(len(name)):
-        if rival[k] <= 0:
-            continue
-        gone = True
-        for other in range(len(name)):
-            if name[other] == rival[k]:
-                covered = covered_boxes(box[k : k + 1], box[other : other + 1])[0, 0]
-                covers = covered_boxes(box[other : other + 1], box[k : k + 1])[0, 0]
-                gone = clear[k] and clear[other] and max(covered, covers) <= APART
-        if gone:
-            return True
-    return False
-
-
-@njit(cache=True, nogil=True)
-def _looked_up(keys, known, values, missing):  # type: ignore[no-untyped-def]
-    """The value beside each key, the last one where a key is there twice."""
-    out = np.full(len(keys), missing, values.dtype)
-    for k in range(len(keys)):
-        for row in range(len(known)):
-            if known[row] == keys[k]:
-                out[k] = values[row]
-    return out
-
-
 def _among(labels: Labels, others: Labels) -> NDArray[np.bool_]:
     """Which labels are among the others; for a handful this is faster than a sort."""
     return (labels[:, None] == others).any(axis=1)
@@ -364,4 +255,4 @@ def _looks(boxes: Array, detections: Detections) -> tuple[Array, NDArray[np.bool
     features = detections.features
     if features.shape[1] == 0 or len(features) == 0 or len(boxes) == 0:
         return np.zeros((len(boxes), features.shape[1])), np.zeros(len(boxes), np.bool_)
-    return _own_looks(box_distances(boxes, detections.boxes), np.ascontiguousarray(features))
+    return own_looks(box_distances(boxes, detections.boxes), np.ascontiguousarray(features))
