@@ -14,6 +14,7 @@ from servotrack.estimators.detect.bodies import (
     BodySizes,
     Cover,
     body_line,
+    divisible,
     find_bodies,
     learn_sizes,
     no_sizes,
@@ -134,9 +135,10 @@ class BlobFinder:
         confidences = np.ones(len(boxes))
         if self.split:
             line = body_line(state, image.shape[0])
+            cover = self.cover if divisible(state) else self.cover._replace(wide=np.inf, tall=np.inf)
             state = learn_sizes(state, boxes, areas, image.shape)
             if line is not None:
-                runs, boxes, heights = find_bodies(runs, boxes, line, self.cover)
+                runs, boxes, heights = find_bodies(runs, boxes, line, cover)
                 keep = np.maximum(heights, boxes[:, 3]) >= self.least_height
                 runs[:, 3] = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)[runs[:, 3]]
                 boxes = boxes[keep]

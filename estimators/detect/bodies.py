@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 BANDS = 24
 BODY_ASPECT = 0.36
 """Width of a person's box, in heights."""
+_JOINED_FROM, _DIVIDED_FROM = 15.0, 60.0  # people seen
 _QUANTILE = 0.65  # of the heights in a band: parts of people are more often missing than something is added
 _MOST = 12  # people in one region
 _REACH = 0.23  # pixels so near to a person's axis belong to the person, in heights
@@ -59,8 +60,9 @@ def body_line(sizes: BodySizes, rows: int) -> tuple[float, float] | None:
     Returns:
         Height at row 0, px, and its growth per row; None before enough people were seen.
     """
-    known, intercept, slope = _fit(sizes.heights, sizes.counts, rows)
-    return (intercept, slope) if known else None
+    if sizes.counts.sum() < _JOINED_FROM:
+        return None
+    return _fit(sizes.heights, sizes.counts, rows)
 
 
 @njit(cache=True, nogil=True)
@@ -84,8 +86,6 @@ def _learn(heights, counts, boxes, areas, rows, columns):  # type: ignore[no-unt
 @njit(cache=True, nogil=True)
 def _fit(heights, counts, rows):  # type: ignore[no-untyped-def]
     """Weighted straight line through the bands, twice, outliers down-weighted the second time."""
-    if counts.sum() < 60.0:
-        return False, 0.0, 0.0
     intercept, slope = 0.0, 0.0
     for iteration in range(3):
         n = sy = sh = syy = syh = 0.0
@@ -105,7 +105,12 @@ def _fit(heights, counts, rows):  # type: ignore[no-untyped-def]
         spread = syy - sy * sy / n + n * (0.02 * rows) ** 2
         slope = min(max((syh - sy * sh / n) / spread, 0.0), 1.0)
         intercept = (sh - slope * sy) / n
-    return True, intercept, slope
+    return intercept, slope
+
+
+def divisible(sizes: BodySizes) -> bool:
+    """Whether heights are known well enough to divide regions; parts are joined with less."""
+    return bool(sizes.counts.sum() >= _DIVIDED_FROM)
 
 
 class Cover(NamedTuple):

@@ -133,6 +133,19 @@ def test_parts_of_one_person_are_joined(taught):
     assert found.confidences[0] < whole.confidences[0] == 1.0
 
 
+def test_a_few_people_are_enough_to_join_parts_and_too_few_to_divide_a_group():
+    finder = BlobFinder()
+    state = finder.initial()
+    for k in range(20):
+        state, _ = finder.step(state, draw(blank(), 60 + 5 * k, 240), IMAGE)
+    _, found = finder.step(state, draw(blank(), 150, 240, cut=(0.4, 0.6)), IMAGE)
+    assert len(found.boxes) == 1
+    _, found = finder.step(state, draw(draw(blank(), 150, 240), 172, 240), IMAGE)
+    assert len(found.boxes) == 1
+    _, found = finder.step(finder.initial(), draw(blank(), 150, 240, cut=(0.4, 0.6)), IMAGE)
+    assert len(found.boxes) == 2
+
+
 def test_people_too_far_away_are_left_out(taught):
     mask = draw(draw(blank(), 100, 25), 200, 240)
     _, found = BlobFinder(opening=1).step(taught, mask, IMAGE)
