@@ -49,10 +49,12 @@ GRIDS: Mapping[str, Mapping[str, Sequence[Any]]] = {
         "center_deviation": (0.16, 0.22, 0.3),
         "hidden_below": (0.45, 0.55, 0.65),
         "update_rate": (0.03, 0.06, 0.1),
-        "grid": (4, 5, 7),
     },
 }
-"""What is tried, for each tracker that has values to choose. A threshold of 1 would leave out eq. (12) of the paper."""
+"""What is tried, for each tracker that has values to choose; samples and cells are budgets of time, not values.
+
+A threshold of 1 would leave out eq. (12) of the paper.
+"""
 
 
 def tuning_steps(name: str) -> int:

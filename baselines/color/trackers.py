@@ -10,13 +10,16 @@ COLOR_TRACKERS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "monte-carlo-color-plus": ("MonteCarloColorPlus", {}),
     "color-particle-filter": ("ColorParticleFilter", {}),
     "kernel-mean-shift": ("KernelMeanShift", {}),
-    "opencv-meanshift": ("BackProjection", {"method": "meanshift"}),
-    "opencv-camshift": ("BackProjection", {"method": "camshift"}),
+    "opencv-meanshift": ("BackProjection", {"method": "meanshift", "saturation": 30}),
+    "opencv-camshift": ("BackProjection", {"method": "camshift", "saturation": 90, "bins": 128, "darkest": 0}),
     "mil": ("OpenCVTracker", {"name": "MIL"}),
     "csrt": ("OpenCVTracker", {"name": "CSRT"}),
     "kcf": ("OpenCVTracker", {"name": "KCF"}),
 }
-"""Class in `servotrack.estimators.color` and parameters; the last two need OpenCV's contrib wheel."""
+"""Class in `servotrack.estimators.color`, and parameters where its defaults are not what the search on tune seeds found.
+
+The last two need OpenCV's contrib wheel.
+"""
 
 
 def color_tracker(tracker: str, **parameters: Any) -> Any:

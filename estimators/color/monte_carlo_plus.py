@@ -99,11 +99,11 @@ class MonteCarloColorPlus:
     narrowing: float = 0.3
     sharpness: float = 60.0
     gradient_share: float = 0.6
-    color_share: float = 0.2
+    color_share: float = 0.3
     inertia: float = 0.8
-    update_rate: float = 0.06
+    update_rate: float = 0.03
     loyalty: float = 1.0
-    hidden_below: float = 0.6
+    hidden_below: float = 0.65
     widening: float = 1.5
     braking: float = 0.8
     grid: int = 5

@@ -61,7 +61,7 @@ class ColorParticleFilter:
 
     samples: int = 200
     damping: float = 0.5
-    center_deviation: float = 5.0
+    center_deviation: float = 8.0
     scale_deviation: float = 0.01
     distance_deviation: float = 0.02
     update_rate: float = 0.01
