@@ -16,7 +16,7 @@ COLOR_TRACKERS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "csrt": ("OpenCVTracker", {"name": "CSRT"}),
     "kcf": ("OpenCVTracker", {"name": "KCF"}),
 }
-"""Class in `servotrack.estimators.color`, and parameters where its defaults are not what the search on tune seeds found.
+"""Class in `servotrack.estimators.color`, and parameters where the search on tune seeds found others than its defaults.
 
 The last two need OpenCV's contrib wheel.
 """

@@ -22,12 +22,13 @@ Array = NDArray[np.float64]
 Method = tuple[str, Mapping[str, Any]]
 
 PAPER, PLUS, PARTICLES, MEAN_SHIFT = "Monte Carlo", "Monte Carlo plus", "particle filter", "kernel mean shift"
+HUES = "OpenCV meanShift"
 TRACKERS: dict[str, Method] = {
     PAPER: ("monte-carlo-color", {}),
     PLUS: ("monte-carlo-color-plus", {}),
     PARTICLES: ("color-particle-filter", {}),
     MEAN_SHIFT: ("kernel-mean-shift", {}),
-    "OpenCV meanShift": ("opencv-meanshift", {}),
+    HUES: ("opencv-meanshift", {}),
     "OpenCV CamShift": ("opencv-camshift", {}),
 }
 """What is compared, by name: tracker and parameters."""

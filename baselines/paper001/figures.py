@@ -14,6 +14,7 @@ from servotrack.baselines.color.trackers import color_tracker
 from servotrack.baselines.leaderboard.figure import STYLE
 from servotrack.baselines.paper001.experiment import (
     DEVIATIONS,
+    HUES,
     MEAN_SHIFT,
     MIL,
     PAPER,
@@ -43,7 +44,7 @@ STYLES: dict[str, dict[str, Any]] = {
     PLUS: {"color": "#12436d", "lw": 1.8},
     PARTICLES: {"color": "#f2a541", "lw": 1.2},
     MEAN_SHIFT: {"color": "#00798c", "lw": 1.2},
-    "OpenCV meanShift": {"color": "#8a8f98", "lw": 1.0, "ls": (0, (4, 1.5))},
+    HUES: {"color": "#8a8f98", "lw": 1.0, "ls": (0, (4, 1.5))},
     "OpenCV CamShift": {"color": "#8a8f98", "lw": 1.0, "ls": (0, (1, 1))},
     MIL: {"color": "#6d6a9c", "lw": 1.0, "ls": (0, (5, 1, 1, 1))},
 }

@@ -12,6 +12,7 @@ from servotrack.baselines.claims import Claim, Verdict, judge_smaller
 from servotrack.baselines.leaderboard.table import Grid
 from servotrack.baselines.paper001.experiment import (
     DEVIATIONS,
+    HUES,
     MEAN_SHIFT,
     PAPER,
     PARTICLES,
@@ -132,7 +133,8 @@ def findings(found: Found, seconds: Mapping[str, float]) -> list[Claim]:
     light, light_gain = in_scenario("light", PAPER, never)
     gate, gate_gain = in_scenario("occlusion", PAPER, always)
     plus = {
-        rival: better(over_scenarios(found, PLUS), over_scenarios(found, rival)) for rival in (MEAN_SHIFT, PARTICLES)
+        rival: better(over_scenarios(found, PLUS), over_scenarios(found, rival))
+        for rival in (MEAN_SHIFT, PARTICLES, HUES)
     }
     rate = 1.0 / seconds[PAPER]
     wide, narrow = end_sizes(found, deviation_name(DEVIATIONS[-1])), end_sizes(found, PAPER)
@@ -179,7 +181,7 @@ def findings(found: Found, seconds: Mapping[str, float]) -> list[Claim]:
             "holds" if all(verdict == "holds" for verdict, _ in plus.values()) else plus[MEAN_SHIFT][0],
             plus[MEAN_SHIFT][1], "AUC", auc.format(PLUS, MEAN_SHIFT, "all scenarios"),
             "Information: gradients and places of colors, and what the background looks like. Against the particle "
-            f"filter {plus[PARTICLES][1].value:+.3f}.",
+            f"filter {plus[PARTICLES][1].value:+.3f}, against OpenCV's meanShift {plus[HUES][1].value:+.3f}.",
         ),
         _claim(
             "color-wide-sigma-collapses", judge_smaller(collapse), collapse, "of the true size",
