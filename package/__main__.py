@@ -263,6 +263,27 @@ def track(
 
 
 @app.command()
+def render(
+    out: Annotated[Path, typer.Argument(help="Folder of the sequence, to be made.")],
+    level: Annotated[int, typer.Option("--level", "-l", help="Level of PedestrianTracking-v0, 0 to 5.")] = 0,
+    settings: Settings = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the episode.")] = 0,
+) -> None:
+    """A rendered crowd as a MOTChallenge sequence: images and exact truth, for `track` and any other tracker."""
+    from servotrack.baselines.bench import progress_bars
+    from servotrack.baselines.tracking.rendered import render_sequence
+
+    with progress_bars() as progress:
+        bar = progress.add_task(out.name)
+
+        def advance(left: int) -> None:
+            progress.update(bar, total=progress.tasks[bar].completed + 1 + left, advance=1)
+
+        frames = render_sequence(out, _env_kwargs(level, settings), seed, advance)
+    _console().print(f"{out}: {frames} frames", soft_wrap=True)
+
+
+@app.command()
 def play(
     env: Annotated[str, typer.Argument(help="Gymnasium id.")] = "UncalibServo-v0",
     agent: Annotated[str | None, typer.Option("--agent", "-a", help="Whom to watch; none: drive by keyboard.")] = None,

@@ -177,6 +177,43 @@ def mot_row(frame: int, identity: int, box: ArrayLike, confidence: float = 1.0) 
     return f"{frame},{identity},{left:.2f},{top:.2f},{width:.2f},{height:.2f},{confidence:.3g},-1,-1,-1\n"
 
 
+def truth_row(frame: int, identity: int, box: ArrayLike, counts: bool, visibility: float) -> str:
+    """One line of a gt.txt in nine columns, with its line break; the class is 1, a pedestrian.
+
+    Args:
+        frame: From 1.
+        identity: At least 1.
+        box: Left, top, width, height, px; written to a hundredth.
+        counts: Whether a tracker is to find it.
+        visibility: From 0 to 1.
+    """
+    left, top, width, height = np.asarray(box, dtype=np.float64).tolist()
+    return f"{frame},{identity},{left:.2f},{top:.2f},{width:.2f},{height:.2f},{int(counts)},1,{visibility:.3f}\n"
+
+
+def write_seqinfo(path: str | Path, info: SequenceInfo) -> None:
+    """Write a seqinfo.ini that `read_seqinfo` reads.
+
+    Args:
+        path: The file.
+        info: What it tells; all of it.
+    """
+    parser = configparser.ConfigParser()
+    # Keys keep their capitals, which other readers of these files want.
+    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    parser["Sequence"] = {
+        "name": info.name,
+        "imDir": info.images,
+        "frameRate": f"{info.frame_rate:g}",
+        "seqLength": str(info.length),
+        "imWidth": str(info.width),
+        "imHeight": str(info.height),
+        "imExt": ".jpg",
+    }
+    with Path(path).open("w", encoding="utf-8") as file:
+        parser.write(file, space_around_delimiters=False)
+
+
 def _rows(rows: TrackRows) -> Iterator[tuple[int, list[float]]]:
     """Line number and numbers of every row that is not blank; lines are bounded, so that memory is."""
     path = check_file(rows.path)
