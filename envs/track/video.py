@@ -72,7 +72,7 @@ class VideoTrackingEnv(TrackEnv):
     Every field of `servotrack.envs.track.recording.VideoConfig`, for example `gym.make("VideoTracking-v0",
     source="vtest.avi", truth="PETS2009-S2L1.xml", width=384)` or `gym.make("VideoTracking-v0", source="TUD-Campus",
     observation="detections")`. `truth` is MOTChallenge's gt.txt or CAVIAR's XML; that of a MOTChallenge folder is
-    found. `render_mode`: `rgb_array` or `human`.
+    found. `render_mode`: `rgb_array` or `human`; with `show_truth=True` pictures show true boxes, too.
 
     ## References
 
@@ -87,7 +87,8 @@ class VideoTrackingEnv(TrackEnv):
 
     metadata: ClassVar[dict[str, Any]] = _METADATA  # type: ignore[misc]
 
-    def __init__(self, *, render_mode: str | None = None, **axes: Any) -> None:
+    def __init__(self, *, render_mode: str | None = None, show_truth: bool = False, **axes: Any) -> None:
+        self._show_truth = show_truth
         self.config = video_config(**axes)
         world = VideoWorld(self.config, 1, pictures=render_mode is not None)
         self.told: VideoModel = told(world)
@@ -99,9 +100,9 @@ class VideoTrackingEnv(TrackEnv):
         super().close()
 
     def _make_recorder(self) -> Any:
-        from servotrack.envs.track.video_recorder import VideoRecorder
+        from servotrack.envs.track.people_recorder import PeopleRecorder
 
-        return VideoRecorder(self.world, 0)
+        return PeopleRecorder(self.world, 0, self._show_truth)
 
     def __repr__(self) -> str:
         return f"<VideoTrackingEnv {self.world.recording.name}>"
@@ -117,6 +118,7 @@ class VideoTrackingVectorEnv(TrackVectorEnv):
         render_mode: None or `rgb_array`; frames of all N come as a tuple.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as a Gymnasium `AutoresetMode` or its value.
         max_episode_steps: Shortens episodes, as `gym.make`'s argument of that name does.
+        show_truth: Whether pictures show true boxes, too.
         **axes: As in `VideoTrackingEnv`.
     """
 
@@ -129,17 +131,19 @@ class VideoTrackingVectorEnv(TrackVectorEnv):
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
+        show_truth: bool = False,
         **axes: Any,
     ) -> None:
+        self._show_truth = show_truth
         self.config = video_config(**axes)
         world = VideoWorld(self.config, check_count(num_envs), pictures=render_mode is not None)
         self.told: VideoModel = told(world)
         super().__init__(world, num_envs, *_spaces(world), render_mode, autoreset_mode, max_episode_steps)
 
     def _recorder(self, row: int) -> Any:
-        from servotrack.envs.track.video_recorder import VideoRecorder
+        from servotrack.envs.track.people_recorder import PeopleRecorder
 
-        return VideoRecorder(self.world, row)
+        return PeopleRecorder(self.world, row, self._show_truth)
 
 
 def video_config(**axes: Any) -> VideoConfig:

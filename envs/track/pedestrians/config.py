@@ -20,8 +20,6 @@ PAPER_EMPTY_FRAMES = 49
 """Its first frames, which show nobody."""
 BOX_CUTOFF, POINT_CUTOFF = 1.0, 40.0
 """The c of reward and scores by default: one minus IoU, and px."""
-COUNTED_FROM = 0.2
-"""Visible share from which a person counts."""
 
 
 @dataclass(frozen=True)

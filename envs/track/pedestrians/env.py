@@ -96,7 +96,7 @@ class PedestrianTrackingEnv(TrackEnv):
 
     `level` (0 to 5, default 0) and every field of `PedestrianConfig` as a keyword that overrides the level's value, for
     example `gym.make("PedestrianTracking-v0", observation="blobs", people=8, shadow=0.5)`.
-    `render_mode`: `rgb_array` or `human`.
+    `render_mode`: `rgb_array` or `human`; with `show_truth=True` pictures show true boxes, too.
 
     ## References
 
@@ -111,7 +111,10 @@ class PedestrianTrackingEnv(TrackEnv):
 
     metadata: ClassVar[dict[str, Any]] = _METADATA  # type: ignore[misc]
 
-    def __init__(self, level: int = 0, *, render_mode: str | None = None, **axes: Any) -> None:
+    def __init__(
+        self, level: int = 0, *, render_mode: str | None = None, show_truth: bool = False, **axes: Any
+    ) -> None:
+        self._show_truth = show_truth
         self.config = pedestrian_config(level, **axes)
         self.level = level
         self.told: VideoModel = told(self.config)
@@ -119,9 +122,9 @@ class PedestrianTrackingEnv(TrackEnv):
         super().__init__(world, *_spaces(self.config), render_mode, "PedestrianTracking-v0")
 
     def _make_recorder(self) -> Any:
-        from servotrack.envs.track.pedestrians.recorder import Recorder
+        from servotrack.envs.track.people_recorder import PeopleRecorder
 
-        return Recorder(self.world, 0)
+        return PeopleRecorder(self.world, 0, self._show_truth)
 
     def __repr__(self) -> str:
         return f"<PedestrianTrackingEnv level {self.level} {LEVEL_NAMES[self.level]}>"
@@ -136,6 +139,7 @@ class PedestrianTrackingVectorEnv(TrackVectorEnv):
         render_mode: None or `rgb_array`; frames of all N come as a tuple.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as a Gymnasium `AutoresetMode` or its value.
         max_episode_steps: Shortens episodes, as `gym.make`'s argument of that name does.
+        show_truth: Whether pictures show true boxes, too.
         **axes: As in `PedestrianTrackingEnv`.
     """
 
@@ -149,8 +153,10 @@ class PedestrianTrackingVectorEnv(TrackVectorEnv):
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
+        show_truth: bool = False,
         **axes: Any,
     ) -> None:
+        self._show_truth = show_truth
         self.config = pedestrian_config(level, **axes)
         self.level = level
         self.told: VideoModel = told(self.config)
@@ -158,9 +164,9 @@ class PedestrianTrackingVectorEnv(TrackVectorEnv):
         super().__init__(world, num_envs, *_spaces(self.config), render_mode, autoreset_mode, max_episode_steps)
 
     def _recorder(self, row: int) -> Any:
-        from servotrack.envs.track.pedestrians.recorder import Recorder
+        from servotrack.envs.track.people_recorder import PeopleRecorder
 
-        return Recorder(self.world, row)
+        return PeopleRecorder(self.world, row, self._show_truth)
 
 
 def told(config: PedestrianConfig) -> VideoModel:
