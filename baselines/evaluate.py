@@ -61,7 +61,7 @@ def evaluate(
         raise ValueError(f"chunk must be at least 1, got {chunk}")
     card = agent if isinstance(agent, AgentCard) else agent_card(agent)
     cell = (folder.load(env_id, kwargs, card.name) if folder else None) or CellResults(
-        env_id, plain(kwargs), card.name, card.as_record(), provenance=record or provenance()
+        env_id, plain(kwargs), card.name, card.as_record(env_id), provenance=record or provenance()
     )
     done = set(cell.seeds)
     todo = [seed for seed in seeds if seed not in done]

@@ -71,6 +71,7 @@ class AgentCard:
         laws: Whether a control law can be chosen ("name+law").
         worlds: Which worlds it can act in; a name of several means the same algorithm in each.
         in_default_suite: Whether `servotrack bench` measures it unless told otherwise.
+        information_in: Where it was told something else.
     """
 
     name: str
@@ -83,12 +84,13 @@ class AgentCard:
     laws: bool = False
     worlds: frozenset[World] = frozenset({"servo"})
     in_default_suite: bool = True
+    information_in: Mapping[World, Information] = field(default_factory=dict)
 
-    def as_record(self) -> dict[str, Any]:
-        """What results keep of it."""
+    def as_record(self, env_id: str) -> dict[str, Any]:
+        """What results in an environment keep of it."""
         return {
             "summary": self.summary,
-            "information": self.information,
+            "information": self.information_in.get(world_of(env_id), self.information),
             "requires": sorted(self.requires),
             "tuning_steps": self.tuning_steps,
         }

@@ -31,7 +31,11 @@ def _servo(name: str, information: Information, summary: str, law: str = DEFAULT
 
 _TRUTH = frozenset({"truth"})
 _CLUTTER: frozenset[World] = frozenset({"clutter"})
-_SETS: frozenset[World] = frozenset({"clutter", "video"})
+_SETS: dict[str, Any] = {
+    "worlds": frozenset({"clutter", "video"}),
+    # In clutter the very sensor is told; on video nothing but what people are like.
+    "information_in": {"video": "structure"},
+}
 
 
 def _observer(name: str, summary: str, information: Information = "calibrated", **fields: Any) -> AgentCard:
@@ -111,18 +115,16 @@ _CARDS = (
         law="one-step",
         requires=_TRUTH,
     ),
-    _observer(
-        "gm-phd", "Gaussian-mixture PHD filter, pairwise Markov where the noises depend on each other", worlds=_SETS
-    ),
+    _observer("gm-phd", "Gaussian-mixture PHD filter, pairwise Markov where the noises depend on each other", **_SETS),
     _observer("gm-phd-hmm", "Gaussian-mixture PHD filter that takes the noises for independent"),
-    _observer("gm-cbmember", "cardinality-balanced multi-Bernoulli filter (paper 004)", worlds=_SETS),
+    _observer("gm-cbmember", "cardinality-balanced multi-Bernoulli filter (paper 004)", **_SETS),
     _observer("gm-cbmember-hmm", "the same with the noises taken for independent"),
-    _observer("pmb", "track-oriented Poisson multi-Bernoulli filter with belief propagation", worlds=_SETS),
+    _observer("pmb", "track-oriented Poisson multi-Bernoulli filter with belief propagation", **_SETS),
     _observer("pmb-hmm", "the same with the noises taken for independent"),
     _observer("smc-phd", "particle PHD filter with k-means extraction"),
     _observer("gnn", "Kalman tracks, nearest neighbors by one assignment, 3-of-5 confirmation"),
     _observer("gnn-hmm", "the same with the noises taken for independent"),
-    _observer("raw-measurements", "reports every measurement as a target", "model-free", worlds=_SETS),
+    _observer("raw-measurements", "reports every measurement as a target", "model-free", worlds=_SETS["worlds"]),
     _observer("association-oracle", "told which measurement is whose: Kalman filters", "privileged", requires=_TRUTH),
     _video("kalman-hungarian", "Kalman tracks of boxes, matched by overlap (SORT)"),
     _video("gm-phd-paper", "Gaussian-mixture PHD filter with paper 000's Table 1"),

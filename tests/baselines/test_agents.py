@@ -133,6 +133,12 @@ def test_only_those_who_ask_see_the_truth() -> None:
     assert not any(key.startswith("true_") for key in observation)
 
 
+def test_a_card_says_what_was_told_in_the_world_at_hand() -> None:
+    card = AGENTS["pmb"]
+    assert card.as_record("ClutterTracking-v0")["information"] == "calibrated"
+    assert card.as_record("PedestrianTracking-v0")["information"] == "structure"
+
+
 def test_random_actions_depend_on_seed_step_and_row_alone() -> None:
     small, large = (gym.make_vec(SERVO, num_envs=n, vectorization_mode="vector_entry_point") for n in (2, 5))
     first, second = (roll(RandomAgent(env, seed=7), env, list(range(n)), 10) for env, n in ((small, 2), (large, 5)))
