@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
+import math
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -43,3 +46,49 @@ def check_count(num_envs: Any) -> int:
     if isinstance(num_envs, bool) or not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
         raise ValueError(f"num_envs must be a whole number of at least 1, got {num_envs!r}")
     return int(num_envs)
+
+
+def check_level(level: Any, count: int) -> int:
+    """The level; raises ValueError where it is no whole number from 0 to `count` - 1."""
+    if isinstance(level, bool) or level not in range(count):
+        raise ValueError(f"level must be a whole number from 0 to {count - 1}, got {level!r}")
+    return int(level)
+
+
+def check_keywords(names: Iterable[str], known: Sequence[str], also: Sequence[str] = ()) -> None:
+    """Raises TypeError for a keyword that is not known, suggesting the nearest of those known and of `also`."""
+    for name in names:
+        if name not in known:
+            near = difflib.get_close_matches(name, (*known, *also), n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
+            raise TypeError(f"unknown keyword {name!r}{hint}")
+
+
+def check_fields(
+    config: Any,
+    bounds: Iterable[tuple[str, float, float]],
+    whole: Collection[str] = (),
+    optional: Collection[str] = (),
+) -> None:
+    """Check numbers in a frozen dataclass; those that are to be whole become integers.
+
+    Args:
+        config: The dataclass.
+        bounds: Field, least and largest value.
+        whole: Fields that must be whole numbers.
+        optional: Fields that may be None.
+
+    Raises:
+        ValueError: Naming the field, its value and what would be right.
+    """
+    for name, low, high in bounds:
+        value = getattr(config, name)
+        if value is None and name in optional:
+            continue
+        number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+        if not (number and math.isfinite(value) and low <= value <= high):
+            raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value!r}")
+        if name in whole:
+            if int(value) != value:
+                raise ValueError(f"{name} must be a whole number, got {value!r}")
+            object.__setattr__(config, name, int(value))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import numbers
 from dataclasses import dataclass, fields, replace
 from typing import Any
+
+from servotrack.envs.arguments import check_keywords, check_level
 
 Range = tuple[float, float]
 
@@ -187,15 +188,10 @@ def servo_config(level: int = 3, **axes: Any) -> ServoConfig:
         ValueError: A level outside 0 to 6, or a value outside its bounds.
         TypeError: An unknown axis; the message suggests the nearest known one.
     """
-    if isinstance(level, bool) or level not in range(len(_LADDER)):
-        raise ValueError(f"level must be a whole number from 0 to {len(_LADDER) - 1}, got {level!r}")
-    for name in axes:
-        if name not in AXES:
-            near = difflib.get_close_matches(name, (*AXES, "level", "render_mode"), n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(AXES)}"
-            raise TypeError(f"unknown keyword {name!r}{hint}")
+    level = check_level(level, len(_LADDER))
+    check_keywords(axes, AXES, ("level", "render_mode"))
     settings: dict[str, Any] = {}
-    for step in _LADDER[: int(level) + 1]:
+    for step in _LADDER[: level + 1]:
         settings.update(step)
     return replace(ServoConfig(**settings), **axes)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.envs.arguments import check_fields, check_keywords, check_level
 from servotrack.estimators.rfs.models import (
     STRUCTURES,
     HiddenMarkovModel,
@@ -108,16 +108,7 @@ class ClutterConfig:
             value = getattr(self, name)
             if value not in options and not (name == "told_births" and value is None):
                 raise ValueError(f"{name} must be one of {', '.join(options)}, got {value!r}")
-        for name, low, high in _BOUNDS:
-            value = getattr(self, name)
-            if value is None and name in _OPTIONAL:
-                continue
-            if not _is_number(value) or not low <= value <= high:
-                raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value!r}")
-            if name in _WHOLE:
-                if int(value) != value:
-                    raise ValueError(f"{name} must be a whole number, got {value!r}")
-                object.__setattr__(self, name, int(value))
+        check_fields(self, _BOUNDS, _WHOLE, _OPTIONAL)
         if self.scenario == "paper" and self.max_targets < PAPER_COUNT:
             raise ValueError(
                 f"max_targets must be at least {PAPER_COUNT} in the paper's scenario, got {self.max_targets}; "
@@ -222,14 +213,9 @@ def clutter_config(level: int = 0, **axes: Any) -> ClutterConfig:
         ValueError: A level that does not exist, or a value outside its bounds.
         TypeError: An unknown keyword; the message suggests the nearest known one.
     """
-    if isinstance(level, bool) or level not in range(len(_LEVELS)):
-        raise ValueError(f"level must be a whole number from 0 to {len(_LEVELS) - 1}, got {level!r}")
-    for name in axes:
-        if name not in AXES:
-            near = difflib.get_close_matches(name, AXES, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(AXES)}"
-            raise TypeError(f"unknown keyword {name!r}{hint}")
-    settings = _LEVELS[int(level)]
+    level = check_level(level, len(_LEVELS))
+    check_keywords(axes, AXES)
+    settings = _LEVELS[level]
     if axes.get("scenario") == "random" and "scenario" not in settings:
         settings = _RANDOM
     return replace(ClutterConfig(), **{**settings, **axes})
@@ -280,7 +266,3 @@ _BOUNDS: tuple[tuple[str, float, float], ...] = (
 )
 _WHOLE = frozenset({"horizon", "max_targets", "max_measurements", "max_estimates"})
 _OPTIONAL = frozenset({"told_detection_probability", "told_clutter_rate", "max_measurements", "max_estimates"})
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)

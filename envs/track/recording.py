@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.envs.arguments import check_fields
 from servotrack.envs.track.decoders import Frame
 from servotrack.envs.track.frames import SIDES, FrameSource, open_frames, resized
 from servotrack.envs.track.mot_files import MotFolder, SequenceInfo, find_mot_folder, read_mot_detections
@@ -68,15 +69,7 @@ class VideoConfig:
         """Check every field."""
         if self.observation not in VIDEO_OBSERVATIONS:
             raise ValueError(f"observation must be one of {', '.join(VIDEO_OBSERVATIONS)}, got {self.observation!r}")
-        for name, low, high in _BOUNDS:
-            value = getattr(self, name)
-            if value is None and name in _OPTIONAL:
-                continue
-            number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-            if not number or not low <= value <= high:
-                raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value!r}")
-            if name in _WHOLE and int(value) != value:
-                raise ValueError(f"{name} must be a whole number, got {value!r}")
+        check_fields(self, _BOUNDS, _WHOLE, _OPTIONAL)
         for name in _OF_A_SOURCE:
             if self.source is None and getattr(self, name) != getattr(VideoConfig, name):
                 raise ValueError(f"{name} needs a source, got {getattr(self, name)!r} without one")

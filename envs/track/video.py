@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import fields
 from typing import Any, ClassVar
 
@@ -10,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from servotrack.envs.arguments import check_count
+from servotrack.envs.arguments import check_count, check_keywords
 from servotrack.envs.track.env import METADATA, TrackEnv, TrackVectorEnv, set_space
 from servotrack.envs.track.recording import VideoConfig, detection_bounds
 from servotrack.envs.track.told_video import VideoModel
@@ -153,12 +152,7 @@ def video_config(**axes: Any) -> VideoConfig:
         ValueError: A value outside its bounds.
         TypeError: An unknown keyword; the message suggests the nearest known one.
     """
-    known = [field.name for field in fields(VideoConfig)]
-    for name in axes:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
-            raise TypeError(f"unknown keyword {name!r}{hint}")
+    check_keywords(axes, [field.name for field in fields(VideoConfig)])
     return VideoConfig(**axes)
 
 

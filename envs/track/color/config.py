@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-import numpy as np
+from servotrack.envs.arguments import check_fields, check_keywords, check_level
 
 LEVEL_NAMES = ("irregular", "occlusion", "distractor", "scale", "light", "pan_zoom")
 """The scenarios of paper 001's figure 4 and of its text, in the order of the levels."""
@@ -60,15 +59,7 @@ class ColorConfig:
 
     def __post_init__(self) -> None:
         """Check every field; raises ValueError that names the argument, the value and what would be right."""
-        for name, low, high in _BOUNDS:
-            value = getattr(self, name)
-            number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-            if not number or not low <= value <= high:
-                raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value!r}")
-            if name in _WHOLE:
-                if int(value) != value:
-                    raise ValueError(f"{name} must be a whole number, got {value!r}")
-                object.__setattr__(self, name, int(value))
+        check_fields(self, _BOUNDS, _WHOLE)
         tallest = min(_ROOM * self.height, _BREADTH * self.width)
         if self.head_height * self.zoom > tallest:
             raise ValueError(
@@ -127,7 +118,8 @@ def color_config(level: int = 0, scenario: str | None = None, **axes: Any) -> Co
         ValueError: A level or scenario that does not exist, or a value outside its bounds.
         TypeError: An unknown keyword; the message suggests the nearest known one.
     """
-    return replace(ColorConfig(), **{**_LEVELS[color_level(level, scenario)], **_known(axes)})
+    check_keywords(axes, AXES)
+    return replace(ColorConfig(), **{**_LEVELS[color_level(level, scenario)], **axes})
 
 
 def color_level(level: int = 0, scenario: str | None = None) -> int:
@@ -140,15 +132,4 @@ def color_level(level: int = 0, scenario: str | None = None) -> int:
         if scenario not in LEVEL_NAMES:
             raise ValueError(f"scenario must be one of {', '.join(LEVEL_NAMES)}, got {scenario!r}")
         return LEVEL_NAMES.index(scenario)
-    if isinstance(level, bool) or level not in range(len(_LEVELS)):
-        raise ValueError(f"level must be a whole number from 0 to {len(_LEVELS) - 1}, got {level!r}")
-    return int(level)
-
-
-def _known(axes: dict[str, Any]) -> dict[str, Any]:
-    for name in axes:
-        if name not in AXES:
-            near = difflib.get_close_matches(name, AXES, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(AXES)}"
-            raise TypeError(f"unknown keyword {name!r}{hint}")
-    return axes
+    return check_level(level, len(_LEVELS))

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
-import math
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-import numpy as np
+from servotrack.envs.arguments import check_fields, check_keywords, check_level
 
 SCRIPTS = ("random", "crossing", "crowd", "meet_split_third_guy", "replay")
 POPULATED = ("random", "crossing", "crowd")
@@ -81,16 +79,7 @@ class PedestrianConfig:
         for name, options in (("script", SCRIPTS), ("observation", OBSERVATIONS)):
             if getattr(self, name) not in options:
                 raise ValueError(f"{name} must be one of {', '.join(options)}, got {getattr(self, name)!r}")
-        for name, low, high in _BOUNDS:
-            value = getattr(self, name)
-            if value is None and name in _OPTIONAL:
-                continue
-            if not _is_number(value) or not low <= value <= high:
-                raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value!r}")
-            if name in _WHOLE:
-                if int(value) != value:
-                    raise ValueError(f"{name} must be a whole number, got {value!r}")
-                object.__setattr__(self, name, int(value))
+        check_fields(self, _BOUNDS, _WHOLE, _OPTIONAL)
         if self.script in POPULATED and self.people > self.max_people:
             raise ValueError(f"people must be at most max_people = {self.max_people}, got {self.people!r}")
         if self.script == "meet_split_third_guy":
@@ -174,14 +163,9 @@ def pedestrian_config(level: int = 0, **axes: Any) -> PedestrianConfig:
         ValueError: A level that does not exist, or a value outside its bounds.
         TypeError: An unknown keyword; the message suggests the nearest known one.
     """
-    if isinstance(level, bool) or level not in range(len(_LEVELS)):
-        raise ValueError(f"level must be a whole number from 0 to {len(_LEVELS) - 1}, got {level!r}")
-    for name in axes:
-        if name not in AXES:
-            near = difflib.get_close_matches(name, AXES, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(AXES)}"
-            raise TypeError(f"unknown keyword {name!r}{hint}")
-    settings = _LEVELS[int(level)] | _BY_SCRIPT.get(axes.get("script"), {})
+    level = check_level(level, len(_LEVELS))
+    check_keywords(axes, AXES)
+    settings = _LEVELS[level] | _BY_SCRIPT.get(axes.get("script"), {})
     return replace(PedestrianConfig(), **{**settings, **axes})
 
 
@@ -219,11 +203,3 @@ _WHOLE = frozenset(
     }
 )
 _OPTIONAL = frozenset({"max_measurements", "max_estimates", "cutoff"})
-
-
-def _is_number(value: Any) -> bool:
-    return (
-        isinstance(value, (int, float, np.integer, np.floating))
-        and not isinstance(value, bool)
-        and math.isfinite(value)
-    )
