@@ -42,6 +42,7 @@ class ColorTrackingEnv(TrackEnv):
     ## Action Space
 
     `Box((4,), float64)`: left, top, width and height of the target in the newest frame, px; pixel i spans i to i + 1.
+    `gymnasium.wrappers.RescaleAction` gives learners the range -1 to 1 that `check_env` recommends.
 
     ## Observation Space
 
