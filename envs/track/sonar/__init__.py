@@ -1,0 +1,1 @@
+"""Bearing-time records of a line array: the world of the sonar trackers."""

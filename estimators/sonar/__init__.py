@@ -1,0 +1,1 @@
+"""Passive sonar with a line array: beamforming, and tracking of bearings before detection."""
