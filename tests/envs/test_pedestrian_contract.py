@@ -185,3 +185,18 @@ def test_the_picture_shows_the_frame_that_was_answered():
         at = picture[16 : 16 + height, 16 : 16 + width].reshape(height // 2, 2, width // 2, 2, 3).mean(axis=(1, 3))
         errors = [float(np.abs(at - frame).mean()) for frame in frames]
         assert int(np.argmin(errors)) == len(frames) - 2
+
+
+def test_pictures_show_the_truth_on_request_only():
+    pictures = []
+    for show_truth in (False, True):
+        env = gym.make(ENV_ID, render_mode="rgb_array", horizon=3, empty_frames=0, show_truth=show_truth).unwrapped
+        _, info = env.reset(seed=5)
+        env.step(np.zeros(env.action_space.shape))
+        pictures.append(env.render())
+    left, top, _, _ = info["truth"]["boxes"][np.flatnonzero(info["truth"]["exists"])[0]]
+    changed = np.argwhere((pictures[0] != pictures[1]).any(axis=2))
+    assert len(changed) > 50
+    # The picture is the frame at twice its size, 16 px from the border.
+    edge = np.abs(changed - (16 + 2.0 * np.array([top, left]))).max(axis=1)
+    assert edge.min() <= 4
