@@ -31,6 +31,10 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
         "entry_point": "servotrack.envs.track.color.env:ColorTrackingEnv",
         "vector_entry_point": "servotrack.envs.track.color.env:ColorTrackingVectorEnv",
     },
+    "SonarTracking-v0": {
+        "entry_point": "servotrack.envs.track.sonar.env:SonarTrackingEnv",
+        "vector_entry_point": "servotrack.envs.track.sonar.env:SonarTrackingVectorEnv",
+    },
     "VideoTracking-v0": {
         "entry_point": "servotrack.envs.track.video:VideoTrackingEnv",
         "vector_entry_point": "servotrack.envs.track.video:VideoTrackingVectorEnv",

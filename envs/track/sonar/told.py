@@ -1,0 +1,49 @@
+"""What the agents of a sonar world are told about it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.track.sonar.config import SonarConfig
+from servotrack.estimators.sonar.array import Band, LineArray
+
+
+class SonarModel(NamedTuple):
+    """What agents are told: their own receiver, and nothing of who is out there.
+
+    Attributes:
+        array: Elements, spacing, speed of sound.
+        band: Frequencies that are summed over.
+        shading: Of the elements.
+        looks: Look directions of the beams, shape (beams,), deg.
+        averages: M, bins times snapshots: noise has a relative variance of 1/M.
+        period: Time between records, s.
+        lag: An answer is for the record this many before the newest.
+        cutoff: Of the scores, deg.
+    """
+
+    array: LineArray
+    band: Band
+    shading: str
+    looks: NDArray[np.float64]
+    averages: int
+    period: float
+    lag: int
+    cutoff: float
+
+
+def sonar_told(config: SonarConfig) -> SonarModel:
+    """What the agents of a world are told about it."""
+    return SonarModel(
+        array=config.array,
+        band=config.band,
+        shading=config.shading,
+        looks=config.looks,
+        averages=config.averages,
+        period=config.period,
+        lag=config.lag,
+        cutoff=config.cutoff,
+    )

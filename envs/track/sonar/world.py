@@ -1,0 +1,168 @@
+"""N sonar worlds at once: the one piece of bookkeeping behind the single and the vector environment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.track.scoring import SetScorer
+from servotrack.envs.track.sonar.config import SonarConfig
+from servotrack.envs.track.sonar.records import draw_record
+from servotrack.envs.track.sonar.scene import SonarScene, draw_scene
+
+Array = NDArray[np.float64]
+
+
+class SonarWorld:
+    """N scenes with N observers, stepped together; arrays carry a leading axis of N.
+
+    An observer sees record k and answers with the bearings it believes in at record k - lag; `step` scores that answer
+    and moves on to record k + 1. Records are drawn when their turn comes.
+
+    Args:
+        config: The world's parameters.
+        count: Number of scenes N.
+
+    Attributes:
+        observations: The newest record, beam powers over their noise level, shape (N, beams).
+        bearings: True bearings at the newest record, shape (N, n), deg; zeros where a target does not exist.
+        rates: Their rates, shape (N, n), deg/s.
+        exists: Which targets exist then, shape (N, n), bool.
+        steps: Records answered so far, shape (N,).
+        reward: -GOSPA / cutoff of the last answer, 0 where it was not scored. Shape (N,).
+        terminated: Never; shape (N,), bool.
+        truncated: All records answered, shape (N,), bool.
+        scored: Whether the last answer was for a record of the episode, shape (N,), bool.
+        ospa, gospa, location, missed, false: Of the last answer, shape (N,), deg; 0 where it was not scored.
+        cardinality_error: Reported targets minus true ones, shape (N,), int; likewise.
+        ospa2: Of the episode, shape (N,), deg; 0 until `truncated`.
+        scorer: Identities and reported rows of the last answer.
+    """
+
+    def __init__(self, config: SonarConfig, count: int) -> None:
+        self.config = config
+        self.count = count
+        n = config.max_targets
+        self._scenes: list[SonarScene | None] = [None] * count
+        self._seeds = [0] * count
+        self.observations = np.zeros((count, config.beams))
+        self.bearings, self.rates = np.zeros((count, n)), np.zeros((count, n))
+        self.exists = np.zeros((count, n), np.bool_)
+        self.scorer = SetScorer(count, config.estimate_rows, 1, config.horizon, config.cutoff)
+        self.steps = np.zeros(count, np.int64)
+        self.terminated, self.truncated = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+        self.scored = np.zeros(count, np.bool_)
+        self.reward, self.ospa, self.gospa = np.zeros(count), np.zeros(count), np.zeros(count)
+        self.location, self.missed, self.false = np.zeros(count), np.zeros(count), np.zeros(count)
+        self.cardinality_error, self.ospa2 = np.zeros(count, np.int64), np.zeros(count)
+
+    def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
+        """Start new episodes in some rows; the others are left as they are, to the bit.
+
+        Args:
+            rows: Which of the N.
+            seeds: One episode seed for each, non-negative integers.
+        """
+        for row, seed in zip(rows, seeds, strict=True):
+            self._scenes[row], self._seeds[row] = draw_scene(self.config, seed), seed
+            self.scorer.reset(row)
+            self.steps[row], self.truncated[row], self.ospa2[row] = 0, False, 0.0
+            self._show(row)
+
+    def step(self, answers: Array, running: NDArray[np.bool_] | None = None) -> None:
+        """Score every row's answer, and show the next record.
+
+        Args:
+            answers: Shape (N, rows, 2): existence and bearing, deg, at record `steps` - lag.
+            running: Which of the N have an episode under way, (N,) bool; None for all. The others wait for their reset
+                at the record they are at.
+        """
+        if running is None:
+            running = np.ones(self.count, np.bool_)
+        config = self.config
+        at = self.steps - config.lag
+        self.scored = (at >= 0) & (at < config.horizon)
+        bearings, exists = self.answered()
+        # An answer before the first record keeps identities and is nothing else.
+        scores = self.scorer.score(answers, bearings[..., None], exists, np.where(self.scored, at, config.horizon))
+        self.ospa = np.where(self.scored, scores.ospa, 0.0)
+        self.cardinality_error = np.where(self.scored, scores.cardinality_error, 0)
+        self.gospa, self.location, self.missed, self.false = (np.where(self.scored, v, 0.0) for v in scores.gospa)
+        self.reward = np.where(self.scored, -self.gospa / config.cutoff, 0.0)
+        self.steps = self.steps + running
+        self.truncated = self.steps >= config.horizon + config.lag
+        for row in np.flatnonzero(running).tolist():
+            if self.truncated[row]:
+                self.ospa2[row] = self.scorer.trajectory_score(row, self.true_tracks(row))
+            self._show(row)
+
+    def _show(self, row: int) -> None:
+        scene, step = self.scene(row), int(self.steps[row])
+        self.observations[row] = np.minimum(
+            draw_record(self.config, scene, self._seeds[row], step), self.config.most_power
+        )
+        self.bearings[row], self.rates[row] = scene.bearings[step], scene.rates[step]
+        self.exists[row] = scene.exists[step]
+
+    def scene(self, row: int) -> SonarScene:
+        """Who is there in one scene, over the whole episode."""
+        scene = self._scenes[row]
+        if scene is None:
+            raise RuntimeError("a scene has no targets before its first reset: call reset()")
+        return scene
+
+    def answered(self) -> tuple[Array, NDArray[np.bool_]]:
+        """True bearings (N, n), deg, and existence (N, n) at the record that the next answer is for."""
+        bearings, exists = np.zeros_like(self.bearings), np.zeros_like(self.exists)
+        for row, scene in enumerate(self._scenes):
+            step = int(self.steps[row]) - self.config.lag
+            if scene is not None and 0 <= step < self.config.horizon:
+                bearings[row], exists[row] = scene.bearings[step], scene.exists[step]
+        return bearings, exists
+
+    def true_tracks(self, row: int) -> Array:
+        """Bearings of one scene's targets at the scored records, (n, horizon, 1), deg; NaN where there is none."""
+        scene, scored = self.scene(row), slice(0, self.config.horizon)
+        return np.where(scene.exists[scored], scene.bearings[scored], np.nan).T[..., None]
+
+    def truth(self) -> dict[str, Any]:
+        """What `info["truth"]` tells of the newest record, arrays of N rows."""
+        return {"bearings": self.bearings, "rates": self.rates, "exists": self.exists}
+
+    def scores(self) -> dict[str, Any]:
+        """What `info` tells of the last answer, arrays of N rows."""
+        return {
+            "scored": self.scored,
+            "ospa": self.ospa,
+            "gospa": self.gospa,
+            "location_error": self.location,
+            "missed_error": self.missed,
+            "false_error": self.false,
+            "cardinality_error": self.cardinality_error,
+        }
+
+    def episode_scores(self) -> dict[str, Any]:
+        """What `info` tells at an episode's end, arrays of N rows."""
+        return {"ospa2": self.ospa2}
+
+    def privileged(self) -> dict[str, Array]:
+        """What an oracle may know, besides the observation; arrays of N rows.
+
+        Returns:
+            Of the record that the next answer is for: `true_bearings` (N, n), deg; `true_existence` (N, n), 0 or 1.
+        """
+        bearings, exists = self.answered()
+        return {"true_bearings": bearings, "true_existence": exists.astype(np.float64)}
+
+    def debug_view(self, row: int = 0) -> str:
+        """One scene's state as text, for debugging."""
+        config = self.config
+        return (
+            f"record {self.steps[row]}/{config.horizon + config.lag}  targets={int(self.exists[row].sum())}  "
+            f"loudest beam={config.looks[self.observations[row].argmax()]:.2f} deg  "
+            f"reported={int(self.scorer.reported[row].sum())}  ospa={self.ospa[row]:.2f} deg  "
+            f"gospa={self.gospa[row]:.2f} deg  cardinality {self.cardinality_error[row]:+d}"
+        )
