@@ -137,7 +137,7 @@ class BoxPMB:
     acceleration: float = 0.2
     speed: float = 1.0
     drift: float = 0.07
-    position_noise: float = 0.06
+    position_noise: float = 0.07
     size_noise: float = 0.18
     detection: float = 0.87
     patience: float = 0.055
@@ -148,11 +148,11 @@ class BoxPMB:
     lifetime: float = 20.0
     velocity_memory: float = 5.0
     memory: float = 2.3
-    revival: float = 0.065
+    revival: float = 0.04
     appearance: float = 6.0
     typical_similarity: float = 0.72
     split: bool = True
-    confirm: int = 3
+    confirm: int = 2
 
     def __post_init__(self) -> None:
         for name in _POSITIVE:
