@@ -103,6 +103,8 @@ def run_command(request: TrackRequest, console: Console) -> int:
         found[f"{request.tracker}, offline"] = write_offline(out / TRACKS, run.frames, source.frame_rate)
         run.files.append(out / OFFLINE_TRACKS)
     if truth is not None:
+        if not len(truth.ids):
+            run.warnings.append("the truth holds no boxes: whatever was reported counts as false")
         _score(request, detector, truth, run, found, out, console)
     for name in (OFFLINE_TRACKS, FILM, SCORES + ".json", SCORES + ".md"):
         # What an earlier run left would be taken for this one's.

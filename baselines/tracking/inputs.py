@@ -124,7 +124,14 @@ class PixelInput:
         known = self._frames.length or self._background * _BACKGROUND_SPACING
         spacing = min(max((known - self._start) // self._background, 1), _BACKGROUND_SPACING)
         spaced = open_frames(self._source, start=self._start, count=self._background, stride=spacing)
-        return [resize(picture, self._size) for picture in spaced]
+        found: list[Frame] = []
+        try:
+            found.extend(resize(picture, self._size) for picture in spaced)
+        except SequenceError:
+            # Tracking comes to the same place, and keeps what lies before it.
+            if not found:
+                raise
+        return found
 
 
 class FileInput:

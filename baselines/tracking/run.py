@@ -100,6 +100,8 @@ def track(
                     break
             film.finish()
         except (SequenceError, OSError) as error:
+            if not run.frames and isinstance(error, OSError):
+                raise ResultsError(f"{out} cannot be written ({error}); choose another folder") from error
             if not run.frames:
                 raise
             run.error, run.stopped = error, str(error)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import re
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +104,17 @@ class Decoder(ABC):
         return ""
 
 
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keeps OpenCV from writing to the user's terminal what an error of ours will say."""
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+
+
 class Capture(Decoder):
     """What OpenCV's VideoCapture decodes."""
 
@@ -117,12 +130,8 @@ class Capture(Decoder):
             return
         # FFmpeg would tell the user's terminal of every damaged block.
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-        level = cv2.utils.logging.getLogLevel()
-        cv2.utils.logging.setLogLevel(0)
-        try:
+        with _quiet():
             self._capture = self._start()
-        finally:
-            cv2.utils.logging.setLogLevel(level)
         rate, length = self._property(cv2.CAP_PROP_FPS), self._property(cv2.CAP_PROP_FRAME_COUNT)
         self.frame_rate = rate if _FRAME_RATES[0] <= rate <= _FRAME_RATES[1] else None
         self.length = int(length) if 1.0 <= length < 2**31 and not self.live else None
@@ -229,7 +238,8 @@ class ImageFolder(Decoder):
             return None
         file = self._path / self._names[self._next]
         try:
-            image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+            with _quiet():
+                image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
         except cv2.error as error:
             raise SequenceError(f"{file} cannot be decoded ({_reason(error)})") from error
         if image is None or image.size == 0:

@@ -132,13 +132,15 @@ def test_detections_of_a_sequence_without_images_are_tracked(tmp_path):
         FileInput(tmp_path, start=9)
 
 
-def test_broken_source_keeps_what_was_tracked(tmp_path):
+@pytest.mark.parametrize("background", [0, 40])
+def test_broken_source_keeps_what_was_tracked(tmp_path, background):
     folder = tmp_path / "images"
     folder.mkdir()
     for k in range(6):
         cv2.imwrite(str(folder / f"{k}.png"), np.full((64, 64, 3), 255 if k < 5 else 0, np.uint8))
     (folder / "4.png").write_bytes(b"broken")
-    run = track(PixelInput(folder, Brightness()), Following(), tmp_path / "out", BoxPainter((64, 64)))
+    source = PixelInput(folder, Brightness(), background=background)
+    run = track(source, Following(), tmp_path / "out", BoxPainter((64, 64)))
     assert run.frames == [0, 1, 2, 3] and "4.png is no image" in run.stopped and run.error is not None
     assert read_tracks(tmp_path / "out" / "tracks.txt").length == 4
     assert film_frames(tmp_path / "out" / "tracks.mp4") == 4
