@@ -90,13 +90,13 @@ def draw(scene: TrackScene) -> Image:
     _draw_scene(_SCENE_PANEL.of(image), scene)
     most = max(4.0, *scene.true_numbers.tolist(), *scene.reported_numbers.tolist())
     numbers = _NUMBER_PANEL.of(image)
-    _curve(numbers, scene.true_numbers, most * 1.1, scene.horizon, mix(FLOOR, INK, 0.3), 4)
-    _curve(numbers, scene.reported_numbers, most * 1.1, scene.horizon, INK, 1)
+    draw_curve(numbers, scene.true_numbers, most * 1.1, scene.horizon, mix(FLOOR, INK, 0.3), 4)
+    draw_curve(numbers, scene.reported_numbers, most * 1.1, scene.horizon, INK, 1)
     errors = _ERROR_PANEL.of(image)
-    _curve(errors, scene.errors, scene.cutoff * 1.05, scene.horizon, _ERROR_COLOR, 1)
+    draw_curve(errors, scene.errors, scene.cutoff * 1.05, scene.horizon, _ERROR_COLOR, 1)
     if len(scene.reported_numbers) and len(scene.errors):
-        _value(numbers, f"{scene.reported_numbers[-1]:.0f} of {scene.true_numbers[-1]:.0f}")
-        _value(errors, f"{scene.errors[-1]:.1f} m")
+        write_value(numbers, f"{scene.reported_numbers[-1]:.0f} of {scene.true_numbers[-1]:.0f}")
+        write_value(errors, f"{scene.errors[-1]:.1f} m")
     return image
 
 
@@ -170,8 +170,8 @@ def _trail(panel: Image, trail: Trail, half_width: float, opacity: float) -> Non
             cv2.polylines(panel, [points[oldest:newest]], False, mix(FLOOR, color, strength), 2, cv2.LINE_AA, _SHIFT)
 
 
-def _curve(panel: Image, values: Array, top: float, horizon: int, color: Color, thickness: int) -> None:
-    """Values from 0 to `top` against scans, in steps."""
+def draw_curve(panel: Image, values: Array, top: float, horizon: int, color: Color, thickness: int) -> None:
+    """Values from 0 to `top` against scans, in steps, below a plot's title."""
     if len(values) == 0:
         return
     height, width = panel.shape[0] - 2 * _INSET - _TITLE, panel.shape[1] - 2 * _INSET
@@ -183,7 +183,7 @@ def _curve(panel: Image, values: Array, top: float, horizon: int, color: Color, 
     )
 
 
-def _value(panel: Image, text: str) -> None:
+def write_value(panel: Image, text: str) -> None:
     """The newest value of a plot, at the right of its title."""
     put_text(panel, text, panel.shape[1] - _INSET, _INSET + 8, INK, align="right")
 

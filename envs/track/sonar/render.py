@@ -1,0 +1,201 @@
+"""Pictures of a bearing-time record: the waterfall with tracks in identity colors, and how number and error went."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.glyphs import put_text
+from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, IVORY, PAPER, SOFT_INK, Color, Image, Panel, mix
+from servotrack.envs.track.render import draw_curve, identity_color, write_value
+from servotrack.estimators.metrics import Track
+
+Array = NDArray[np.float64]
+
+WIDTH, HEIGHT = 800, 544
+SHOWN = 480
+"""Most records that a waterfall shows; older ones have run out at its top."""
+WATERFALL = Panel(52, 16, 476, 492)
+"""Where the waterfall lies in the picture, px."""
+
+_NUMBER_PANEL = Panel(544, 16, 240, 248)
+_ERROR_PANEL = Panel(544, 280, 240, 248)
+_INSET, _TITLE = 14, 26
+_SHIFT = 4
+_ERROR_COLOR: Color = (226, 85, 52)
+_BEARING_MARKS = (0, 30, 60, 90, 120, 150, 180)
+_PALE, _FAINTEST, _LOUDEST = 2.5, 15.0, 1000.0
+"""Deviations of noise up to which all is nearly white; what is black is the loudest shown, but within these bounds."""
+_PALETTE: tuple[Color, ...] = ((247, 245, 240), (205, 214, 218), (140, 163, 176), (77, 104, 128), (27, 40, 61))
+"""From noise to the loudest."""
+
+
+@dataclass(frozen=True)
+class Waterfall:
+    """All that a picture of a bearing-time record shows.
+
+    Attributes:
+        records: Beam powers over their noise level, oldest first, shape (k, beams); at most `SHOWN`.
+        first: Number of the oldest one.
+        averages: M of a beam power.
+        period: Time between records, s.
+        horizon: Records that the picture spans.
+        tracks: What was reported, by identity; steps are numbers of records, states bearings in deg.
+        truth: The same of the true targets.
+        true_numbers: Number of targets at each record answered so far, shape (k,).
+        reported_numbers: Reported targets likewise.
+        errors: OSPA of each answer so far, shape (k,), deg.
+        cutoff: Largest OSPA, deg.
+        scored: Answers of an episode that are scored.
+    """
+
+    records: Array
+    first: int
+    averages: int
+    period: float
+    horizon: int
+    tracks: Sequence[tuple[int, Track]]
+    truth: Sequence[Track]
+    true_numbers: Array
+    reported_numbers: Array
+    errors: Array
+    cutoff: float
+    scored: int
+
+
+def draw(scene: Waterfall) -> Image:
+    """Draw a scene: bearing from left to right, time downwards.
+
+    Returns:
+        A new RGB image, shape (544, 800, 3).
+    """
+    image = _backdrop().copy()
+    panel = WATERFALL.of(image)
+    span = max(min(scene.horizon, SHOWN), 1)
+    height = round(panel.shape[0] * len(scene.records) / span)
+    if height > 0:
+        panel[:height] = paint_powers(scene.records, scene.averages, (panel.shape[1], height))
+    _time_marks(image, scene, span)
+    for label, track in scene.tracks:
+        for piece in _pieces(track, scene.first):
+            draw_track(panel, _pixels(piece, scene.first, span), label)
+    for track in scene.truth:
+        for piece in _pieces(track, scene.first):
+            _dotted(panel, _pixels(piece, scene.first, span))
+    numbers, errors = _NUMBER_PANEL.of(image), _ERROR_PANEL.of(image)
+    most = 1.1 * max(4.0, *scene.true_numbers.tolist(), *scene.reported_numbers.tolist())
+    draw_curve(numbers, scene.true_numbers, most, scene.scored, mix(FLOOR, INK, 0.3), 4)
+    draw_curve(numbers, scene.reported_numbers, most, scene.scored, INK, 1)
+    draw_curve(errors, scene.errors, 1.05 * scene.cutoff, scene.scored, _ERROR_COLOR, 1)
+    if len(scene.errors):
+        write_value(numbers, f"{scene.reported_numbers[-1]:.0f} of {scene.true_numbers[-1]:.0f}")
+        write_value(errors, f"{scene.errors[-1]:.2f} deg")
+    return image
+
+
+def paint_powers(records: Array, averages: int, size: tuple[int, int]) -> Image:
+    """A bearing-time record as an image: noise is pale, what stands out of it dark, on a logarithmic scale.
+
+    Args:
+        records: Beam powers over their noise level, shape (k, beams).
+        averages: M of a beam power, which says what stands out.
+        size: Width and height of the image, px.
+
+    Returns:
+        RGB, shape (height, width, 3), uint8.
+    """
+    deviations = (np.asarray(records) - 1.0) * np.sqrt(averages)
+    loudest = float(np.clip(deviations.max(initial=0.0), _FAINTEST, _LOUDEST))
+    shade = np.log(np.maximum(deviations, 0.0) / _PALE + 1.0) / np.log(loudest / _PALE + 1.0)
+    tone = np.rint(255.0 * np.clip(shade, 0.0, 1.0)).astype(np.uint8)
+    wide = cv2.resize(tone, (size[0], len(tone)), interpolation=cv2.INTER_AREA)
+    rows = np.minimum((np.arange(size[1]) + 0.5) * len(tone) / size[1], len(tone) - 1).astype(np.int64)
+    return _colors()[wide.reshape(len(tone), size[0])[rows]]
+
+
+def draw_track(panel: Image, points: NDArray[np.int32], label: int) -> None:
+    """A track in its identity's color, with a pale rim that shows on every ground.
+
+    Args:
+        panel: Changed in place.
+        points: Shape (k, 2), px, with 4 fractional bits.
+        label: Identity.
+    """
+    cv2.polylines(panel, [points], False, IVORY, 4, cv2.LINE_AA, _SHIFT)
+    cv2.polylines(panel, [points], False, identity_color(label), 2, cv2.LINE_AA, _SHIFT)
+
+
+def _dotted(panel: Image, points: NDArray[np.int32]) -> None:
+    """The truth: a pale dot with a dark rim every 24 px or so."""
+    apart = np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T) / (1 << _SHIFT)
+    along = np.cumsum(apart)
+    chosen = np.flatnonzero(np.diff(np.floor(along / 24.0), prepend=-1.0) > 0)
+    for x, y in points[chosen].tolist():
+        cv2.circle(panel, (x, y), 34, INK, -1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(panel, (x, y), 18, IVORY, -1, cv2.LINE_AA, _SHIFT)
+
+
+def _pieces(track: Track, first: int) -> list[Track]:
+    """A track's visible parts without gaps."""
+    shown = track.steps >= first
+    steps, states = track.steps[shown], track.states[shown]
+    cuts = np.flatnonzero(np.diff(steps) > 1) + 1
+    return [Track(s, b) for s, b in zip(np.split(steps, cuts), np.split(states, cuts), strict=True) if len(s)]
+
+
+def _pixels(track: Track, first: int, span: int) -> NDArray[np.int32]:
+    """Fixed-point pixels in the waterfall, in the middle of each record; a lone record is a short stroke."""
+    steps, bearings = track.steps.astype(np.float64), np.clip(track.states[:, 0], -20.0, 200.0)
+    if len(steps) == 1:
+        steps, bearings = steps[0] + np.array([-0.4, 0.4]), np.repeat(bearings, 2)
+    x = (WATERFALL.width - 1) * bearings / 180.0
+    y = WATERFALL.height * (steps - first + 0.5) / span
+    return np.rint(np.stack([x, y], axis=1) * (1 << _SHIFT)).astype(np.int32)
+
+
+def _time_marks(image: Image, scene: Waterfall, span: int) -> None:
+    step = next(s for s in (10, 20, 30, 60, 120, 300, 600, 1800, 3600, 10**9) if span * scene.period <= 9 * s)
+    begin = scene.first * scene.period
+    for mark in range(0, int(begin + span * scene.period) + 1, step):
+        y = WATERFALL.top + WATERFALL.height * (mark - begin) / (span * scene.period)
+        if WATERFALL.top - 1 <= y <= WATERFALL.top + WATERFALL.height + 1:
+            row = min(round(y), WATERFALL.top + WATERFALL.height - 1)
+            image[row, WATERFALL.left - 5 : WATERFALL.left] = SOFT_INK
+            text = f"{mark}" if mark else "0 s"
+            put_text(image, text, WATERFALL.left - 9, min(y + 4.0, HEIGHT - 30), SOFT_INK, align="right")
+
+
+@lru_cache(maxsize=1)
+def _colors() -> Image:
+    """The palette in 256 steps, shape (256, 3)."""
+    at = np.linspace(0.0, len(_PALETTE) - 1.0, 256)
+    shades = np.array(_PALETTE, dtype=np.float64)
+    channels = [np.interp(at, np.arange(len(_PALETTE)), shades[:, channel]) for channel in range(3)]
+    return np.rint(np.stack(channels, axis=1)).astype(np.uint8)
+
+
+@lru_cache(maxsize=1)
+def _backdrop() -> Image:
+    image = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
+    image[:] = PAPER
+    for panel in (WATERFALL, _NUMBER_PANEL, _ERROR_PANEL):
+        panel.of(image)[:] = FLOOR
+    bottom = WATERFALL.top + WATERFALL.height
+    for bearing in _BEARING_MARKS:
+        x = WATERFALL.left + round((WATERFALL.width - 1) * bearing / 180.0)
+        image[bottom : bottom + 5, x] = SOFT_INK
+        put_text(image, f"{bearing}" if bearing else "0 deg", x, bottom + 18, SOFT_INK, align="center")
+    for panel in (_NUMBER_PANEL, _ERROR_PANEL):
+        part = panel.of(image)
+        for quarter in range(5):
+            at = _INSET + _TITLE + round(quarter * (panel.height - 2 * _INSET - _TITLE) / 4)
+            part[at, _INSET : panel.width - _INSET] = FLOOR_GRID
+    put_text(_NUMBER_PANEL.of(image), "targets reported", _INSET, _INSET + 8, SOFT_INK)
+    put_text(_ERROR_PANEL.of(image), "ospa", _INSET, _INSET + 8, SOFT_INK)
+    image.setflags(write=False)
+    return image
