@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from servotrack.baselines import paper002, reproduce
+from servotrack.baselines import reproduce
 from servotrack.baselines.claims import Claim, fill, judge_smaller, read_claims, write_claims
+from servotrack.baselines.paper002 import experiment as paper002
+from servotrack.baselines.paper002 import report
 from servotrack.baselines.results import ResultsError
 from servotrack.baselines.statistics import PairedDifference
 
@@ -94,8 +96,8 @@ def test_verdicts_follow_the_interval(low: float, high: float, verdict: str) -> 
 
 
 def test_reproduction_fills_every_claim_of_its_paper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reproduce, "AUDITED_EPISODES", 3)
-    monkeypatch.setattr(reproduce, "KAPPAS", (0.0,))
+    monkeypatch.setattr(report, "AUDITED_EPISODES", 3)
+    monkeypatch.setattr(report, "KAPPAS", (0.0,))
     output = io.StringIO()
     reproduce.reproduce_paper("servo", tmp_path, 1, Console(file=output, width=170))
     claims = {claim.id: claim for claim in read_claims(tmp_path / "claims.yaml") if claim.paper == "002"}

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from servotrack.baselines.leaderboard.figure import STYLE
-from servotrack.baselines.paper002 import Run
+from servotrack.baselines.paper002.experiment import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
