@@ -88,7 +88,7 @@ def draw(scene: Waterfall) -> Image:
         for piece in _pieces(track, scene.first):
             _dotted(panel, _pixels(piece, scene.first, span))
     numbers, errors = _NUMBER_PANEL.of(image), _ERROR_PANEL.of(image)
-    most = 1.1 * max(4.0, *scene.true_numbers.tolist(), *scene.reported_numbers.tolist())
+    most = 1.1 * max([4.0, *scene.true_numbers.tolist(), *scene.reported_numbers.tolist()])
     draw_curve(numbers, scene.true_numbers, most, scene.scored, mix(FLOOR, INK, 0.3), 4)
     draw_curve(numbers, scene.reported_numbers, most, scene.scored, INK, 1)
     draw_curve(errors, scene.errors, 1.05 * scene.cutoff, scene.scored, _ERROR_COLOR, 1)

@@ -1,0 +1,91 @@
+"""Short stored rollouts of the sonar world: nobody changes it by accident.
+
+A change of behavior means a new version of the id. Where one is meant, `python tests/envs/test_sonar_rollouts.py`
+stores them anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import servotrack  # noqa: F401
+
+STORED = Path(__file__).with_name("sonar_rollouts.npz")
+ENV_ID = "SonarTracking-v0"
+SMALL = {"beams": 91, "elements": 16, "bin_width": 50.0, "snapshots": 50}
+CASES: dict[str, dict[str, Any]] = {
+    "rates": {"level": 0},
+    "random": {"level": 2, "shortest_life": 10, **SMALL},
+    "trial": {"level": 3, "shading": "chebyshev", **SMALL},
+    "snapshots": {"level": 1, "fidelity": "snapshots", "snr_offset": -10.0, **SMALL},
+}
+SEED, HORIZON, LAG = 11, 16, 2
+BEAMS = slice(None, None, 8)
+"""Beams that are stored; neighbors hold nearly the same."""
+
+
+def answer_to(record: Any, env: Any) -> Any:
+    """The loudest beams of two halves, so that every score has a part in it."""
+    answer = np.zeros(env.action_space.shape)
+    middle = len(record) // 2
+    bearings = np.linspace(0.0, 180.0, len(record))
+    answer[0] = [0.9, bearings[record[:middle].argmax()]]
+    answer[1] = [0.9, bearings[middle + record[middle:].argmax()]]
+    return answer
+
+
+def rollout(case: str) -> dict[str, Any]:
+    """Everything that comes back, one array for each quantity."""
+    env = gym.make(ENV_ID, horizon=HORIZON, lag=LAG, **CASES[case])
+    record, info = env.reset(seed=SEED)
+    rows = []
+    for _ in range(HORIZON + LAG):
+        truth = info["truth"]
+        record, reward, _, _, info = env.step(answer_to(record, env))
+        scores = {name: info[name] for name in ("scored", "ospa", "gospa")}
+        rows.append({"record": record[BEAMS], "reward": reward, **truth, **scores})
+    arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return arrays | {"ospa2": np.array(info["ospa2"])}
+
+
+def digests() -> list[str]:
+    found = []
+    for case in CASES:
+        sha = hashlib.sha256()
+        for name, values in sorted(rollout(case).items()):
+            sha.update(name.encode() + np.ascontiguousarray(values).tobytes())
+        found.append(sha.hexdigest())
+    return found
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_stored_rollout_comes_out_again(case: str) -> None:
+    history = rollout(case)
+    with np.load(STORED) as stored:
+        assert {name.split("/")[1] for name in stored if name.startswith(f"{case}/")} == history.keys()
+        for name, values in history.items():
+            np.testing.assert_allclose(values, stored[f"{case}/{name}"], rtol=1e-6, atol=1e-9, err_msg=name)
+
+
+def test_another_process_gets_the_same_bits() -> None:
+    out = subprocess.run(
+        [sys.executable, __file__, "--digests"], capture_output=True, text=True, check=True, timeout=300
+    )
+    assert out.stdout.split() == digests()
+
+
+if __name__ == "__main__":
+    if "--digests" in sys.argv:
+        print("\n".join(digests()))
+    else:
+        np.savez_compressed(
+            STORED, **{f"{case}/{name}": values for case in CASES for name, values in rollout(case).items()}
+        )
