@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -100,10 +99,6 @@ class MeasurementBirth:
         if self.places < 1:
             raise ValueError(f"places must be at least 1, got {self.places!r}")
 
-    @cached_property
-    def _deviation(self) -> tuple[float, ...]:
-        return _hashable(self.hidden_deviation)
-
     def empty(self, batch: int, n: int) -> BirthMixture:
         """No births yet, for `batch` runs."""
         return BirthMixture(
@@ -125,9 +120,30 @@ class MeasurementBirth:
         if kept == 0:
             return births
         z, chance = _least_explained(np.ascontiguousarray(measurements), unexplained, kept)
-        mean, covariance = _born(model, z, self._deviation)
+        mean, covariance = self._born(model, z)
         _fill(births, z, chance, mean, covariance, packed.transition, self.expected, self.largest)
         return births
+
+    def _born(self, model: TargetModel, z: Array) -> tuple[Array, Array]:
+        """Means (batch, Z, n) at measurements, and covariances a step later, (1, 1, n, n) where all have the same."""
+        if isinstance(model, RangeBearingModel):
+            mean, covariance = state_from_measurement(model, z, self.hidden_deviation)
+            return mean, _next_covariance(model, covariance)
+        kept: _LinearBirth | None = self.__dict__.get("_kept")
+        if kept is None or kept.model is not model:
+            # Under a linear model it is the same at every step.
+            _, covariance = state_from_measurement(model, np.zeros((1, 1, z.shape[-1])), self.hidden_deviation)
+            kept = _LinearBirth(model, _inverse(model), _next_covariance(model, covariance))
+            object.__setattr__(self, "_kept", kept)
+        return np.einsum("rk,...k->...r", kept.inverse, z), kept.covariance
+
+
+class _LinearBirth(NamedTuple):
+    """What births under a linear model have in common: the observation's inverse and the covariance a step later."""
+
+    model: TargetModel
+    inverse: Array
+    covariance: Array
 
 
 @njit(cache=True, nogil=True)
@@ -228,8 +244,11 @@ def state_from_measurement(model: TargetModel, z: Array, hidden_deviation: Array
     Returns:
         mean (*batch, n) with zeros where nothing is known, covariance (*batch, n, n).
     """
-    packed = model.packed
-    inverse, hidden = _unmeasured(model, _hashable(hidden_deviation))
+    packed, inverse = model.packed, _inverse(model)
+    n = len(inverse)
+    deviation = np.broadcast_to(np.asarray(hidden_deviation, dtype=np.float64), (n,))
+    blind = np.eye(n) - inverse @ packed.observation
+    hidden = blind @ np.diag(deviation**2) @ blind.T
     if isinstance(model, RangeBearingModel):
         distance, bearing = z[..., 0], z[..., 1]
         cosine, sine = np.cos(bearing), np.sin(bearing)
@@ -245,21 +264,6 @@ def state_from_measurement(model: TargetModel, z: Array, hidden_deviation: Array
     return mean, hidden + np.einsum("rk,...kl,cl->...rc", inverse, noise, inverse)
 
 
-def _born(model: TargetModel, z: Array, deviation: tuple[float, ...]) -> tuple[Array, Array]:
-    """Means (batch, Z, n) at measurements, and their covariances a step later, which may have axes of size 1."""
-    if isinstance(model, RangeBearingModel):
-        mean, covariance = state_from_measurement(model, z, deviation)
-        return mean, _next_covariance(model, covariance)
-    return np.einsum("rk,...k->...r", _unmeasured(model, deviation)[0], z), _same_covariance(model, deviation)
-
-
-@lru_cache(maxsize=64)
-def _same_covariance(model: TargetModel, deviation: tuple[float, ...]) -> Array:
-    """Covariance of what is born under a linear model, whatever was measured. Shape (1, 1, n, n)."""
-    _, covariance = state_from_measurement(model, np.zeros((1, 1, model.packed.observation.shape[0])), deviation)
-    return _next_covariance(model, covariance)
-
-
 def _next_covariance(model: TargetModel, covariance: Array) -> Array:
     """Covariances (batch, Z, n, n) a step later."""
     n = covariance.shape[-1]
@@ -268,16 +272,6 @@ def _next_covariance(model: TargetModel, covariance: Array) -> Array:
     return 0.5 * (moved + np.swapaxes(moved, -1, -2))
 
 
-@lru_cache(maxsize=64)
-def _unmeasured(model: TargetModel, deviation: tuple[float, ...]) -> tuple[Array, Array]:
-    """The inverse of the observation, shape (n, m), and the covariance of what it does not see, shape (n, n)."""
-    H = model.packed.observation
-    inverse = np.linalg.pinv(H)
-    blind = np.eye(H.shape[1]) - inverse @ H
-    variances = np.broadcast_to(np.asarray(deviation), (H.shape[1],)) ** 2
-    return inverse, blind @ np.diag(variances) @ blind.T
-
-
-def _hashable(deviation: ArrayLike) -> tuple[float, ...]:
-    """A deviation, or n of them, as a key."""
-    return tuple(np.atleast_1d(np.asarray(deviation, dtype=np.float64)).tolist())
+def _inverse(model: TargetModel) -> Array:
+    """From a measurement to the entries of the state that it tells. Shape (n, m)."""
+    return np.asarray(np.linalg.pinv(model.packed.observation), dtype=np.float64)
