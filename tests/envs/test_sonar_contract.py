@@ -37,7 +37,6 @@ def test_stable_baselines3s_checker_is_content_through_flat_sets():
 
 def test_vector_environment_keeps_the_rules():
     check_vector_env(ENV_ID, horizon=6, lag=2, steps=20, **SMALL)
-    check_vector_env(ENV_ID, level=2, horizon=20, max_episode_steps=8, steps=20, skip=("rendering",), **SMALL)
 
 
 @pytest.mark.parametrize("keywords", [{"level": 0}, {"level": 2, "lag": 0}, {"level": 1, "fidelity": "snapshots"}])
