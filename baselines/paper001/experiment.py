@@ -138,21 +138,22 @@ def run_all(
     }
 
 
-def median_steps(names: Sequence[str], seed: int, repetitions: int = 5) -> dict[str, float]:
+def median_steps(names: Sequence[str], seed: int, repetitions: int = 8) -> dict[str, float]:
     """Median duration of a step of each method on one thread, s: the least of several passes over a film."""
     import cv2
 
     seen = film(seed, horizon=60)
-    found: dict[str, float] = {}
+    found = dict.fromkeys(names, np.inf)
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        for name in names:
-            tracker, parameters = METHODS[name]
-            times = 1 if name in SLOW_TRACKERS else repetitions
-            found[name] = min(
-                float(np.median(track(color_tracker(tracker, **parameters), seen).seconds)) for _ in range(times)
-            )
+        # In turn, so that a machine that is busy for a while slows all of them down.
+        for repetition in range(repetitions):
+            for name in names:
+                if repetition == 0 or name not in SLOW_TRACKERS:
+                    tracker, parameters = METHODS[name]
+                    seconds = track(color_tracker(tracker, **parameters), seen).seconds
+                    found[name] = min(found[name], float(np.median(seconds)))
     finally:
         cv2.setNumThreads(threads)
     return found
