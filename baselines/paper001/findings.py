@@ -155,9 +155,9 @@ def findings(found: Found, seconds: Mapping[str, float]) -> list[Claim]:
         masters("color-pan-zoom", "pan_zoom", "Candidates lie in the frame: a panning camera is motion of the target."),
         _claim(
             "color-scale-beats-mean-shift", scale, scale_gain, "AUC", auc.format(PAPER, MEAN_SHIFT, "scale"),
-            f"Sizes are followed alike, off by {size_error(found['scale'][PAPER]):.0%} where the target is held, the mean "
-            f"shift's by {size_error(found['scale'][MEAN_SHIFT]):.0%}; without changes of scale (irregular) the difference "
-            f"is {in_scenario('irregular', PAPER, MEAN_SHIFT)[1].value:+.3f}.",
+            f"Sizes are followed alike, off by {size_error(found['scale'][PAPER]):.0%} where the target is held, the "
+            f"mean shift's by {size_error(found['scale'][MEAN_SHIFT]):.0%}; without changes of scale (irregular) the "
+            f"difference is {in_scenario('irregular', PAPER, MEAN_SHIFT)[1].value:+.3f}.",
         ),
         _claim(
             "color-beats-mean-shift", general, general_gain, "AUC", auc.format(PAPER, MEAN_SHIFT, "all scenarios"),
