@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from servotrack.baselines.association_oracle import AssociationOracle
 from servotrack.baselines.patience import WaitingRows, allocate_patiently, no_rows
 from servotrack.baselines.track_filters import SMALLEST_CAPACITY, FilterSettings, track_filter
+from servotrack.envs.track.told import SceneModel
 from servotrack.envs.track.told_video import VideoModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.online import select_rows
@@ -140,11 +141,11 @@ def create_observer(env: Any, estimator: str, hidden_markov: bool = False, extra
 
         return create_video_observer(env, estimator)
     space = getattr(env, "single_action_space", env.action_space)
-    if scene is None:
+    if not isinstance(scene, SceneModel):
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
         raise ValueError(
-            f"agent {estimator!r} needs a tracking world that tells its agents a model (`told`); {name} does not: "
-            "choose ClutterTracking-v0, or another agent"
+            f"agent {estimator!r} needs a tracking world that tells its agents a model (`told`) of points in clutter; "
+            f"{name} does not: choose ClutterTracking-v0, or another agent"
         )
     rows = space.shape[0]
     if estimator == "association-oracle":

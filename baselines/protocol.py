@@ -14,8 +14,9 @@ Observation: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
 Information = Literal["model-free", "structure", "prior", "calibrated", "privileged", "undeclared"]
 """What an agent was told: nothing; the model's structure; the randomization's ranges; this very system; the truth."""
 
-World = Literal["servo", "clutter", "video", "color"]
-"""Kinds of worlds: a robot; sets of points; boxes of people in frames, rendered or real; a box of a colored object."""
+World = Literal["servo", "clutter", "video", "color", "sonar"]
+"""Kinds of worlds: a robot; points in clutter; boxes of people in frames, rendered or real; a box of a colored object;
+bearings."""
 
 
 def world_of(env_id: str) -> World:
@@ -28,6 +29,7 @@ _WORLDS: Mapping[str, World] = {
     "PedestrianTracking": "video",
     "VideoTracking": "video",
     "ColorTracking": "color",
+    "SonarTracking": "sonar",
 }
 
 

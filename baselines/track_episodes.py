@@ -26,6 +26,7 @@ class SetScoreRecorder:
 
     def __init__(self, rows: int) -> None:
         self._steps: dict[str, list[Array]] = {name: [] for name in (*_MEANS, "cardinality_error")}
+        self._scored: list[NDArray[np.bool_]] = []
         self._whole: list[Row] = [{} for _ in range(rows)]
 
     def record(self, info: Mapping[str, Any], ending: NDArray[np.bool_]) -> None:
@@ -44,14 +45,19 @@ class SetScoreRecorder:
                     "truth is missing: without it a sequence cannot be scored; give the environment its truth"
                 )
             values.append(np.array(info[name], dtype=np.float64))
+        self._scored.append(np.array(info.get("scored", np.ones(len(ending), np.bool_))))
         for name in _WHOLE:
             told = np.asarray(info.get(f"_{name}", np.zeros(len(ending), np.bool_)))
             for row in np.flatnonzero(ending & told).tolist():
                 self._whole[row][name] = float(info[name][row])
 
     def columns(self, row: int, length: int) -> Row:
-        """One episode's columns: means over its steps, and what its end told of the whole."""
-        found: Row = {name: float(np.mean([v[row] for v in self._steps[name][:length]])) for name in _MEANS}
-        errors = np.array([v[row] for v in self._steps["cardinality_error"][:length]])
+        """One episode's columns: means over its scored steps, and what its end told of the whole."""
+        scored = np.array([told[row] for told in self._scored[:length]])
+        if not scored.any():
+            raise ValueError("no step was scored: an episode has to be longer than the lag of its answers")
+        steps = {name: np.array([v[row] for v in values[:length]])[scored] for name, values in self._steps.items()}
+        found: Row = {name: float(np.mean(steps[name])) for name in _MEANS}
+        errors = steps["cardinality_error"]
         found["count_error"], found["count_right"] = float(np.mean(np.abs(errors))), float(np.mean(errors == 0.0))
         return found | self._whole[row]

@@ -76,4 +76,12 @@ JUDGMENTS: Mapping[World, Judgment] = {
             Measure("failures", "times lost", digits=1),
         ),
     ),
+    "sonar": Judgment(
+        Measure("ospa2", "OSPA(2)", "deg"),
+        "hmm-cell",
+        (
+            Measure("count_right", "count right", "%", 100.0, 0, True),
+            Measure("ospa", "OSPA", "deg"),
+        ),
+    ),
 }

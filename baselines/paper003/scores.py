@@ -1,0 +1,130 @@
+"""What tracks of a bearing-time record are worth: errors, starts and ends, crossings, and tracks of nobody."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from servotrack.envs.track.sonar.scene import crossings
+from servotrack.estimators.metrics import Track
+
+Array = NDArray[np.float64]
+
+MATCHED = 3.0
+"""A track is at a target that is nearer than this, deg."""
+ABOUT = (3, 10)
+"""Who is who at a crossing is asked from so many records before and after it to so many."""
+_FEWEST = 3
+"""Records on either side of a crossing within `ABOUT` in which a target has to be there for the crossing to count."""
+
+
+class RecordScores(NamedTuple):
+    """Scores of one record's tracks; n targets.
+
+    Attributes:
+        squared_error: Sum of squared bearing errors over the records in which a target is tracked, shape (n,), deg^2.
+        tracked: Number of these records, shape (n,).
+        present: Number of records in which a target is there, shape (n,).
+        start: First record in which it is tracked, after its first, shape (n,); NaN if it never is.
+        end: Last record in which it is tracked, after its last, shape (n,).
+        crossings: Crossings that count.
+        kept: Those through which both targets kept their track.
+        swapped: Those at which a track went over to the other target.
+        false_tracks: Tracks that are at no target for more than half of their records.
+        count_right: Share of records in which the number of tracks is that of targets.
+    """
+
+    squared_error: Array
+    tracked: NDArray[np.int64]
+    present: NDArray[np.int64]
+    start: Array
+    end: Array
+    crossings: int
+    kept: int
+    swapped: int
+    false_tracks: int
+    count_right: float
+
+
+def score_tracks(bearings: Array, exists: NDArray[np.bool_], tracks: Sequence[Track]) -> RecordScores:
+    """Score tracks of one record.
+
+    Args:
+        bearings: True ones, shape (T, n), deg.
+        exists: Which targets exist, shape (T, n).
+        tracks: Steps from 0 to T - 1, states (k, 1) in deg.
+    """
+    length, n = bearings.shape
+    owner = np.full((length, n), -1)
+    error = np.zeros((length, n))
+    stacked = np.full((length, len(tracks)), np.nan)
+    for number, track in enumerate(tracks):
+        stacked[track.steps, number] = track.states[:, 0]
+    for k in range(length):
+        if n and tracks:
+            apart = np.abs(bearings[k, :, None] - stacked[k])
+            apart = np.where(exists[k, :, None] & (apart < MATCHED), apart, np.inf)
+            owner[k] = _owners(apart, owner[max(k - 1, 0)])
+            found = np.flatnonzero(owner[k] >= 0)
+            error[k, found] = apart[found, owner[k, found]]
+    tracked = owner >= 0
+    start, end = np.full(n, np.nan), np.full(n, np.nan)
+    for target in range(n):
+        there, seen = np.flatnonzero(exists[:, target]), np.flatnonzero(tracked[:, target])
+        if len(seen):
+            start[target], end[target] = seen[0] - there[0], seen[-1] - there[-1]
+    at_target = np.array([(owner == number).sum() for number in range(len(tracks))], dtype=np.int64)
+    lengths = np.array([len(track.steps) for track in tracks], dtype=np.int64)
+    verdicts = [_verdict(owner, exists, *crossing) for crossing in crossings(bearings, exists)]
+    counted = [verdict for verdict in verdicts if verdict is not None]
+    return RecordScores(
+        squared_error=(error**2).sum(axis=0),
+        tracked=tracked.sum(axis=0),
+        present=exists.sum(axis=0),
+        start=start,
+        end=end,
+        crossings=len(counted),
+        kept=counted.count("kept"),
+        swapped=counted.count("swapped"),
+        false_tracks=int((2 * at_target < lengths).sum()),
+        count_right=float(((~np.isnan(stacked)).sum(axis=1) == exists.sum(axis=1)).mean()),
+    )
+
+
+def _owners(apart: Array, before: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Which track is at each target: the one that was, if it is near enough, else by assignment of the rest."""
+    owner = np.full(len(apart), -1)
+    for target in np.flatnonzero(before >= 0).tolist():
+        if np.isfinite(apart[target, before[target]]):
+            owner[target] = before[target]
+    rest = np.flatnonzero(owner < 0)
+    free = np.setdiff1d(np.arange(apart.shape[1]), owner)
+    cost = np.minimum(apart[np.ix_(rest, free)], MATCHED)
+    for i, j in zip(*linear_sum_assignment(cost), strict=True):
+        if cost[i, j] < MATCHED:
+            owner[rest[i]] = free[j]
+    return owner
+
+
+def _verdict(owner: NDArray[np.int64], exists: NDArray[np.bool_], at: int, one: int, other: int) -> str | None:
+    """What became of two tracks at a crossing; None where a target is not there long enough to ask."""
+    near, far = ABOUT
+    before, after = slice(max(at - far, 0), max(at - near, 0)), slice(at + near, at + far)
+    both = exists[:, one] & exists[:, other]
+    if min(both[before].sum(), both[after].sum()) < _FEWEST:
+        return None
+    a, b = _usual(owner[before, one]), _usual(owner[before, other])
+    c, d = _usual(owner[after, one]), _usual(owner[after, other])
+    if (a >= 0 and a == d) or (b >= 0 and b == c):
+        return "swapped"
+    return "kept" if a >= 0 and b >= 0 and (a, b) == (c, d) else "lost"
+
+
+def _usual(owners: NDArray[np.int64]) -> int:
+    """Who owned a target most often, -1 for nobody."""
+    known = owners[owners >= 0]
+    return int(np.bincount(known).argmax()) if len(known) else -1
