@@ -98,6 +98,8 @@ def run_command(request: TrackRequest, console: Console) -> int:
         bar = progress.add_task(f"{detector} + {request.tracker}", total=source.length)
         run = track(source, tracker, out, painter, on_frame=lambda: progress.advance(bar))
         progress.update(bar, total=len(run.frames), completed=len(run.frames))
+    # Scoring an hour takes memory, which these need no more.
+    del painter, tracker
     found = {request.tracker: out / TRACKS}
     if request.offline:
         found[f"{request.tracker}, offline"] = write_offline(out / TRACKS, run.frames, source.frame_rate)

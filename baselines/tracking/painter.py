@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from servotrack.baselines.leaderboard.video import Frame
@@ -26,7 +28,7 @@ class BoxPainter:
 
     def __init__(self, size: tuple[int, int], truth: RecordedTracks | None = None, show_truth: bool = False) -> None:
         self._size, self._show_truth = size, show_truth
-        self._truth: dict[int, PeopleInFrame] | None = None if truth is None else truth.by_frame()
+        self._truth: Mapping[int, PeopleInFrame] | None = None if truth is None else truth.by_frame()
         self._recorder = BoxRecorder()
 
     def __call__(self, step: Step, estimate: SetEstimate) -> Frame:

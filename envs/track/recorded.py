@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -62,21 +63,42 @@ class RecordedTracks:
         """Steps up to the last box."""
         return max((int(track.steps[-1]) + 1 for track in self.tracks), default=0)
 
-    def by_frame(self) -> dict[int, PeopleInFrame]:
+    def by_frame(self) -> Mapping[int, PeopleInFrame]:
         """Who is in each frame (from 0) that has anybody."""
         if not self.tracks:
             return {}
         steps = np.concatenate([track.steps for track in self.tracks])
         order = np.argsort(steps, kind="stable")
-        ids = np.repeat(self.ids, [len(track.steps) for track in self.tracks])[order]
-        boxes = np.concatenate([track.states for track in self.tracks])[order]
-        visibilities = np.concatenate(self.visibilities)[order]
         frames, starts = np.unique(steps[order], return_index=True)
-        parts = pairwise([*starts.tolist(), len(steps)])
-        return {
-            frame: PeopleInFrame(ids[a:b], boxes[a:b], visibilities[a:b])
-            for frame, (a, b) in zip(frames.tolist(), parts, strict=True)
-        }
+        return _Frames(
+            frames,
+            np.append(starts, len(steps)),
+            PeopleInFrame(
+                np.repeat(self.ids, [len(track.steps) for track in self.tracks])[order],
+                np.concatenate([track.states for track in self.tracks])[order],
+                np.concatenate(self.visibilities)[order],
+            ),
+        )
+
+
+class _Frames(Mapping[int, PeopleInFrame]):
+    """Frames cut out of whole arrays when they are asked for: hours of them would fill the memory."""
+
+    def __init__(self, frames: NDArray[np.int64], bounds: NDArray[np.int64], everybody: PeopleInFrame) -> None:
+        self._frames, self._bounds, self._everybody = frames, bounds, everybody
+
+    def __getitem__(self, frame: int) -> PeopleInFrame:
+        at = int(np.searchsorted(self._frames, frame))
+        if at == len(self._frames) or self._frames[at] != frame:
+            raise KeyError(frame)
+        inside = slice(self._bounds[at], self._bounds[at + 1])
+        return PeopleInFrame(*(values[inside] for values in self._everybody))
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._frames.tolist())
+
+    def __len__(self) -> int:
+        return len(self._frames)
 
 
 class TrackRows:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -188,7 +188,7 @@ def _told_size(config: VideoConfig, info: SequenceInfo) -> tuple[tuple[int, int]
     return size, (size[0] / info.width, size[1] / info.height)
 
 
-def _truth_arrays(people: dict[int, PeopleInFrame], numbers: range, scale: Array) -> dict[str, Any]:
+def _truth_arrays(people: Mapping[int, PeopleInFrame], numbers: range, scale: Array) -> dict[str, Any]:
     """Ids, boxes and visibility, identities numbered from 1 in the order of the file's."""
     inside = {k: people[number] for k, number in enumerate(numbers) if number in people}
     names = np.unique(np.concatenate([who.ids for who in inside.values()] or [np.zeros(0, np.int64)]))

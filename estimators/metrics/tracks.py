@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,7 +56,30 @@ class Members(NamedTuple):
     states: Array
 
 
-def members_by_step(tracks: Sequence[Track], length: int, dimension: int) -> list[Members]:
+class _Steps(Sequence[Members]):
+    """Members of T steps, cut out of whole arrays when they are asked for: hours of steps would fill the memory."""
+
+    def __init__(self, bounds: NDArray[np.int64], rows: NDArray[np.intp], states: Array) -> None:
+        self._bounds, self._rows, self._states = bounds, rows, states
+
+    def __len__(self) -> int:
+        return len(self._bounds) - 1
+
+    @overload
+    def __getitem__(self, step: int) -> Members: ...
+
+    @overload
+    def __getitem__(self, step: slice) -> list[Members]: ...
+
+    def __getitem__(self, step: int | slice) -> Members | list[Members]:
+        if isinstance(step, slice):
+            return [self[one] for one in range(*step.indices(len(self)))]
+        one = range(len(self))[step]
+        inside = slice(self._bounds[one], self._bounds[one + 1])
+        return Members(self._rows[inside], self._states[inside])
+
+
+def members_by_step(tracks: Sequence[Track], length: int, dimension: int) -> Sequence[Members]:
     """Tracks step by step, in memory that grows with what exists and not with tracks times steps.
 
     Args:
@@ -81,9 +103,7 @@ def members_by_step(tracks: Sequence[Track], length: int, dimension: int) -> lis
     at, who, what = np.concatenate(steps), np.concatenate(rows), np.concatenate(states)
     # Stable: the rows stay in order within a step.
     order = np.argsort(at, kind="stable")
-    bounds = np.searchsorted(at[order], np.arange(length + 1)).tolist()
-    who, what = who[order], what[order]
-    return [Members(who[a:b], what[a:b]) for a, b in pairwise(bounds)]
+    return _Steps(np.searchsorted(at[order], np.arange(length + 1)), who[order], what[order])
 
 
 def _checked(row: int, track: Track, length: int, dimension: int) -> Track:
