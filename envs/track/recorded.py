@@ -92,7 +92,8 @@ class _Frames(Mapping[int, PeopleInFrame]):
         if at == len(self._frames) or self._frames[at] != frame:
             raise KeyError(frame)
         inside = slice(self._bounds[at], self._bounds[at + 1])
-        return PeopleInFrame(*(values[inside] for values in self._everybody))
+        ids, boxes, visibilities = self._everybody
+        return PeopleInFrame(ids[inside], boxes[inside], visibilities[inside])
 
     def __iter__(self) -> Iterator[int]:
         return iter(self._frames.tolist())
