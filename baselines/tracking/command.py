@@ -99,10 +99,11 @@ def run_command(request: TrackRequest, console: Console) -> int:
         run = track(source, tracker, out, painter, on_frame=lambda: progress.advance(bar))
         progress.update(bar, total=len(run.frames), completed=len(run.frames))
     # Scoring an hour takes memory, which these need no more.
-    del painter, tracker
+    frame_rate = source.frame_rate
+    del painter, tracker, source
     found = {request.tracker: out / TRACKS}
     if request.offline:
-        found[f"{request.tracker}, offline"] = write_offline(out / TRACKS, run.frames, source.frame_rate)
+        found[f"{request.tracker}, offline"] = write_offline(out / TRACKS, run.frames, frame_rate)
         run.files.append(out / OFFLINE_TRACKS)
     if truth is not None:
         if not len(truth.ids):
