@@ -151,7 +151,7 @@ def draw_sensitivity(found: Mapping[str, Mapping[str, Measures]]) -> Figure:
     )  # fmt: skip
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.4, 2.5), layout="constrained")
-        figure.get_layout_engine().set(wspace=0.06)  # type: ignore[union-attr]
+        figure.get_layout_engine().set(wspace=0.06)  # type: ignore[union-attr, call-arg]
         for axes, (title, labels, names) in zip(figure.subplots(1, 3, sharey=True), panels, strict=True):
             places = np.arange(len(names))
             for label, color, values in (
