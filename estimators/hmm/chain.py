@@ -1,0 +1,177 @@
+"""Markov chains over many states whose transitions are runs of shifted additions.
+
+A run adds `weight` times the probabilities of `length` neighboring states to as many neighboring states elsewhere. On a
+grid of positions and rates one run carries all positions of one rate to another rate; a sparse matrix is runs of
+length one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+
+Array = NDArray[np.float64]
+
+SMALLEST_WEIGHT = 1e-5
+"""Transitions of less probability are left out."""
+
+
+class Runs(NamedTuple):
+    """Transitions: source, target and length of each run, and its probability. Shape (runs,) each."""
+
+    source: NDArray[np.int64]
+    target: NDArray[np.int64]
+    length: NDArray[np.int64]
+    weight: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """A Markov chain.
+
+    Attributes:
+        states: Their number S.
+        runs: Its transitions; `grid_chain` and `sparse_chain` make them.
+    """
+
+    states: int
+    runs: Runs
+
+    def predict(self, probabilities: ArrayLike) -> Array:
+        """Probabilities one step later, not normalized: what leaves the grid is gone. Shape (S,)."""
+        p = np.ascontiguousarray(probabilities, np.float64)
+        if p.shape != (self.states,):
+            raise ValueError(f"probabilities must have shape ({self.states},), got {p.shape}")
+        out = np.empty(self.states)
+        predict_into(self.runs, p, out)
+        return out
+
+    def uniform(self) -> Array:
+        """The same probability for all states. Shape (S,)."""
+        return np.full(self.states, 1.0 / self.states)
+
+
+@dataclass(frozen=True, eq=False)
+class GridChain(Chain):
+    """A chain over positions and their rates; state r * positions + i is rate r at position i.
+
+    Attributes:
+        positions: Their number P.
+        rates: The rates, per second. Shape (R,).
+        spacing: Of the positions.
+        period: Time of one step, s.
+    """
+
+    positions: int
+    rates: Array
+    spacing: float
+    period: float
+
+
+def grid_chain(
+    positions: int, rates: ArrayLike, spacing: float, period: float = 1.0, acceleration: float = 0.3
+) -> GridChain:
+    """Nearly constant rate on a grid: x' = x + (r + r') / 2 period, r' Gaussian about r.
+
+    The noise of the constant-rate model is of rank one, so that the change of rate decides the position; with rates
+    in steps of 2 spacing / period (or whole multiples of it) every step ends on the grid.
+
+    Args:
+        positions: Their number P.
+        rates: Equally spaced rates, per second. Shape (R,).
+        spacing: Of the positions.
+        period: Time of one step, s.
+        acceleration: Standard deviation of the acceleration, per second squared.
+
+    Raises:
+        ValueError: For rates that do not fit the grid; the message says which spacing does.
+    """
+    r = np.atleast_1d(np.asarray(rates, np.float64))
+    if positions < 2:
+        raise ValueError(f"positions must be at least 2, got {positions!r}")
+    for name, value in (("spacing", spacing), ("period", period), ("acceleration", acceleration)):
+        if not 0.0 < value < np.inf:
+            raise ValueError(f"{name} must be positive, got {value!r}")
+    cells = _cells_of_rates(r, spacing, period)
+    weight = np.exp(-(np.subtract.outer(r, r) ** 2) / (2.0 * (acceleration * period) ** 2))
+    weight /= weight.sum(axis=1, keepdims=True)
+    weight[weight < SMALLEST_WEIGHT] = 0.0
+    weight /= weight.sum(axis=1, keepdims=True)
+    before, after = np.nonzero(weight)
+    shift = (cells[before] + cells[after]) // 2
+    reachable = np.abs(shift) < positions
+    before, after, shift = before[reachable], after[reachable], shift[reachable]
+    source = before * positions + np.maximum(-shift, 0)
+    target = after * positions + np.maximum(shift, 0)
+    runs = Runs(source, target, positions - np.abs(shift), weight[before, after])
+    return GridChain(positions * len(r), runs, positions, r, spacing, period)
+
+
+def sparse_chain(transitions: ArrayLike) -> Chain:
+    """A chain from its transition probabilities.
+
+    Args:
+        transitions: Probability of each state (column) after each state (row); dense or scipy.sparse. Shape (S, S).
+
+    Raises:
+        ValueError: For a matrix that is not square, or rows that are not probabilities with a sum of at most 1.
+    """
+    matrix = coo_array(transitions)
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
+        raise ValueError(f"transitions must be square, got shape {matrix.shape}")
+    sums = np.asarray(matrix.sum(axis=1)).ravel()
+    if not (np.isfinite(matrix.data).all() and (matrix.data >= 0.0).all() and (sums <= 1.0 + 1e-9).all()):
+        raise ValueError(
+            "transitions must be probabilities whose rows sum to at most 1, "
+            f"got entries from {matrix.data.min():g} and rows up to {sums.max():g}"
+        )
+    row, column = (np.asarray(index, np.int64) for index in matrix.coords)
+    runs = Runs(row, column, np.ones(len(row), np.int64), np.asarray(matrix.data, np.float64))
+    return Chain(int(matrix.shape[0]), runs)
+
+
+def _cells_of_rates(rates: Array, spacing: float, period: float) -> NDArray[np.int64]:
+    """Cells that each rate moves in one step, as whole numbers whose differences are even."""
+    if not np.isfinite(rates).all():
+        raise ValueError(f"rates must be finite, got {rates.tolist()}")
+    step = float(rates[1] - rates[0]) if len(rates) > 1 else 2.0 * spacing / period
+    if len(rates) > 1 and (step <= 0.0 or not np.allclose(np.diff(rates), step, rtol=1e-9, atol=0.0)):
+        raise ValueError(f"rates must rise in equal steps, got {rates.tolist()}")
+    exact = rates * period / spacing
+    cells = np.rint(exact).astype(np.int64)
+    if np.abs(exact - cells).max() > 1e-6 or np.any(np.diff(cells) % 2):
+        raise ValueError(
+            f"rates in steps of {step:g} do not fit positions {spacing:g} apart with a period of {period:g} s: choose "
+            f"spacing={step * period / 2.0:g} or a whole fraction of it with rates at multiples of their step, or "
+            f"rates at multiples of {2.0 * spacing / period:g}"
+        )
+    return cells
+
+
+@njit(cache=True, nogil=True)
+def predict_into(runs, probabilities, out):  # type: ignore[no-untyped-def]
+    """Forward step: out[j] = sum_i probabilities[i] a_ij."""
+    out[:] = 0.0
+    for run in range(runs.source.shape[0]):
+        weight, length = runs.weight[run], runs.length[run]
+        source = probabilities[runs.source[run] : runs.source[run] + length]
+        target = out[runs.target[run] : runs.target[run] + length]
+        for i in range(length):
+            target[i] += weight * source[i]
+
+
+@njit(cache=True, nogil=True)
+def retrodict_into(runs, values, out):  # type: ignore[no-untyped-def]
+    """Backward step: out[i] = sum_j a_ij values[j]."""
+    out[:] = 0.0
+    for run in range(runs.source.shape[0]):
+        weight, length = runs.weight[run], runs.length[run]
+        source = values[runs.target[run] : runs.target[run] + length]
+        target = out[runs.source[run] : runs.source[run] + length]
+        for i in range(length):
+            target[i] += weight * source[i]

@@ -1,0 +1,85 @@
+"""The sequential test: from when to when is there something that a chain can follow?"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+class Span(NamedTuple):
+    """Rows `first` to `last`, both included."""
+
+    first: int
+    last: int
+
+
+def presence(existence_likelihood: ArrayLike, switching: float = 0.02, prior: float = 0.5) -> Array:
+    """Probability that the object is there in each row given all rows (paper 003, eqs. 29 to 33).
+
+    A chain of two states, absent and there, with the row's likelihood 1 and Lam_k.
+
+    Args:
+        existence_likelihood: Lam_k. Shape (T,).
+        switching: Probability of a change from row to row.
+        prior: Probability at the first row.
+
+    Returns:
+        Shape (T,).
+
+    Raises:
+        ValueError: For a likelihood that is negative or not finite, or probabilities outside (0, 1).
+    """
+    ratio = np.ascontiguousarray(existence_likelihood, np.float64)
+    if ratio.ndim != 1 or not (np.isfinite(ratio).all() and (ratio >= 0.0).all()):
+        raise ValueError("existence_likelihood must be one axis of finite values that are not negative")
+    for name, value in (("switching", switching), ("prior", prior)):
+        if not 0.0 < value < 1.0:
+            raise ValueError(f"{name} must lie in (0, 1), got {value!r}")
+    out = np.empty(len(ratio))
+    _two_states(ratio, switching, prior, out)
+    return out
+
+
+def spans(probability: ArrayLike, threshold: float = 0.5, bridge: int = 6) -> list[Span]:
+    """Stretches of rows in which the object is there.
+
+    Args:
+        probability: As from `presence`. Shape (T,).
+        threshold: Rows above it belong to a span.
+        bridge: Gaps of at most this many rows do not end a span.
+    """
+    above = np.flatnonzero(np.asarray(probability) > threshold)
+    if not len(above):
+        return []
+    breaks = np.flatnonzero(np.diff(above) > bridge + 1)
+    firsts = np.concatenate([above[:1], above[breaks + 1]])
+    lasts = np.concatenate([above[breaks], above[-1:]])
+    return [Span(int(first), int(last)) for first, last in zip(firsts, lasts, strict=True)]
+
+
+@njit(cache=True, nogil=True)
+def _two_states(ratio, switching, prior, out):  # type: ignore[no-untyped-def]
+    """Forward-backward over absent and there; `out` holds the forward probabilities on the way."""
+    T = ratio.shape[0]
+    there = prior
+    for k in range(T):
+        if k > 0:
+            there = there * (1.0 - switching) + (1.0 - there) * switching
+        there = there * ratio[k] / (there * ratio[k] + 1.0 - there)
+        out[k] = there
+    # Backward messages of the two states, scaled to a sum of 1.
+    absent_after, there_after = 0.5, 0.5
+    for k in range(T - 1, -1, -1):
+        if k < T - 1:
+            absent, present = absent_after, there_after * ratio[k + 1]
+            absent_after = (1.0 - switching) * absent + switching * present
+            there_after = (1.0 - switching) * present + switching * absent
+            total = absent_after + there_after
+            absent_after, there_after = absent_after / total, there_after / total
+        product = out[k] * there_after
+        out[k] = product / (product + (1.0 - out[k]) * absent_after)

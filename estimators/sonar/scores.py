@@ -1,0 +1,139 @@
+"""How well a source at each bearing fits a row of the record: the cell's likelihood of the paper, and the whole row's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
+
+from servotrack.estimators.sonar.array import beam_correlation
+from servotrack.estimators.sonar.explained import Patterns
+
+Array = NDArray[np.float64]
+
+
+class Template(NamedTuple):
+    """A source's pattern about each look, whitened.
+
+    Attributes:
+        values: Of the beams from `reach` below a look to `reach` above. Shape (beams, 2 reach + 1).
+        inflation: Variance of a matched sum over the beams, in that of independent beams. Shape (beams,).
+    """
+
+    values: Array
+    inflation: Array
+
+
+@dataclass(frozen=True, eq=False)
+class RowScores:
+    """Matched filter over a whole row, whose neighboring beams share their noise.
+
+    Attributes:
+        patterns: Of sources.
+        looks: Bearings of the beams, deg. Shape (beams,).
+        averages: M of one beam power.
+        model_error: Relative standard deviation of what targets explain.
+        misplaced: Beams by which a pattern may be misplaced.
+        reach: Beams of the matched filter to each side.
+        damping: Added to the eigenvalues of the noise's correlation in whitening.
+    """
+
+    patterns: Patterns
+    looks: Array
+    averages: int
+    model_error: float = 0.15
+    misplaced: int = 4
+    reach: int = 32
+    damping: float = 1.0
+
+    @cached_property
+    def _correlation(self) -> Array:
+        p = self.patterns
+        return beam_correlation(p.array, p.band.frequencies, self.looks, p.shading)
+
+    @cached_property
+    def whitening(self) -> Array:
+        """Symmetric, shape (beams, beams)."""
+        values, vectors = np.linalg.eigh(self._correlation)
+        return np.ascontiguousarray((vectors / np.sqrt(np.maximum(values, 0.0) + self.damping)) @ vectors.T)
+
+    @cached_property
+    def _whitened_correlation(self) -> Array:
+        return self.whitening @ self._correlation @ self.whitening
+
+    @cached_property
+    def _neighbors(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        index = np.arange(len(self.looks))[:, None] + np.arange(-self.reach, self.reach + 1)
+        return np.clip(index, 0, len(self.looks) - 1), (index >= 0) & (index < len(self.looks))
+
+    @cached_property
+    def _basis(self) -> Array:
+        """Whitened pattern of each pure spectrum about every look. Shape (1 + tones, beams * (2 reach + 1))."""
+        index, inside = self._neighbors
+        cosines = np.cos(np.radians(self.looks))
+        whitened = (
+            self.patterns.at(mixture, cosines, self.looks) @ self.whitening
+            for mixture in np.eye(len(self.patterns.tables))
+        )
+        return np.array([np.where(inside, np.take_along_axis(p, index, 1), 0.0).ravel() for p in whitened])
+
+    def template(self, mixture: Array) -> Template:
+        """The whitened pattern of a mixture of spectra."""
+        index, inside = self._neighbors
+        values = (mixture @ self._basis).reshape(index.shape)
+        # How much the beams' correlation inflates a sum changes slowly with the look.
+        some = np.unique(np.linspace(0, len(self.looks) - 1, 31).astype(int))
+        spread = np.zeros((len(some), len(self.looks)))
+        rows = np.broadcast_to(np.arange(len(some))[:, None], index[some].shape)
+        spread[rows[inside[some]], index[some][inside[some]]] = values[some][inside[some]]
+        noise = np.einsum("ij,ij->i", spread @ self._whitened_correlation, spread)
+        inflation = noise / (spread**2 @ np.diag(self._whitened_correlation))
+        return Template(values, np.interp(np.arange(len(self.looks)), some, inflation))
+
+    def evaluate(self, rows: Array, explained: Array, template: Template) -> tuple[Array, Array]:
+        """Power of a source at each bearing and the variance of that power, under noise and the model's errors.
+
+        Args:
+            rows: Normalized beam powers. Shape (T, beams).
+            explained: Mean of the beam powers by everything else, noise 1. Shape (T, beams).
+            template: Of the source.
+
+        Returns:
+            power and variance, shape (T, beams) each.
+        """
+        residual = (rows - explained) @ self.whitening
+        others = np.abs((explained - 1.0) @ self.whitening)
+        skirts = maximum_filter1d(others, 2 * self.misplaced + 1, axis=1)
+        noise = np.diag(self._whitened_correlation) * explained**2 / self.averages
+        precision = 1.0 / (noise + (self.model_error * skirts) ** 2)
+        power, information = np.empty_like(rows), np.empty_like(rows)
+        _match(residual * precision, precision, template.values, power, information)
+        variance = template.inflation / information
+        # Noise that is not what the model says shows in the spread of all bearings.
+        scores = power / np.sqrt(variance)
+        spread = np.median(np.abs(scores), axis=1, keepdims=True) / 0.6745
+        return power, variance * np.maximum(spread, 1.0) ** 2
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _match(weighted, precision, template, power, information):  # type: ignore[no-untyped-def]
+    """Least-squares power of the template about every beam, and its information."""
+    beams, width = template.shape
+    reach = width // 2
+    for k in range(weighted.shape[0]):
+        for i in range(beams):
+            low, high = max(0, i - reach), min(beams, i + reach + 1)
+            first = low - i + reach
+            total, squares = 0.0, 0.0
+            shape, signal, trust = template[i], weighted[k], precision[k]
+            for j in range(high - low):
+                value = shape[first + j]
+                total += value * signal[low + j]
+                squares += value * value * trust[low + j]
+            power[k, i] = total / squares
+            information[k, i] = squares
