@@ -137,7 +137,7 @@ def test_drawn_targets_can_be_told_apart(seed):
                 assert (edges[1::2] - edges[::2]).max(initial=0) <= LONGEST_MEETING
         if variant == "trial":
             assert len(crossings(bearings, exists)) >= 3
-            assert scene.power[0].sum() == pytest.approx(600.0)
+            assert scene.power[0].sum() == pytest.approx(600.0 * 10**-0.5)
 
 
 def test_who_crosses_the_arrays_axis_comes_back():

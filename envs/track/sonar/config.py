@@ -25,10 +25,10 @@ TRIAL_COUNT = 6
 """Most targets of the sea trial, its interferer among them."""
 TONE_SNR, BROADBAND_SNR = -15.0, -10.0
 """Of the paper's two targets in one element, over all its noise up to `SAMPLED_BAND`, dB."""
-SNR_SPREAD = 3.0
-"""Drawn targets are up to this louder or fainter than the paper's, dB."""
-LOUDER = 10.0
-"""The trial's interferer is louder than other broadband targets, dB."""
+DRAWN_SNR = (-26.0, -14.0)
+"""Of targets that are drawn, likewise, dB."""
+LOUD_SNR = -5.0
+"""Of the trial's interferer, dB."""
 SAMPLED_BAND = 6000.0
 """SNRs are of an element's whole power, up to half the sampling frequency of 12 kHz, Hz."""
 
@@ -159,9 +159,9 @@ class SonarConfig:
         """What a beam power, over its noise level, is cut at: twice what the loudest scene has in one beam."""
         loudest = [TONE_SNR, BROADBAND_SNR]
         if self.variant not in ("rates", "cross30"):
-            loudest = [BROADBAND_SNR + SNR_SPREAD] * self.max_targets
+            loudest = [DRAWN_SNR[1]] * self.max_targets
         if self.variant == "trial":
-            loudest[0] = BROADBAND_SNR + LOUDER
+            loudest[0] = LOUD_SNR
         elements = sum(10.0 ** ((snr + self.snr_offset) / 10.0) for snr in loudest)
         return 2.0 + 2.0 * self.elements * self.noise_bins * elements / len(self.band.frequencies)
 

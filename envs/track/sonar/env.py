@@ -31,8 +31,8 @@ class SonarTrackingEnv(TrackEnv):
     |---|---|
     | 0 `rates` | paper 003's rates: a tone (-15 dB) and a broadband target (-10 dB) cross after 40 s |
     | 1 `cross30` | the same with its crossing after 30 s, at 1.5 deg/s |
-    | 2 `random` | 1 to 6 tones and broadband targets, drawn anew |
-    | 3 `trial` | like the paper's sea trial: 4 to 6 targets, one loud, 3 crossings or more, colored noise |
+    | 2 `random` | 1 to 6 tones and broadband targets of -26 to -14 dB, drawn anew |
+    | 3 `trial` | like the paper's sea trial: 4 to 6 such targets, one of -5 dB, 3 crossings or more, colored noise |
     | 4 `faint` | level 1, 20 dB fainter |
     | 5 `noise` | nobody is there |
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
-from servotrack.envs.track.sonar.config import BROADBAND_SNR, LOUDER, SNR_SPREAD, TONE_SNR, TRIAL_COUNT, SonarConfig
+from servotrack.envs.track.sonar.config import BROADBAND_SNR, DRAWN_SNR, LOUD_SNR, TONE_SNR, TRIAL_COUNT, SonarConfig
 
 Array = NDArray[np.float64]
 
@@ -184,13 +184,12 @@ def _trial_targets(config: SonarConfig, streams: Streams) -> list[_Target]:
 
 
 def _draw_targets(config: SonarConfig, streams: Streams, count: int, attempt: int) -> list[_Target] | None:
-    """Targets that do not keep beside each other, or None where there was no room for one of them."""
+    """Targets that can be told apart, or None where there was no room for one of them."""
     targets: list[_Target] = []
     while len(targets) < count:
         for trial in range(_ATTEMPTS):
             new = _draw_target(config, streams, (attempt, len(targets), trial))
-            meetings = (_longest_meeting(new, other, config.horizon) for other in targets)
-            if all(meeting * config.period <= LONGEST_MEETING for meeting in meetings):
+            if all(_can_be_told_apart(new, other, config) for other in targets):
                 targets.append(new)
                 break
         else:
@@ -221,7 +220,7 @@ def _draw_target(config: SonarConfig, streams: Streams, key: tuple[int, int, int
     bearings, rates = _reflected(path, rates)
     kind, pitch, level = streams[(Stream.SOUND, *key)].random(3).tolist()  # type: ignore[index]
     tone = TONES[0] + pitch * (TONES[1] - TONES[0]) if kind < 0.5 and not loud else None
-    snr = (BROADBAND_SNR if tone is None else TONE_SNR) + (LOUDER if loud else SNR_SPREAD * (2.0 * level - 1.0))
+    snr = LOUD_SNR if loud else DRAWN_SNR[0] + level * (DRAWN_SNR[1] - DRAWN_SNR[0])
     return _Target(first, last, bearings, rates, _power(config, snr, tone), tone is not None)
 
 
@@ -254,12 +253,14 @@ def _overlap(one: _Target, other: _Target, horizon: int) -> tuple[Array, Array]:
     ]
 
 
-def _longest_meeting(one: _Target, other: _Target, horizon: int) -> int:
-    """Most records in a row for which two targets are close."""
-    a, b = _overlap(one, other, horizon)
-    close = np.concatenate([[False], np.abs(a - b) < CLOSE, [False]])
-    edges = np.flatnonzero(close[1:] != close[:-1])
-    return int((edges[1::2] - edges[::2]).max(initial=0))
+def _can_be_told_apart(one: _Target, other: _Target, config: SonarConfig) -> bool:
+    """Whether two targets meet for a short time only, and neither begins or ends where the other one is."""
+    a, b = _overlap(one, other, config.horizon)
+    near = np.abs(a - b) < CLOSE
+    if len(near) and (near[0] or near[-1]):
+        return False
+    edges = np.flatnonzero(np.diff(near, prepend=False, append=False))
+    return int((edges[1::2] - edges[::2]).max(initial=0)) * config.period <= LONGEST_MEETING
 
 
 def _met(targets: list[_Target], horizon: int) -> int:
