@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from servotrack.baselines import reproduce
+from servotrack.baselines import reproduce, seeds
 from servotrack.baselines.paper000 import experiment, report, sequences, transfer
 from servotrack.baselines.paper000.experiment import Method, Outcome, count_right, run_methods
 from servotrack.baselines.paper000.figures import draw_counts
@@ -91,3 +91,13 @@ def test_a_recording_ends_where_its_frames_end() -> None:
 def test_the_whole_command(tmp_path: Path) -> None:
     reproduce.reproduce_paper("phd", tmp_path, 1, Console(file=io.StringIO(), width=170))
     assert {"paper000.md", "claims.yaml", "figure2.png", "figure3.svg"} <= {path.name for path in tmp_path.iterdir()}
+
+
+@pytest.mark.slow
+def test_the_number_of_people_is_right_in_nine_frames_of_ten() -> None:
+    found = []
+    for seed in seeds.take("tune", 4):
+        sequence = sequences.rendered(seed, script=sequences.SCRIPT, horizon=experiment.COUNTED_FRAMES)
+        outcomes = run_methods(sequence.frames, sequence.size, sequence.frame_rate, {"PMB": Method("masked", "pmb")})
+        found.append(count_right(outcomes["PMB"], sequence.numbers))
+    assert np.mean(found) >= 0.9
