@@ -28,11 +28,13 @@ LONGEST_MEETING = 20.0
 TRIAL_CROSSINGS = 3
 """A trial has at least as many crossings."""
 _TRIAL_LEAST = 4
+_TRIAL_LENGTH = 180.0
+"""s."""
 _INSIDE = (20.0, 160.0)
 """Drawn targets begin and end between, deg; beyond, the beams of a line array are broad."""
 _LOUD_RATE = 0.2
 """Largest rate of the trial's interferer, deg/s."""
-_ATTEMPTS = 200
+_ATTEMPTS = 100
 
 
 class Stream(IntEnum):
@@ -113,9 +115,10 @@ def draw_scene(config: SonarConfig, seed: int) -> SonarScene:
         np.zeros(n, np.bool_),
     )
     for column, target in enumerate(_targets(config, streams)):
-        life = slice(target.first, target.last + 1)
+        life = slice(target.first, min(target.last + 1, records))
+        shown = slice(0, max(life.stop - life.start, 0))
         scene.exists[life, column] = True
-        scene.bearings[life, column], scene.rates[life, column] = target.bearings, target.rates
+        scene.bearings[life, column], scene.rates[life, column] = target.bearings[shown], target.rates[shown]
         scene.power[column], scene.tonal[column] = target.power, target.tonal
     return scene
 
@@ -176,11 +179,9 @@ def _trial_targets(config: SonarConfig, streams: Streams) -> list[_Target]:
     count = int(streams[Stream.NUMBER].integers(_TRIAL_LEAST, TRIAL_COUNT + 1))
     for attempt in range(_ATTEMPTS):
         drawn = _draw_targets(config, streams, count, attempt)
-        if drawn is not None and _met(drawn, config.horizon) >= TRIAL_CROSSINGS:
+        if drawn is not None and _met(drawn, _span(config)) >= TRIAL_CROSSINGS:
             return drawn
-    raise ValueError(
-        f"no scene of {count} targets with {TRIAL_CROSSINGS} crossings was found; raise max_rate or horizon"
-    )
+    raise ValueError(f"no scene of {count} targets with {TRIAL_CROSSINGS} crossings was found; raise max_rate")
 
 
 def _draw_targets(config: SonarConfig, streams: Streams, count: int, attempt: int) -> list[_Target] | None:
@@ -199,15 +200,16 @@ def _draw_targets(config: SonarConfig, streams: Streams, count: int, attempt: in
 
 def _draw_target(config: SonarConfig, streams: Streams, key: tuple[int, int, int]) -> _Target:
     loud = config.variant == "trial" and key[1] == 0
-    most = config.horizon + config.lag
+    span = _span(config)
+    most = span + config.lag
     part, length, place, aim = streams[(Stream.LIFE, *key)].random(4).tolist()  # type: ignore[index]
-    shortest = min(config.horizon // 2 if config.variant == "trial" else config.shortest_life, config.horizon)
-    alive = shortest + round(length * (config.horizon - shortest))
-    first = round(part * (config.horizon - alive))
+    shortest = span // 2 if config.variant == "trial" else min(config.shortest_life, span)
+    alive = shortest + round(length * (span - shortest))
+    first = round(part * (span - alive))
     # Whoever is there at the end of what is scored is there beyond it, too.
-    last = most if first + alive >= config.horizon else first + alive - 1
+    last = most if first + alive >= span else first + alive - 1
     if loud:
-        first, alive, last = 0, config.horizon, most
+        first, alive, last = 0, span, most
     low, high = _INSIDE
     start, end = low + (high - low) * place, low + (high - low) * aim
     fastest = _LOUD_RATE if loud else config.max_rate
@@ -243,9 +245,14 @@ def _reflected(bearings: Array, rates: Array) -> tuple[Array, Array]:
     return np.where(behind, 360.0 - turned, turned), np.where(behind, -rates, rates)
 
 
-def _overlap(one: _Target, other: _Target, horizon: int) -> tuple[Array, Array]:
-    """Bearings of both while both are there and scored, so that scenes do not depend on the lag."""
-    first, last = max(one.first, other.first), min(one.last, other.last, horizon - 1)
+def _span(config: SonarConfig) -> int:
+    """Records that a scene is drawn for: those that are scored; a shorter trial is the first part of a whole one."""
+    return max(config.horizon, round(_TRIAL_LENGTH / config.period)) if config.variant == "trial" else config.horizon
+
+
+def _overlap(one: _Target, other: _Target, span: int) -> tuple[Array, Array]:
+    """Bearings of both while both are there, so far as the lag does not matter."""
+    first, last = max(one.first, other.first), min(one.last, other.last, span - 1)
     if first > last:
         return np.zeros(0), np.zeros(0)
     return one.bearings[first - one.first : last + 1 - one.first], other.bearings[
@@ -255,7 +262,7 @@ def _overlap(one: _Target, other: _Target, horizon: int) -> tuple[Array, Array]:
 
 def _can_be_told_apart(one: _Target, other: _Target, config: SonarConfig) -> bool:
     """Whether two targets meet for a short time only, and neither begins or ends where the other one is."""
-    a, b = _overlap(one, other, config.horizon)
+    a, b = _overlap(one, other, _span(config))
     near = np.abs(a - b) < CLOSE
     if len(near) and (near[0] or near[-1]):
         return False
@@ -263,11 +270,11 @@ def _can_be_told_apart(one: _Target, other: _Target, config: SonarConfig) -> boo
     return int((edges[1::2] - edges[::2]).max(initial=0)) * config.period <= LONGEST_MEETING
 
 
-def _met(targets: list[_Target], horizon: int) -> int:
+def _met(targets: list[_Target], span: int) -> int:
     """How often the order of two targets' bearings changes."""
     total = 0
     for i, one in enumerate(targets):
         for other in targets[i + 1 :]:
-            a, b = _overlap(one, other, horizon)
+            a, b = _overlap(one, other, span)
             total += int(np.count_nonzero(np.diff(a > b)))
     return total
