@@ -1,4 +1,4 @@
-"""How well a source at each bearing fits a row of the record: the cell's likelihood of the paper, and the whole row's."""
+"""How well a source at each bearing fits a row of the record, by a matched filter over the whole row."""
 
 from __future__ import annotations
 

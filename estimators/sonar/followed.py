@@ -1,0 +1,115 @@
+"""One chain in a record: where its target is, how strong, with which pattern, and from when to when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.estimators.hmm.existence import Span, presence, spans
+
+Array = NDArray[np.float64]
+
+ABOUT_MODE = 2.0
+"""The estimate is the mean of the probabilities within this of their mode, deg."""
+EDGE = 2
+"""Rows before and after a span in which its target may be, for the next sweep."""
+
+TRIM_SHARE, TRIM_MOST = 0.3, 1.0
+"""Rows at a track's ends belong to it if they say this share of what its rows say on average, or this much, nats."""
+
+
+@dataclass(eq=False)
+class Followed:
+    """What is known of one chain's target, row by row.
+
+    Attributes:
+        presence: Probability that it is there. Shape (T,).
+        mixture: Its spectrum, as `Patterns` has it.
+        bearings: deg. Shape (T,).
+        rates: deg/s. Shape (T,).
+        deviations: Standard deviation of bearings, deg. Shape (T,).
+        power: Above the noise in the beam that looks at it. Shape (T,).
+        expected: Its power as the rows around tell it; None before it was fitted. Shape (T,).
+        pattern: Its beam pattern, peak 1. Shape (T, beams).
+        existence_likelihood: Lam_k. Shape (T,).
+        likelihood: Of the rows under its positions or states, in the last sweep. Shape (T, W).
+        marginal: Of the states, where others need it. Shape (T, S).
+        spans: Rows in which it is there.
+        evidence: Log likelihood ratio of each span.
+        label: Identity, 0 while it has none.
+        prior: Of the states at the first row; None: uniform. Shape (S,).
+        prior_presence: At the first row.
+    """
+
+    presence: Array
+    mixture: Array
+    bearings: Array = field(default_factory=lambda: np.zeros(0))
+    rates: Array = field(default_factory=lambda: np.zeros(0))
+    deviations: Array = field(default_factory=lambda: np.zeros(0))
+    power: Array = field(default_factory=lambda: np.zeros(0))
+    expected: Array | None = None
+    pattern: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    existence_likelihood: Array = field(default_factory=lambda: np.zeros(0))
+    likelihood: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    marginal: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    spans: list[Span] = field(default_factory=list)
+    evidence: list[float] = field(default_factory=list)
+    label: int = 0
+    prior: Array | None = None
+    prior_presence: float = 0.5
+
+    def locate(self, marginal: Array, looks: Array, rates: Array) -> None:
+        """Bearings, rates and deviations from the probabilities of all states, shape (T, S)."""
+        cells = marginal.reshape(len(marginal), len(rates), len(looks))
+        positions = cells.sum(axis=1)
+        half = round(ABOUT_MODE / (looks[1] - looks[0]))
+        index = positions.argmax(axis=1)[:, None] + np.arange(-half, half + 1)
+        inside = (index >= 0) & (index < len(looks))
+        index = np.clip(index, 0, len(looks) - 1)
+        weight = np.take_along_axis(positions, index, axis=1) * inside
+        weight /= weight.sum(axis=1, keepdims=True)
+        near = looks[index]
+        self.bearings = (weight * near).sum(axis=1)
+        self.deviations = np.sqrt((weight * (near - self.bearings[:, None]) ** 2).sum(axis=1))
+        self.rates = np.einsum("trp,r->t", cells, rates)
+
+    def test_existence(self, switching: float, bridge: int, piece: float, whole: float) -> None:
+        """The sequential test: presence, spans and their evidence.
+
+        Args:
+            switching: Probability of coming or going from row to row.
+            bridge: Gaps of at most this many rows do not end a span.
+            piece: Least log likelihood ratio of an unbroken stretch, nats: what is less is noise.
+            whole: Least log likelihood ratio of a span, nats.
+        """
+        there = presence(self.existence_likelihood, switching, self.prior_presence)
+        ratio = np.log(self.existence_likelihood)
+        kept = there.copy()
+        for span in spans(there, bridge=0):
+            if ratio[span.first : span.last + 1].sum() < piece:
+                kept[span.first : span.last + 1] = 0.0
+        candidates = [_trimmed(ratio, span) for span in spans(kept, bridge=bridge)]
+        self.spans = [s for s, value in candidates if value >= whole]
+        self.evidence = [value for _, value in candidates if value >= whole]
+        may_be = np.zeros(len(there), np.bool_)
+        for span in self.spans:
+            may_be[max(0, span.first - EDGE) : span.last + 1 + EDGE] = True
+        self.presence = np.where(may_be, there, 0.0)
+
+
+def _trimmed(ratio: Array, span: Span) -> tuple[Span, float]:
+    """A span without rows at its ends that say much less than its other rows, and its evidence.
+
+    Where a track begins, a path through noise leads to it, whose rows say a little.
+    """
+    values = ratio[span.first : span.last + 1]
+    cost = min(TRIM_SHARE * max(float(values.mean()), 0.0), TRIM_MOST)
+    total = np.concatenate([[0.0], np.cumsum(values - cost)])
+    lowest = np.minimum.accumulate(total)
+    last = int((total - lowest).argmax())
+    first = int(total[: last + 1].argmin())
+    if last == first:
+        return span, float(values.sum())
+    return Span(span.first + first, span.first + last - 1), float(values[first:last].sum())

@@ -1,0 +1,175 @@
+"""Many chains in one record, solved in turns: each chain sees the rows less what the others explain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.estimators.hmm.exclusion import exclude, occupancy
+from servotrack.estimators.hmm.smoothing import smooth
+from servotrack.estimators.sonar.explained import fit_powers, variance_of
+from servotrack.estimators.sonar.followed import Followed
+from servotrack.estimators.sonar.likelihood import cell_likelihood, known_power, unknown_power
+
+if TYPE_CHECKING:
+    from servotrack.estimators.sonar.tracker import HMMBearings
+
+Array = NDArray[np.float64]
+
+APART = 0.06
+"""Targets whose cosines of bearing differ by less are not resolved by the array of 48 elements."""
+SURE = 0.3
+"""Presence from which a row tells of a target's power and spectrum."""
+FEWEST = 5
+"""Rows from which a spectrum is fitted."""
+AROUND = 20
+"""Rows to each side whose median is the power that is expected of a target."""
+FAILED = 2.0
+"""About a ridge that failed the test of existence the next search does not look, deg."""
+
+
+class Together:
+    """Chains in normalized rows.
+
+    Args:
+        tracker: All parameters.
+        rows: Normalized beam powers. Shape (T, beams).
+        chains: Chains that are followed already.
+    """
+
+    def __init__(self, tracker: HMMBearings, rows: Array, chains: Sequence[Followed] = ()) -> None:
+        self.tracker = tracker
+        self.rows = rows
+        self.chains = list(chains)
+
+    def search(self, attempts: int) -> None:
+        """Start chains on the strongest unexplained ridge until the test of existence fails `attempts` in a row."""
+        failed = 0
+        closed = np.zeros(self.rows.shape, np.bool_)
+        looks = self.tracker.looks
+        while failed < attempts and len(self.chains) < self.tracker.max_targets:
+            chain = Followed(np.ones(len(self.rows)), self.tracker.patterns.flat)
+            self._update(chain, closed)
+            if chain.spans:
+                self.chains.append(chain)
+                self._explain(chain)
+                chain.power = np.full(len(self.rows), 0.0)
+                self.sweep(self.tracker.sweeps)
+            if chain in self.chains:
+                failed = 0
+            else:
+                failed += 1
+                closed |= np.abs(looks - chain.bearings[:, None]) < FAILED
+
+    def sweep(self, times: int) -> None:
+        """Solve every chain in turn, given the others; those that fail the test of existence end."""
+        for _ in range(times):
+            self.fit()
+            for chain in list(self.chains):
+                self._update(chain)
+                if chain.spans:
+                    self._explain(chain)
+                else:
+                    self.chains.remove(chain)
+        self.fit()
+
+    def explained(self, but: Followed | None = None) -> Array:
+        """Mean beam powers by noise and all chains but one. Shape (T, beams)."""
+        mean = np.ones_like(self.rows)
+        for chain in self.chains:
+            if chain is not but:
+                mean += (chain.presence * chain.power)[:, None] * chain.pattern
+        return mean
+
+    def fit(self) -> None:
+        """Powers of all chains together, what is expected of them, and their spectra."""
+        if self.tracker.likelihood == "cell" or not self.chains:
+            return
+        tracker, chains = self.tracker, self.chains
+        there = np.array([chain.presence for chain in chains])
+        alone = self._alone(there)
+        patterns = np.array([chain.pattern for chain in chains]) * there[:, :, None]
+        mean = self.explained()
+        for _ in range(2):
+            variance = variance_of(mean, tracker.averages, 0.3 * tracker.model_error, tracker.misplaced // 2)
+            free = fit_powers(
+                self.rows, patterns, variance, np.zeros_like(there), np.full_like(there, 1e3 * self.rows.max())
+            )
+            least = tracker.weakest / np.sqrt(tracker.averages)
+            usual = np.array([_running_median(p, use) for p, use in zip(free, alone, strict=True)])
+            usual = np.maximum(usual, least)
+            power = fit_powers(self.rows, patterns, variance, usual, tracker.power_spread * usual)
+            for i, chain in enumerate(chains):
+                chain.expected = usual[i]
+                chain.power = np.where(there[i] > SURE, power[i], usual[i])
+            mean = self.explained()
+        cosines = np.cos(np.radians(tracker.looks))
+        for i, chain in enumerate(chains):
+            use = alone[i]
+            if use.sum() >= FEWEST:
+                excess = (self.rows - self.explained(chain))[use]
+                chain.mixture = tracker.patterns.fit(
+                    excess, variance[use], cosines, chain.bearings[use], np.maximum(chain.power[use], least)
+                )
+
+    def _alone(self, there: Array) -> NDArray[np.bool_]:
+        """Rows in which each chain's target is there and no other is too near to be told from it."""
+        cosines = np.cos(np.radians([chain.bearings for chain in self.chains]))
+        alone = there > SURE
+        for i in range(len(self.chains)):
+            for j in range(len(self.chains)):
+                if i != j:
+                    alone[i] &= ~((there[j] > SURE) & (np.abs(cosines[i] - cosines[j]) < APART))
+        return alone
+
+    def _explain(self, chain: Followed) -> None:
+        if self.tracker.likelihood == "row":
+            looks = self.tracker.looks
+            chain.pattern = self.tracker.patterns.at(chain.mixture, np.cos(np.radians(looks)), chain.bearings)
+
+    def _update(self, chain: Followed, closed: NDArray[np.bool_] | None = None) -> None:
+        """Smooth one chain given the others, and test its existence; a new chain may not enter what is closed."""
+        tracker = self.tracker
+        b = self._cells(chain) if tracker.likelihood == "cell" else self._row(chain)
+        if closed is not None and closed.any():
+            b = np.where(np.tile(closed, (1, b.shape[1] // closed.shape[1])), 1.0, b)
+        chain.likelihood = b
+        smoothed = smooth(tracker.chain, b, chain.prior, None if closed is not None else chain.presence)
+        chain.locate(smoothed.marginal, tracker.looks, tracker.chain.rates)
+        chain.existence_likelihood = smoothed.existence_likelihood
+        if tracker.likelihood == "cell":
+            chain.marginal = smoothed.marginal
+        established = chain.label > 0
+        whole = 0.0 if established else tracker.evidence
+        chain.test_existence(
+            tracker.switching, tracker.bridged, 0.0 if established else tracker.evidence_of_piece, whole
+        )
+
+    def _row(self, chain: Followed) -> Array:
+        scores = self.tracker.scores
+        power, variance = scores.evaluate(self.rows, self.explained(chain), scores.template(chain.mixture))
+        if chain.expected is None:
+            return unknown_power(power, variance)
+        return known_power(power, variance, chain.expected, self.tracker.power_spread)
+
+    def _cells(self, chain: Followed) -> Array:
+        b = cell_likelihood(self.rows)
+        others = [c for c in self.chains if c is not chain]
+        if not others:
+            return b
+        beams = len(self.tracker.looks)
+        return exclude(b, [occupancy(c.marginal, c.presence, beams, self.tracker.spread_beams) for c in others])
+
+
+def _running_median(values: Array, use: NDArray[np.bool_]) -> Array:
+    """Median of the used values around each row; of all of them where fewer than three are near."""
+    out = np.full(len(values), np.median(values[use]) if use.any() else 0.0)
+    for k in range(len(values)):
+        near = slice(max(0, k - AROUND), k + AROUND + 1)
+        chosen = values[near][use[near]]
+        if len(chosen) >= 3:
+            out[k] = np.median(chosen)
+    return out
