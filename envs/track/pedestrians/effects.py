@@ -115,7 +115,7 @@ def compress(image: Image, strength: float) -> Image:
     written, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not written:
         raise RuntimeError(f"OpenCV could not code a frame of shape {image.shape} as JPEG")
-    decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    decoded = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
     if decoded is None:
         raise RuntimeError(f"OpenCV could not read its own JPEG of a frame of shape {image.shape}")
-    return np.asarray(cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    return np.asarray(decoded, dtype=np.uint8)
