@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,13 @@ from servotrack.estimators.sonar.array import normalize
 from servotrack.estimators.sonar.followed import Followed
 
 Array = NDArray[np.float64]
+
+OVERLAP = 3
+"""Rows that two parts of one track may have in common."""
+RATE_ROWS = 5
+"""Rows whose mean rate carries a track on."""
+JOIN_DISTANCE, JOIN_RATE = 2.0, 0.3
+"""How far two parts of a track may be apart, deg, and how much more per row between them, deg."""
 
 
 class BearingTrack(NamedTuple):
@@ -53,6 +61,53 @@ class BearingTrack(NamedTuple):
             chain.presence[rows].copy(),
             evidence,
         )
+
+
+def joined(tracks: Sequence[BearingTrack], gap: int) -> list[BearingTrack]:
+    """Tracks of which one goes on where another ended, made one; labels are given anew by evidence.
+
+    Args:
+        tracks: Any number.
+        gap: Rows that may be missing between them; bearings there are interpolated.
+    """
+    left = sorted(tracks, key=lambda track: track.first)
+    done: list[BearingTrack] = []
+    while left:
+        track = left.pop(0)
+        following = [(_misfit(track, other, gap), i) for i, other in enumerate(left)]
+        misfit, at = min(following, default=(np.inf, -1))
+        if misfit <= 1.0:
+            left[at] = _chained(track, left[at])
+        else:
+            done.append(track)
+    done.sort(key=lambda track: -track.evidence)
+    return [track._replace(label=label) for label, track in enumerate(done, 1)]
+
+
+def _misfit(track: BearingTrack, other: BearingTrack, gap: int) -> float:
+    """Distance between a track carried on and another's start, in what is allowed."""
+    steps = other.first - track.last
+    if not 1 - OVERLAP <= steps <= gap + 1 or other.last <= track.last:
+        return np.inf
+    inside = max(1 - steps, 0)
+    near = slice(inside, inside + RATE_ROWS)
+    rate_before, rate_after = track.rates[-RATE_ROWS:].mean(), other.rates[near].mean()
+    ahead = steps + inside
+    error = abs(track.bearings[-1] + 0.5 * (rate_before + rate_after) * ahead - other.bearings[inside])
+    return float(error / (JOIN_DISTANCE + JOIN_RATE * ahead))
+
+
+def _chained(track: BearingTrack, other: BearingTrack) -> BearingTrack:
+    inside = max(track.last + 1 - other.first, 0)
+    missing = max(other.first - track.last - 1, 0)
+    share = np.arange(1, missing + 1) / (missing + 1.0)
+
+    def chain(before: Array, after: Array) -> Array:
+        return np.concatenate([before, before[-1] + share * (after[inside] - before[-1]), after[inside:]])
+
+    values = [chain(getattr(track, name), getattr(other, name)) for name in ("bearings", "rates", "deviations")]
+    presence = np.concatenate([track.presence, np.zeros(missing), other.presence[inside:]])
+    return BearingTrack(track.label, track.first, *values, presence, track.evidence + other.evidence)
 
 
 def checked_record(record: ArrayLike, beams: int, averages: int, times: ArrayLike | None, period: float) -> Array:

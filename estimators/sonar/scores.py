@@ -57,19 +57,29 @@ class RowScores:
         return beam_correlation(p.array, p.band.frequencies, self.looks, p.shading)
 
     @cached_property
-    def whitening(self) -> Array:
-        """Symmetric, shape (beams, beams)."""
-        values, vectors = np.linalg.eigh(self._correlation)
-        return np.ascontiguousarray((vectors / np.sqrt(np.maximum(values, 0.0) + self.damping)) @ vectors.T)
-
-    @cached_property
-    def _whitened_correlation(self) -> Array:
-        return self.whitening @ self._correlation @ self.whitening
-
-    @cached_property
     def _neighbors(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         index = np.arange(len(self.looks))[:, None] + np.arange(-self.reach, self.reach + 1)
         return np.clip(index, 0, len(self.looks) - 1), (index >= 0) & (index < len(self.looks))
+
+    @cached_property
+    def whitening(self) -> Array:
+        """What makes the noise of neighboring beams nearly independent, cut to `reach`. Shape (beams, 2 reach + 1)."""
+        values, vectors = np.linalg.eigh(self._correlation)
+        whole = (vectors / np.sqrt(np.maximum(values, 0.0) + self.damping)) @ vectors.T
+        index, inside = self._neighbors
+        return np.ascontiguousarray(np.where(inside, np.take_along_axis(whole, index, 1), 0.0))
+
+    @cached_property
+    def _noise(self) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Variances of whitened noise, and its covariance about some looks: blocks (some, width, width), looks."""
+        index, inside = self._neighbors
+        square = np.zeros_like(self._correlation)
+        rows = np.broadcast_to(np.arange(len(self.looks))[:, None], index.shape)
+        square[rows[inside], index[inside]] = self.whitening[inside]
+        covariance = square @ self._correlation @ square.T
+        some = np.unique(np.linspace(0, len(self.looks) - 1, 31).astype(int))
+        blocks = np.array([covariance[np.ix_(index[i], index[i])] for i in some])
+        return np.ascontiguousarray(np.diag(covariance)), blocks, some
 
     @cached_property
     def _basis(self) -> Array:
@@ -77,22 +87,25 @@ class RowScores:
         index, inside = self._neighbors
         cosines = np.cos(np.radians(self.looks))
         whitened = (
-            self.patterns.at(mixture, cosines, self.looks) @ self.whitening
+            self._whiten(self.patterns.at(mixture, cosines, self.looks))
             for mixture in np.eye(len(self.patterns.tables))
         )
         return np.array([np.where(inside, np.take_along_axis(p, index, 1), 0.0).ravel() for p in whitened])
+
+    def _whiten(self, rows: Array) -> Array:
+        out = np.empty_like(rows)
+        _filter(np.ascontiguousarray(rows), self.whitening, out)
+        return out
 
     def template(self, mixture: Array) -> Template:
         """The whitened pattern of a mixture of spectra."""
         index, inside = self._neighbors
         values = (mixture @ self._basis).reshape(index.shape)
         # How much the beams' correlation inflates a sum changes slowly with the look.
-        some = np.unique(np.linspace(0, len(self.looks) - 1, 31).astype(int))
-        spread = np.zeros((len(some), len(self.looks)))
-        rows = np.broadcast_to(np.arange(len(some))[:, None], index[some].shape)
-        spread[rows[inside[some]], index[some][inside[some]]] = values[some][inside[some]]
-        noise = np.einsum("ij,ij->i", spread @ self._whitened_correlation, spread)
-        inflation = noise / (spread**2 @ np.diag(self._whitened_correlation))
+        power, blocks, some = self._noise
+        few = values[some]
+        noise = np.einsum("ij,ijk,ik->i", few, blocks, few)
+        inflation = noise / np.einsum("ij,ij->i", few**2, power[index[some]] * inside[some])
         return Template(values, np.interp(np.arange(len(self.looks)), some, inflation))
 
     def evaluate(self, rows: Array, explained: Array, template: Template) -> tuple[Array, Array]:
@@ -106,10 +119,10 @@ class RowScores:
         Returns:
             power and variance, shape (T, beams) each.
         """
-        residual = (rows - explained) @ self.whitening
-        others = np.abs((explained - 1.0) @ self.whitening)
+        residual = self._whiten(rows - explained)
+        others = np.abs(self._whiten(explained - 1.0))
         skirts = maximum_filter1d(others, 2 * self.misplaced + 1, axis=1)
-        noise = np.diag(self._whitened_correlation) * explained**2 / self.averages
+        noise = self._noise[0] * explained**2 / self.averages
         precision = 1.0 / (noise + (self.model_error * skirts) ** 2)
         power, information = np.empty_like(rows), np.empty_like(rows)
         _match(residual * precision, precision, template.values, power, information)
@@ -137,3 +150,20 @@ def _match(weighted, precision, template, power, information):  # type: ignore[n
                 squares += value * value * trust[low + j]
             power[k, i] = total / squares
             information[k, i] = squares
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _filter(rows, weights, out):  # type: ignore[no-untyped-def]
+    """Weighted sums of the beams about every beam."""
+    beams, width = weights.shape
+    reach = width // 2
+    for k in range(rows.shape[0]):
+        row = rows[k]
+        for i in range(beams):
+            low, high = max(0, i - reach), min(beams, i + reach + 1)
+            first = low - i + reach
+            share = weights[i]
+            total = 0.0
+            for j in range(high - low):
+                total += share[first + j] * row[low + j]
+            out[k, i] = total

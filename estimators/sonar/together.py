@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from servotrack.estimators.hmm.exclusion import exclude, occupancy
@@ -164,12 +165,16 @@ class Together:
         return exclude(b, [occupancy(c.marginal, c.presence, beams, self.tracker.spread_beams) for c in others])
 
 
-def _running_median(values: Array, use: NDArray[np.bool_]) -> Array:
+@njit(cache=True, nogil=True)
+def _running_median(values, use):  # type: ignore[no-untyped-def]
     """Median of the used values around each row; of all of them where fewer than three are near."""
-    out = np.full(len(values), np.median(values[use]) if use.any() else 0.0)
+    out = np.zeros(len(values))
+    every = values[use]
+    if len(every) > 0:
+        out[:] = np.median(every)
     for k in range(len(values)):
-        near = slice(max(0, k - AROUND), k + AROUND + 1)
-        chosen = values[near][use[near]]
+        low, high = max(0, k - AROUND), k + AROUND + 1
+        chosen = values[low:high][use[low:high]]
         if len(chosen) >= 3:
             out[k] = np.median(chosen)
     return out

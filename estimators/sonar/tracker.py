@@ -15,7 +15,7 @@ from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.sonar.array import Band, LineArray, Shading, bearings
 from servotrack.estimators.sonar.explained import Patterns
 from servotrack.estimators.sonar.followed import Followed
-from servotrack.estimators.sonar.record import BearingTrack, checked_record, checked_row
+from servotrack.estimators.sonar.record import BearingTrack, checked_record, checked_row, joined
 from servotrack.estimators.sonar.scores import RowScores
 from servotrack.estimators.sonar.together import Together
 
@@ -204,13 +204,12 @@ class HMMBearings:
             return []
         together = Together(self, rows)
         together.search(attempts=2)
-        found = [
-            (value, chain, span)
+        parts = [
+            BearingTrack.cut(0, chain, span, value)
             for chain in together.chains
             for span, value in zip(chain.spans, chain.evidence, strict=True)
         ]
-        found.sort(key=lambda item: -item[0])
-        return [BearingTrack.cut(label, chain, span, value) for label, (value, chain, span) in enumerate(found, 1)]
+        return joined(parts, self.bridged)
 
     def initial(self, row: ArrayLike) -> BearingState:
         """Memory before the first row; `row` is only looked at for its length.
