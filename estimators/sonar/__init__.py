@@ -1,1 +1,46 @@
-"""Passive sonar with a line array: beamforming, and tracking of bearings before detection."""
+"""Passive sonar with a line array: beamforming, and tracking of bearings before detection.
+
+    tracker = HMMBearings()
+    for track in tracker.track(record):  # beam powers, shape (rows, 721), one row a second
+        print(track.label, track.first, track.last, track.bearings)
+
+or, with the answer five rows later and constant memory:
+
+    online = Online(HMMBearings(lag=5))
+    for row in record:
+        estimate = online.step(row)
+        print(estimate.labels, estimate.states[:, 0])  # deg
+"""
+
+from servotrack.estimators.sonar.array import (
+    Band,
+    LineArray,
+    PatternTable,
+    beam_correlation,
+    beam_pattern,
+    beamform,
+    bearings,
+    normalize,
+    shading_weights,
+    steering,
+    tabulate_pattern,
+)
+from servotrack.estimators.sonar.record import BearingTrack
+from servotrack.estimators.sonar.tracker import BearingState, HMMBearings
+
+__all__ = [
+    "Band",
+    "BearingState",
+    "BearingTrack",
+    "HMMBearings",
+    "LineArray",
+    "PatternTable",
+    "beam_correlation",
+    "beam_pattern",
+    "beamform",
+    "bearings",
+    "normalize",
+    "shading_weights",
+    "steering",
+    "tabulate_pattern",
+]
