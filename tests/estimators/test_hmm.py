@@ -1,0 +1,173 @@
+"""Chains over grids: exact on small cases, probabilities that sum to one, and errors that say what fits."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from servotrack.estimators.hmm import (
+    Span,
+    advance,
+    best_path,
+    exclude,
+    grid_chain,
+    occupancy,
+    presence,
+    smooth,
+    spans,
+    sparse_chain,
+)
+
+
+def small_chain(seed, states=4):
+    rng = np.random.default_rng(seed)
+    transitions = rng.random((states, states)) + 0.01
+    transitions /= transitions.sum(axis=1, keepdims=True)
+    return transitions, rng.random((4, states)) + 0.1
+
+
+def enumerated(transitions, rows):
+    """(path, prior times transitions, likelihoods of its rows) of all paths."""
+    T, S = rows.shape
+    for path in itertools.product(range(S), repeat=T):
+        weight = np.prod([transitions[a, b] for a, b in itertools.pairwise(path)]) / S
+        yield np.array(path), weight, rows[np.arange(T), list(path)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_smoothing_is_exact(seed):
+    transitions, rows = small_chain(seed)
+    marginal, with_row, without_row = np.zeros(rows.shape), 0.0, np.zeros(len(rows))
+    for path, weight, likelihood in enumerated(transitions, rows):
+        joint = weight * likelihood.prod()
+        marginal[np.arange(len(rows)), path] += joint
+        with_row += joint
+        without_row += joint / likelihood
+    found = smooth(sparse_chain(transitions), rows)
+    np.testing.assert_allclose(found.marginal, marginal / with_row, rtol=1e-10)
+    np.testing.assert_allclose(found.existence_likelihood, with_row / without_row, rtol=1e-10)
+    assert found.log_evidence == pytest.approx(np.log(with_row))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_best_path_is_the_best_of_all(seed):
+    transitions, rows = small_chain(seed)
+    best = max(enumerated(transitions, rows), key=lambda item: item[1] * item[2].prod())
+    path, value = best_path(sparse_chain(transitions), np.log(rows))
+    assert path.tolist() == best[0].tolist()
+    assert value == pytest.approx(np.log(best[1] * rows.shape[1] * best[2].prod()))
+
+
+def test_presence_is_exact():
+    ratio = np.array([0.3, 2.0, 5.0, 0.5])
+    weights = np.zeros((2, 4))
+    for states in itertools.product((0, 1), repeat=4):
+        weight = 0.5 * np.prod([0.9 if a == b else 0.1 for a, b in itertools.pairwise(states)])
+        weight *= np.prod([r if d else 1.0 for d, r in zip(states, ratio, strict=True)])
+        for k, d in enumerate(states):
+            weights[d, k] += weight
+    np.testing.assert_allclose(presence(ratio, switching=0.1), weights[1] / weights.sum(axis=0), rtol=1e-12)
+
+
+@given(seed=st.integers(0, 10_000), strength=st.floats(0.0, 15.0))
+@settings(max_examples=30, deadline=None)
+def test_probabilities_sum_to_one(seed, strength):
+    rng = np.random.default_rng(seed)
+    chain = grid_chain(41, [-1.0, -0.5, 0.0, 0.5, 1.0], 0.25)
+    rows = np.exp(strength * rng.normal(size=(12, 41)))
+    found = smooth(chain, rows, presence=rng.random(12))
+    np.testing.assert_allclose(found.marginal.sum(axis=1), 1.0, rtol=1e-9)
+    there = presence(found.existence_likelihood)
+    assert np.isfinite(found.marginal).all() and (there >= 0.0).all() and (there <= 1.0).all()
+
+
+def test_existence_likelihood_has_mean_one_under_noise():
+    rng = np.random.default_rng(4)
+    chain = grid_chain(81, [-0.5, 0.0, 0.5], 0.25)
+    amplitude = 1.0
+    values = [
+        smooth(chain, np.exp(amplitude * rng.normal(size=(20, 81)) - amplitude**2 / 2.0)).existence_likelihood
+        for _ in range(400)
+    ]
+    mean, error = np.mean(values), np.std(values) / np.sqrt(np.size(values))
+    assert error < 0.02
+    assert abs(mean - 1.0) < 4.0 * error
+
+
+def test_a_mirrored_record_gives_mirrored_marginals():
+    rng = np.random.default_rng(5)
+    chain = grid_chain(61, [-1.0, -0.5, 0.0, 0.5, 1.0], 0.25)
+    rows = np.exp(rng.normal(size=(15, 61)))
+    straight = smooth(chain, rows).marginal.reshape(15, 5, 61)
+    mirrored = smooth(chain, rows[:, ::-1]).marginal.reshape(15, 5, 61)
+    np.testing.assert_allclose(mirrored, straight[:, ::-1, ::-1], rtol=1e-9, atol=1e-12)
+
+
+def test_a_grid_chain_moves_by_the_mean_of_both_rates():
+    chain = grid_chain(21, [-0.5, 0.0, 0.5], 0.25, acceleration=0.3)
+    start = np.zeros((3, 21))
+    start[2, 10] = 1.0
+    after = chain.predict(start.ravel()).reshape(3, 21)
+    assert {(int(r), int(i)) for r, i in np.argwhere(after)} == {(2, 12), (1, 11), (0, 10)}
+    weights = np.exp(-(np.array([1.0, 0.5, 0.0]) ** 2) / (2 * 0.3**2))
+    np.testing.assert_allclose([after[0, 10], after[1, 11], after[2, 12]], weights / weights.sum(), rtol=1e-12)
+
+
+def test_advance_continues_where_a_shorter_record_ended():
+    rng = np.random.default_rng(6)
+    chain = grid_chain(41, [-0.5, 0.0, 0.5], 0.25)
+    rows = np.exp(rng.normal(size=(6, 41)))
+    prior = advance(chain, chain.uniform(), rows[0])
+    np.testing.assert_allclose(smooth(chain, rows[1:], prior).marginal, smooth(chain, rows).marginal[1:], rtol=1e-6)
+
+
+def test_what_others_hold_says_nothing():
+    chain = grid_chain(41, [-0.5, 0.0, 0.5], 0.25)
+    rows = np.full((3, 41), 0.5)
+    rows[:, 20] = 50.0
+    other = smooth(chain, rows**5).marginal
+    held = occupancy(other, np.ones(3), 41, spread=2)
+    free = exclude(rows, [held]).reshape(3, 3, 41)
+    assert held.max() <= 1.0
+    np.testing.assert_allclose(free[1, 1, 20], 1.0, atol=0.1)
+    np.testing.assert_allclose(free[:, :, 0], rows[:, None, 0].repeat(3, axis=1), rtol=1e-6)
+    np.testing.assert_allclose(exclude(rows, [held * 0.0]).reshape(3, 3, 41)[:, 0], rows)
+
+
+def test_gaps_up_to_the_bridge_do_not_end_a_span():
+    probability = np.array([0.1, 0.9, 0.9, 0.1, 0.1, 0.9, 0.1, 0.1, 0.1, 0.8])
+    assert spans(probability, bridge=2) == [Span(1, 5), Span(9, 9)]
+    assert spans(probability, bridge=3) == [Span(1, 9)]
+    assert spans(np.zeros(4)) == []
+
+
+def test_rates_that_do_not_fit_name_the_spacing_that_does():
+    with pytest.raises(ValueError, match=r"spacing=0\.25"):
+        grid_chain(361, np.arange(-2.0, 2.1, 0.5), 0.5)
+    grid_chain(721, np.arange(-2.0, 2.1, 0.5), 0.25)
+    with pytest.raises(ValueError, match=r"spacing=0\.15"):
+        grid_chain(721, [-0.3, 0.0, 0.3], 0.25)
+    grid_chain(1201, [-0.3, 0.0, 0.3], 0.15)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: sparse_chain(np.ones((2, 3))), "square"),
+        (lambda: sparse_chain(np.ones((2, 2))), "sum to at most 1"),
+        (lambda: smooth(sparse_chain(np.eye(3)), np.ones((4, 2))), "divisor of 3"),
+        (lambda: smooth(sparse_chain(np.eye(3)), np.zeros((4, 3))), "positive"),
+        (lambda: smooth(sparse_chain(np.eye(3)), np.full((4, 3), np.nan)), "positive"),
+        (lambda: smooth(sparse_chain(np.eye(3)), np.ones((4, 3)), np.zeros(3)), "prior"),
+        (lambda: best_path(sparse_chain(np.eye(3)), np.ones((0, 3))), "log_likelihood"),
+        (lambda: presence([1.0, -1.0]), "existence_likelihood"),
+        (lambda: presence([1.0], switching=0.0), "switching"),
+        (lambda: grid_chain(10, [0.0, 0.5, 0.7], 0.25), "equal steps"),
+        (lambda: grid_chain(1, [0.0], 0.25), "positions"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
