@@ -9,6 +9,7 @@ import pytest
 import servotrack  # noqa: F401
 from servotrack.envs.track.forgiving import forgiven
 from servotrack.envs.track.scoring import SetScorer
+from servotrack.estimators.detect import BlobFinder, MaskedBackground
 from servotrack.estimators.metrics import box_distances, mot_scores, ospa2, point_distances
 
 ENV_ID = "PedestrianTracking-v0"
@@ -136,6 +137,35 @@ def test_blobs_are_where_people_are():
             overlaps.extend(1.0 - box_distances(truth["boxes"][visible], seen).min(axis=1))
         found, *_, info = env.step(np.zeros(env.action_space.shape))
     assert np.median(overlaps) > 0.6
+
+
+def test_regions_of_a_plain_detector_fall_apart_and_merge_as_on_real_video():
+    """Ranges from recordings with clothes in the background's colors and people who stand together."""
+    detector = MaskedBackground(faint=0.0, blobs=BlobFinder(split=False))
+    regions_of, merged = [], []
+    for seed in range(4):
+        env = gym.make(ENV_ID, horizon=160)
+        image, info = env.reset(seed=seed)
+        state = detector.initial(image)
+        for frame in range(160):
+            state, found = detector.step(state, image)
+            boxes = info["truth"]["boxes"][info["truth"]["exists"]]
+            if frame >= 30 and frame % 3 == 0 and len(boxes):
+                within = contained(found.centroids, boxes)
+                regions_of.extend(within.sum(axis=0))
+                merged.append((contained(boxes[:, :2] + boxes[:, 2:] / 2.0, found.boxes).sum(axis=0) >= 2).sum())
+            image, *_, info = env.step(np.zeros(env.action_space.shape))
+    shares = np.bincount(np.minimum(regions_of, 2), minlength=3) / len(regions_of)
+    assert 0.02 <= shares[0] <= 0.25
+    assert 0.26 <= shares[1] <= 0.86
+    assert 0.02 <= shares[2] <= 0.49
+    assert 0.0 < np.mean(merged) <= 0.8
+
+
+def contained(points, boxes):
+    """Which points lie in which boxes, shape (points, boxes)."""
+    low, high = boxes[None, :, :2], boxes[None, :, :2] + boxes[None, :, 2:]
+    return ((points[:, None] >= low) & (points[:, None] <= high)).all(axis=-1)
 
 
 def scored(scorer, existence, states, truth, counted, hidden, step=0):
