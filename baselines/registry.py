@@ -77,6 +77,18 @@ def _color(name: str, summary: str, information: Information = "model-free", **f
     )
 
 
+def _sonar(name: str, summary: str, information: Information = "calibrated", **fields: Any) -> AgentCard:
+    return AgentCard(
+        name,
+        "servotrack.baselines.sonar_observers:create_sonar_observer",
+        information,
+        summary,
+        parameters={"tracker": name},
+        worlds=frozenset({"sonar"}),
+        **fields,
+    )
+
+
 _CARDS = (
     AgentCard(
         "random",
@@ -143,6 +155,12 @@ _CARDS = (
     _color("mil", "OpenCV's multiple-instance learning tracker", in_default_suite=False),
     _color("first-box", "stays where the object was first: no skill"),
     _color("box-oracle", "told the true box", "privileged", parameters={"tracker": "true-box"}, requires=_TRUTH),
+    _sonar("hmm-row", "HMM track-before-detect, likelihood of the whole row with what other targets explain"),
+    _sonar("hmm-cell", "HMM track-before-detect, likelihood of one cell (paper 003)"),
+    _sonar("viterbi", "path of most integrated power, one target after the other, each taken out of the record"),
+    _sonar("peak-nearest-neighbor", "peaks of each record, joined to the nearest track"),
+    _sonar("peak-kalman-hungarian", "peaks of each record, Kalman tracks, one assignment per record"),
+    _sonar("bearing-oracle", "told the true bearings", "privileged", requires=_TRUTH),
 )
 
 AGENTS: dict[str, AgentCard] = {card.name: card for card in _CARDS}

@@ -65,7 +65,7 @@ def reproduce_paper(
         claims_path: Claims file to fill in; None for a copy of the shipped one in `output`.
         recordings: The user's own sequences, for "phd" and "transfer".
         into: A Markdown file with marks: for "color" `<!-- paper001:begin -->` and `<!-- paper001:end -->`, for "phd"
-            likewise with paper000, for "transfer" with transfer.
+            likewise with paper000, for "sonar" with paper003, for "transfer" with transfer.
 
     Raises:
         ValueError: Another paper, or recordings or a file for one that takes none.
@@ -106,6 +106,12 @@ def _reproduce_color(request: Request) -> None:
     reproduce_color(request)
 
 
+def _reproduce_sonar(request: Request) -> None:
+    from servotrack.baselines.paper003.report import reproduce_sonar
+
+    reproduce_sonar(request)
+
+
 def _reproduce_pmm(request: Request) -> None:
     from servotrack.baselines.paper004.report import reproduce_pmm
 
@@ -116,13 +122,14 @@ PAPERS: dict[str, Callable[[Request], None]] = {
     "servo": _reproduce_servo,
     "phd": _reproduce_phd,
     "color": _reproduce_color,
+    "sonar": _reproduce_sonar,
     "pmm": _reproduce_pmm,
     "transfer": _reproduce_transfer,
 }
 TAKE_RECORDINGS = ("phd", "transfer")
-TAKE_INTO = ("phd", "color", "transfer")
-DEFAULT_RUNS = {"servo": 10, "phd": 20, "color": 20, "pmm": 500, "transfer": 8}
-"""As many as the paper has; papers 000 and 001 have one each, which would say nothing about others."""
+TAKE_INTO = ("phd", "color", "sonar", "transfer")
+DEFAULT_RUNS = {"servo": 10, "phd": 20, "color": 20, "sonar": 50, "pmm": 500, "transfer": 8}
+"""As many as the paper has; papers 000, 001 and 003 have one each, which would say nothing about others."""
 
 
 def claims_grid(claims: Sequence[Claim]) -> Grid:

@@ -167,8 +167,8 @@ def reproduce(
         str,
         typer.Argument(
             help="`servo`: paper 002, the UKF of the image Jacobian; `phd`: paper 000, GM-PHD on video; `color`: paper "
-            "001, Monte-Carlo color tracking; `pmm`: paper 004, set filters; `transfer`: do rankings on rendered "
-            "people predict those on your sequences?"
+            "001, Monte-Carlo color tracking; `sonar`: paper 003, bearing-time records; `pmm`: paper 004, set filters; "
+            "`transfer`: do rankings on rendered people predict those on your sequences?"
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for tables, figures and claims.")] = Path(
@@ -186,7 +186,9 @@ def reproduce(
     ] = None,
     into: Annotated[
         Path | None,
-        typer.Option(help="For `phd`, `color`, `transfer`: also put the tables between the marks of a Markdown file."),
+        typer.Option(
+            help="For `phd`, `color`, `sonar`, `transfer`: also put the tables between the marks of a Markdown file."
+        ),
     ] = None,
 ) -> None:
     """A paper's tables and figures, ours beside the paper's, and its claims with a verdict each."""

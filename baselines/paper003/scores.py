@@ -16,9 +16,9 @@ Array = NDArray[np.float64]
 
 MATCHED = 3.0
 """A track is at a target that is nearer than this, deg."""
-ABOUT = (3, 10)
+ABOUT = (2, 10)
 """Who is who at a crossing is asked from so many records before and after it to so many."""
-_FEWEST = 3
+_FEWEST = 2
 """Records on either side of a crossing within `ABOUT` in which a target has to be there for the crossing to count."""
 
 
