@@ -13,7 +13,7 @@ from servotrack.estimators.hmm.chain import Chain, predict_into, retrodict_into
 Array = NDArray[np.float64]
 
 
-TINY = 1e-70
+TINY = 1e-120
 """Added to messages: rows that contradict each other must not leave all states with a probability of 0."""
 
 

@@ -63,6 +63,10 @@ class Patterns:
         low = values[below]
         return low + (position - below) * (values[below + 1] - low)
 
+    def main_lobe(self, mixture: Array) -> Array:
+        """Pattern of a mixture near its peak, a few points."""
+        return np.interp(np.linspace(0.0, 0.5 * NEAR, 26), np.linspace(0.0, 2.0, self.points), mixture @ self.tables)
+
     def fit(self, excess: Array, variance: Array, cosine_looks: Array, bearings_deg: Array, power: Array) -> Array:
         """Mixture that explains the excess around a source best, with a prior for the flat spectrum.
 
@@ -90,7 +94,7 @@ class Patterns:
         prior = 3.0
         rows = np.vstack([design * root[:, None], prior * np.eye(len(self.tables))])
         mixture, _ = nnls(rows, np.concatenate([mean * root, prior * self.flat]))
-        return mixture / mixture.sum()
+        return mixture / mixture.sum() if mixture.sum() > 0.0 else self.flat
 
 
 def variance_of(explained: Array, averages: int, error: float, reach: int) -> Array:

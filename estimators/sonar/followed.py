@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 ABOUT_MODE = 2.0
 """The estimate is the mean of the probabilities within this of their mode, deg."""
-EDGE = 2
+EDGE = 8
 """Rows before and after a span in which its target may be, for the next sweep."""
 
 TRIM_SHARE, TRIM_MOST = 0.3, 1.0
@@ -75,28 +75,44 @@ class Followed:
         self.deviations = np.sqrt((weight * (near - self.bearings[:, None]) ** 2).sum(axis=1))
         self.rates = np.einsum("trp,r->t", cells, rates)
 
-    def test_existence(self, switching: float, bridge: int, piece: float, whole: float) -> None:
-        """The sequential test: presence, spans and their evidence.
+    def test_existence(self, switching: float, bridge: int, piece: float, whole: float, farthest: float) -> None:
+        """The sequential test: presence, and the span of most evidence, if it has enough.
+
+        A path through all rows may jump from one target to a stronger one; a chain keeps to one.
 
         Args:
             switching: Probability of coming or going from row to row.
             bridge: Gaps of at most this many rows do not end a span.
             piece: Least log likelihood ratio of an unbroken stretch, nats: what is less is noise.
             whole: Least log likelihood ratio of a span, nats.
+            farthest: That a bearing moves from row to row, deg.
         """
         there = presence(self.existence_likelihood, switching, self.prior_presence)
         ratio = np.log(self.existence_likelihood)
         kept = there.copy()
-        for span in spans(there, bridge=0):
+        jumps = np.flatnonzero(np.abs(np.diff(self.bearings)) > farthest) + 1
+        for span in _split(spans(there, bridge=0), jumps):
             if ratio[span.first : span.last + 1].sum() < piece:
                 kept[span.first : span.last + 1] = 0.0
-        candidates = [_trimmed(ratio, span) for span in spans(kept, bridge=bridge)]
-        self.spans = [s for s, value in candidates if value >= whole]
-        self.evidence = [value for _, value in candidates if value >= whole]
+        candidates = [_trimmed(ratio, span) for span in _split(spans(kept, bridge=bridge), jumps)]
+        best = max(candidates, key=lambda item: item[1], default=(Span(0, -1), -np.inf))
+        self.spans, self.evidence = ([best[0]], [best[1]]) if best[1] >= whole else ([], [])
         may_be = np.zeros(len(there), np.bool_)
         for span in self.spans:
-            may_be[max(0, span.first - EDGE) : span.last + 1 + EDGE] = True
+            before = int(jumps[jumps <= span.first].max(initial=0))
+            after = int(jumps[jumps > span.last].min(initial=len(there)))
+            may_be[max(before, span.first - EDGE) : min(after, span.last + 1 + EDGE)] = True
         self.presence = np.where(may_be, there, 0.0)
+
+
+def _split(whole: list[Span], breaks: NDArray[np.int64]) -> list[Span]:
+    """Spans, cut before each of some rows."""
+    parts = []
+    for span in whole:
+        inside = breaks[(breaks > span.first) & (breaks <= span.last)].tolist()
+        firsts, lasts = [span.first, *inside], [*(row - 1 for row in inside), span.last]
+        parts += [Span(first, last) for first, last in zip(firsts, lasts, strict=True)]
+    return parts
 
 
 def _trimmed(ratio: Array, span: Span) -> tuple[Span, float]:

@@ -14,6 +14,7 @@ from servotrack.estimators.hmm.smoothing import smooth
 from servotrack.estimators.sonar.explained import fit_powers, variance_of
 from servotrack.estimators.sonar.followed import Followed
 from servotrack.estimators.sonar.likelihood import cell_likelihood, known_power, unknown_power
+from servotrack.estimators.sonar.untangle import untangle
 
 if TYPE_CHECKING:
     from servotrack.estimators.sonar.tracker import HMMBearings
@@ -28,6 +29,8 @@ FEWEST = 5
 """Rows from which a spectrum is fitted."""
 AROUND = 20
 """Rows to each side whose median is the power that is expected of a target."""
+MOST_EXCHANGES = 12
+"""Of the rests of two chains after a meeting."""
 FAILED = 2.0
 """About a ridge that failed the test of existence the next search does not look, deg."""
 
@@ -76,6 +79,21 @@ class Together:
                 else:
                     self.chains.remove(chain)
         self.fit()
+
+    def untangle(self) -> bool:
+        """Give chains that changed targets where they met their own back; whether there were any."""
+        if self.tracker.likelihood == "cell":
+            return False
+        changed = False
+        for _ in range(MOST_EXCHANGES):
+            others = [self.explained(chain) for chain in self.chains]
+            if not untangle(self.chains, self.tracker.patterns, self.rows, others, self.tracker.looks):
+                break
+            changed = True
+            for chain in self.chains:
+                self._explain(chain)
+            self.sweep(1)
+        return changed
 
     def explained(self, but: Followed | None = None) -> Array:
         """Mean beam powers by noise and all chains but one. Shape (T, beams)."""
@@ -145,9 +163,8 @@ class Together:
             chain.marginal = smoothed.marginal
         established = chain.label > 0
         whole = 0.0 if established else tracker.evidence
-        chain.test_existence(
-            tracker.switching, tracker.bridged, 0.0 if established else tracker.evidence_of_piece, whole
-        )
+        piece = 0.0 if established else tracker.evidence_of_piece
+        chain.test_existence(tracker.switching, tracker.bridged, piece, whole, tracker.farthest)
 
     def _row(self, chain: Followed) -> Array:
         scores = self.tracker.scores

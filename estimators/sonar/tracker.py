@@ -23,6 +23,10 @@ Array = NDArray[np.float64]
 Likelihood = Literal["row", "cell"]
 
 
+JUMP = 2.0
+"""By how much an estimate may jump without being another target's, deg."""
+
+
 class ChainMemory(NamedTuple):
     """What is kept of a chain between two rows.
 
@@ -173,6 +177,11 @@ class HMMBearings:
         """Rows of a gap that does not end a track."""
         return int(self.bridge / self.period + 1e-9)
 
+    @property
+    def farthest(self) -> float:
+        """That an estimate moves from row to row, deg; what moves farther is another target."""
+        return float(np.abs(self.rates).max()) * self.period + JUMP
+
     def memory(self, records: int, targets: int = 2) -> int:
         """Bytes that `track` needs for so many rows and targets."""
         kept = self.chain.states if self.likelihood == "cell" else 0
@@ -204,6 +213,8 @@ class HMMBearings:
             return []
         together = Together(self, rows)
         together.search(attempts=2)
+        if together.untangle():
+            together.search(attempts=2)
         parts = [
             BearingTrack.cut(0, chain, span, value)
             for chain in together.chains
