@@ -196,13 +196,12 @@ def measure(condition: Condition) -> dict[str, Measures]:
             seconds = time.thread_time() - begin
             scores = score_tracks(scene.bearings[: config.horizon], scene.exists[: config.horizon], tracks)
             found[name].append((scores, seconds))
-    return {
-        name: Measures(
-            *(np.array([getattr(scores, field) for scores, _ in runs], np.float64) for field in RecordScores._fields),
-            seconds=np.array([seconds for _, seconds in runs]),
-        )
-        for name, runs in found.items()
-    }
+    return {name: _measures(runs) for name, runs in found.items()}
+
+
+def _measures(runs: Sequence[tuple[RecordScores, float]]) -> Measures:
+    columns = [np.array([getattr(scores, name) for scores, _ in runs], np.float64) for name in RecordScores._fields]
+    return Measures(*columns, np.array([seconds for _, seconds in runs]))
 
 
 def _run(condition: Condition, path: Path) -> None:

@@ -70,7 +70,7 @@ def draw_snapshots(
     snapshots = noise * np.sqrt(config.ambient / 2.0)[:, None]
     # Drawn for all targets, whether they are there or not: one's sound does not depend on another's presence.
     sound = rng.standard_normal((n, *shape, 2)).view(np.complex128)[..., 0]
-    phase = rng.uniform(0.0, 2.0 * np.pi, n)
+    phase = rng.uniform(0.0, 2.0 * np.pi, (n,))
     here = np.flatnonzero(scene.exists[record])
     waves = steering(config.array, frequencies, scene.bearings[record, here])
     for row, target in enumerate(here.tolist()):
@@ -124,7 +124,7 @@ def _moment_powers(config: SonarConfig, scene: SonarScene, rng: np.random.Genera
     """
     root = _correlation_root(config.array, config.band, config.beams, config.shading)
     normal = root @ rng.standard_normal(root.shape[1])
-    gain = rng.standard_normal(scene.power.shape[0])[np.flatnonzero(scene.exists[record])]
+    gain = rng.standard_normal(scene.power.shape[:1])[np.flatnonzero(scene.exists[record])]
     mean, variance, patterns, common = power_moments(config, scene, record)
     shift = ((_gamma(1.0, common, gain) - 1.0)[:, None] * patterns).sum(axis=0)
     own = variance - (common[:, None] * patterns**2).sum(axis=0)
