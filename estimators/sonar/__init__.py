@@ -10,6 +10,8 @@ or, with the answer five rows later and constant memory:
     for row in record:
         estimate = online.step(row)
         print(estimate.labels, estimate.states[:, 0])  # deg
+
+`PeakNearestNeighbor`, `PeakKalmanHungarian` and `ViterbiNulling` are baselines with the same methods.
 """
 
 from servotrack.estimators.sonar.array import (
@@ -25,6 +27,8 @@ from servotrack.estimators.sonar.array import (
     steering,
     tabulate_pattern,
 )
+from servotrack.estimators.sonar.nulling import ViterbiNulling
+from servotrack.estimators.sonar.peaks import PeakKalmanHungarian, PeakNearestNeighbor
 from servotrack.estimators.sonar.record import BearingTrack
 from servotrack.estimators.sonar.tracker import BearingState, HMMBearings
 
@@ -35,6 +39,9 @@ __all__ = [
     "HMMBearings",
     "LineArray",
     "PatternTable",
+    "PeakKalmanHungarian",
+    "PeakNearestNeighbor",
+    "ViterbiNulling",
     "beam_correlation",
     "beam_pattern",
     "beamform",

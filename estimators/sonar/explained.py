@@ -14,7 +14,7 @@ from servotrack.estimators.sonar.array import Band, LineArray, Shading, tabulate
 
 Array = NDArray[np.float64]
 
-NEAR = 0.25
+NEAR = 1.0
 """Differences of cosines up to which a target's pattern is fitted."""
 
 
@@ -33,7 +33,7 @@ class Patterns:
     array: LineArray
     band: Band
     shading: Shading = "conventional"
-    tones: int = 12
+    tones: int = 28
     points: int = 4001
 
     @cached_property
@@ -65,7 +65,7 @@ class Patterns:
 
     def main_lobe(self, mixture: Array) -> Array:
         """Pattern of a mixture near its peak, a few points."""
-        return np.interp(np.linspace(0.0, 0.5 * NEAR, 26), np.linspace(0.0, 2.0, self.points), mixture @ self.tables)
+        return np.interp(np.linspace(0.0, 0.125, 26), np.linspace(0.0, 2.0, self.points), mixture @ self.tables)
 
     def fit(self, excess: Array, variance: Array, cosine_looks: Array, bearings_deg: Array, power: Array) -> Array:
         """Mixture that explains the excess around a source best, with a prior for the flat spectrum.
@@ -82,7 +82,7 @@ class Patterns:
         """
         offset = np.abs(np.cos(np.radians(bearings_deg))[:, None] - cosine_looks)
         near = offset < NEAR
-        bins = 160
+        bins = 640
         index = (offset[near] * (bins / NEAR)).astype(int)
         weight = (power[:, None] ** 2 / variance)[near]
         total = np.bincount(index, weight, bins)

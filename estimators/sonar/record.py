@@ -18,6 +18,10 @@ OVERLAP = 3
 """Rows that two parts of one track may have in common."""
 RATE_ROWS = 5
 """Rows whose mean rate carries a track on."""
+LONGEST = 30
+"""Rows between two parts of a track at most, whatever hides them."""
+HIDDEN = 5.0
+"""Distance within which a target may be hidden by another one, deg."""
 JOIN_DISTANCE, JOIN_RATE = 2.0, 0.3
 """How far two parts of a track may be apart, deg, and how much more per row between them, deg."""
 
@@ -68,13 +72,14 @@ def joined(tracks: Sequence[BearingTrack], gap: int) -> list[BearingTrack]:
 
     Args:
         tracks: Any number.
-        gap: Rows that may be missing between them; bearings there are interpolated.
+        gap: Rows that may be missing between them, besides those in which the way between them leads by another track;
+            bearings there are interpolated.
     """
     left = sorted(tracks, key=lambda track: track.first)
     done: list[BearingTrack] = []
     while left:
         track = left.pop(0)
-        following = [(_misfit(track, other, gap), i) for i, other in enumerate(left)]
+        following = [(_misfit(track, other, gap, tracks), i) for i, other in enumerate(left)]
         misfit, at = min(following, default=(np.inf, -1))
         if misfit <= 1.0:
             left[at] = _chained(track, left[at])
@@ -84,17 +89,31 @@ def joined(tracks: Sequence[BearingTrack], gap: int) -> list[BearingTrack]:
     return [track._replace(label=label) for label, track in enumerate(done, 1)]
 
 
-def _misfit(track: BearingTrack, other: BearingTrack, gap: int) -> float:
+def _misfit(track: BearingTrack, other: BearingTrack, gap: int, every: Sequence[BearingTrack]) -> float:
     """Distance between a track carried on and another's start, in what is allowed."""
     steps = other.first - track.last
-    if not 1 - OVERLAP <= steps <= gap + 1 or other.last <= track.last:
+    if not 1 - OVERLAP <= steps <= LONGEST or other.last <= track.last:
         return np.inf
     inside = max(1 - steps, 0)
     near = slice(inside, inside + RATE_ROWS)
     rate_before, rate_after = track.rates[-RATE_ROWS:].mean(), other.rates[near].mean()
     ahead = steps + inside
     error = abs(track.bearings[-1] + 0.5 * (rate_before + rate_after) * ahead - other.bearings[inside])
-    return float(error / (JOIN_DISTANCE + JOIN_RATE * ahead))
+    misfit = float(error / (JOIN_DISTANCE + JOIN_RATE * ahead))
+    if steps > gap + 1:
+        way = np.linspace(track.bearings[-1], other.bearings[inside], steps + 1)[1:-1]
+        hidden = sum(_hides(every, track.last + k, way[k - 1]) for k in range(1, steps))
+        if steps - 1 - hidden > gap:
+            return np.inf
+    return misfit
+
+
+def _hides(tracks: Sequence[BearingTrack], row: int, bearing: float) -> bool:
+    """Whether some track is so near to a bearing that it may hide another target."""
+    return any(
+        track.first <= row <= track.last and abs(track.bearings[row - track.first] - bearing) < HIDDEN
+        for track in tracks
+    )
 
 
 def _chained(track: BearingTrack, other: BearingTrack) -> BearingTrack:

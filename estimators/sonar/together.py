@@ -31,6 +31,8 @@ AROUND = 20
 """Rows to each side whose median is the power that is expected of a target."""
 MOST_EXCHANGES = 12
 """Of the rests of two chains after a meeting."""
+SAME = 1.0
+"""Two paths that are nearer for most of one's rows are one target's, deg."""
 FAILED = 2.0
 """About a ridge that failed the test of existence the next search does not look, deg."""
 
@@ -57,7 +59,7 @@ class Together:
         while failed < attempts and len(self.chains) < self.tracker.max_targets:
             chain = Followed(np.ones(len(self.rows)), self.tracker.patterns.flat)
             self._update(chain, closed)
-            if chain.spans:
+            if chain.spans and not self._followed_already(chain):
                 self.chains.append(chain)
                 self._explain(chain)
                 chain.power = np.full(len(self.rows), 0.0)
@@ -67,6 +69,14 @@ class Together:
             else:
                 failed += 1
                 closed |= np.abs(looks - chain.bearings[:, None]) < FAILED
+
+    def _followed_already(self, new: Followed) -> bool:
+        """Whether a chain goes where another one is: what that one leaves unexplained is no other target."""
+        rows = slice(new.spans[0].first, new.spans[0].last + 1)
+        return any(
+            np.mean((np.abs(chain.bearings[rows] - new.bearings[rows]) < SAME) & (chain.presence[rows] > SURE)) > 0.5
+            for chain in self.chains
+        )
 
     def sweep(self, times: int) -> None:
         """Solve every chain in turn, given the others; those that fail the test of existence end."""

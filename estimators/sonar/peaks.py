@@ -1,0 +1,260 @@
+"""Detect before track: peaks of every row, followed by nearest neighbors or by Kalman filters and one assignment."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.signal import find_peaks
+
+from servotrack.estimators.metrics.assignment import assign
+from servotrack.estimators.rfs.sets import SetEstimate
+from servotrack.estimators.sonar.array import bearings
+from servotrack.estimators.sonar.record import BearingTrack, checked_record, checked_row
+
+Array = NDArray[np.float64]
+
+TENTATIVE = 0.25
+"""Existence given for a track that is not confirmed."""
+
+
+def peaks(row: Array, looks: Array, averages: int, threshold: float) -> Array:
+    """Bearings of a normalized row's peaks, by a parabola through three beams.
+
+    Args:
+        row: Shape (beams,).
+        looks: Of the beams, deg. Shape (beams,).
+        averages: M of one beam power.
+        threshold: Least height and prominence, standard deviations of the noise.
+
+    Returns:
+        Highest first, deg. Shape (peaks,).
+    """
+    score = (row - 1.0) * np.sqrt(averages)
+    at, _ = find_peaks(score, height=threshold, prominence=threshold)
+    before, here, after = score[at - 1], score[at], score[at + 1]
+    bend = before - 2.0 * here + after
+    part = np.where(bend < 0.0, 0.5 * (before - after) / np.minimum(bend, -1e-12), 0.0)
+    return (looks[at] + part * (looks[1] - looks[0]))[np.argsort(-here)]
+
+
+class PeakState(NamedTuple):
+    """Memory of a tracker of peaks.
+
+    Attributes:
+        mean: Bearing and rate of each track, deg and deg/s. Shape (n, 2).
+        covariance: Shape (n, 2, 2).
+        label: Shape (n,).
+        hits: Rows that showed the track, up to `confirm`. Shape (n,).
+        missed: Rows since the last one. Shape (n,).
+        next_label: The next new identity.
+        answers: Estimates that are still to be given.
+    """
+
+    mean: Array
+    covariance: Array
+    label: NDArray[np.int64]
+    hits: NDArray[np.int64]
+    missed: NDArray[np.int64]
+    next_label: int
+    answers: tuple[SetEstimate, ...]
+
+
+@dataclass(frozen=True)
+class PeakTracker(ABC):
+    """What both trackers of peaks share.
+
+    Attributes:
+        beams: Look directions from 0 to 180 deg.
+        averages: M of one beam power.
+        period: Time between rows, s.
+        threshold: Least height of a peak, standard deviations of the noise.
+        confirm: Rows that confirm a track.
+        misses: Rows without a peak after which a track ends.
+        lag: Rows by which `step` answers later.
+    """
+
+    beams: int = 721
+    averages: int = 1110
+    period: float = 1.0
+    threshold: float = 4.0
+    confirm: int = 3
+    misses: int = 4
+    lag: int = 5
+
+    def __post_init__(self) -> None:
+        """Check every field; raises ValueError that names it."""
+        for name in ("beams", "averages", "confirm", "misses"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)!r}")
+        if self.lag < 0:
+            raise ValueError(f"lag must be >= 0, got {self.lag!r}")
+        for name in ("period", "threshold"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
+
+    def track(self, record: ArrayLike, times: ArrayLike | None = None) -> list[BearingTrack]:
+        """All tracks of a record; arguments, result and errors as `HMMBearings.track`."""
+        rows = checked_record(record, self.beams, self.averages, times, self.period)
+        state = self._empty()
+        found: dict[int, list[tuple[int, Array, float]]] = {}
+        for k, row in enumerate(rows):
+            state, estimate = self._advance(state, row)
+            for label, value, spread in zip(estimate.labels, estimate.states, estimate.covariances, strict=True):
+                found.setdefault(int(label), []).append((k, value, float(np.sqrt(spread[0, 0]))))
+        tracks = []
+        for label, (_, points) in enumerate(sorted(found.items()), 1):
+            steps = np.array([k for k, _, _ in points])
+            every = np.arange(steps[0], steps[-1] + 1)
+            columns = np.array([[*value, spread] for _, value, spread in points])
+            bearing, rate, deviation = (np.interp(every, steps, column) for column in columns.T)
+            tracks.append(BearingTrack(label, int(steps[0]), bearing, rate, deviation, np.ones(len(every)), 0.0))
+        return tracks
+
+    def initial(self, row: ArrayLike) -> PeakState:
+        """Memory before the first row; `row` is only looked at for its length."""
+        checked_row(row, self.beams, self.averages)
+        return self._empty()
+
+    def step(self, state: PeakState, row: ArrayLike) -> tuple[PeakState, SetEstimate]:
+        """Take one row in; the estimate is of the row `lag` before, none while there is none."""
+        after, estimate = self._advance(state, checked_row(row, self.beams, self.averages))
+        answers = (*state.answers, estimate)
+        due = answers[0] if len(answers) > self.lag else _nothing()
+        return after._replace(answers=answers[1:] if len(answers) > self.lag else answers), due
+
+    def _empty(self) -> PeakState:
+        none = np.zeros(0, np.int64)
+        return PeakState(np.zeros((0, 2)), np.zeros((0, 2, 2)), none, none, none, 1, ())
+
+    def _advance(self, state: PeakState, row: Array) -> tuple[PeakState, SetEstimate]:
+        found = peaks(row, bearings(self.beams), self.averages, self.threshold)
+        mean, covariance = self._predict(state)
+        partner = self._associate(mean, covariance, found)
+        seen = partner >= 0
+        self._correct(mean, covariance, partner, found)
+        hits = np.minimum(np.where(seen, state.hits + 1, state.hits), self.confirm)
+        missed = np.where(seen, 0, state.missed + 1)
+        lasting = np.where(hits >= self.confirm, self.misses, 1)
+        keep = (missed < lasting) | seen
+        new = np.setdiff1d(np.arange(len(found)), partner)
+        ones = np.ones(len(new), np.int64)
+        start = np.column_stack([found[new], np.zeros(len(new))])
+        after = PeakState(
+            np.concatenate([mean[keep], start]),
+            np.concatenate([covariance[keep], np.broadcast_to(self._start(), (len(new), 2, 2))]),
+            np.concatenate([state.label[keep], state.next_label + np.arange(len(new))]),
+            np.concatenate([hits[keep], ones]),
+            np.concatenate([missed[keep], 0 * ones]),
+            state.next_label + len(new),
+            (),
+        )
+        shown = after.hits >= self.confirm
+        return after, SetEstimate(
+            after.mean[shown],
+            after.label[shown],
+            np.ones(int(shown.sum())),
+            after.covariance[shown],
+            np.asarray(float(shown.sum())),
+            after.label[~shown],
+            after.mean[~shown],
+            np.full(int((~shown).sum()), TENTATIVE),
+        )
+
+    @abstractmethod
+    def _start(self) -> Array:
+        """Covariance of a new track."""
+
+    @abstractmethod
+    def _predict(self, state: PeakState) -> tuple[Array, Array]:
+        """Means and covariances one row later, new arrays."""
+
+    @abstractmethod
+    def _associate(self, mean: Array, covariance: Array, found: Array) -> NDArray[np.int64]:
+        """The peak of each track, -1 for none."""
+
+    @abstractmethod
+    def _correct(self, mean: Array, covariance: Array, partner: NDArray[np.int64], found: Array) -> None:
+        """Fold the peaks in, in place."""
+
+
+@dataclass(frozen=True)
+class PeakNearestNeighbor(PeakTracker):
+    """Every track, oldest first, takes the nearest peak that is left.
+
+    Attributes:
+        gate: Farthest peak, deg.
+    """
+
+    gate: float = 3.0
+
+    def _start(self) -> Array:
+        return np.zeros((2, 2))
+
+    def _predict(self, state: PeakState) -> tuple[Array, Array]:
+        return state.mean.copy(), state.covariance.copy()
+
+    def _associate(self, mean: Array, covariance: Array, found: Array) -> NDArray[np.int64]:
+        partner = np.full(len(mean), -1)
+        free = np.ones(len(found), np.bool_)
+        for i, (bearing, _) in enumerate(mean):
+            distance = np.where(free, np.abs(found - bearing), np.inf)
+            if len(found) and distance.min() < self.gate:
+                partner[i] = int(distance.argmin())
+                free[partner[i]] = False
+        return partner
+
+    def _correct(self, mean: Array, covariance: Array, partner: NDArray[np.int64], found: Array) -> None:
+        seen = partner >= 0
+        rate = (found[partner[seen]] - mean[seen, 0]) / self.period
+        mean[seen, 0], mean[seen, 1] = found[partner[seen]], rate
+
+
+@dataclass(frozen=True)
+class PeakKalmanHungarian(PeakTracker):
+    """Kalman filters of nearly constant rate, and the cheapest assignment of peaks to them.
+
+    Attributes:
+        acceleration: Standard deviation of the acceleration, deg/s^2.
+        noise: Of a peak's bearing, deg.
+        rate: Standard deviation of a new track's rate, deg/s.
+        gate: Farthest peak, standard deviations of the innovation.
+    """
+
+    acceleration: float = 0.1
+    noise: float = 0.3
+    rate: float = 1.0
+    gate: float = 4.0
+
+    def _start(self) -> Array:
+        return np.diag([self.noise**2, self.rate**2])
+
+    def _predict(self, state: PeakState) -> tuple[Array, Array]:
+        t = self.period
+        F = np.array([[1.0, t], [0.0, 1.0]])
+        step = np.array([t * t / 2.0, t])
+        return state.mean @ F.T, F @ state.covariance @ F.T + self.acceleration**2 * np.outer(step, step)
+
+    def _associate(self, mean: Array, covariance: Array, found: Array) -> NDArray[np.int64]:
+        tracks, count = len(mean), len(found)
+        variance = covariance[:, 0, 0] + self.noise**2
+        # A column for each track stands for no peak, at the gate's price; a pair beyond the gate costs more.
+        cost = np.full((tracks, count + tracks), self.gate**2)
+        distance = (mean[:, :1] - found) ** 2 / variance[:, None]
+        cost[:, :count] = np.where(distance < self.gate**2, distance, 2.0 * self.gate**2)
+        partner = np.asarray(assign(cost, tracks, count + tracks))
+        return np.where(partner < count, partner, -1)
+
+    def _correct(self, mean: Array, covariance: Array, partner: NDArray[np.int64], found: Array) -> None:
+        for i in np.flatnonzero(partner >= 0):
+            gain = covariance[i, :, 0] / (covariance[i, 0, 0] + self.noise**2)
+            mean[i] += gain * (found[partner[i]] - mean[i, 0])
+            covariance[i] -= np.outer(gain, covariance[i, 0])
+
+
+def _nothing() -> SetEstimate:
+    none, labels = np.zeros((0, 2)), np.zeros(0, np.int64)
+    return SetEstimate(none, labels, np.zeros(0), np.zeros((0, 2, 2)), np.asarray(0.0), labels, none, np.zeros(0))
