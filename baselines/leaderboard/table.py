@@ -153,15 +153,24 @@ def as_sections(grids: Mapping[str, Grid], heading: str) -> str:
 
 
 def markdown_overview(tasks: Sequence[TaskSummary], command: str) -> str:
-    """The overview for a document of another kind, with the command that wrote it; "" where there are no scores."""
+    """The overviews for a document of another kind, with the command that wrote them; "" where there are none."""
+    parts = []
     overview = overview_grid(tasks)
-    if not overview.rows:
-        return ""
-    episodes = max(row.episodes for task in tasks for row in task.rows)
-    return (
-        f"{as_markdown(overview)}\nMean score · success in percent, up to {episodes} episodes each. "
-        f"Written by `{command}`. {NOTE}\n"
-    )
+    if overview.rows:
+        parts.append(
+            f"{as_markdown(overview)}\nMean score · success in percent, up to {_most_episodes(tasks)} episodes each. "
+            f"Written by `{command}`. {NOTE}\n"
+        )
+    for title, grid in headline_grids(tasks):
+        parts.append(
+            f"{as_markdown(grid)}\n{title}, up to {_most_episodes(tasks)} episodes each; {PRIVILEGED_MARK} sees the "
+            f"truth. Written by `{command}`.\n"
+        )
+    return "\n".join(parts)
+
+
+def _most_episodes(tasks: Sequence[TaskSummary]) -> int:
+    return max(row.episodes for task in tasks for row in task.rows)
 
 
 def markdown_report(tasks: Sequence[TaskSummary], command: str) -> str:

@@ -11,7 +11,7 @@ import pytest
 from servotrack.baselines.leaderboard.figure import draw_levels, level_tasks
 from servotrack.baselines.leaderboard.report import write_report
 from servotrack.baselines.leaderboard.summary import overall, summarize
-from servotrack.baselines.leaderboard.table import as_markdown, caveat, markdown_report, overview_grid, task_grid
+from servotrack.baselines.leaderboard.table import as_markdown, caveat, markdown_overview, markdown_report, overview_grid, task_grid
 from servotrack.baselines.leaderboard.video import film_episode, write_film
 from servotrack.baselines.results import CellResults, ResultsError, atomic_path
 
@@ -89,6 +89,20 @@ def test_a_world_without_chance_gets_a_caveat() -> None:
     cells = make_cells((0,), spread=0.0)
     assert "one and the same" in caveat(summarize(cells)[0])
     assert caveat(summarize(make_cells((0,)))[0]) == ""
+
+
+def test_a_world_without_score_has_an_overview_of_its_headline() -> None:
+    card = {"information": "structure", "requires": [], "tuning_steps": 0, "summary": ""}
+    cells = [
+        CellResults("PedestrianTracking-v0", {"level": level}, name, card, 300, [
+            {"seed": seed, "return": -1.0, "length": 300, "ospa2": ospa2 + 0.01 * seed} for seed in range(3)
+        ])
+        for level in (0, 1) for name, ospa2 in (("bad", 0.8), ("good", 0.2))
+    ]  # fmt: skip
+    text = markdown_overview(summarize(cells), "servotrack leaderboard")
+    assert text.index("| good | structure | 0.210 | 0.210 |") < text.index("| bad | structure | 0.810 | 0.810 |")
+    assert "PedestrianTracking-v0: mean OSPA(2), up to 3 episodes each" in text
+    assert "`servotrack leaderboard`" in text
 
 
 def test_generic_environments_are_ranked_by_return() -> None:
