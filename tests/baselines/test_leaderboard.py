@@ -11,7 +11,14 @@ import pytest
 from servotrack.baselines.leaderboard.figure import draw_levels, level_tasks
 from servotrack.baselines.leaderboard.report import write_report
 from servotrack.baselines.leaderboard.summary import overall, summarize
-from servotrack.baselines.leaderboard.table import as_markdown, caveat, markdown_overview, markdown_report, overview_grid, task_grid
+from servotrack.baselines.leaderboard.table import (
+    as_markdown,
+    caveat,
+    markdown_overview,
+    markdown_report,
+    overview_grid,
+    task_grid,
+)
 from servotrack.baselines.leaderboard.video import film_episode, write_film
 from servotrack.baselines.results import CellResults, ResultsError, atomic_path
 
