@@ -60,8 +60,10 @@ def known_power(power: Array, variance: Array, expected: Array, spread: float) -
     Returns:
         Shape (T, beams).
     """
-    shown = np.maximum(power, 0.0)
-    width = variance + (spread * expected[:, None]) ** 2
+    extra = (spread * expected[:, None]) ** 2
+    width = variance + extra
+    # Below this the ratio would rise again: powers far below zero do not speak for a strong target.
+    shown = np.maximum(power, -expected[:, None] * variance / np.maximum(extra, 1e-300))
     ratio = shown**2 / variance - (shown - expected[:, None]) ** 2 / width - np.log(width / variance)
     return _with_misses(0.5 * ratio)
 

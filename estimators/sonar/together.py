@@ -185,7 +185,8 @@ class Together:
 
     def _cells(self, chain: Followed) -> Array:
         b = cell_likelihood(self.rows)
-        others = [c for c in self.chains if c is not chain]
+        # A chain recalled from the last row holds nothing before its turn.
+        others = [c for c in self.chains if c is not chain and len(c.marginal)]
         if not others:
             return b
         beams = len(self.tracker.looks)
