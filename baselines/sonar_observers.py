@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -92,32 +91,6 @@ class SonarObserver:
         return (joined[0] if single else joined), SonarObserverState(tuple(beliefs), join_scenes(memories))
 
 
-class Delayed:
-    """A tracker without a lag of its own, whose estimates are handed out when their record is asked for.
-
-    Args:
-        tracker: With `initial(record)` and `step(state, record)`.
-        lag: Records by which its estimates are held back.
-    """
-
-    def __init__(self, tracker: Any, lag: int) -> None:
-        self.tracker = tracker
-        self.lag = lag
-
-    def initial(self, record: Array) -> tuple[Any, tuple[SetEstimate, ...]]:
-        """State before the first record."""
-        return self.tracker.initial(record), ()
-
-    def step(
-        self, state: tuple[Any, tuple[SetEstimate, ...]], record: Array
-    ) -> tuple[tuple[Any, tuple[SetEstimate, ...]], SetEstimate]:
-        """Fold one record in; the estimate is of the record `lag` before it, of nobody where there is none."""
-        belief, waiting = state
-        belief, estimate = self.tracker.step(belief, record)
-        queue = deque((*waiting, estimate), maxlen=self.lag + 1)
-        return (belief, tuple(queue)), queue[0] if len(queue) > self.lag else nobody()
-
-
 class BearingOracle:
     """Reports the true bearings, target i in row i; privileged, and without memory.
 
@@ -162,23 +135,7 @@ def create_sonar_observer(env: Any, tracker: str) -> Any:
     space = getattr(env, "single_action_space", env.action_space)
     if tracker == "bearing-oracle":
         return BearingOracle(space.shape[0])
-    made = sonar_tracker(tracker, told)
-    return SonarObserver(made if hasattr(made, "lag") else Delayed(made, told.lag), space.low, space.high)
-
-
-def nobody() -> SetEstimate:
-    """The estimate that nobody is there."""
-    none: Any = np.zeros(0)
-    return SetEstimate(
-        states=np.zeros((0, 1)),
-        labels=none.astype(np.int64),
-        existence=none,
-        covariances=np.zeros((0, 1, 1)),
-        expected_number=np.zeros(()),
-        held_labels=none.astype(np.int64),
-        held_states=np.zeros((0, 1)),
-        held_existence=none,
-    )
+    return SonarObserver(sonar_tracker(tracker, told), space.low, space.high)
 
 
 def _of_one(estimate: SetEstimate) -> SetEstimate:

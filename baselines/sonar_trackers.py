@@ -10,12 +10,18 @@ from numpy.typing import NDArray
 
 from servotrack.envs.track.sonar.told import SonarModel
 from servotrack.estimators.sonar import HMMBearings
+from servotrack.estimators.sonar.nulling import ViterbiNulling
+from servotrack.estimators.sonar.peaks import PeakKalmanHungarian, PeakNearestNeighbor, PeakTracker
 
 Array = NDArray[np.float64]
 
 
 FASTEST = 2.0
 """Bearing rates that trackers are made for, deg/s; grids go at least one step beyond rest."""
+
+
+SHORTEST_WINDOW = 20
+"""Rows."""
 
 
 def fitting_rates(told: SonarModel) -> tuple[float, ...]:
@@ -37,13 +43,42 @@ def _hmm(likelihood: Any) -> Callable[[SonarModel], HMMBearings]:
             period=told.period,
             rates=fitting_rates(told),
             lag=told.lag,
-            window=max(20, 2 * told.lag),
+            window=_window(told),
         )
 
     return make
 
 
-TRACKERS: Mapping[str, Callable[[SonarModel], Any]] = {"hmm-row": _hmm("row"), "hmm-cell": _hmm("cell")}
+def _viterbi(told: SonarModel) -> ViterbiNulling:
+    return ViterbiNulling(
+        beams=len(told.looks),
+        averages=told.averages,
+        period=told.period,
+        rates=fitting_rates(told),
+        lag=told.lag,
+        window=_window(told),
+    )
+
+
+def _peaks(tracker: type[PeakTracker]) -> Callable[[SonarModel], PeakTracker]:
+    def make(told: SonarModel) -> PeakTracker:
+        return tracker(beams=len(told.looks), averages=told.averages, period=told.period, lag=told.lag)
+
+    return make
+
+
+def _window(told: SonarModel) -> int:
+    """Rows that an answer looks at, before and after the one that it is for."""
+    return max(SHORTEST_WINDOW, 2 * told.lag)
+
+
+TRACKERS: Mapping[str, Callable[[SonarModel], Any]] = {
+    "hmm-row": _hmm("row"),
+    "hmm-cell": _hmm("cell"),
+    "viterbi": _viterbi,
+    "peak-nearest-neighbor": _peaks(PeakNearestNeighbor),
+    "peak-kalman-hungarian": _peaks(PeakKalmanHungarian),
+}
 """From an observer's name to what makes its tracker."""
 
 

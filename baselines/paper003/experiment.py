@@ -39,8 +39,8 @@ METHODS: dict[str, str] = {
 """What is compared, by name: trackers of `servotrack.baselines.sonar_trackers`. `LATE` is given row after row."""
 LAG = 5
 """Records by which `LATE` answers later."""
-FEW = 10
-"""`LATE`, which does all its work anew for every record, gets one record in so many."""
+SLOW, FEW = (LATE, CELL), 5
+"""Methods that get one record in so many: they do much work again for every row or every false track."""
 OFFSETS = (0, -4, -8, -12, -16, -20, -24)
 """Below the paper's signal-to-noise ratios, dB."""
 SIMULATIONS = ("rates", "cross30")
@@ -117,21 +117,20 @@ def draw_rows(config: SonarConfig, scene: SonarScene, seed: int) -> Array:
     return np.array([draw_record(config, scene, seed, k) for k in range(config.horizon + config.lag)])
 
 
-def follow(method: str, told: SonarModel, rows: Array) -> list[Track]:
-    """What a method makes of a record.
+def follow(tracker: Any, told: SonarModel, rows: Array, late: bool = False) -> list[Track]:
+    """What a tracker makes of a record.
 
     Args:
-        method: One of `METHODS`.
+        tracker: As `sonar_tracker` makes it.
         told: What agents are told.
-        rows: As `draw_rows` makes them; only `LATE` sees the last `lag` ones.
+        rows: As `draw_rows` makes them.
+        late: Whether it gets row after row, the `lag` ones after the record's end too, instead of all at once.
     """
-    tracker = sonar_tracker(METHODS[method], told)
-    length = len(rows) - told.lag
-    if method == LATE:
+    if late:
         return _follow_late(tracker, told, rows)
     return [
         Track(np.arange(found.first, found.last + 1), np.asarray(found.bearings)[:, None])
-        for found in tracker.track(rows[:length])
+        for found in tracker.track(rows[: len(rows) - told.lag])
     ]
 
 
@@ -181,18 +180,19 @@ def measure(condition: Condition) -> dict[str, Measures]:
     """All methods on all records of a condition."""
     config = condition.config
     told = sonar_told(config)
+    trackers = {name: sonar_tracker(tracker, told) for name, tracker in METHODS.items()}
     found: dict[str, list[tuple[RecordScores, float]]] = {name: [] for name in METHODS}
     for number, seed in enumerate(seeds.take("test", condition.runs)):
         scene = draw_scene(config, seed)
         rows = draw_rows(config, scene, seed)
         for name in METHODS:
-            if name == LATE and number % FEW:
+            if name in SLOW and number % FEW:
                 continue
             if number == 0:
                 # The first run compiles and fills tables; its time would tell nothing.
-                follow(name, told, rows[:20])
+                follow(trackers[name], told, rows[:20], name == LATE)
             begin = time.thread_time()
-            tracks = follow(name, told, rows)
+            tracks = follow(trackers[name], told, rows, name == LATE)
             seconds = time.thread_time() - begin
             scores = score_tracks(scene.bearings[: config.horizon], scene.exists[: config.horizon], tracks)
             found[name].append((scores, seconds))
@@ -242,10 +242,12 @@ def growth_of_cost(
         )
         scene, told = draw_scene(config, seed), sonar_told(config)
         rows = draw_rows(config, scene, seed)
+        tracker = sonar_tracker(METHODS[method], told)
+        follow(tracker, told, rows)
         times = []
         for _ in range(repetitions):
             begin = time.thread_time()
-            follow(method, told, rows)
+            follow(tracker, told, rows)
             times.append(time.thread_time() - begin)
         found[number] = min(times)
     return found

@@ -12,6 +12,7 @@ from servotrack.baselines.claims import Claim, Verdict
 from servotrack.baselines.leaderboard.table import Grid
 from servotrack.baselines.paper003.experiment import (
     CELL,
+    FEW,
     HUNGARIAN,
     METHODS,
     NOISE,
@@ -165,7 +166,7 @@ def findings(found: Found, seconds: Mapping[int, float]) -> list[Claim]:
 
     def through(method: str) -> Interval:
         kept, crossings = (of_both(clear, method, lambda m, a=a: getattr(m, a)).sum() for a in ("kept", "crossings"))
-        return wilson_interval(int(kept), int(crossings))
+        return wilson_interval(int(kept), max(int(crossings), 1))
 
     def clean(method: str, conditions: Sequence[Mapping[str, Measures]]) -> Interval:
         false = of_both(conditions, method, lambda m: m.false_tracks)
@@ -178,7 +179,9 @@ def findings(found: Found, seconds: Mapping[int, float]) -> list[Claim]:
     weak = {name: bootstrap_mean(of_both(faint, name, lambda m: coverage(m, TONE))) for name in METHODS}
     viterbi = through(VITERBI)
     before = paired_difference(of_both(faint, ROW, coverage), of_both(faint, HUNGARIAN, coverage))
-    better = paired_difference(of_both(clear, ROW, coverage), of_both(clear, CELL, coverage))
+    better = paired_difference(
+        np.concatenate([coverage(condition[ROW])[::FEW] for condition in clear]), of_both(clear, CELL, coverage)
+    )
     numbers = sorted(seconds)
     growth = (seconds[numbers[-1]] - seconds[numbers[0]]) / (numbers[-1] - numbers[0]) / seconds[numbers[0]]
     at_faint = f"offset {FAINT} dB"

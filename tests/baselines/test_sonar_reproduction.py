@@ -2,10 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from servotrack.baselines.bench import progress_bars
+from servotrack.baselines.claims import read_claims
+from servotrack.baselines.paper003 import experiment
+from servotrack.baselines.paper003.figures import draw_offsets
+from servotrack.baselines.paper003.findings import (
+    COMMAND,
+    CONTRADICTIONS,
+    bearing_error,
+    coverage,
+    findings,
+    simulation_grid,
+    trial_grid,
+)
 from servotrack.baselines.paper003.scores import score_tracks
+from servotrack.baselines.results import ResultsError
+from servotrack.baselines.sonar_trackers import sonar_tracker
 from servotrack.estimators.metrics import Track
 
 
@@ -69,3 +86,62 @@ def test_no_tracks_and_no_targets_are_scored():
     assert score_tracks(bearings, exists, []).tracked.tolist() == [0, 0]
     nothing = score_tracks(np.zeros((40, 0)), np.zeros((40, 0), bool), [])
     assert (nothing.count_right, nothing.false_tracks, nothing.crossings) == (1.0, 0, 0)
+
+
+@pytest.fixture(scope="module")
+def small():
+    """A plan of the same conditions on a receiver and at a length that take no time."""
+    cheap = {"beams": 181, "elements": 24, "bin_width": 25.0, "snapshots": 25, "fidelity": "gamma", "horizon": 50}
+    return [condition._replace(config=replace(condition.config, **cheap), runs=1) for condition in experiment.plan(1)]
+
+
+@pytest.fixture(scope="module")
+def found(small, tmp_path_factory):
+    """All conditions, every method with the cheapest tracker in its place."""
+    folder = tmp_path_factory.mktemp("records")
+    with pytest.MonkeyPatch.context() as patch, progress_bars() as progress:
+        patch.setattr(experiment, "sonar_tracker", lambda name, told: sonar_tracker("peak-kalman-hungarian", told))
+        first = experiment.run_all(small, folder, progress, jobs=1)
+        again = experiment.run_all(small, folder, progress, jobs=1)
+    for name, methods in first.items():
+        for method, measures in methods.items():
+            assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(measures, again[name][method], strict=True))
+    return first
+
+
+def test_every_condition_is_measured_with_every_method(found):
+    assert len(found) == 2 * len(experiment.OFFSETS) + 2
+    clear = found[experiment.simulation("cross30", 0)]
+    assert set(clear) == set(experiment.METHODS)
+    assert coverage(clear[experiment.ROW]).mean() > 0.8
+    assert bearing_error(clear[experiment.ROW]) < 0.5
+    # What is given row after row, and answers late, is the same tracker.
+    assert coverage(clear[experiment.LATE]).mean() == pytest.approx(coverage(clear[experiment.ROW]).mean(), abs=0.05)
+    assert found[experiment.NOISE][experiment.ROW].present.sum() == 0
+
+
+def test_every_claim_of_the_paper_gets_a_verdict_and_every_table_its_rows(found):
+    shipped = {claim.id for claim in read_claims() if claim.paper == "003"}
+    claims = findings(found, {1: 0.1, 2: 0.15, 4: 0.3})
+    assert {claim.id for claim in claims} == shipped
+    assert all(claim.finding and claim.command == COMMAND for claim in claims)
+    grid = simulation_grid(found, "rates")
+    assert len(grid.rows) == len(experiment.OFFSETS) * len(experiment.METHODS)
+    assert len(trial_grid(found).rows) == len(experiment.METHODS)
+    assert all(len(row) == len(CONTRADICTIONS.headings) for row in CONTRADICTIONS.rows)
+
+
+def test_a_file_of_another_setting_is_refused(small, monkeypatch, tmp_path):
+    monkeypatch.setattr(experiment, "METHODS", {experiment.HUNGARIAN: "peak-kalman-hungarian"})
+    condition = small[0]
+    with progress_bars() as progress:
+        experiment.run_all([condition], tmp_path, progress, jobs=1)
+        other = condition._replace(config=replace(condition.config, snr_offset=1.0))
+        with pytest.raises(ResultsError, match="holds runs of another setting"):
+            experiment.run_all([other], tmp_path, progress, jobs=1)
+
+
+def test_figures_are_drawn(found):
+    figure = draw_offsets(found)
+    assert len(figure.axes) == 4
+    assert len(figure.axes[0].lines) == len(experiment.METHODS)
