@@ -40,6 +40,7 @@ PICTURES = (
     Picture("servo.png", "UncalibServo-v0", {"level": 3}, "lifted-kf", 160),
     Picture("clutter-tracking.png", "ClutterTracking-v0", {}, "pmb", 88),
     Picture("pedestrians.png", "PedestrianTracking-v0", {"level": 1}, "pmb", 150),
+    Picture("sonar.png", "SonarTracking-v0", {"level": 3}, "hmm-row", 184),
     Picture("color-tracking.png", "ColorTracking-v0", {"level": 2}, "monte-carlo-color", 120),
 )
 

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from servotrack.baselines.reproduce import Request
 
 NOTE = (
-    "Records of SonarTracking-v0 on test seeds, beamformed from snapshots; all methods on the same ones, which they are "
-    "given whole, but for the one that is 5 s late; that one and the paper's on a fifth of them. A target is tracked in a "
-    "row if a track is within 3 deg. Swaps: runs in which a track went over to the other target at the crossing. False "
-    "tracks: at no target for more than half of their rows. Times: median processor time for a record of 60 s on this "
-    "machine, one thread."
+    "Records of SonarTracking-v0 on test seeds, beamformed from snapshots; all methods on the same ones, which they "
+    "are given whole, but for the one that is 5 s late; that one and the paper's on a fifth of them. A target is "
+    "tracked in a row if a track is within 3 deg. Swaps: runs in which a track went over to the other target at the "
+    "crossing. False tracks: at no target for more than half of their rows. Times: median processor time for a "
+    "record of 60 s on this machine, one thread."
 )
 
 
