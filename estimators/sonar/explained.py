@@ -88,7 +88,10 @@ class Patterns:
         total = np.bincount(index, weight, bins)
         mean = np.bincount(index, weight * (excess / power[:, None])[near], bins) / np.maximum(total, 1e-12)
         centers = np.bincount(index, weight * offset[near], bins) / np.maximum(total, 1e-12)
-        design = np.array([np.interp(centers, np.linspace(0.0, 2.0, self.points), table) for table in self.tables]).T
+        position = centers * ((self.points - 1) / 2.0)
+        below = np.minimum(position.astype(np.int64), self.points - 2)
+        low = self.tables[:, below]
+        design = (low + (position - below) * (self.tables[:, below + 1] - low)).T
         # Neighboring beams share their noise: some ten of them count as one.
         root = np.sqrt(total / 10.0)
         prior = 3.0
@@ -127,8 +130,9 @@ def fit_powers(rows: Array, patterns: Array, variance: Array, expected: Array, s
         Not negative. Shape (L, T).
     """
     weight = 0.1 / variance
-    normal = np.einsum("ltb,mtb,tb->tlm", patterns, patterns, weight, optimize=True)
-    right = np.einsum("ltb,tb,tb->tl", patterns, rows - 1.0, weight, optimize=True)
+    by_row = np.ascontiguousarray(patterns.transpose(1, 0, 2))
+    normal = (by_row * weight[:, None]) @ by_row.transpose(0, 2, 1)
+    right = (by_row @ ((rows - 1.0) * weight)[:, :, None])[:, :, 0]
     precision = (1.0 / spread**2).T
     index = np.arange(len(patterns))
     normal[:, index, index] += precision

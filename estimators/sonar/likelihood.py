@@ -42,10 +42,10 @@ def unknown_power(power: Array, variance: Array) -> Array:
         Shape (T, beams).
     """
     s = power / np.sqrt(variance)
-    ratio = AMPLITUDES[0] * s - AMPLITUDES[0] ** 2 / 2.0
-    for amplitude in AMPLITUDES[1:]:
-        ratio = np.logaddexp(ratio, amplitude * s - amplitude**2 / 2.0)
-    return _with_misses(ratio - np.log(len(AMPLITUDES)))
+    # For s above all amplitudes the largest one leads: its ratio is taken out before the exponentials.
+    lead = np.maximum(AMPLITUDES[0] * s - AMPLITUDES[0] ** 2 / 2.0, AMPLITUDES[-1] * s - AMPLITUDES[-1] ** 2 / 2.0)
+    total = sum(np.exp(amplitude * s - amplitude**2 / 2.0 - lead) for amplitude in AMPLITUDES)
+    return _with_misses(lead + np.log(total / len(AMPLITUDES)))
 
 
 def known_power(power: Array, variance: Array, expected: Array, spread: float) -> Array:

@@ -48,7 +48,7 @@ class RowScores:
     averages: int
     model_error: float = 0.15
     misplaced: int = 4
-    reach: int = 32
+    reach: int = 24
     damping: float = 1.0
 
     @cached_property
@@ -94,13 +94,21 @@ class RowScores:
 
     def _whiten(self, rows: Array) -> Array:
         out = np.empty_like(rows)
-        _filter(np.ascontiguousarray(rows), self.whitening, out)
+        _filter(np.ascontiguousarray(rows), self._columns, out)
         return out
+
+    @cached_property
+    def _columns(self) -> Array:
+        return np.ascontiguousarray(self.whitening.T)
 
     def template(self, mixture: Array) -> Template:
         """The whitened pattern of a mixture of spectra."""
         index, inside = self._neighbors
-        values = (mixture @ self._basis).reshape(index.shape)
+        used = np.flatnonzero(mixture > 1e-3)
+        values = mixture[used[0]] * self._basis[used[0]]
+        for i in used[1:]:
+            values += mixture[i] * self._basis[i]
+        values = values.reshape(index.shape)
         # How much the beams' correlation inflates a sum changes slowly with the look.
         power, blocks, some = self._noise
         few = values[some]
@@ -125,7 +133,7 @@ class RowScores:
         noise = self._noise[0] * explained**2 / self.averages
         precision = 1.0 / (noise + (self.model_error * skirts) ** 2)
         power, information = np.empty_like(rows), np.empty_like(rows)
-        _match(residual * precision, precision, template.values, power, information)
+        _match(residual * precision, precision, np.ascontiguousarray(template.values.T), power, information)
         variance = template.inflation / information
         # Noise that is not what the model says shows in the spread of all bearings.
         scores = power / np.sqrt(variance)
@@ -135,35 +143,35 @@ class RowScores:
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _match(weighted, precision, template, power, information):  # type: ignore[no-untyped-def]
-    """Least-squares power of the template about every beam, and its information."""
-    beams, width = template.shape
-    reach = width // 2
+    """Least-squares power of the template about every beam, and its information; template (width, beams)."""
+    width, beams = template.shape
     for k in range(weighted.shape[0]):
+        total, squares = power[k], information[k]
+        total[:] = 0.0
+        squares[:] = 0.0
+        for j in range(width):
+            shift = j - width // 2
+            low, count = max(0, -shift), beams - abs(shift)
+            shape, signal = template[j, low : low + count], weighted[k, low + shift : low + shift + count]
+            trust = precision[k, low + shift : low + shift + count]
+            here, there = total[low : low + count], squares[low : low + count]
+            for i in range(count):
+                here[i] += shape[i] * signal[i]
+                there[i] += shape[i] * shape[i] * trust[i]
         for i in range(beams):
-            low, high = max(0, i - reach), min(beams, i + reach + 1)
-            first = low - i + reach
-            total, squares = 0.0, 0.0
-            shape, signal, trust = template[i], weighted[k], precision[k]
-            for j in range(high - low):
-                value = shape[first + j]
-                total += value * signal[low + j]
-                squares += value * value * trust[low + j]
-            power[k, i] = total / squares
-            information[k, i] = squares
+            total[i] /= squares[i]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _filter(rows, weights, out):  # type: ignore[no-untyped-def]
-    """Weighted sums of the beams about every beam."""
-    beams, width = weights.shape
-    reach = width // 2
+    """Weighted sums of the beams about every beam; weights (width, beams)."""
+    width, beams = weights.shape
     for k in range(rows.shape[0]):
-        row = rows[k]
-        for i in range(beams):
-            low, high = max(0, i - reach), min(beams, i + reach + 1)
-            first = low - i + reach
-            share = weights[i]
-            total = 0.0
-            for j in range(high - low):
-                total += share[first + j] * row[low + j]
-            out[k, i] = total
+        out[k] = 0.0
+        for j in range(width):
+            shift = j - width // 2
+            low, count = max(0, -shift), beams - abs(shift)
+            share, row = weights[j, low : low + count], rows[k, low + shift : low + shift + count]
+            here = out[k, low : low + count]
+            for i in range(count):
+                here[i] += share[i] * row[i]

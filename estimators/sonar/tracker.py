@@ -109,7 +109,7 @@ class HMMBearings:
     acceleration: float = 0.3
     switching: float = 0.02
     bridge: float = 6.0
-    evidence: float = 8.0
+    evidence: float = 10.0
     evidence_of_piece: float = 4.0
     model_error: float = 0.15
     misplaced: int = 4
