@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 APART = 0.06
 """Targets whose cosines of bearing differ by less are not resolved by the array of 48 elements."""
+MEETING = 0.15
+"""Difference of cosines within which one target's pattern changes what is seen of another."""
 SURE = 0.3
 """Presence from which a row tells of a target's power and spectrum."""
 FEWEST = 5
@@ -56,19 +58,28 @@ class Together:
         failed = 0
         closed = np.zeros(self.rows.shape, np.bool_)
         looks = self.tracker.looks
+        unexplained: Array | None = None
         while failed < attempts and len(self.chains) < self.tracker.max_targets:
             chain = Followed(np.ones(len(self.rows)), self.tracker.patterns.flat)
-            self._update(chain, closed)
+            if unexplained is None:
+                unexplained = self._likelihood(chain)
+            self._smooth(chain, unexplained, closed)
             if chain.spans and not self._followed_already(chain):
                 self.chains.append(chain)
                 self._explain(chain)
                 chain.power = np.full(len(self.rows), 0.0)
-                self.sweep(self.tracker.sweeps)
+                self._settle(chain)
+                unexplained = None
             if chain in self.chains:
                 failed = 0
             else:
                 failed += 1
                 closed |= np.abs(looks - chain.bearings[:, None]) < FAILED
+
+    def _settle(self, new: Followed) -> None:
+        """Solve a new chain and those that it meets again; the others it does not change."""
+        met = [chain for chain in self.chains if chain is new or _meet(chain, new)]
+        self.sweep(1 if len(met) == 1 else self.tracker.sweeps, met)
 
     def _followed_already(self, new: Followed) -> bool:
         """Whether a chain goes where another one is: what that one leaves unexplained is no other target."""
@@ -78,12 +89,12 @@ class Together:
             for chain in self.chains
         )
 
-    def sweep(self, times: int) -> None:
-        """Solve every chain in turn, given the others; those that fail the test of existence end."""
+    def sweep(self, times: int, some: Sequence[Followed] | None = None) -> None:
+        """Solve all or some chains in turn, given the others; those that fail the test of existence end."""
         for _ in range(times):
             self.fit()
-            for chain in list(self.chains):
-                self._update(chain)
+            for chain in [c for c in self.chains if some is None or c in some]:
+                self._smooth(chain, self._likelihood(chain))
                 if chain.spans:
                     self._explain(chain)
                 else:
@@ -159,10 +170,12 @@ class Together:
             looks = self.tracker.looks
             chain.pattern = self.tracker.patterns.at(chain.mixture, np.cos(np.radians(looks)), chain.bearings)
 
-    def _update(self, chain: Followed, closed: NDArray[np.bool_] | None = None) -> None:
-        """Smooth one chain given the others, and test its existence; a new chain may not enter what is closed."""
+    def _likelihood(self, chain: Followed) -> Array:
+        return self._cells(chain) if self.tracker.likelihood == "cell" else self._row(chain)
+
+    def _smooth(self, chain: Followed, b: Array, closed: NDArray[np.bool_] | None = None) -> None:
+        """Smooth one chain and test its existence; a new chain, there in all rows, may not enter what is closed."""
         tracker = self.tracker
-        b = self._cells(chain) if tracker.likelihood == "cell" else self._row(chain)
         if closed is not None and closed.any():
             b = np.where(np.tile(closed, (1, b.shape[1] // closed.shape[1])), 1.0, b)
         chain.likelihood = b
@@ -191,6 +204,12 @@ class Together:
             return b
         beams = len(self.tracker.looks)
         return exclude(b, [occupancy(c.marginal, c.presence, beams, self.tracker.spread_beams) for c in others])
+
+
+def _meet(one: Followed, other: Followed) -> bool:
+    """Whether one chain's pattern changes much what is left for the other."""
+    apart = np.abs(np.cos(np.radians(one.bearings)) - np.cos(np.radians(other.bearings)))
+    return bool(np.any((apart < MEETING) & (one.presence > SURE) & (other.presence > SURE)))
 
 
 @njit(cache=True, nogil=True)

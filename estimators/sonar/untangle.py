@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -38,7 +39,7 @@ class _Side(NamedTuple):
     shape: Array
 
 
-def untangle(chains: list[Followed], patterns: Patterns, rows: Array, explained: list[Array], looks: Array) -> bool:
+def untangle(chains: list[Followed], patterns: Patterns, rows: Array, explained: Sequence[Array], looks: Array) -> bool:
     """Exchange the rest of two chains after the first meeting where that makes them more like themselves.
 
     Args:
