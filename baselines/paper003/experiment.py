@@ -45,8 +45,8 @@ OFFSETS = (0, -4, -8, -12, -16, -20, -24)
 """Below the paper's signal-to-noise ratios, dB."""
 SIMULATIONS = ("rates", "cross30")
 TRIAL, NOISE = "trial", "noise"
-HOUR = 3600
-"""Records of the noise."""
+NOISE_LENGTH, NOISE_RUNS = 600, 6
+"""Records of 1 s in a run of noise, and its runs: an hour together."""
 
 
 class Condition(NamedTuple):
@@ -94,7 +94,7 @@ def plan(runs: int) -> list[Condition]:
     """All conditions.
 
     Args:
-        runs: Records of each but the hour of noise.
+        runs: Records of each but the noise.
     """
     simulations = [
         Condition(
@@ -108,7 +108,11 @@ def plan(runs: int) -> list[Condition]:
     return [
         *simulations,
         Condition(TRIAL, sonar_config(variant="trial", fidelity="snapshots", lag=LAG), runs),
-        Condition(NOISE, sonar_config(variant="random", targets=0, horizon=HOUR, fidelity="snapshots", lag=LAG), 1),
+        Condition(
+            NOISE,
+            sonar_config(variant="random", targets=0, horizon=NOISE_LENGTH, fidelity="snapshots", lag=LAG),
+            NOISE_RUNS,
+        ),
     ]
 
 

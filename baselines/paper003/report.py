@@ -51,7 +51,7 @@ def reproduce_sonar(request: Request) -> None:
     tables = {
         "What the paper leaves open": CONTRADICTIONS,
         **{f"Simulation, variant {variant}": simulation_grid(found, variant) for variant in SIMULATIONS},
-        "The sea trial's stand-in, and an hour of noise": trial_grid(found),
+        "The sea trial's stand-in, and noise": trial_grid(found),
         "Claims": claims_grid([claim for claim in claims if claim.command == COMMAND]),
     }
     for title, grid in tables.items():
