@@ -8,7 +8,7 @@ length one.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -112,7 +112,7 @@ def grid_chain(
     return GridChain(positions * len(r), runs, positions, r, spacing, period)
 
 
-def sparse_chain(transitions: ArrayLike) -> Chain:
+def sparse_chain(transitions: Any) -> Chain:
     """A chain from its transition probabilities.
 
     Args:

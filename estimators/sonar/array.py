@@ -69,7 +69,8 @@ class Band:
     @property
     def frequencies(self) -> Array:
         """Centers of the bins, Hz. Shape (F,)."""
-        return self.low + self.step * np.arange(int((self.high - self.low) / self.step + 1e-6) + 1)
+        count = int((self.high - self.low) / self.step + 1e-6) + 1
+        return self.low + self.step * np.arange(count, dtype=np.float64)
 
 
 def bearings(count: int = 721) -> Array:
@@ -88,7 +89,7 @@ def shading_weights(array: LineArray, shading: Shading = "conventional") -> Arra
     if shading not in get_args(Shading):
         raise ValueError(f"shading must be one of {', '.join(get_args(Shading))}, got {shading!r}")
     if shading == "conventional":
-        return np.full(array.elements, 1.0 / np.sqrt(array.elements))
+        return np.full(array.elements, 1.0 / np.sqrt(array.elements), np.float64)
     with warnings.catch_warnings():
         # SciPy warns of windows for spectra; these are weights of elements.
         warnings.simplefilter("ignore", UserWarning)

@@ -124,9 +124,15 @@ def _chained(track: BearingTrack, other: BearingTrack) -> BearingTrack:
     def chain(before: Array, after: Array) -> Array:
         return np.concatenate([before, before[-1] + share * (after[inside] - before[-1]), after[inside:]])
 
-    values = [chain(getattr(track, name), getattr(other, name)) for name in ("bearings", "rates", "deviations")]
-    presence = np.concatenate([track.presence, np.zeros(missing), other.presence[inside:]])
-    return BearingTrack(track.label, track.first, *values, presence, track.evidence + other.evidence)
+    return BearingTrack(
+        track.label,
+        track.first,
+        chain(track.bearings, other.bearings),
+        chain(track.rates, other.rates),
+        chain(track.deviations, other.deviations),
+        np.concatenate([track.presence, np.zeros(missing), other.presence[inside:]]),
+        track.evidence + other.evidence,
+    )
 
 
 def checked_record(record: ArrayLike, beams: int, averages: int, times: ArrayLike | None, period: float) -> Array:
