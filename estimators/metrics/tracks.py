@@ -138,10 +138,14 @@ def tracks_from_rows(labels: ArrayLike, states: ArrayLike) -> list[Track]:
     steps, rows = np.nonzero(names >= 0)
     found = names[steps, rows]
     _, first, inverse = np.unique(found, return_index=True, return_inverse=True)
+    # Stable: the steps of a label stay in order.
+    order = np.argsort(inverse, kind="stable")
+    twice = np.flatnonzero((np.diff(inverse[order]) == 0) & (np.diff(steps[order]) == 0))
+    if len(twice):
+        raise ValueError(f"labels must be unique in every step, got {found[order[twice[0]]]} twice in one")
+    bounds = np.searchsorted(inverse[order], np.arange(len(first) + 1))
     tracks = []
-    for label in np.argsort(first, kind="stable"):
-        members = np.flatnonzero(inverse == label)
-        if np.any(np.diff(steps[members]) == 0):
-            raise ValueError(f"labels must be unique in every step, got {found[members[0]]} twice in one")
+    for label in np.argsort(first, kind="stable").tolist():
+        members = order[bounds[label] : bounds[label + 1]]
         tracks.append(Track(steps[members].astype(np.int64), values[steps[members], rows[members]]))
     return tracks
