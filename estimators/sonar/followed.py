@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ ABOUT_MODE = 2.0
 EDGE = 8
 """Rows before and after a span in which its target may be, for the next sweep."""
 
+BRIDGE_DISTANCE, BRIDGE_RATE = 2.0, 0.3
+"""How far beside its course a target may be after a gap, deg, and how much more per row, deg."""
 TRIM_SHARE, TRIM_MOST = 0.3, 1.0
 """Rows at a track's ends belong to it if they say this share of what its rows say on average, or this much, nats."""
 
@@ -40,6 +43,7 @@ class Followed:
         evidence: Log likelihood ratio of each span.
         label: Identity, 0 while it has none.
         prior: Of the states at the first row; None: uniform. Shape (S,).
+        period: Time between rows, s.
         prior_presence: At the first row.
     """
 
@@ -58,6 +62,7 @@ class Followed:
     evidence: list[float] = field(default_factory=list)
     label: int = 0
     prior: Array | None = None
+    period: float = 1.0
     prior_presence: float = 0.5
 
     def locate(self, marginal: Array, looks: Array, rates: Array) -> None:
@@ -94,6 +99,7 @@ class Followed:
         for span in _split(spans(there, bridge=0), jumps):
             if ratio[span.first : span.last + 1].sum() < piece:
                 kept[span.first : span.last + 1] = 0.0
+        jumps = np.union1d(jumps, self._implausible(spans(kept, bridge=0), bridge))
         candidates = [_trimmed(ratio, span) for span in _split(spans(kept, bridge=bridge), jumps)]
         best = max(candidates, key=lambda item: item[1], default=(Span(0, -1), -np.inf))
         self.spans, self.evidence = ([best[0]], [best[1]]) if best[1] >= whole else ([], [])
@@ -103,6 +109,22 @@ class Followed:
             after = int(jumps[jumps > span.last].min(initial=len(there)))
             may_be[max(before, span.first - EDGE) : min(after, span.last + 1 + EDGE)] = True
         self.presence = np.where(may_be, there, 0.0)
+
+    def _implausible(self, pieces: list[Span], bridge: int) -> NDArray[np.int64]:
+        """First rows of pieces to which the one before does not lead, carried on over the gap."""
+        found = []
+        for one, other in pairwise(pieces):
+            steps = other.first - one.last
+            if steps > bridge + 1:
+                continue
+            rate = 0.5 * (
+                self.rates[max(one.first, one.last - 4) : one.last + 1].mean()
+                + self.rates[other.first : min(other.first + 5, other.last + 1)].mean()
+            )
+            error = abs(self.bearings[one.last] + rate * steps * self.period - self.bearings[other.first])
+            if error > BRIDGE_DISTANCE + BRIDGE_RATE * steps:
+                found.append(other.first)
+        return np.array(found, np.int64)
 
 
 def _split(whole: list[Span], breaks: NDArray[np.int64]) -> list[Span]:

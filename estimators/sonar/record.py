@@ -18,12 +18,14 @@ OVERLAP = 3
 """Rows that two parts of one track may have in common."""
 RATE_ROWS = 5
 """Rows whose mean rate carries a track on."""
-LONGEST = 30
+LONGEST = 60
 """Rows between two parts of a track at most, whatever hides them."""
-HIDDEN = 5.0
+HIDDEN = 8.0
 """Distance within which a target may be hidden by another one, deg."""
-JOIN_DISTANCE, JOIN_RATE = 2.0, 0.3
-"""How far two parts of a track may be apart, deg, and how much more per row between them, deg."""
+JOIN_DISTANCE, JOIN_RATE, JOIN_STEPS = 2.0, 0.3, 15
+"""How far two parts of a track may be apart, deg, and how much more per row between them, up to a number of rows."""
+JOIN_TURN = 1.0
+"""By how much their rates may differ, deg/s."""
 
 
 class BearingTrack(NamedTuple):
@@ -67,19 +69,20 @@ class BearingTrack(NamedTuple):
         )
 
 
-def joined(tracks: Sequence[BearingTrack], gap: int) -> list[BearingTrack]:
+def joined(tracks: Sequence[BearingTrack], gap: int, period: float = 1.0) -> list[BearingTrack]:
     """Tracks of which one goes on where another ended, made one; labels are given anew by evidence.
 
     Args:
         tracks: Any number.
         gap: Rows that may be missing between them, besides those in which the way between them leads by another track;
             bearings there are interpolated.
+        period: Time between rows, s.
     """
     left = sorted(tracks, key=lambda track: track.first)
     done: list[BearingTrack] = []
     while left:
         track = left.pop(0)
-        following = [(_misfit(track, other, gap, tracks), i) for i, other in enumerate(left)]
+        following = [(_misfit(track, other, gap, period, tracks), i) for i, other in enumerate(left)]
         misfit, at = min(following, default=(np.inf, -1))
         if misfit <= 1.0:
             left[at] = _chained(track, left[at])
@@ -89,7 +92,7 @@ def joined(tracks: Sequence[BearingTrack], gap: int) -> list[BearingTrack]:
     return [track._replace(label=label) for label, track in enumerate(done, 1)]
 
 
-def _misfit(track: BearingTrack, other: BearingTrack, gap: int, every: Sequence[BearingTrack]) -> float:
+def _misfit(track: BearingTrack, other: BearingTrack, gap: int, period: float, every: Sequence[BearingTrack]) -> float:
     """Distance between a track carried on and another's start, in what is allowed."""
     steps = other.first - track.last
     if not 1 - OVERLAP <= steps <= LONGEST or other.last <= track.last:
@@ -98,8 +101,9 @@ def _misfit(track: BearingTrack, other: BearingTrack, gap: int, every: Sequence[
     near = slice(inside, inside + RATE_ROWS)
     rate_before, rate_after = track.rates[-RATE_ROWS:].mean(), other.rates[near].mean()
     ahead = steps + inside
-    error = abs(track.bearings[-1] + 0.5 * (rate_before + rate_after) * ahead - other.bearings[inside])
-    misfit = float(error / (JOIN_DISTANCE + JOIN_RATE * ahead))
+    error = abs(track.bearings[-1] + 0.5 * (rate_before + rate_after) * ahead * period - other.bearings[inside])
+    allowed = JOIN_DISTANCE + JOIN_RATE * min(ahead, JOIN_STEPS)
+    misfit = max(float(error / allowed), float(abs(rate_after - rate_before)) / JOIN_TURN)
     if steps > gap + 1:
         way = np.linspace(track.bearings[-1], other.bearings[inside], steps + 1)[1:-1]
         hidden = sum(_hides(every, track.last + k, way[k - 1]) for k in range(1, steps))

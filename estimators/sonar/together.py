@@ -23,8 +23,6 @@ Array = NDArray[np.float64]
 
 APART = 0.06
 """Targets whose cosines of bearing differ by less are not resolved by the array of 48 elements."""
-MEETING = 0.15
-"""Difference of cosines within which one target's pattern changes what is seen of another."""
 SURE = 0.3
 """Presence from which a row tells of a target's power and spectrum."""
 FEWEST = 5
@@ -60,7 +58,7 @@ class Together:
         looks = self.tracker.looks
         unexplained: Array | None = None
         while failed < attempts and len(self.chains) < self.tracker.max_targets:
-            chain = Followed(np.ones(len(self.rows)), self.tracker.patterns.flat)
+            chain = Followed(np.ones(len(self.rows)), self.tracker.patterns.flat, period=self.tracker.period)
             if unexplained is None:
                 unexplained = self._likelihood(chain)
             self._smooth(chain, unexplained, closed)
@@ -68,7 +66,7 @@ class Together:
                 self.chains.append(chain)
                 self._explain(chain)
                 chain.power = np.full(len(self.rows), 0.0)
-                self._settle(chain)
+                self._settle()
                 unexplained = None
             if chain in self.chains:
                 failed = 0
@@ -76,10 +74,14 @@ class Together:
                 failed += 1
                 closed |= np.abs(looks - chain.bearings[:, None]) < FAILED
 
-    def _settle(self, new: Followed) -> None:
-        """Solve a new chain and those that it meets again; the others it does not change."""
-        met = [chain for chain in self.chains if chain is new or _meet(chain, new)]
-        self.sweep(1 if len(met) == 1 else self.tracker.sweeps, met)
+    def conclude(self) -> None:
+        """Solve all chains of a whole record together, sort out who is who, and look for what is left."""
+        if self.untangle():
+            self.search(attempts=2)
+
+    def _settle(self) -> None:
+        """Solve all chains again beside a new one; the first one has nobody to wait for."""
+        self.sweep(1 if len(self.chains) == 1 else self.tracker.sweeps)
 
     def _followed_already(self, new: Followed) -> bool:
         """Whether a chain goes where another one is: what that one leaves unexplained is no other target."""
@@ -89,11 +91,11 @@ class Together:
             for chain in self.chains
         )
 
-    def sweep(self, times: int, some: Sequence[Followed] | None = None) -> None:
-        """Solve all or some chains in turn, given the others; those that fail the test of existence end."""
+    def sweep(self, times: int) -> None:
+        """Solve all chains in turn, given the others; those that fail the test of existence end."""
         for _ in range(times):
             self.fit()
-            for chain in [c for c in self.chains if some is None or c in some]:
+            for chain in list(self.chains):
                 self._smooth(chain, self._likelihood(chain))
                 if chain.spans:
                     self._explain(chain)
@@ -204,12 +206,6 @@ class Together:
             return b
         beams = len(self.tracker.looks)
         return exclude(b, [occupancy(c.marginal, c.presence, beams, self.tracker.spread_beams) for c in others])
-
-
-def _meet(one: Followed, other: Followed) -> bool:
-    """Whether one chain's pattern changes much what is left for the other."""
-    apart = np.abs(np.cos(np.radians(one.bearings)) - np.cos(np.radians(other.bearings)))
-    return bool(np.any((apart < MEETING) & (one.presence > SURE) & (other.presence > SURE)))
 
 
 @njit(cache=True, nogil=True)

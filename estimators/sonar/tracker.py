@@ -213,14 +213,13 @@ class HMMBearings:
             return []
         together = Together(self, rows)
         together.search(attempts=2)
-        if together.untangle():
-            together.search(attempts=2)
+        together.conclude()
         parts = [
             BearingTrack.cut(0, chain, span, value)
             for chain in together.chains
             for span, value in zip(chain.spans, chain.evidence, strict=True)
         ]
-        return joined(parts, self.bridged)
+        return joined(parts, self.bridged, self.period)
 
     def initial(self, row: ArrayLike) -> BearingState:
         """Memory before the first row; `row` is only looked at for its length.
@@ -275,6 +274,7 @@ class HMMBearings:
             expected=expected,
             label=memory.label,
             prior=memory.prior,
+            period=self.period,
             prior_presence=memory.prior_presence,
         )
 
