@@ -14,12 +14,14 @@ from servotrack.estimators.sonar.followed import Followed
 
 Array = NDArray[np.float64]
 
-OVERLAP = 3
+OVERLAP = 10
 """Rows that two parts of one track may have in common."""
 RATE_ROWS = 5
 """Rows whose mean rate carries a track on."""
 LONGEST = 60
 """Rows between two parts of a track at most, whatever hides them."""
+LONG_GAP = 20
+"""Rows that may be missing where one part leads right to the other."""
 HIDDEN = 8.0
 """Distance within which a target may be hidden by another one, deg."""
 JOIN_DISTANCE, JOIN_RATE, JOIN_STEPS = 2.0, 0.3, 15
@@ -107,7 +109,7 @@ def _misfit(track: BearingTrack, other: BearingTrack, gap: int, period: float, e
     if steps > gap + 1:
         way = np.linspace(track.bearings[-1], other.bearings[inside], steps + 1)[1:-1]
         hidden = sum(_hides(every, track.last + k, way[k - 1]) for k in range(1, steps))
-        if steps - 1 - hidden > gap:
+        if steps - 1 - hidden > (LONG_GAP if misfit < 0.5 else gap):
             return np.inf
     return misfit
 
