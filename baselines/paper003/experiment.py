@@ -41,7 +41,7 @@ LAG = 5
 """Records by which `LATE` answers later."""
 SLOW, FEW = (LATE, CELL), 5
 """Methods that get one record in so many: they do much work again for every row or every false track."""
-OFFSETS = (0, -4, -8, -12, -16, -20, -24)
+OFFSETS = (0, -4, -8, -12, -16, -20, -22, -24)
 """Below the paper's signal-to-noise ratios, dB."""
 SIMULATIONS = ("rates", "cross30")
 TRIAL, NOISE = "trial", "noise"

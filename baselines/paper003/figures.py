@@ -115,7 +115,7 @@ def draw_offsets(found: Mapping[str, Mapping[str, Measures]]) -> Figure:
     from matplotlib.figure import Figure
 
     panels: tuple[tuple[str, Callable[[Measures], Array], float | None], ...] = (
-        ("a   tone tracked, share of records", lambda m: coverage(m, TONE), 1.02),
+        ("a   tone tracked, share of rows", lambda m: coverage(m, TONE), 1.02),
         ("b   both tracks kept through the crossing", lambda m: m.kept, 1.02),
         ("c   starts and ends within 1 s", in_time, 1.02),
         ("d   false tracks per run", lambda m: m.false_tracks, None),

@@ -181,7 +181,8 @@ def findings(found: Found, seconds: Mapping[int, float]) -> list[Claim]:
     viterbi = through(VITERBI)
     before = paired_difference(of_both(faint, ROW, coverage), of_both(faint, HUNGARIAN, coverage))
     better = paired_difference(
-        np.concatenate([coverage(condition[ROW])[::FEW] for condition in clear]), of_both(clear, CELL, coverage)
+        np.concatenate([condition[ROW].count_right[::FEW] for condition in clear]),
+        of_both(clear, CELL, lambda m: m.count_right),
     )
     numbers = sorted(seconds)
     growth = (seconds[numbers[-1]] - seconds[numbers[0]]) / (numbers[-1] - numbers[0]) / seconds[numbers[0]]
@@ -211,9 +212,10 @@ def findings(found: Found, seconds: Mapping[int, float]) -> list[Claim]:
             f"{_percent(trial[CELL].count_right.mean())} %.",
         ),
         _claim(
-            "sonar-low-snr", _verdict(weak[CELL]), weak[CELL], "of records",
+            "sonar-low-snr", _verdict(weak[CELL]), weak[CELL], "of rows",
             f"tone tracked, {CELL}, {at_faint}",
-            ", ".join(f"{name} {weak[name].value:.2f}" for name in METHODS if name != CELL) + ".",
+            f"With {of_both(faint, CELL, lambda m: m.false_tracks).mean():.1f} false tracks a run. Others: "
+            + ", ".join(f"{name} {weak[name].value:.2f}" for name in METHODS if name != CELL) + ".",
         ),
         _claim(
             "sonar-integration", _verdict(viterbi), viterbi, "of runs", f"both tracks kept, {VITERBI}, offset 0 dB",
@@ -221,7 +223,7 @@ def findings(found: Found, seconds: Mapping[int, float]) -> list[Claim]:
             "what is there. Structure: the path of most power past a crossing is as good with the other target.",
         ),
         _claim(
-            "sonar-track-before-detect", _better(before), before, "of records",
+            "sonar-track-before-detect", _better(before), before, "of rows",
             f"targets tracked, {ROW} - {HUNGARIAN}, {at_faint}",
             "Information: a ridge that no single record shows is plain over ten of them.",
         ),
@@ -230,8 +232,8 @@ def findings(found: Found, seconds: Mapping[int, float]) -> list[Claim]:
             "60 s of record: " + ", ".join(f"{n} targets {1e3 * seconds[n]:.0f} ms" for n in numbers) + ".",
         ),
         _claim(
-            "sonar-row-beats-cell", _better(better), better, "of records",
-            f"targets tracked, {ROW} - {CELL}, offset 0 dB",
+            "sonar-row-beats-cell", _better(better), better, "of rows",
+            f"number of targets right, {ROW} - {CELL}, offset 0 dB",
             f"False tracks a run {of_both(clear, ROW, lambda m: m.false_tracks).mean():.2f} against "
             f"{of_both(clear, CELL, lambda m: m.false_tracks).mean():.2f}.",
         ),
