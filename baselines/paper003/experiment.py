@@ -204,8 +204,10 @@ def measure(condition: Condition) -> dict[str, Measures]:
 
 
 def _measures(runs: Sequence[tuple[RecordScores, float]]) -> Measures:
-    columns = [np.array([getattr(scores, name) for scores, _ in runs], np.float64) for name in RecordScores._fields]
-    return Measures(*columns, np.array([seconds for _, seconds in runs]))
+    columns = {
+        name: np.array([getattr(scores, name) for scores, _ in runs], np.float64) for name in RecordScores._fields
+    }
+    return Measures(**columns, seconds=np.array([seconds for _, seconds in runs]))
 
 
 def _run(condition: Condition, path: Path) -> None:
