@@ -34,14 +34,13 @@ class Picture(NamedTuple):
     arguments: dict[str, Any]
     agent: str
     steps: int
-    seed: int = 0
 
 
 PICTURES = (
     Picture("servo.png", "UncalibServo-v0", {"level": 3}, "lifted-kf", 160),
     Picture("clutter-tracking.png", "ClutterTracking-v0", {}, "pmb", 88),
     Picture("pedestrians.png", "PedestrianTracking-v0", {"level": 1}, "pmb", 150),
-    Picture("sonar.png", "SonarTracking-v0", {"level": 3}, "hmm-row", 184, seed=4),
+    Picture("sonar.png", "SonarTracking-v0", {"level": 3}, "hmm-row", 184),
     Picture("color-tracking.png", "ColorTracking-v0", {"level": 2}, "monte-carlo-color", 120),
 )
 
@@ -166,7 +165,7 @@ def draw(picture: Picture) -> None:
     """Write a picture of an agent at work, some steps into a train seed."""
     env = gym.make(picture.env_id, render_mode="rgb_array", **picture.arguments)
     agent = create_agent(picture.agent, env)
-    observation, _ = env.reset(seed=picture.seed)
+    observation, _ = env.reset(seed=0)
     state: Any = None
     for _ in range(picture.steps):
         action, state = agent.predict(observation, state)

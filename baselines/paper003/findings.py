@@ -87,7 +87,7 @@ CONTRADICTIONS = Grid(
         [
             "State grid, transition probabilities, threshold of the test.",
             "Not given.",
-            "0.25 deg and 0.5 deg/s; all else chosen on tune seeds.",
+            "0.25 deg and 0.5 deg/s; all else chosen on scenes of our own and on tune seeds.",
         ],
     ],
     3,
