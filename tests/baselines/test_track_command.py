@@ -217,6 +217,15 @@ def test_folder_that_cannot_be_written_is_named_before_anything_is_decoded(tmp_p
         track(source, Following(), Path("/proc/nowhere"))
 
 
+@pytest.fixture
+def interrupts():
+    """Python's own handler, which processes that are started in the background do not have."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interrupts")
 def test_signal_is_taken_between_two_frames(tmp_path):
     source = PixelInput(write_video(tmp_path / "v.avi"), Brightness())
     seen: list[int] = []
