@@ -55,10 +55,15 @@ class Rate:
 
 
 def environment(
-    env_id: str, num_envs: int = 0, module: str = "servotrack", mode: str = "vector_entry_point", **kwargs: Any
+    env_id: str,
+    num_envs: int = 0,
+    module: str = "servotrack",
+    mode: str = "vector_entry_point",
+    silent: bool = False,
+    **kwargs: Any,
 ) -> tuple[str, ...]:
     """The command that measures steps of an environment, or its frames where `render_mode` is given."""
-    counts = "frames" if "render_mode" in kwargs else "steps"
+    counts = "frames" if "render_mode" in kwargs else "silent" if silent else "steps"
     job = {"module": module, "env_id": env_id, "kwargs": kwargs, "num_envs": num_envs, "mode": mode, "counts": counts}
     return (str(STEPPING), json.dumps(job))
 

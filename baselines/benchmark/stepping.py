@@ -31,7 +31,8 @@ class Job(TypedDict):
         kwargs: Arguments of the environment.
         num_envs: 0 for a single environment, else the size of the vector environment.
         mode: Its `vectorization_mode`.
-        counts: "steps", or "frames" for calls of `render` alone, with an untimed step between two.
+        counts: "steps", "silent" for steps with actions of zeros, where random ones would cost more to score than the
+            step costs, or "frames" for calls of `render` alone, with an untimed step between two.
     """
 
     module: str
@@ -64,7 +65,7 @@ def stepper(job: Job) -> Callable[[float], float]:
         run = _vector_run(env, job["num_envs"])
     else:
         env = gym.make(job["env_id"], **job["kwargs"])
-        run = _frame_run(env) if job["counts"] == "frames" else _single_run(env)
+        run = _frame_run(env) if job["counts"] == "frames" else _single_run(env, job["counts"] == "silent")
     if "cv2" in sys.modules:
         # Rates are those of one thread; OpenCV takes all cores unless told.
         sys.modules["cv2"].setNumThreads(1)
@@ -78,8 +79,10 @@ def _drawn(space: Any, shape: tuple[int, ...]) -> Any:
     return np.random.default_rng(0).uniform(space.low, space.high, (*shape, *space.shape)).astype(space.dtype)
 
 
-def _single_run(env: Any) -> Callable[[float], float]:
+def _single_run(env: Any, silent: bool = False) -> Callable[[float], float]:
     actions = _drawn(env.action_space, (ACTIONS,))
+    if silent:
+        actions = np.zeros_like(actions)
 
     def run(duration: float) -> float:
         steps, start = 0, time.perf_counter()

@@ -37,8 +37,11 @@ def subjects() -> list[Subject]:
         return Subject(title, (str(VIDEO), kind, name), wanted, peers or {})
 
     return [
-        Subject(f"{pedestrians}, default scene", environment(pedestrians), 1_000.0),
-        Subject(f"{pedestrians}, six people, every axis on", environment(pedestrians, **SIX_PEOPLE), 400.0),
+        Subject(f"{pedestrians}, default scene", environment(pedestrians, silent=True), 1_000.0),
+        Subject(
+            f"{pedestrians}, six people, every axis on", environment(pedestrians, silent=True, **SIX_PEOPLE), 400.0
+        ),
+        Subject(f"{pedestrians}, default scene, 16 random boxes scored", environment(pedestrians)),
         row("detector", "masked", "detector `masked`", 950.0),
         row("detector", "masked-paper", "detector `masked-paper`"),
         row("filter", "gm-phd", "filter `gm-phd`", 2_000.0),
