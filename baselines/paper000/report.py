@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from servotrack.baselines import seeds
 from servotrack.baselines.bench import progress_bars
-from servotrack.baselines.claims import SHIPPED, Claim, Verdict, fill, judge_smaller, read_claims, write_claims
-from servotrack.baselines.leaderboard.embed import embed
-from servotrack.baselines.leaderboard.figure import save_figure
-from servotrack.baselines.leaderboard.table import Grid, as_rich, as_sections
+from servotrack.baselines.claims import SHIPPED, Claim, Verdict, fill, judge_smaller, read_claims
+from servotrack.baselines.leaderboard.table import Grid
 from servotrack.baselines.paper000 import sequences
 from servotrack.baselines.paper000.experiment import (
     COUNTED_FRAMES,
@@ -25,8 +23,8 @@ from servotrack.baselines.paper000.experiment import (
 )
 from servotrack.baselines.paper000.figures import draw_counts, draw_frames
 from servotrack.baselines.paper000.pictures import paper_pictures
-from servotrack.baselines.reproduce import Request, claims_grid, command_line
-from servotrack.baselines.results import atomic_path
+from servotrack.baselines.publish import publish
+from servotrack.baselines.reproduce import Request, claims_grid
 from servotrack.baselines.statistics import PairedDifference, bootstrap_mean, paired_difference
 
 COMMAND = "servotrack reproduce phd"
@@ -68,7 +66,6 @@ class Measured(NamedTuple):
 
 def reproduce_phd(request: Request) -> None:
     """Reproduce paper 000; errors as in `servotrack.baselines.reproduce.reproduce_paper`."""
-    output, console = request.output, request.console
     with progress_bars() as progress:
         bar = progress.add_task("rendered sequences", total=request.runs)
         outcomes: list[dict[str, Outcome]] = []
@@ -90,32 +87,12 @@ def reproduce_phd(request: Request) -> None:
         pictures = paper_pictures(seeds.take("test", 1)[0], METHODS[PAPER])
     claims = fill(read_claims(request.claims or SHIPPED), findings(measured))
     tables["Claims"] = claims_grid([claim for claim in claims if claim.command == COMMAND])
-    for title, grid in tables.items():
-        console.print(as_rich(grid, title))
-    console.print(NOTE, style="dim")
-
-    written = [output / "paper000.md", request.claims or output / "claims.yaml"]
-    with atomic_path(written[0]) as temporary:
-        temporary.write_text(f"# Paper 000\n\n{_document(tables, request.runs, '##')}", encoding="utf-8")
-    write_claims(claims, written[1])
     shown = {name: outcomes[0][name] for name in SHOWN_COUNTS}
-    for name, figure in (
-        ("figure2", draw_frames(pictures)),
-        ("figure3", draw_counts(played[0].numbers, shown, played[0].frame_rate)),
-    ):
-        for suffix in (".png", ".svg"):
-            save_figure(figure, output / f"{name}{suffix}")
-            written.append(output / f"{name}{suffix}")
-    if request.into is not None:
-        embed(_document(tables, request.runs, "###"), request.into, "paper000")
-        written.append(request.into)
-    for path in written:
-        console.print(str(path), soft_wrap=True)
-
-
-def _document(tables: Mapping[str, Grid], runs: int, heading: str) -> str:
-    """All tables as Markdown, with the command that wrote them; `heading` is what begins their titles."""
-    return f"Written by `{command_line()}`, {runs} sequences. {NOTE}\n\n{as_sections(tables, heading)}"
+    figures = {
+        "figure2": draw_frames(pictures),
+        "figure3": draw_counts(played[0].numbers, shown, played[0].frame_rate),
+    }
+    publish(request, "000", tables, claims, f", {request.runs} sequences", NOTE, figures)
 
 
 def measure(outcomes: Sequence[Mapping[str, Outcome]], played: Sequence[sequences.Sequence]) -> dict[str, Measured]:

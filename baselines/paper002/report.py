@@ -10,14 +10,13 @@ from rich.progress import Progress
 
 from servotrack.baselines import seeds
 from servotrack.baselines.bench import progress_bars
-from servotrack.baselines.claims import SHIPPED, Claim, fill, judge_smaller, read_claims, write_claims
-from servotrack.baselines.leaderboard.figure import save_figure
-from servotrack.baselines.leaderboard.table import Grid, as_rich, as_sections
+from servotrack.baselines.claims import SHIPPED, Claim, fill, judge_smaller, read_claims
+from servotrack.baselines.leaderboard.table import Grid
 from servotrack.baselines.paper002 import experiment
 from servotrack.baselines.paper002.experiment import POSITIONING, TRACKING, WORLD, Run
 from servotrack.baselines.paper002.figures import draw_trajectories
-from servotrack.baselines.reproduce import Request, claims_grid, command_line
-from servotrack.baselines.results import atomic_path
+from servotrack.baselines.publish import publish
+from servotrack.baselines.reproduce import Request, claims_grid
 from servotrack.baselines.statistics import PairedDifference, paired_difference
 
 ALGORITHMS = ("KF", "PF", "UKF", "UKF as printed")
@@ -35,7 +34,7 @@ ASSUMED = (
 
 def reproduce_servo(request: Request) -> None:
     """Reproduce paper 002; errors as in `servotrack.baselines.reproduce.reproduce_paper`."""
-    output, runs, console, claims_path, *_ = request
+    runs = request.runs
     seed = seeds.TEST[0]
     with progress_bars() as progress:
         tracking = _runs(TRACKING, runs, seed, progress)
@@ -55,28 +54,17 @@ def reproduce_servo(request: Request) -> None:
         "The ordering from tuning alone: process variance": _scale_grid(scaled, tracking),
     }
     claims = fill(
-        read_claims(claims_path or SHIPPED), _findings(audited, tracking, positioning, open_loop, closed_loop)
+        read_claims(request.claims or SHIPPED), _findings(audited, tracking, positioning, open_loop, closed_loop)
     )
     tables["Claims"] = claims_grid([claim for claim in claims if claim.paper == "002"])
-    for title, grid in tables.items():
-        console.print(as_rich(grid, title))
-    console.print(ASSUMED, style="dim")
-
-    written = [output / "paper002.md", claims_path or output / "claims.yaml"]
-    with atomic_path(written[0]) as temporary:
-        intro = f"# Paper 002\n\nWritten by `{command_line()}`. {ASSUMED}\n\n"
-        temporary.write_text(intro + as_sections(tables, "##"), encoding="utf-8")
-    write_claims(claims, written[1])
-    for name, found, title in (
-        ("figure3", positioning, "Positioning (paper 002, figure 3)"),
-        ("figure4", tracking, "Tracking (paper 002, figure 4)"),
-    ):
-        figure = draw_trajectories({algorithm: found[algorithm][0] for algorithm in ALGORITHMS}, title)
-        for suffix in (".png", ".svg"):
-            save_figure(figure, output / f"{name}{suffix}")
-            written.append(output / f"{name}{suffix}")
-    for path in written:
-        console.print(str(path), soft_wrap=True)
+    figures = {
+        name: draw_trajectories({algorithm: found[algorithm][0] for algorithm in ALGORITHMS}, title)
+        for name, found, title in (
+            ("figure3", positioning, "Positioning (paper 002, figure 3)"),
+            ("figure4", tracking, "Tracking (paper 002, figure 4)"),
+        )
+    }
+    publish(request, "002", tables, claims, "", ASSUMED, figures)
 
 
 def _runs(env_id: str, runs: int, seed: int, progress: Progress) -> dict[str, list[Run]]:

@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 from servotrack.baselines import seeds
 from servotrack.baselines.bench import progress_bars
-from servotrack.baselines.claims import SHIPPED, fill, read_claims, write_claims
-from servotrack.baselines.leaderboard.embed import embed
-from servotrack.baselines.leaderboard.figure import save_figure
-from servotrack.baselines.leaderboard.table import Grid, as_markdown, as_rich
+from servotrack.baselines.claims import SHIPPED, fill, read_claims
 from servotrack.baselines.paper003.experiment import ROW, SIMULATIONS, growth_of_cost, plan, run_all
 from servotrack.baselines.paper003.figures import draw_offsets, draw_paper, draw_trial
 from servotrack.baselines.paper003.findings import COMMAND, CONTRADICTIONS, findings, simulation_grid, trial_grid
-from servotrack.baselines.results import atomic_path
-
-if TYPE_CHECKING:
-    from servotrack.baselines.reproduce import Request
+from servotrack.baselines.publish import publish
+from servotrack.baselines.reproduce import Request, claims_grid
 
 NOTE = (
     "Records of SonarTracking-v0 on test seeds, beamformed from snapshots; all methods on the same ones, which they "
@@ -34,11 +26,8 @@ def reproduce_sonar(request: Request) -> None:
     Args:
         request: What is wanted; `runs` are the records of each condition.
     """
-    from servotrack.baselines.reproduce import claims_grid
-
-    output, console = request.output, request.console
     with progress_bars() as progress:
-        found = run_all(plan(request.runs), output / "records", progress)
+        found = run_all(plan(request.runs), request.output / "records", progress)
         bar = progress.add_task("timing and pictures", total=3)
         seconds = growth_of_cost(ROW, seeds.take("tune", 1)[0])
         progress.advance(bar)
@@ -54,29 +43,4 @@ def reproduce_sonar(request: Request) -> None:
         "The sea trial's stand-in, and noise": trial_grid(found),
         "Claims": claims_grid([claim for claim in claims if claim.command == COMMAND]),
     }
-    for title, grid in tables.items():
-        console.print(as_rich(grid, title))
-    console.print(NOTE, style="dim")
-
-    written = [output / "paper003.md", request.claims or output / "claims.yaml"]
-    with atomic_path(written[0]) as temporary:
-        temporary.write_text(f"# Paper 003\n\n{_document(tables, request.runs, '##')}", encoding="utf-8")
-    write_claims(claims, written[1])
-    for name, figure in figures.items():
-        for suffix in (".png", ".svg"):
-            save_figure(figure, output / f"{name}{suffix}")
-            written.append(output / f"{name}{suffix}")
-    if request.into is not None:
-        embed(_document(tables, request.runs, "###"), request.into, "paper003")
-        written.append(request.into)
-    for path in written:
-        console.print(str(path), soft_wrap=True)
-
-
-def _document(tables: Mapping[str, Grid], runs: int, heading: str) -> str:
-    """All tables as Markdown, with the command that wrote them; `heading` is what begins their titles."""
-    from servotrack.baselines.reproduce import command_line
-
-    parts = [f"Written by `{command_line()}`, {runs} records of each condition. {NOTE}\n"]
-    parts += [f"{heading} {title}\n\n{as_markdown(grid)}" for title, grid in tables.items()]
-    return "\n".join(parts)
+    publish(request, "003", tables, claims, f", {request.runs} records of each condition", NOTE, figures)
