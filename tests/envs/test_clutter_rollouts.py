@@ -6,15 +6,13 @@ stores them anew.
 
 from __future__ import annotations
 
-import hashlib
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from stored_rollouts import digests, digests_elsewhere, print_or_store, stored_rollout
 
 import servotrack  # noqa: F401
 
@@ -46,36 +44,18 @@ def rollout(level: int) -> dict[str, Any]:
     return arrays | {"ospa2": np.array(info["ospa2"])}
 
 
-def digests() -> list[str]:
-    found = []
-    for level in LEVELS:
-        sha = hashlib.sha256()
-        for name, values in sorted(rollout(level).items()):
-            sha.update(name.encode() + np.ascontiguousarray(values).tobytes())
-        found.append(sha.hexdigest())
-    return found
-
-
 @pytest.mark.parametrize("level", LEVELS)
 def test_the_stored_rollout_comes_out_again(level: int) -> None:
     history = rollout(level)
-    with np.load(STORED) as stored:
-        assert {name.split("/")[1] for name in stored if name.startswith(f"{level}/")} == history.keys()
-        for name, values in history.items():
-            np.testing.assert_allclose(values, stored[f"{level}/{name}"], rtol=1e-6, atol=1e-9, err_msg=name)
+    stored = stored_rollout(STORED, level)
+    assert stored.keys() == history.keys()
+    for name, values in history.items():
+        np.testing.assert_allclose(values, stored[name], rtol=1e-6, atol=1e-9, err_msg=name)
 
 
 def test_another_process_gets_the_same_bits() -> None:
-    out = subprocess.run(
-        [sys.executable, __file__, "--digests"], capture_output=True, text=True, check=True, timeout=300
-    )
-    assert out.stdout.split() == digests()
+    assert digests_elsewhere(__file__) == digests(rollout, LEVELS)
 
 
 if __name__ == "__main__":
-    if "--digests" in sys.argv:
-        print("\n".join(digests()))
-    else:
-        np.savez_compressed(
-            STORED, **{f"{level}/{name}": values for level in LEVELS for name, values in rollout(level).items()}
-        )
+    print_or_store(STORED, rollout, LEVELS)

@@ -6,8 +6,6 @@ stores them anew. Of the frames, means over blocks of 5 x 5 px are kept.
 
 from __future__ import annotations
 
-import hashlib
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -15,6 +13,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from stored_rollouts import digests, digests_elsewhere, stored_rollout
 
 import servotrack  # noqa: F401
 from servotrack.envs.track.color.config import LEVEL_NAMES
@@ -48,22 +47,14 @@ def blocks(frames: np.ndarray) -> np.ndarray:
     return frames.reshape(n, height // BLOCK, BLOCK, width // BLOCK, BLOCK, 3).mean(axis=(2, 4))
 
 
-def digests() -> list[str]:
-    """Of two levels, which together draw everything that can be drawn but distractors."""
-    found = []
-    for level in (1, 5):
-        sha = hashlib.sha256()
-        for name, values in sorted(rollout(level).items()):
-            sha.update(name.encode() + np.ascontiguousarray(values).tobytes())
-        found.append(sha.hexdigest())
-    return found
+HASHED = (1, 5)
+"""Two levels, which together draw everything that can be drawn but distractors."""
 
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_the_stored_rollout_comes_out_again(level: int) -> None:
     history = rollout(level)
-    with np.load(STORED) as stored:
-        kept = {name.split("/")[1]: stored[name] for name in stored if name.startswith(f"{level}/")}
+    kept = stored_rollout(STORED, level)
     assert kept.keys() == history.keys()
     # Other versions of OpenCV round the camera's view differently.
     apart = np.abs(blocks(history.pop("frames")) - kept.pop("frames"))
@@ -74,15 +65,12 @@ def test_the_stored_rollout_comes_out_again(level: int) -> None:
 
 
 def test_another_process_gets_the_same_bits() -> None:
-    out = subprocess.run(
-        [sys.executable, __file__, "--digests"], capture_output=True, text=True, check=True, timeout=300
-    )
-    assert out.stdout.split() == digests()
+    assert digests_elsewhere(__file__) == digests(rollout, HASHED)
 
 
 if __name__ == "__main__":
     if "--digests" in sys.argv:
-        print("\n".join(digests()))
+        print("\n".join(digests(rollout, HASHED)))
     else:
         arrays = {}
         for level in LEVELS:

@@ -6,9 +6,6 @@ stores them anew. The sequence is a MOTChallenge folder of PNG files, which ever
 
 from __future__ import annotations
 
-import hashlib
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -17,6 +14,7 @@ import cv2
 import gymnasium as gym
 import numpy as np
 import pytest
+from stored_rollouts import digests, digests_elsewhere, print_or_store, stored_rollout
 
 import servotrack  # noqa: F401
 
@@ -76,38 +74,18 @@ def rollout(case: str) -> dict[str, Any]:
     return arrays | {name: np.array(info[name]) for name in ("ospa2", "mota", "idf1", "hota")}
 
 
-def digests() -> list[str]:
-    """One for each case."""
-    found = []
-    for case in CASES:
-        sha = hashlib.sha256()
-        for name, values in sorted(rollout(case).items()):
-            sha.update(name.encode() + np.ascontiguousarray(values).tobytes())
-        found.append(sha.hexdigest())
-    return found
-
-
 @pytest.mark.parametrize("case", CASES)
 def test_the_stored_rollout_comes_out_again(case: str) -> None:
     history = rollout(case)
-    with np.load(STORED) as stored:
-        assert {name.split("/")[1] for name in stored if name.startswith(f"{case}/")} == history.keys()
-        for name, values in history.items():
-            np.testing.assert_allclose(values, stored[f"{case}/{name}"], rtol=1e-9, atol=1e-12, err_msg=name)
+    stored = stored_rollout(STORED, case)
+    assert stored.keys() == history.keys()
+    for name, values in history.items():
+        np.testing.assert_allclose(values, stored[name], rtol=1e-9, atol=1e-12, err_msg=name)
 
 
 def test_another_process_gets_the_same_bits() -> None:
-    out = subprocess.run(
-        [sys.executable, __file__, "--digests"], capture_output=True, text=True, check=True, timeout=300
-    )
-    assert out.stdout.split() == digests()
+    assert digests_elsewhere(__file__) == digests(rollout, CASES)
 
 
 if __name__ == "__main__":
-    if "--digests" in sys.argv:
-        print("\n".join(digests()))
-    else:
-        np.savez_compressed(
-            STORED,
-            **{f"{case}/{name}": values for case in CASES for name, values in rollout(case).items()},  # type: ignore[arg-type]
-        )
+    print_or_store(STORED, rollout, CASES)

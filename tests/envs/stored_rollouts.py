@@ -1,0 +1,46 @@
+"""Rollouts that are stored beside their test: reading, storing, and the same bits from another process."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Rollout = Callable[[Any], Mapping[str, Any]]
+
+
+def stored_rollout(file: Path, case: Any) -> dict[str, Any]:
+    """What is stored of a case, by quantity."""
+    with np.load(file) as stored:
+        return {name.split("/")[1]: stored[name] for name in stored if name.startswith(f"{case}/")}
+
+
+def digests(rollout: Rollout, cases: Iterable[Any]) -> list[str]:
+    """A hash of all bits of each case."""
+    found = []
+    for case in cases:
+        sha = hashlib.sha256()
+        for name, values in sorted(rollout(case).items()):
+            sha.update(name.encode() + np.ascontiguousarray(values).tobytes())
+        found.append(sha.hexdigest())
+    return found
+
+
+def digests_elsewhere(script: str) -> list[str]:
+    """The hashes that a test file prints when it is run with --digests in a process of its own."""
+    out = subprocess.run([sys.executable, script, "--digests"], capture_output=True, text=True, check=True, timeout=300)
+    return out.stdout.split()
+
+
+def print_or_store(file: Path, rollout: Rollout, cases: Iterable[Any]) -> None:
+    """What a test file does as a script: with --digests print the hashes, else store all anew."""
+    if "--digests" in sys.argv:
+        print("\n".join(digests(rollout, cases)))
+        return
+    arrays = {f"{case}/{name}": values for case in cases for name, values in rollout(case).items()}
+    np.savez_compressed(file, **arrays)
