@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
@@ -102,7 +103,11 @@ def sample_times(config: ServoConfig) -> Array:
     return (np.arange(samples(config), dtype=np.float64) - LEAD - config.warmup) * PERIOD
 
 
-def draw_episode(config: ServoConfig, seed: int) -> Episode:
+Motion = Callable[["ServoStreams", Array], Array]
+"""Draws a target's path (K, 4) for an arm with these links."""
+
+
+def draw_episode(config: ServoConfig, seed: int, motion: Motion | None = None) -> Episode:
     """Draw all of an episode.
 
     A layout that cannot be solved (see `solvable`), in which the target starts out of view, or whose goal lies outside
@@ -111,12 +116,13 @@ def draw_episode(config: ServoConfig, seed: int) -> Episode:
     Args:
         config: The world.
         seed: Non-negative integer.
+        motion: Draws the target's motion where `config.target` does not say all of it.
 
     Raises:
         ValueError: No solvable layout among many draws: the ranges contradict each other.
     """
     streams = ServoStreams(seed)
-    links, camera, path = _draw_layout(config, streams)
+    links, camera, path = _draw_layout(config, streams, motion)
     count = samples(config)
     u, v, _ = project_ground(camera, 0.0, 0.0)
     encoder_noise, encoder_level = _gaussian_block(streams, Stream.ENCODER_NOISE, config.encoder_noise, count)
@@ -143,15 +149,18 @@ _NEVER = np.zeros(0, dtype=np.bool_)
 _NONE = np.zeros((0, 2))
 
 
-def _draw_layout(config: ServoConfig, streams: ServoStreams) -> tuple[Array, Array, Array]:
+def _draw_layout(config: ServoConfig, streams: ServoStreams, motion: Motion | None) -> tuple[Array, Array, Array]:
     if _is_fixed(config):
         return _fixed_layout(config)
     times = sample_times(config)
     for _ in range(_MAX_DRAWS):
         links = np.asarray(streams.uniform(Stream.LINKS, config.links, 2))
         camera = _draw_camera(config, streams)
-        rng = None if config.target in _PAPER_TARGETS else streams[Stream.TARGET]
-        path = draw_path(config, rng, links, times)
+        if motion is not None:
+            path = motion(streams, links)
+        else:
+            rng = None if config.target in _PAPER_TARGETS else streams[Stream.TARGET]
+            path = draw_path(config, rng, links, times)
         if not solvable(path[LEAD + config.warmup :], links[0], links[1], config.max_joint_rate):
             continue
         start, seen = project_points(camera, links, START, path[LEAD, :2])

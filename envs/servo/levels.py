@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import numbers
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from servotrack.envs.arguments import check_keywords, check_level
 
@@ -50,6 +50,8 @@ class ServoConfig:
         camera_size: Width and height of the camera's image, px.
     """
 
+    TARGETS: ClassVar[tuple[str, ...]] = TARGETS
+
     target: str = "paper"
     links: Range = (0.5, 0.5)
     focal: Range = (160.0, 160.0)
@@ -81,8 +83,8 @@ class ServoConfig:
     def __post_init__(self) -> None:
         """Check every field; raises ValueError that names the argument, the value and what would be right."""
         for name in _RANGES:
-            object.__setattr__(self, name, _as_range(name, getattr(self, name)))
-        for name, options in (("target", TARGETS), ("noise_kind", NOISE_KINDS)):
+            object.__setattr__(self, name, self._range(name))
+        for name, options in (("target", self.TARGETS), ("noise_kind", NOISE_KINDS)):
             if getattr(self, name) not in options:
                 raise ValueError(f"{name} must be one of {', '.join(options)}, got {getattr(self, name)!r}")
         for name, low, high in _BOUNDS:
@@ -106,13 +108,24 @@ class ServoConfig:
         if not self.stamped and self.latency == (0, 0):
             raise ValueError("stamped=False with latency 0 hides nothing; give latency=(low, high) or stamped=True")
 
+    def _range(self, name: str) -> Range:
+        """A field as (low, high); a number stands for itself twice."""
+        value = getattr(self, name)
+        if _is_number(value):
+            return (float(value), float(value))
+        if isinstance(value, (tuple, list)) and len(value) == 2 and all(_is_number(v) for v in value):
+            low, high = float(value[0]), float(value[1])
+            if low <= high:
+                return (low, high)
+        raise ValueError(f"{name} must be a number or (low, high) with low <= high, got {value!r}")
+
 
 _RANGES = ("links", "focal", "depth", "distortion", "actuation_noise", "encoder_noise", "latency")
 _WHOLE = ("warmup", "horizon", "substeps", "solver_iterations", "camera_size")
 _BOUNDS: tuple[tuple[str, float, float], ...] = (
-    ("links", 0.1, 2.0),
+    ("links", 0.1, 4.0),
     ("focal", 10.0, 2000.0),
-    ("depth", 0.05, 5.0),
+    ("depth", 0.05, 20.0),
     ("mounting", 0.0, math.pi),
     ("principal_offset", 0.0, 200.0),
     ("distortion", -0.33, 0.33),
@@ -207,13 +220,3 @@ def reach_config(level: int = 3, **axes: Any) -> ServoConfig:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _as_range(name: str, value: Any) -> Range:
-    if _is_number(value):
-        return (float(value), float(value))
-    if isinstance(value, (tuple, list)) and len(value) == 2 and all(_is_number(v) for v in value):
-        low, high = float(value[0]), float(value[1])
-        if low <= high:
-            return (low, high)
-    raise ValueError(f"{name} must be a number or (low, high) with low <= high, got {value!r}")

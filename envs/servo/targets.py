@@ -102,7 +102,7 @@ def _waves(kind: str, rng: np.random.Generator | None, links: Array) -> list[tup
         return [(0.6, []), (0.6, [])]
     assert rng is not None
     if kind == "point":
-        x, y = _reachable_point(rng, links) / links.sum()
+        x, y = reachable_point(rng, links) / links.sum()
         return [(x, []), (y, [])]
     cx, cy = rng.uniform(0.4, 0.6, 2)
     if kind == "ellipse":
@@ -118,7 +118,7 @@ def _waves(kind: str, rng: np.random.Generator | None, links: Array) -> list[tup
     return axes
 
 
-def _reachable_point(rng: np.random.Generator, links: Array) -> Array:
+def reachable_point(rng: np.random.Generator, links: Array) -> Array:
     """A point over which the arm can stand well inside its joint range."""
     theta1, theta2 = rng.uniform(-1.3, 1.3), rng.uniform(0.4, 2.4)
     elbow = links[0] * np.array([math.cos(theta1), math.sin(theta1)])
@@ -127,12 +127,12 @@ def _reachable_point(rng: np.random.Generator, links: Array) -> Array:
 
 def _waypoints(rng: np.random.Generator, links: Array, clock: Array, max_joint_rate: float) -> Array:
     """Straight runs at constant speed between random points, each run one that the arm can follow."""
-    points, instants = [_reachable_point(rng, links)], [0.0]
+    points, instants = [reachable_point(rng, links)], [0.0]
     while instants[-1] < clock[-1]:
         here = points[-1]
         there, speed = here, 1.0
         for _ in range(50):
-            candidate, speed = _reachable_point(rng, links), rng.uniform(0.1, 0.35) * links.sum()
+            candidate, speed = reachable_point(rng, links), rng.uniform(0.1, 0.35) * links.sum()
             samples = max(3, int(np.hypot(*(candidate - here)) / (speed * PERIOD)))
             if solvable(np.linspace(here, candidate, samples), links[0], links[1], max_joint_rate):
                 there = candidate

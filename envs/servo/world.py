@@ -24,7 +24,8 @@ SUCCESS_DISTANCE = 0.010
 """Tracking error that counts as success, m."""
 _REWARD_NEAR = 0.002
 _REWARD_FAR = 2.0
-_RING = 8
+RING = 8
+"""Samples of joint angles that a world remembers, for frames that arrive late."""
 
 
 @njit(cache=True, nogil=True)
@@ -43,6 +44,7 @@ class ServoWorld:
     Args:
         config: The world's parameters.
         count: Number of arms N.
+        lost_after: Consecutive samples out of view that end an episode.
 
     Attributes:
         joint_angles: What the encoders say, (N, 2) rad.
@@ -52,7 +54,7 @@ class ServoWorld:
         time: Present time, (N,) s; scoring starts at 0.
         goal: Taught goal features, (N, 2) px.
         reward: (N,).
-        terminated: Target out of view for `LOST_AFTER` samples, (N,) bool.
+        terminated: Target out of view for `lost_after` samples, (N,) bool.
         truncated: Horizon reached, (N,) bool.
         tracking_error: Distance between tool and target in the plane, (N,) m.
         feature_error: Distance between the true present features and the goal, (N,) px.
@@ -63,9 +65,10 @@ class ServoWorld:
         captured: Index into the episode's tables of the newest frame that arrived with an image, (N,) int.
     """
 
-    def __init__(self, config: ServoConfig, count: int) -> None:
+    def __init__(self, config: ServoConfig, count: int, lost_after: int = LOST_AFTER) -> None:
         self.config = config
         self.count = count
+        self._lost_after = lost_after
         length = samples(config)
         self.arms = ArmSpace(config, count)
         self.joints = self.arms.angles
@@ -78,7 +81,7 @@ class ServoWorld:
         self._rate_noise = np.zeros((count, length if any(config.actuation_noise) else 0, 2))
         self._encoder_noise = np.zeros((count, length if any(config.encoder_noise) else 0, 2))
         self._dropped = np.zeros((count, length if config.dropout else 0), np.bool_)
-        self.history = np.zeros((count, _RING, 2))
+        self.history = np.zeros((count, RING, 2))
         """True joint angles of the last samples, a ring indexed by table index modulo its length, (N, 8, 2) rad."""
         self._out_of_view = np.zeros(count, np.int64)
         self.joint_angles, self.features = np.zeros((count, 2)), np.zeros((count, 2))
@@ -99,7 +102,7 @@ class ServoWorld:
         """
         moved = np.zeros(self.count, np.bool_)
         for row, seed in zip(rows, seeds, strict=True):
-            episode = draw_episode(self.config, seed)
+            episode = self._draw(seed)
             self.episodes[row] = episode
             self.arms.reset(row, episode.links)
             self.links[row], self.cameras[row], self.goal[row] = episode.links, episode.camera, episode.goal
@@ -123,6 +126,9 @@ class ServoWorld:
             moved[row] = True
         self._observe(moved)
 
+    def _draw(self, seed: int) -> Episode:
+        return draw_episode(self.config, seed)
+
     def step(self, actions: Array, rows: NDArray[np.bool_] | None = None) -> None:
         """Advance rows by one control period.
 
@@ -144,7 +150,7 @@ class ServoWorld:
     def _observe(self, rows: NDArray[np.bool_]) -> None:
         config = self.config
         _sense(
-            rows, self.steps, config.warmup, config.horizon, float(config.camera_size), config.rolling_shutter,
+            rows, self.steps, config.warmup, config.horizon, self._lost_after, float(config.camera_size), config.rolling_shutter,
             config.stamped, config.noise_kind == "quantized", self.links, self.cameras, self.goal, self.latency,
             self.paths, self._feature_noise, self._encoder_noise, self._dropped, self.joints, self.history,
             self._out_of_view, self.joint_angles, self.features, self.visible, self.frame_time, self.time,
@@ -233,12 +239,12 @@ def interpolate_path(before, after, fraction):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _capture(camera, links, path, history, frame, size, shutter):  # type: ignore[no-untyped-def]
+def capture(camera, links, path, history, frame, size, shutter):  # type: ignore[no-untyped-def]
     """Noise-free features of the frame whose readout ends at sample `frame`, each image row seen at its own instant."""
-    now = history[frame % _RING]
+    now = history[frame % RING]
     u, v, seen = project(camera, links[0], links[1], now[0], now[1], path[frame, 0], path[frame, 1])
     if shutter > 0.0:
-        before = history[(frame - 1) % _RING]
+        before = history[(frame - 1) % RING]
         for _ in range(3):
             f = 1.0 - shutter * (1.0 - min(max(v / size, 0.0), 1.0)) / PERIOD
             theta1 = before[0] + f * (now[0] - before[0])
@@ -250,7 +256,7 @@ def _capture(camera, links, path, history, frame, size, shutter):  # type: ignor
 
 @njit(cache=True, nogil=True)
 def _sense(  # type: ignore[no-untyped-def]
-    rows, steps, warmup, horizon, size, shutter, stamped, quantized, links, cameras, goal, latency, path, feature_noise,
+    rows, steps, warmup, horizon, lost_after, size, shutter, stamped, quantized, links, cameras, goal, latency, path, feature_noise,
     encoder_noise, dropped, joints, history, out_of_view, joint_angles, features, visible, frame_time, time, reward,
     terminated, truncated, tracking_error, feature_error, tool, target, captured,
 ):  # fmt: skip
@@ -260,8 +266,8 @@ def _sense(  # type: ignore[no-untyped-def]
             continue
         now = steps[i] + LEAD
         theta1, theta2 = joints[i, 0], joints[i, 1]
-        history[i, now % _RING, 0] = theta1
-        history[i, now % _RING, 1] = theta2
+        history[i, now % RING, 0] = theta1
+        history[i, now % RING, 1] = theta2
         time[i] = (steps[i] - warmup) * PERIOD
         for j in range(4):
             target[i, j] = path[i, now, j]
@@ -274,7 +280,7 @@ def _sense(  # type: ignore[no-untyped-def]
         feature_error[i] = math.hypot(u - goal[i, 0], v - goal[i, 1])
         in_view = seen and 0.0 <= u < size and 0.0 <= v < size
         out_of_view[i] = 0 if in_view else out_of_view[i] + 1
-        terminated[i] = out_of_view[i] >= LOST_AFTER
+        terminated[i] = out_of_view[i] >= lost_after
         truncated[i] = steps[i] >= warmup + horizon
         scored = steps[i] > warmup and not terminated[i]
         reward[i] = tracking_reward(distance) if scored else 0.0
@@ -289,7 +295,7 @@ def _sense(  # type: ignore[no-untyped-def]
         if dropped.shape[1] > 0 and dropped[i, frame]:
             continue
         captured[i] = frame
-        u, v, in_view = _capture(cameras[i], links[i], path[i], history[i], frame, size, shutter)
+        u, v, in_view = capture(cameras[i], links[i], path[i], history[i], frame, size, shutter)
         if not in_view:
             continue
         if feature_noise.shape[1] > 0:

@@ -86,7 +86,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"links": (0.6, 0.4)}, r"links must be a number or \(low, high\) with low <= high, got \(0.6, 0.4\)"),
     ({"links": (0.3, 0.4, 0.5)}, "links must be a number"),
     ({"links": "0.5"}, "links must be a number"),
-    ({"links": 0.01}, r"links must lie in \[0.1, 2.0\]"),
+    ({"links": 0.01}, r"links must lie in \[0.1, 4.0\]"),
     ({"focal": (100.0, math.inf)}, "focal must be a number"),
     ({"mounting": (0.1, 0.2)}, r"mounting must be one number in \[0.0, 3.14.*\], got \(0.1, 0.2\)"),
     ({"mounting": 4.0}, "mounting must lie in"),

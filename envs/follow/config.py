@@ -1,0 +1,153 @@
+"""Every parameter of the world in which an arm follows one person of a crowd, and the ladder of its levels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar
+
+from servotrack.envs.arguments import check_fields, check_keywords, check_level
+from servotrack.envs.servo.levels import Range, ServoConfig
+
+SCRIPTS = ("plaza", "crossings")
+"""What the others do: stroll about and cross the person's way now and then, or do nothing but cross it."""
+MOST_PEOPLE = 16
+
+
+@dataclass(frozen=True)
+class FollowConfig(ServoConfig):
+    """The servo's parameters at four times the scale, and those of the crowd. A range is drawn anew for every episode.
+
+    Outliers and kinds of noise of the servo's ladder belong to the features of `observation="identity"`.
+
+    Attributes:
+        people: How many walk there, the one to follow among them.
+        script: `plaza` (people stroll between places and cross the person's way now and then) or `crossings` (the
+            others do nothing but cross it).
+        companions: Others who walk with the person to follow.
+        pace: Speed that people like, m/s.
+        look_alikes: Probability of each other to wear the person's clothes.
+        clutter: Expected false detections per frame.
+        misses: Probability of a person in view to be missed by a frame's detections.
+        merge_distance: People nearer to each other than this are one detection, m; 0: never.
+        color_noise: Standard deviation of the noise on each channel of a detection's color, gray levels.
+        lamps: Lampshades that hang over the plane and hide who is under them.
+        umbrellas: Others under an umbrella, who hide themselves and whoever comes close.
+        shadows: Darkness of people's shadows in images, 0 to 1.
+    """
+
+    TARGETS: ClassVar[tuple[str, ...]] = ("person",)
+
+    target: str = "person"
+    links: Range = (2.0, 2.0)
+    focal: Range = (320.0, 320.0)
+    depth: Range = (4.0, 4.0)
+    # Moments of inertia grow with the square of the links' lengths.
+    max_motor_torque: float = 960.0
+    warmup: int = 0
+    horizon: int = 400
+    people: int = 6
+    script: str = "plaza"
+    companions: int = 0
+    pace: Range = (0.5, 1.5)
+    look_alikes: float = 0.0
+    clutter: float = 0.0
+    misses: float = 0.0
+    merge_distance: float = 0.0
+    color_noise: float = 0.0
+    lamps: int = 0
+    umbrellas: int = 0
+    shadows: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Check every field; raises ValueError that names the argument, the value and what would be right."""
+        super().__post_init__()
+        object.__setattr__(self, "pace", self._range("pace"))
+        if not 0.1 <= self.pace[0] <= self.pace[1] <= 2.0:
+            raise ValueError(f"pace must lie in [0.1, 2] m/s, got {self.pace!r}")
+        if self.script not in SCRIPTS:
+            raise ValueError(f"script must be one of {', '.join(SCRIPTS)}, got {self.script!r}")
+        check_fields(self, _BOUNDS, ("people", "companions", "lamps", "umbrellas"))
+        for name in ("companions", "umbrellas"):
+            if getattr(self, name) > self.people - 1:
+                raise ValueError(
+                    f"{name} must be at most people - 1 = {self.people - 1}, got {getattr(self, name)}; raise `people`"
+                )
+
+
+_BOUNDS: tuple[tuple[str, float, float], ...] = (
+    ("people", 1, MOST_PEOPLE),
+    ("companions", 0, MOST_PEOPLE),
+    ("look_alikes", 0.0, 1.0),
+    ("clutter", 0.0, 50.0),
+    ("misses", 0.0, 0.95),
+    ("merge_distance", 0.0, 2.0),
+    ("color_noise", 0.0, 100.0),
+    ("lamps", 0, 20),
+    ("umbrellas", 0, MOST_PEOPLE),
+    ("shadows", 0.0, 1.0),
+)
+
+_LADDER: tuple[dict[str, Any], ...] = (
+    {},
+    {"pixel_noise": 2.0, "color_noise": 8.0, "clutter": 1.0, "misses": 0.05, "merge_distance": 0.4},
+    {
+        "links": (1.6, 2.4),
+        "focal": (260.0, 400.0),
+        "depth": (3.2, 5.0),
+        "mounting": math.radians(30),
+        "pixel_noise": 3.0,
+    },
+    {
+        "mounting": math.pi,
+        "principal_offset": 40.0,
+        "distortion": (-0.25, 0.1),
+        "tilt": math.radians(15),
+        "aspect": 0.1,
+        "look_alikes": 0.2,
+    },
+    {
+        "actuation_noise": (0.03, 0.05),
+        "actuation_gain": 0.1,
+        "encoder_noise": (0.0005, 0.003),
+        "dropout": 0.05,
+        "misses": 0.1,
+        "lamps": 3,
+        "umbrellas": 1,
+    },
+    {"latency": (1, 1), "rolling_shutter": 0.020, "companions": 1, "clutter": 2.0},
+    {
+        "people": 12,
+        "look_alikes": 0.5,
+        "dropout": 0.10,
+        "misses": 0.15,
+        "clutter": 4.0,
+        "umbrellas": 2,
+        "outlier_rate": 0.05,
+        "latency": (0, 2),
+        "stamped": False,
+    },
+)
+
+LEVEL_NAMES = ("plain", "noise", "geometry", "optics", "dynamics", "timing", "heavy")
+AXES = tuple(f.name for f in fields(FollowConfig))
+
+
+def follow_config(level: int = 2, **axes: Any) -> FollowConfig:
+    """The configuration of a level of the ladder, with single axes overridden.
+
+    Args:
+        level: 0 `plain`, 1 `noise`, 2 `geometry`, 3 `optics`, 4 `dynamics`, 5 `timing`, 6 `heavy`; each adds to those
+            before it.
+        **axes: Fields of `FollowConfig`; a number where a range is expected means that number always.
+
+    Raises:
+        ValueError: A level outside 0 to 6, or a value outside its bounds.
+        TypeError: An unknown axis; the message suggests the nearest known one.
+    """
+    level = check_level(level, len(_LADDER))
+    check_keywords(axes, AXES, ("level", "observation", "image_size", "image_noise", "render_mode"))
+    settings: dict[str, Any] = {}
+    for step in _LADDER[: level + 1]:
+        settings.update(step)
+    return replace(FollowConfig(**settings), **axes)

@@ -1,0 +1,53 @@
+"""What fate deals an episode of the following world: a servo's episode whose target is a person, and the crowd."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.follow.config import FollowConfig
+from servotrack.envs.follow.crowd import Crowd, draw_crowd
+from servotrack.envs.follow.looks import Looks, draw_looks, hidden_people
+from servotrack.envs.servo.episode import Episode, ServoStreams, draw_episode, samples
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FollowEpisode(Episode):
+    """A servo's episode and the crowd around its target, K samples of P people; the person to follow is the first.
+
+    Attributes:
+        crowd: Where people walk.
+        looks: How they look.
+        hidden: Who is under a lampshade or an umbrella, shape (K, P).
+    """
+
+    crowd: Crowd
+    looks: Looks
+    hidden: NDArray[np.bool_]
+
+
+def draw_follow_episode(config: FollowConfig, seed: int) -> FollowEpisode:
+    """Draw all of an episode.
+
+    Args:
+        config: The world.
+        seed: Non-negative integer.
+
+    Raises:
+        ValueError: As `servotrack.envs.servo.episode.draw_episode`.
+    """
+    drawn: list[Crowd] = []
+
+    def motion(streams: ServoStreams, links: Array) -> Array:
+        drawn[:] = [draw_crowd(config, streams, links, samples(config))]
+        return drawn[0].paths[:, 0]
+
+    servo = draw_episode(config, seed, motion)
+    crowd = drawn[0]
+    looks = draw_looks(config, servo.streams, crowd)
+    parts = {field.name: getattr(servo, field.name) for field in fields(Episode)}
+    return FollowEpisode(**parts, crowd=crowd, looks=looks, hidden=hidden_people(crowd, looks))
