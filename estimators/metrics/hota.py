@@ -35,7 +35,7 @@ def hota_scores(sequence: TrackSequence) -> HotaScores:
     alignment = _alignment(sequence)
     # Of every match its pair of tracks and how many thresholds it passes; few of all pairs ever meet.
     pairs, passed = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-    for truth, estimate, similarity in sequence.frames:
+    for truth, estimate, similarity in sequence.meetings():
         rows, columns = linear_sum_assignment(alignment[np.ix_(truth, estimate)] * similarity, maximize=True)
         pairs.append(truth[rows] * alignment.shape[1] + estimate[columns])
         passed.append((similarity[rows, columns][:, None] >= THRESHOLDS - EPSILON).sum(axis=1))
@@ -54,7 +54,7 @@ def hota_scores(sequence: TrackSequence) -> HotaScores:
 def _alignment(sequence: TrackSequence) -> Array:
     """How much two tracks are one over the whole sequence, which decides whom to match at each step."""
     total = np.zeros((len(sequence.truth_counts), len(sequence.estimate_counts)))
-    for truth, estimate, similarity in sequence.frames:
+    for truth, estimate, similarity in sequence.meetings():
         union = similarity.sum(axis=0)[None, :] + similarity.sum(axis=1)[:, None] - similarity
         total[np.ix_(truth, estimate)] += np.divide(
             similarity, union, out=np.zeros_like(similarity), where=union > EPSILON

@@ -31,7 +31,7 @@ def identity_scores(sequence: TrackSequence, threshold: float = 0.5) -> Identity
         threshold: Similarity from which two count as together.
     """
     together = np.zeros((len(sequence.truth_counts), len(sequence.estimate_counts)))
-    for truth, estimate, similarity in sequence.frames:
+    for truth, estimate, similarity in sequence.meetings():
         rows, columns = np.nonzero(similarity >= threshold)
         together[truth[rows], estimate[columns]] += 1.0
     # Misses and false positives of a pairing are the fewest where the steps together are the most.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +41,10 @@ class TrackSequence(NamedTuple):
     truth_counts: NDArray[np.int64]
     estimate_counts: NDArray[np.int64]
 
+    def meetings(self) -> Iterator[Frame]:
+        """The steps at which both sides exist; the others say nothing about who is whom."""
+        return (frame for frame in self.frames if frame.similarity.size)
+
 
 def track_sequence(
     truth: Sequence[Track],
@@ -75,7 +79,9 @@ def track_sequence(
     here = members_by_step(estimate, length, dimension)
     frames = []
     for (a, true), (b, estimated) in zip(there, here, strict=True):
-        similarity = np.clip(1.0 - distances(true, estimated) / cutoff, 0.0, 1.0)
+        similarity = np.zeros((len(a), len(b)))
+        if similarity.size:
+            similarity = np.clip(1.0 - distances(true, estimated) / cutoff, 0.0, 1.0)
         counted = a < len(truth)
         if not counted.all():
             kept = _not_ignored(similarity, counted, threshold)
