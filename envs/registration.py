@@ -19,6 +19,10 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
         "entry_point": "servotrack.envs.servo.pixels:UncalibServoPixelsEnv",
         "vector_entry_point": "servotrack.envs.servo.pixels:UncalibServoPixelsVectorEnv",
     },
+    "PedestrianServo-v0": {
+        "entry_point": "servotrack.envs.follow.env:PedestrianServoEnv",
+        "vector_entry_point": "servotrack.envs.follow.vector:PedestrianServoVectorEnv",
+    },
     "ClutterTracking-v0": {
         "entry_point": "servotrack.envs.track.clutter:ClutterTrackingEnv",
         "vector_entry_point": "servotrack.envs.track.clutter:ClutterTrackingVectorEnv",

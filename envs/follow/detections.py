@@ -44,7 +44,8 @@ class DetectionSensor:
     Attributes:
         detections: In the newest frames that arrived, (N, M, COLUMNS), rows in random order, unused ones zeros.
         truth: Where everybody really is in that frame, (N, P, COLUMNS), in the crowd's order: without noise, clutter,
-            misses and merging; existence 0 for who is out of view or hidden.
+            misses and merging; existence 0 for who is hidden, zeros for who is out of view.
+        target_box: Left, top, width, height of the person to follow in the first frame of all, (N, 4) px.
         frame_time: Time stamps of these frames, (N,) s.
     """
 
@@ -54,6 +55,7 @@ class DetectionSensor:
         self._world = world
         self.detections = np.zeros((count, rows, COLUMNS))
         self.truth = np.zeros((count, config.people, COLUMNS))
+        self.target_box = np.zeros((count, 4))
         self.frame_time = np.zeros(count)
         self._episodes: list[FollowEpisode | None] = [None] * count
         self._captured = np.full(count, -1)
@@ -64,8 +66,12 @@ class DetectionSensor:
         self._clutter = np.zeros((count, length, rows - config.people, _NUMBERS), np.float32)
         self._order = np.zeros((count, length, rows), np.int16)
 
-    def update(self) -> None:
-        """Take the frames in that have arrived since the last call."""
+    def update(self) -> list[int]:
+        """Take the frames in that have arrived since the last call.
+
+        Returns:
+            The rows whose episode began since then.
+        """
         world, config = self._world, self._world.config
         # An episode is frozen: another object is another episode.
         fresh = [row for row, (a, b) in enumerate(zip(self._episodes, world.episodes, strict=True)) if a is not b]
@@ -81,6 +87,9 @@ class DetectionSensor:
             world.cameras, world.links, world.history, world.people, world.hidden, self._sizes, self._colors,
             self._noise, self._missed, self._false, self._clutter, self._order, self.truth, self.detections,
         )  # fmt: skip
+        person = self.truth[fresh, 0, 1:5]
+        self.target_box[fresh] = np.concatenate([person[:, :2] - 0.5 * person[:, 2:], person[:, 2:]], axis=1)
+        return fresh
 
     def _begin(self, row: int) -> None:
         world, config = self._world, self._world.config
@@ -146,9 +155,9 @@ def _detect(  # type: ignore[no-untyped-def]
             u, v, seen = capture(camera, links[i], path, history[i], frame, size, shutter)
             here = truth[i, k]
             here[:] = 0.0
-            if not seen or hidden[i, frame, k]:
+            if not seen:
                 continue
-            here[0], here[1], here[2] = 1.0, u, v
+            here[0], here[1], here[2] = 0.0 if hidden[i, frame, k] else 1.0, u, v
             _extent(camera, u, v, heading, tool, path[frame, 0], path[frame, 1], 0.5 * sizes[i, k], here[3:5])
             here[5:] = colors[i, k]
         # Who is found, and together with whom: the first of a group of people who touch speaks for all.

@@ -59,6 +59,11 @@ class FollowWorld(ServoWorld):
         self._on_target = np.zeros(count, np.int64)
         self._last_errors = np.zeros((count, LAST_SECOND))
 
+    @property
+    def now(self) -> NDArray[np.int64]:
+        """Index of the present sample in the tables of each row, (N,)."""
+        return self.steps + LEAD
+
     def episode(self, row: int) -> FollowEpisode:
         """The episode of a row that has been reset."""
         return cast(FollowEpisode, self.episodes[row])

@@ -144,16 +144,35 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.config = self._configure(level, axes)
         self.level = level
         self.render_mode = check_render_mode(render_mode)
-        self.world = ServoWorld(self.config, 1)
+        self.world = self._make_world()
         # Gymnasium types Dict as a space of spaces and Box without its dtype.
         self.action_space = action_space()  # type: ignore[assignment]
         self.observation_space = self._observation_space()  # type: ignore[assignment]
         self.max_joint_rate = self.config.max_joint_rate
         self._running = False
-        self._recorder, self._viewer = _screen(self.world, level, self.render_mode, type(self).__name__)
+        self._recorder, self._viewer = self._make_screen()
 
     def _configure(self, level: int, axes: dict[str, Any]) -> ServoConfig:
         return servo_config(level, **axes)
+
+    def _make_world(self) -> ServoWorld:
+        return ServoWorld(self.config, 1)
+
+    def _make_screen(self) -> tuple[Recorder | None, Viewer | None]:
+        """What drawing takes in this render mode; OpenCV and pygame are imported only where they are needed."""
+        if self.render_mode is None:
+            return None, None
+        viewer = None
+        if self.render_mode == "human":
+            from servotrack.envs.viewer import Viewer
+
+            viewer = Viewer(type(self).__name__, METADATA["render_fps"])
+        return self._make_recorder(), viewer
+
+    def _make_recorder(self) -> Recorder:
+        from servotrack.envs.servo.recorder import Recorder, level_caption
+
+        return Recorder(self.world, caption=level_caption(self.level))
 
     def _observation_space(self) -> gym.spaces.Dict:
         return feature_space(self.config)
@@ -314,19 +333,3 @@ class UncalibServoReachEnv(UncalibServoEnv):
 
     def _configure(self, level: int, axes: dict[str, Any]) -> ServoConfig:
         return reach_config(level, **axes)
-
-
-def _screen(
-    world: ServoWorld, level: int, render_mode: str | None, title: str
-) -> tuple[Recorder | None, Viewer | None]:
-    """What drawing takes in this render mode; OpenCV and pygame are imported only where they are needed."""
-    if render_mode is None:
-        return None, None
-    from servotrack.envs.servo.recorder import Recorder, level_caption
-
-    viewer = None
-    if render_mode == "human":
-        from servotrack.envs.viewer import Viewer
-
-        viewer = Viewer(title, METADATA["render_fps"])
-    return Recorder(world, caption=level_caption(level)), viewer

@@ -49,7 +49,7 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
         self.level = level
         self.max_joint_rate = self.config.max_joint_rate
         super().__init__(
-            ServoWorld(self.config, count),
+            self._make_world(count),
             count,
             action_space(),
             self._single_observation_space(),
@@ -61,6 +61,9 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
 
     def _configure(self, level: int, axes: dict[str, Any]) -> ServoConfig:
         return servo_config(level, **axes)
+
+    def _make_world(self, count: int) -> ServoWorld:
+        return ServoWorld(self.config, count)
 
     def _single_observation_space(self) -> gym.spaces.Dict:
         return feature_space(self.config)

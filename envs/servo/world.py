@@ -150,9 +150,9 @@ class ServoWorld:
     def _observe(self, rows: NDArray[np.bool_]) -> None:
         config = self.config
         _sense(
-            rows, self.steps, config.warmup, config.horizon, self._lost_after, float(config.camera_size), config.rolling_shutter,
-            config.stamped, config.noise_kind == "quantized", self.links, self.cameras, self.goal, self.latency,
-            self.paths, self._feature_noise, self._encoder_noise, self._dropped, self.joints, self.history,
+            rows, self.steps, config.warmup, config.horizon, self._lost_after, float(config.camera_size),
+            config.rolling_shutter, config.stamped, config.noise_kind == "quantized", self.links, self.cameras,
+            self.goal, self.latency, self.paths, self._feature_noise, self._encoder_noise, self._dropped, self.joints, self.history,
             self._out_of_view, self.joint_angles, self.features, self.visible, self.frame_time, self.time,
             self.reward, self.terminated, self.truncated, self.tracking_error, self.feature_error, self.tool,
             self.target, self.captured,
@@ -256,9 +256,9 @@ def capture(camera, links, path, history, frame, size, shutter):  # type: ignore
 
 @njit(cache=True, nogil=True)
 def _sense(  # type: ignore[no-untyped-def]
-    rows, steps, warmup, horizon, lost_after, size, shutter, stamped, quantized, links, cameras, goal, latency, path, feature_noise,
-    encoder_noise, dropped, joints, history, out_of_view, joint_angles, features, visible, frame_time, time, reward,
-    terminated, truncated, tracking_error, feature_error, tool, target, captured,
+    rows, steps, warmup, horizon, lost_after, size, shutter, stamped, quantized, links, cameras, goal, latency, path,
+    feature_noise, encoder_noise, dropped, joints, history, out_of_view, joint_angles, features, visible, frame_time,
+    time, reward, terminated, truncated, tracking_error, feature_error, tool, target, captured,
 ):  # fmt: skip
     """Take the sample of every chosen row: truth, score, and what the sensors deliver."""
     for i in range(rows.shape[0]):

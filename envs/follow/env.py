@@ -1,0 +1,187 @@
+"""The arm's camera over a walking crowd as a Gymnasium environment."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.follow.config import LEVEL_NAMES, FollowConfig, follow_config
+from servotrack.envs.follow.sensors import FollowSensors
+from servotrack.envs.follow.world import ON_TARGET, FollowWorld
+from servotrack.envs.servo.env import Observation, UncalibServoEnv
+
+if TYPE_CHECKING:
+    from servotrack.envs.follow.recorder import Recorder
+
+
+class PedestrianServoEnv(UncalibServoEnv):
+    """An arm with a camera that nobody calibrated keeps one person of a walking crowd centered.
+
+    ## Description
+
+    The arm of `UncalibServo-v0` at four times its scale (links of 2 m, the camera 4 m up, 80 px to the meter) carries
+    its camera over a plane on which people walk, driven by social forces. The agent is shown one of them at reset and
+    has to keep that one under the tool, while others cross, come too close to be told apart, wear the same clothes, or
+    disappear under lampshades and umbrellas. What the tracker believes decides where the camera looks next. People are
+    drawn from above and flat on the plane; the parallax of their height is left out.
+
+    | level | adds to the arm | adds to the crowd |
+    |---|---|---|
+    | 0 `plain` | 2 m links, nothing unknown but by how much | 6 people, every one detected |
+    | 1 `noise` | 2 px of noise | misses, false detections, people closer than 0.4 m are one detection |
+    | 2 `geometry` | random links, focal length, height; mounting within 30 degrees; 3 px | |
+    | 3 `optics` | any mounting angle, principal point, distortion, tilt, aspect | one in five looks like the person |
+    | 4 `dynamics` | noisy joint rates and encoders, lost frames | three lampshades, an umbrella |
+    | 5 `timing` | one frame of latency, rolling shutter | somebody walks beside the person |
+    | 6 `heavy` | latency of 0 to 2 frames that no stamp tells | 12 people, every second looks like the person |
+
+    ## Action Space
+
+    As `UncalibServo-v0`: `Box(-1, 1, (2,), float32)`, fractions of `max_joint_rate` (2 rad/s).
+
+    ## Observation Space
+
+    A `Dict`. With `observation="detections"` (the default) and `observation="pixels"`:
+
+    | key | shape | type | unit | meaning |
+    |---|---|---|---|---|
+    | `joint_angles` | (2,) | float64 | rad | encoder readings at `time` |
+    | `goal` | (2,) | float64 | px | where the person is wanted: where the point under the tool appears |
+    | `frame_time` | (1,) | float64 | s | when the newest frame was taken, or when it arrived if `stamped` is false |
+    | `time` | (1,) | float64 | s | now |
+    | `target_patch` | (32, 32, 3) | uint8 | gray levels | the person to follow in the first frame, 0.8 m of the plane |
+    | `target_box` | (4,) | float64 | px | left, top, width, height of the person in the first frame |
+    | `detections` | (M, 8) | float64 | px | existence (0 or 1), column, row, width, height, mean red, green, blue |
+    | `image` | (S, S, 3) | uint8 | gray levels | the newest frame; S is `image_size` |
+
+    `detections` or `image`, as the keyword says. `target_patch` and `target_box` stay the same all the episode. Where a
+    frame is lost, the old one stays with its old stamp. Rows of `detections` come in random order, unused ones are
+    zeros. Pixels are the camera's, `camera_size` to a side, or those of the delivered image where there is one.
+
+    With `observation="identity"`, for debugging: exactly the observation of `UncalibServo-v0`, the features being those
+    of the right person.
+
+    ## Rewards
+
+    As `UncalibServo-v0`, with the distance between tool and person.
+
+    `info` holds, for evaluation and not for agents: `tracking_error` (m), `feature_error` (px), `success` (below 10 cm
+    now), `time_on_target` (share of the samples so far below 10 cm), `identity_error` (the tool is within 0.5 m of
+    another person and not of the right one), `lost` (the person got farther away than 1 m and has not been within 0.5 m
+    since), `losses` and `reacquisitions` (how often), `kept` (mean distance over the last second below 0.5 m; at the
+    end of an episode: whether the right person was kept) and `truth` (`joint_angles`, `tool`, `target`,
+    `target_velocity`, `people`).
+
+    ## Starting State
+
+    Joints at (0, 90) degrees, the person within 1 m of the tool and in view. Everything is drawn from the seed, each
+    quantity from a stream of its own; a person whom the arm could not follow is drawn again.
+
+    ## Episode End
+
+    Termination: the person was out of view for 60 samples (3 s). Truncation: after `warmup` + `horizon` steps (400,
+    20 s).
+
+    ## Arguments
+
+    `level` (0 to 6, default 2), `observation` (`detections`, `pixels` or `identity`), `image_size` (32 to 480 px,
+    default 128) and `image_noise` (gray levels, default 3), and every field of `FollowConfig` as a keyword that
+    overrides the level's value, for example `gym.make("PedestrianServo-v0", script="crossings", people=9)`.
+    `render_mode`: `rgb_array` or `human`.
+
+    An agent that has an opinion where the person is may tell it to the picture: `env.unwrapped.belief = (column, row)`
+    in the camera's pixels, None for none.
+
+    ## References
+
+    Helbing and Molnar, "Social force model for pedestrian dynamics", Physical Review E 51(5), 1995, for how people
+    walk. Zhang Ying-bo, "Unscented Kalman filter for on-line estimation of Jacobian matrix", Journal of Computer
+    Applications 31(6), 2011, pp. 1699-1702, for the arm and its camera. The world is this package's own.
+
+    ## Version History
+
+    * v0: initial version
+    """
+
+    config: FollowConfig
+    world: FollowWorld
+
+    def __init__(
+        self,
+        level: int = 2,
+        *,
+        observation: str = "detections",
+        image_size: int = 128,
+        image_noise: float = 3.0,
+        render_mode: str | None = None,
+        **axes: Any,
+    ) -> None:
+        self._sees = observation, image_size, image_noise
+        self.belief: Any = None
+        super().__init__(level, render_mode=render_mode, **axes)
+
+    def _configure(self, level: int, axes: dict[str, Any]) -> FollowConfig:
+        return follow_config(level, **axes)
+
+    def _make_world(self) -> FollowWorld:
+        return FollowWorld(self.config, 1)
+
+    def _make_recorder(self) -> Recorder:  # type: ignore[override]
+        from servotrack.envs.follow.recorder import Recorder
+
+        return Recorder(self.world, caption=level_caption(self.level))
+
+    def _observation_space(self) -> gym.spaces.Dict:
+        self._sensors = FollowSensors(self.world, *self._sees)
+        return self._sensors.space()
+
+    def _observe(self) -> Observation:
+        return {key: value[0] for key, value in self._sensors.observe().items()}
+
+    def _pictured(self) -> dict[str, Any]:
+        return pictured(self._sensors, 0) | {"belief": self.belief}
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start a new episode; as `UncalibServoEnv.reset`."""
+        self.belief = None
+        return super().reset(seed=seed, options=options)
+
+    def _info(self) -> dict[str, Any]:
+        world = self.world
+        info = super()._info()
+        info["success"] = info["tracking_error"] < ON_TARGET
+        info["truth"]["people"] = people_now(world)[0]
+        return info | {
+            "time_on_target": float(world.time_on_target[0]),
+            "identity_error": bool(world.identity_error[0]),
+            "lost": bool(world.lost[0]),
+            "losses": int(world.losses[0]),
+            "reacquisitions": int(world.reacquisitions[0]),
+            "kept": bool(world.kept[0]),
+        }
+
+    def privileged(self) -> Observation:
+        """What `PrivilegedObservation` adds: as `FollowWorld` and `FollowSensors` say, without the leading axis."""
+        return {key: value[0] for key, value in (self.world.privileged() | self._sensors.privileged()).items()}
+
+
+def people_now(world: FollowWorld) -> NDArray[np.float64]:
+    """Everybody's present positions, (N, P, 2) m."""
+    return world.people[np.arange(world.count), world.now, :, :2]
+
+
+def pictured(sensors: FollowSensors, row: int) -> dict[str, Any]:
+    """What a picture shows of a row's sensors: keywords of `Recorder.frame`."""
+    if sensors.camera is not None:
+        return {"camera_image": sensors.camera.images[row]}
+    return {"detections": sensors.detector.detections[row] if sensors.observation == "detections" else None}
+
+
+def level_caption(level: int) -> str:
+    """A level's number and name, as pictures show it."""
+    return f"level {level} {LEVEL_NAMES[level]}"
