@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
+from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
 from servotrack.estimators.sonar.array import Band, LineArray, Shading, tabulate_pattern
@@ -16,6 +18,12 @@ Array = NDArray[np.float64]
 
 NEAR = 1.0
 """Differences of cosines up to which a target's pattern is fitted."""
+BINS = 640
+"""Of these differences."""
+SHARED = 10.0
+"""Neighboring beams share their noise: so many of them count as one."""
+PRIOR = 3.0
+"""Weight of the flat spectrum beside the data's."""
 
 
 @dataclass(frozen=True)
@@ -55,13 +63,9 @@ class Patterns:
 
     def at(self, mixture: Array, cosine_looks: Array, bearings_deg: Array) -> Array:
         """Pattern of one mixture for a source at each bearing. Shape (T, beams)."""
-        values = mixture @ self.tables
-        offset = np.abs(np.cos(np.radians(bearings_deg))[:, None] - cosine_looks)
-        position = offset * ((self.points - 1) / 2.0)
-        below = position.astype(np.int64)
-        np.minimum(below, self.points - 2, out=below)
-        low = values[below]
-        return low + (position - below) * (values[below + 1] - low)
+        out = np.empty((len(bearings_deg), len(cosine_looks)))
+        _interpolate(mixture @ self.tables, np.cos(np.radians(bearings_deg)), cosine_looks, out)
+        return out
 
     def main_lobe(self, mixture: Array) -> Array:
         """Pattern of a mixture near its peak, a few points."""
@@ -80,23 +84,20 @@ class Patterns:
         Returns:
             Not negative, sum 1. Shape (1 + tones,).
         """
-        offset = np.abs(np.cos(np.radians(bearings_deg))[:, None] - cosine_looks)
-        near = offset < NEAR
-        bins = 640
-        index = (offset[near] * (bins / NEAR)).astype(int)
-        weight = (power[:, None] ** 2 / variance)[near]
-        total = np.bincount(index, weight, bins)
-        mean = np.bincount(index, weight * (excess / power[:, None])[near], bins) / np.maximum(total, 1e-12)
-        centers = np.bincount(index, weight * offset[near], bins) / np.maximum(total, 1e-12)
+        sums = np.zeros((3, BINS))
+        _bin(excess, variance, np.cos(np.radians(bearings_deg)), cosine_looks, power, sums)
+        some = sums[0] > 0.0
+        total, mean, centers = sums[0, some], sums[1, some] / sums[0, some], sums[2, some] / sums[0, some]
         position = centers * ((self.points - 1) / 2.0)
         below = np.minimum(position.astype(np.int64), self.points - 2)
         low = self.tables[:, below]
-        design = (low + (position - below) * (self.tables[:, below + 1] - low)).T
-        # Neighboring beams share their noise: some ten of them count as one.
-        root = np.sqrt(total / 10.0)
-        prior = 3.0
-        rows = np.vstack([design * root[:, None], prior * np.eye(len(self.tables))])
-        mixture, _ = nnls(rows, np.concatenate([mean * root, prior * self.flat]))
+        design = low + (position - below) * (self.tables[:, below + 1] - low)
+        # Least squares by normal equations: as many rows as spectra instead of as many as bins.
+        weighted = design * (total / SHARED)
+        normal = weighted @ design.T
+        normal[np.diag_indices_from(normal)] += PRIOR**2
+        root = np.linalg.cholesky(normal)
+        mixture, _ = nnls(root.T, solve_triangular(root, weighted @ mean + PRIOR**2 * self.flat, lower=True))
         return mixture / mixture.sum() if mixture.sum() > 0.0 else self.flat
 
 
@@ -112,29 +113,132 @@ def variance_of(explained: Array, averages: int, error: float, reach: int) -> Ar
     Returns:
         Shape (T, beams).
     """
-    skirts = maximum_filter1d(explained - 1.0, 2 * reach + 1, axis=1)
-    return explained**2 / averages + (error * skirts) ** 2
+    out = np.empty_like(explained)
+    _variance(explained, averages, error, reach, out)
+    return out
 
 
-def fit_powers(rows: Array, patterns: Array, variance: Array, expected: Array, spread: Array) -> Array:
-    """Powers of all targets in each row by weighted least squares, with a prior.
+class PowerFit(NamedTuple):
+    """Normal equations of the powers of all targets in each row.
 
-    Args:
-        rows: Normalized beam powers. Shape (T, beams).
-        patterns: Of each target, 0 where it is absent. Shape (L, T, beams).
-        variance: Of the beam powers. Shape (T, beams).
-        expected: Prior mean of the powers. Shape (L, T).
-        spread: Prior standard deviation. Shape (L, T).
-
-    Returns:
-        Not negative. Shape (L, T).
+    Attributes:
+        normal: Shape (T, L, L).
+        right: Shape (T, L).
     """
-    weight = 0.1 / variance
-    by_row = np.ascontiguousarray(patterns.transpose(1, 0, 2))
-    normal = (by_row * weight[:, None]) @ by_row.transpose(0, 2, 1)
-    right = (by_row @ ((rows - 1.0) * weight)[:, :, None])[:, :, 0]
-    precision = (1.0 / spread**2).T
-    index = np.arange(len(patterns))
-    normal[:, index, index] += precision
-    right += precision * expected.T
-    return np.maximum(np.linalg.solve(normal, right[:, :, None])[:, :, 0].T, 0.0)
+
+    normal: Array
+    right: Array
+
+    @classmethod
+    def of(cls, rows: Array, patterns: Array, presence: Array, variance: Array) -> PowerFit:
+        """Weighted least squares.
+
+        Args:
+            rows: Normalized beam powers. Shape (T, beams).
+            patterns: Of each target. Shape (L, T, beams).
+            presence: Probability that the target is there. Shape (L, T).
+            variance: Of the beam powers. Shape (T, beams).
+        """
+        L, T = presence.shape
+        fit = cls(np.empty((T, L, L)), np.empty((T, L)))
+        _normal_equations(rows, patterns, presence, SHARED * variance, fit.normal, fit.right)
+        return fit
+
+    def powers(self, expected: Array, spread: Array) -> Array:
+        """Powers, with a prior.
+
+        Args:
+            expected: Prior mean. Shape (L, T).
+            spread: Prior standard deviation. Shape (L, T).
+
+        Returns:
+            Not negative. Shape (L, T).
+        """
+        precision = (1.0 / spread**2).T
+        normal, index = self.normal.copy(), np.arange(len(expected))
+        normal[:, index, index] += precision
+        right = self.right + precision * expected.T
+        return np.maximum(np.linalg.solve(normal, right[:, :, None])[:, :, 0].T, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def add_pattern(mean, power, pattern):  # type: ignore[no-untyped-def]
+    """A target's power in each row, shape (T,), times its pattern is added to the mean, shape (T, beams)."""
+    for k in range(mean.shape[0]):
+        if power[k] != 0.0:
+            row, shape, factor = mean[k], pattern[k], power[k]
+            for i in range(mean.shape[1]):
+                row[i] += factor * shape[i]
+
+
+@njit(cache=True, nogil=True)
+def _interpolate(table, cosines, cosine_looks, out):  # type: ignore[no-untyped-def]
+    """The table, of differences of cosines from 0 to 2, about each cosine."""
+    last = table.shape[0] - 1
+    scale = last / 2.0
+    for k in range(out.shape[0]):
+        for i in range(out.shape[1]):
+            position = abs(cosines[k] - cosine_looks[i]) * scale
+            below = min(int(position), last - 1)
+            out[k, i] = table[below] + (position - below) * (table[below + 1] - table[below])
+
+
+@njit(cache=True, nogil=True)
+def _bin(excess, variance, cosines, cosine_looks, power, sums):  # type: ignore[no-untyped-def]
+    """Sums of weights, of weighted excess over power, and of weighted differences of cosines, in bins of these."""
+    for k in range(excess.shape[0]):
+        for i in range(excess.shape[1]):
+            offset = abs(cosines[k] - cosine_looks[i])
+            if offset < NEAR:
+                weight = power[k] / variance[k, i]
+                at = int(offset * (BINS / NEAR))
+                sums[0, at] += weight * power[k]
+                sums[1, at] += weight * excess[k, i]
+                sums[2, at] += weight * power[k] * offset
+
+
+@njit(cache=True, nogil=True)
+def _variance(explained, averages, error, reach, out):  # type: ignore[no-untyped-def]
+    """See `variance_of`."""
+    beams = explained.shape[1]
+    skirts = np.empty(beams)
+    for k in range(explained.shape[0]):
+        row = explained[k]
+        largest_near(row, reach, skirts)
+        for i in range(beams):
+            out[k, i] = row[i] * row[i] / averages + (error * (skirts[i] - 1.0)) ** 2
+
+
+@njit(cache=True, nogil=True)
+def largest_near(values, reach, out):  # type: ignore[no-untyped-def]
+    """Largest of the values within `reach` of each."""
+    count = values.shape[0]
+    out[:] = values
+    for shift in range(1, min(reach, count - 1) + 1):
+        left, right, low, high = values[: count - shift], values[shift:], out[shift:], out[: count - shift]
+        for i in range(count - shift):
+            low[i] = left[i] if left[i] > low[i] else low[i]
+        for i in range(count - shift):
+            high[i] = right[i] if right[i] > high[i] else high[i]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _normal_equations(rows, patterns, presence, variance, normal, right):  # type: ignore[no-untyped-def]
+    """See `PowerFit.of`."""
+    count, length, beams = patterns.shape
+    weighted = np.empty(beams)
+    for k in range(length):
+        row, spread = rows[k], variance[k]
+        for a in range(count):
+            one, there = patterns[a, k], presence[a, k]
+            total = 0.0
+            for i in range(beams):
+                weighted[i] = there * one[i] / spread[i]
+                total += weighted[i] * (row[i] - 1.0)
+            right[k, a] = total
+            for b in range(a + 1):
+                other = patterns[b, k]
+                total = 0.0
+                for i in range(beams):
+                    total += weighted[i] * other[i]
+                normal[k, a, b] = normal[k, b, a] = presence[b, k] * total

@@ -9,10 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from servotrack.estimators.sonar.array import beam_correlation
-from servotrack.estimators.sonar.explained import Patterns
+from servotrack.estimators.sonar.explained import Patterns, largest_near
 
 Array = NDArray[np.float64]
 
@@ -87,12 +86,19 @@ class RowScores:
         index, inside = self._neighbors
         cosines = np.cos(np.radians(self.looks))
         whitened = (
-            self._whiten(self.patterns.at(mixture, cosines, self.looks))
-            for mixture in np.eye(len(self.patterns.tables))
+            self.whiten(self.patterns.at(mixture, cosines, self.looks)) for mixture in np.eye(len(self.patterns.tables))
         )
         return np.array([np.where(inside, np.take_along_axis(p, index, 1), 0.0).ravel() for p in whitened])
 
-    def _whiten(self, rows: Array) -> Array:
+    def whiten(self, rows: Array) -> Array:
+        """Rows, or what is explained of them, in which the noise of neighboring beams is nearly independent.
+
+        Args:
+            rows: Shape (T, beams).
+
+        Returns:
+            Shape (T, beams).
+        """
         out = np.empty_like(rows)
         _filter(np.ascontiguousarray(rows), self._columns, out)
         return out
@@ -105,10 +111,8 @@ class RowScores:
         """The whitened pattern of a mixture of spectra."""
         index, inside = self._neighbors
         used = np.flatnonzero(mixture > 1e-3)
-        values = mixture[used[0]] * self._basis[used[0]]
-        for i in used[1:]:
-            values += mixture[i] * self._basis[i]
-        values = values.reshape(index.shape)
+        values = np.zeros(index.shape)
+        _mix(self._basis, used, mixture, values.reshape(-1))
         # How much the beams' correlation inflates a sum changes slowly with the look.
         power, blocks, some = self._noise
         few = values[some]
@@ -116,62 +120,94 @@ class RowScores:
         inflation = noise / np.einsum("ij,ij->i", few**2, power[index[some]] * inside[some])
         return Template(values, np.interp(np.arange(len(self.looks)), some, inflation))
 
-    def evaluate(self, rows: Array, explained: Array, template: Template) -> tuple[Array, Array]:
+    def evaluate(self, whitened: Array, explained: Array, template: Template) -> tuple[Array, Array]:
         """Power of a source at each bearing and the variance of that power, under noise and the model's errors.
 
         Args:
-            rows: Normalized beam powers. Shape (T, beams).
+            whitened: Normalized beam powers less 1, after `whiten`. Shape (T, beams).
             explained: Mean of the beam powers by everything else, noise 1. Shape (T, beams).
             template: Of the source.
 
         Returns:
             power and variance, shape (T, beams) each.
         """
-        residual = self._whiten(rows - explained)
-        others = np.abs(self._whiten(explained - 1.0))
-        skirts = maximum_filter1d(others, 2 * self.misplaced + 1, axis=1)
-        noise = self._noise[0] * explained**2 / self.averages
-        precision = 1.0 / (noise + (self.model_error * skirts) ** 2)
-        power, information = np.empty_like(rows), np.empty_like(rows)
-        _match(residual * precision, precision, np.ascontiguousarray(template.values.T), power, information)
-        variance = template.inflation / information
+        others = self.whiten(explained - 1.0)
+        noise = self._noise[0] / self.averages
+        power, variance = np.empty_like(whitened), np.empty_like(whitened)
+        _match(
+            whitened, explained, others, noise, self.model_error, self.misplaced, *self._columns_of(template),
+            power, variance,
+        )  # fmt: skip
         # Noise that is not what the model says shows in the spread of all bearings.
-        scores = power / np.sqrt(variance)
-        spread = np.median(np.abs(scores), axis=1, keepdims=True) / 0.6745
+        scores = np.abs(power) / np.sqrt(variance)
+        spread = np.median(scores, axis=1, keepdims=True) / 0.6745
         return power, variance * np.maximum(spread, 1.0) ** 2
 
+    def _columns_of(self, template: Template) -> tuple[Array, Array]:
+        return np.ascontiguousarray(template.values.T), template.inflation
+
+
+@njit(cache=True, nogil=True)
+def _mix(basis, used, mixture, out):  # type: ignore[no-untyped-def]
+    """Sum of the used rows of a basis."""
+    for i in used:
+        row, share = basis[i], mixture[i]
+        for j in range(out.shape[0]):
+            out[j] += share * row[j]
+
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _match(weighted, precision, template, power, information):  # type: ignore[no-untyped-def]
-    """Least-squares power of the template about every beam, and its information; template (width, beams)."""
+def _match(whitened, explained, others, noise, error, misplaced, template, inflation, power, variance):  # type: ignore[no-untyped-def]
+    """Least-squares power of the template about every beam, and its variance; template (width, beams)."""
     width, beams = template.shape
-    for k in range(weighted.shape[0]):
-        total, squares = power[k], information[k]
-        total[:] = 0.0
-        squares[:] = 0.0
-        for j in range(width):
-            shift = j - width // 2
-            low, count = max(0, -shift), beams - abs(shift)
-            shape, signal = template[j, low : low + count], weighted[k, low + shift : low + shift + count]
-            trust = precision[k, low + shift : low + shift + count]
-            here, there = total[low : low + count], squares[low : low + count]
-            for i in range(count):
-                here[i] += shape[i] * signal[i]
-                there[i] += shape[i] * shape[i] * trust[i]
+    reach = width // 2
+    # Beyond the first and the last beam there is nothing.
+    weighted, precision = np.zeros(beams + width - 1), np.zeros(beams + width - 1)
+    skirts, largest = np.empty(beams), np.empty(beams)
+    squares = template * template
+    inside, trust = weighted[reach : reach + beams], precision[reach : reach + beams]
+    for k in range(whitened.shape[0]):
+        row, mean, other = whitened[k], explained[k], others[k]
         for i in range(beams):
-            total[i] /= squares[i]
+            skirts[i] = abs(other[i])
+        largest_near(skirts, misplaced, largest)
+        for i in range(beams):
+            trust[i] = 1.0 / (noise[i] * mean[i] * mean[i] + error * error * largest[i] * largest[i])
+        for i in range(beams):
+            inside[i] = trust[i] * (row[i] - other[i])
+        total, information = power[k], variance[k]
+        _correlate(template, weighted, total)
+        _correlate(squares, precision, information)
+        for i in range(beams):
+            information[i] = 1.0 / information[i]
+        for i in range(beams):
+            total[i] *= information[i]
+        for i in range(beams):
+            information[i] *= inflation[i]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True)
 def _filter(rows, weights, out):  # type: ignore[no-untyped-def]
     """Weighted sums of the beams about every beam; weights (width, beams)."""
     width, beams = weights.shape
+    padded = np.zeros(beams + width - 1)
     for k in range(rows.shape[0]):
-        out[k] = 0.0
-        for j in range(width):
-            shift = j - width // 2
-            low, count = max(0, -shift), beams - abs(shift)
-            share, row = weights[j, low : low + count], rows[k, low + shift : low + shift + count]
-            here = out[k, low : low + count]
-            for i in range(count):
-                here[i] += share[i] * row[i]
+        padded[width // 2 : width // 2 + beams] = rows[k]
+        _correlate(weights, padded, out[k])
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _correlate(weights, padded, out):  # type: ignore[no-untyped-def]
+    """out[i] = sum_j weights[j, i] padded[i + j], four j at a time."""
+    width, beams = weights.shape
+    out[:] = 0.0
+    for j in range(0, width - 3, 4):
+        w0, w1, w2, w3 = weights[j], weights[j + 1], weights[j + 2], weights[j + 3]
+        p0, p1 = padded[j : j + beams], padded[j + 1 : j + 1 + beams]
+        p2, p3 = padded[j + 2 : j + 2 + beams], padded[j + 3 : j + 3 + beams]
+        for i in range(beams):
+            out[i] += w0[i] * p0[i] + w1[i] * p1[i] + w2[i] * p2[i] + w3[i] * p3[i]
+    for j in range(width - width % 4, width):
+        w, p = weights[j], padded[j : j + beams]
+        for i in range(beams):
+            out[i] += w[i] * p[i]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from servotrack.estimators.hmm.exclusion import exclude, occupancy
 from servotrack.estimators.hmm.smoothing import smooth
-from servotrack.estimators.sonar.explained import fit_powers, variance_of
+from servotrack.estimators.sonar.explained import PowerFit, add_pattern, variance_of
 from servotrack.estimators.sonar.followed import Followed
 from servotrack.estimators.sonar.likelihood import cell_likelihood, known_power, unknown_power
 from servotrack.estimators.sonar.untangle import untangle
@@ -50,6 +51,11 @@ class Together:
         self.tracker = tracker
         self.rows = rows
         self.chains = list(chains)
+
+    @cached_property
+    def whitened(self) -> Array:
+        """The rows less noise, as the matched filter takes them. Shape (T, beams)."""
+        return self.tracker.scores.whiten(self.rows - 1.0)
 
     def search(self, attempts: int) -> None:
         """Start chains on the strongest unexplained ridge until the test of existence fails `attempts` in a row."""
@@ -123,7 +129,7 @@ class Together:
         mean = np.ones_like(self.rows)
         for chain in self.chains:
             if chain is not but:
-                mean += (chain.presence * chain.power)[:, None] * chain.pattern
+                add_pattern(mean, chain.presence * chain.power, chain.pattern)
         return mean
 
     def fit(self) -> None:
@@ -133,17 +139,17 @@ class Together:
         tracker, chains = self.tracker, self.chains
         there = np.array([chain.presence for chain in chains])
         alone = self._alone(there)
-        patterns = np.array([chain.pattern for chain in chains]) * there[:, :, None]
+        patterns = np.array([chain.pattern for chain in chains])
+        least = tracker.weakest / np.sqrt(tracker.averages)
+        unknown = np.zeros_like(there), np.full_like(there, 1e3 * self.rows.max())
         mean = self.explained()
         for _ in range(2):
             variance = variance_of(mean, tracker.averages, 0.3 * tracker.model_error, tracker.misplaced // 2)
-            free = fit_powers(
-                self.rows, patterns, variance, np.zeros_like(there), np.full_like(there, 1e3 * self.rows.max())
-            )
-            least = tracker.weakest / np.sqrt(tracker.averages)
+            powers = PowerFit.of(self.rows, patterns, there, variance)
+            free = powers.powers(*unknown)
             usual = np.array([_running_median(p, use) for p, use in zip(free, alone, strict=True)])
             usual = np.maximum(usual, least)
-            power = fit_powers(self.rows, patterns, variance, usual, tracker.power_spread * usual)
+            power = powers.powers(usual, tracker.power_spread * usual)
             for i, chain in enumerate(chains):
                 chain.expected = usual[i]
                 chain.power = np.where(there[i] > SURE, power[i], usual[i])
@@ -193,7 +199,7 @@ class Together:
 
     def _row(self, chain: Followed) -> Array:
         scores = self.tracker.scores
-        power, variance = scores.evaluate(self.rows, self.explained(chain), scores.template(chain.mixture))
+        power, variance = scores.evaluate(self.whitened, self.explained(chain), scores.template(chain.mixture))
         if chain.expected is None:
             return unknown_power(power, variance)
         return known_power(power, variance, chain.expected, self.tracker.power_spread)
