@@ -89,7 +89,7 @@ class FollowSensors:
         if fresh:
             from servotrack.envs.follow.imaging import target_patches
 
-            self._patches[fresh] = target_patches(world, fresh)
+            self._patches[fresh] = target_patches(world, fresh, self.image_noise)
         shared = {
             "joint_angles": world.joint_angles.copy(),
             "time": world.time[:, None].copy(),

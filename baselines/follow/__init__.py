@@ -1,0 +1,1 @@
+"""Agents that keep one person of a crowd centered."""

@@ -1,0 +1,190 @@
+"""Servos that follow one person: detections, identity and image Jacobian, each estimated or told by an oracle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.baselines.servo import PrivilegedMeasurement, servo_measurement
+from servotrack.estimators.follow import (
+    CameraMotion,
+    FollowState,
+    JacobianMotion,
+    LiftedMotion,
+    PersonFollower,
+    Sighting,
+    StillCamera,
+    patch_color,
+)
+from servotrack.estimators.follow.ego_motion import EgoMotion
+from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
+from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
+from servotrack.estimators.jacobian.controller import ControllerState, ServoController
+from servotrack.estimators.jacobian.kf import KalmanState
+from servotrack.estimators.jacobian.lifted import LiftedState
+from servotrack.estimators.online import select_rows
+
+Identity = Literal["tracked", "nearest", "oracle"]
+Detection = Literal["observed", "oracle"]
+
+KEYS = ("joint_angles", "goal", "frame_time", "time", "target_patch", "target_box", "detections")
+_ORACLE_REACH = 40.0  # how far from the right person a detection may lie that is taken for theirs, px
+_NEAREST_REACH = 80.0  # the same from the last detection, for who follows the nearest one, px
+
+
+class FollowServoState(NamedTuple):
+    """State of a `FollowServo`, B runs.
+
+    Attributes:
+        frame_time: Stamp of the newest frame, -inf before the first. Shape (B,), s.
+        frames: Pairs frames with the joint angles at their instants.
+        person: Who is followed; of the set filter where identity is tracked.
+        servo: State of the controller.
+    """
+
+    frame_time: Array
+    frames: AlignmentState
+    person: FollowState
+    servo: ControllerState
+
+    @property
+    def belief(self) -> Array:
+        """Where the person is believed to be in the newest frame, shape (B, 2), px."""
+        return self.person.place
+
+
+class FollowServo:
+    """Keeps one person centered.
+
+    Args:
+        controller: Servo on the features of whom it follows.
+        follower: Decides who that is.
+        identity: "tracked" by the follower, "nearest" detection to the last one, or told by an "oracle".
+        detection: "observed", or those of an "oracle" (nobody missed or merged, no clutter, no noise).
+        told_camera: Whether the camera's own motion is told, instead of what the controller's estimator believes.
+    """
+
+    def __init__(
+        self,
+        controller: ServoController,
+        follower: PersonFollower | None = None,
+        identity: Identity = "tracked",
+        detection: Detection = "observed",
+        told_camera: bool = False,
+    ) -> None:
+        self.controller = controller
+        self.follower = follower or PersonFollower()
+        self.identity, self.detection, self.told_camera = identity, detection, told_camera
+        self._alignment = Alignment()
+
+    def predict(
+        self,
+        observation: Mapping[str, Any],
+        state: FollowServoState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], FollowServoState]:
+        """Choose joint rates.
+
+        Args:
+            observation: As `PedestrianServo-v0` gives it, single or with a leading axis.
+            state: What the last call returned; None starts anew.
+            episode_start: Rows that start anew. Shape (N,), or a scalar for a single observation.
+            deterministic: These agents always are.
+
+        Returns:
+            Shape (*batch, n), in [-1, 1]; and the new state.
+
+        Raises:
+            ValueError: A key is missing or a measurement is bad.
+        """
+        missing = [key for key in KEYS if not isinstance(observation, Mapping) or key not in observation]
+        if missing:
+            raise ValueError(f"observation must have {', '.join(KEYS)}; {', '.join(missing)} missing")
+        single = np.ndim(observation["joint_angles"]) == 1
+        seen = {key: np.asarray(value)[None] if single else np.asarray(value) for key, value in observation.items()}
+        detections = self._detections(seen)
+        if state is None:
+            state = self._initial(seen, detections)
+        elif episode_start is not None and np.any(episode_start):
+            starts = np.broadcast_to(np.asarray(episode_start, dtype=np.bool_).reshape(-1), (len(detections),))
+            state = select_rows(starts, self._initial(seen, detections), state)
+        stamp = seen["frame_time"][:, 0]
+        fresh = stamp > state.frame_time
+        frames, increment = self._alignment.step(state.frames, _measurement(seen, seen["goal"], fresh))
+        joints = state.frames.frame_joints, frames.frame_joints
+        # Until there have been two frames nothing has moved.
+        first = ~state.frames.seen
+        before = np.where(first[:, None], joints[1], joints[0])
+        elapsed = np.where(increment.fresh, increment.time, self.follower.period)
+        person, sighting = self._look(seen, state, detections, fresh, elapsed, before, joints[1])
+        measurement = _measurement(seen, sighting.features, sighting.visible)
+        servo, rate = self.controller.step(state.servo, measurement)
+        action = (rate / self.controller.max_joint_rate).astype(np.float32)
+        stamp = np.where(fresh, stamp, state.frame_time)
+        return (action[0] if single else action), FollowServoState(stamp, frames, person, servo)
+
+    def _detections(self, seen: Mapping[str, Array]) -> Array:
+        if self.detection == "observed":
+            return seen["detections"]
+        people = seen["true_people"]
+        return np.where(people[..., :1] > 0.5, people, 0.0)
+
+    def _initial(self, seen: Mapping[str, Any], detections: Array) -> FollowServoState:
+        box = seen["target_box"]
+        place = box[:, :2] + 0.5 * box[:, 2:]
+        person = self.follower.initial(detections, place, patch_color(seen["target_patch"]))
+        nothing = np.zeros(len(place), np.bool_)
+        measurement = _measurement(seen, place, nothing)
+        return FollowServoState(
+            np.full(len(place), -np.inf),
+            self._alignment.initial(measurement),
+            person,
+            self.controller.initial(measurement),
+        )
+
+    def _look(
+        self,
+        seen: Mapping[str, Any],
+        state: FollowServoState,
+        detections: Array,
+        fresh: NDArray[np.bool_],
+        elapsed: Array,
+        before: Array,
+        after: Array,
+    ) -> tuple[FollowState, Sighting]:
+        """Where the person is, by whatever decides about identity here."""
+        person = state.person
+        if self.identity == "tracked":
+            ego = self._ego_motion(seen, state)
+            return self.follower.step(person, detections, fresh, elapsed, ego, before, after)
+        told = self.identity == "oracle"
+        wanted = seen["true_people"][:, 0, 1:3] if told else person.place
+        reach = _ORACLE_REACH if told else _NEAREST_REACH
+        distance = np.hypot(*(detections[:, :, 1:3] - wanted[:, None]).transpose(2, 0, 1))
+        distance = np.where(detections[:, :, 0] > 0.5, distance, np.inf)
+        nearest = distance.argmin(axis=1)
+        rows = np.arange(len(nearest))
+        visible = fresh & (distance[rows, nearest] < reach)
+        if told:
+            visible &= seen["true_people"][:, 0, 0] > 0.5
+        features = np.where(visible[:, None], detections[rows, nearest, 1:3], person.place)
+        return person._replace(place=features), Sighting(features, visible)
+
+    def _ego_motion(self, seen: Mapping[str, Any], state: FollowServoState) -> EgoMotion:
+        if self.told_camera:
+            return CameraMotion(seen["true_camera"], seen["true_links"])
+        belief = state.servo.estimator
+        if isinstance(belief, LiftedState):
+            return LiftedMotion.of(belief, seen["goal"])
+        return JacobianMotion(belief.jacobian) if isinstance(belief, KalmanState) else StillCamera()
+
+
+def _measurement(
+    seen: Mapping[str, Any], features: Array, visible: NDArray[np.bool_]
+) -> ServoMeasurement | PrivilegedMeasurement:
+    """A servo's measurement of these features in the newest frame."""
+    return servo_measurement({**seen, "features": features, "visible": visible[:, None]})

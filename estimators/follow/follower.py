@@ -1,0 +1,294 @@
+"""One person among many: a Gaussian-mixture PHD filter of everybody in view, and a memory of whom to follow.
+
+Everybody is tracked, so that a detection which belongs to somebody else is known to be theirs. A target's state is
+[u, u', v, v', r, g, b]: where it is in the image, how it moves by itself (the camera's own motion is taken out by what
+the Jacobian's estimator believes), and its color, the appearance that tells people apart where they cross.
+
+A set filter forgets who is not detected within a few frames. The memory does not: while the followed identity is gone
+it moves on with the person's last motion, and takes up again a track that is new, near and of the right color.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servotrack.estimators.follow.ego_motion import EgoMotion
+from servotrack.estimators.jacobian.contract import Array
+from servotrack.estimators.online import select_rows
+from servotrack.estimators.rfs import GMPHD, HiddenMarkovModel, MeasurementBirth, Reduction
+from servotrack.estimators.rfs.phd import PHDState
+
+COLUMNS = 8
+"""Of a detection: existence; column, row, width, height (px); red, green, blue (gray levels)."""
+_SEEN = [0, 1, 2, 5, 6, 7]
+_POSITION, _VELOCITY, _COLOR = [0, 2], [1, 3], [4, 5, 6]
+_IMAGE = 480.0  # width of the image in whose pixels all numbers are, px
+
+
+class FollowState(NamedTuple):
+    """State of a `PersonFollower`, B runs.
+
+    Attributes:
+        crowd: The set filter's state.
+        label: Identity that is followed; 0 while nobody is. Shape (B,).
+        place: Where the person is in the newest frame. Shape (B, 2), px.
+        motion: Their own motion in it. Shape (B, 2), px/s.
+        color: Shape (B, 3), gray levels.
+        unseen: Frames since the person was last detected. Shape (B,).
+        strangers: Identities below this one are known to be others. Shape (B,).
+    """
+
+    crowd: PHDState
+    label: NDArray[np.int64]
+    place: Array
+    motion: Array
+    color: Array
+    unseen: NDArray[np.int64]
+    strangers: NDArray[np.int64]
+
+
+class Sighting(NamedTuple):
+    """What a frame tells of the person to follow.
+
+    Attributes:
+        features: Where they were detected, or else where they are believed to be. Shape (B, 2), px.
+        visible: Whether they were detected. Shape (B,), bool.
+    """
+
+    features: Array
+    visible: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class PersonFollower:
+    """Follows one person by detections with colors.
+
+    Args:
+        period: Between frames, s.
+        acceleration: Root spectral density of people's own acceleration in the image, px/s^1.5.
+        position_noise: Standard deviation of a detection's middle, px.
+        color_noise: Standard deviation of a detection's color, gray levels.
+        color_drift: The same of a person's color from frame to frame.
+        speed: Standard deviation of the velocity of who appears, px/s.
+        detection: Probability of a person in view to be detected.
+        survival: Probability to stay in view from frame to frame.
+        births: Expected number of people who appear per frame.
+        clutter: Expected number of false detections per frame.
+        first_color: Standard deviation of the color that the first picture shows, gray levels.
+        near: Distance from the expected place at which a new track may be the person, px.
+        spreading: By how much that distance grows while they are gone, px/s.
+        alike: Distance of colors at which two may be the same person, gray levels.
+        patience: Frames without a detection after which the color alone decides.
+        reduction: How far the filter's mixture is reduced.
+    """
+
+    period: float = 0.05
+    acceleration: float = 60.0
+    position_noise: float = 5.0
+    color_noise: float = 11.0
+    color_drift: float = 0.5
+    speed: float = 60.0
+    detection: float = 0.93
+    survival: float = 0.99
+    births: float = 0.05
+    clutter: float = 1.5
+    first_color: float = 30.0
+    near: float = 25.0
+    spreading: float = 60.0
+    alike: float = 25.0
+    patience: int = 20
+    reduction: Reduction = field(default_factory=lambda: Reduction(components=40))
+
+    @cached_property
+    def filter(self) -> GMPHD:
+        """The filter of everybody in view."""
+        t, q = self.period, self.acceleration**2
+        F, Q = np.eye(7), np.zeros((7, 7))
+        for axis in (0, 2):
+            F[axis, axis + 1] = t
+            Q[axis : axis + 2, axis : axis + 2] = q * np.array([[t**3 / 3.0, t**2 / 2.0], [t**2 / 2.0, t]])
+        Q[_COLOR, _COLOR] = self.color_drift**2
+        R = np.diag([self.position_noise**2] * 2 + [self.color_noise**2] * 3)
+        model = HiddenMarkovModel(F, Q, np.eye(7)[[*_POSITION, *_COLOR]], R)
+        return GMPHD(
+            model,
+            MeasurementBirth(expected=self.births, hidden_deviation=self.speed),
+            clutter_intensity=self.clutter / (_IMAGE**2 * 255.0**3),
+            survival=self.survival,
+            detection=self.detection,
+            reduction=self.reduction,
+        )
+
+    def initial(self, detections: Array, place: Array, color: Array) -> FollowState:
+        """State before the first frame is folded in.
+
+        Args:
+            detections: Of that frame, for the number of runs only. Shape (B, M, COLUMNS).
+            place: Middle of the person in it. Shape (B, 2), px.
+            color: Their color. Shape (B, 3), gray levels.
+        """
+        crowd = self.filter.initial(detections[:, :, _SEEN])
+        spread = np.diag(
+            [self.position_noise**2, self.speed**2] * 2 + [self.first_color**2] * 3  # as the model's states are ordered
+        )
+        intensity, n = crowd.intensity, 7
+        intensity.number[:] = 1
+        intensity.weight[:, 0], intensity.label[:, 0] = 0.98, 1
+        intensity.mean[:, 0, _POSITION], intensity.mean[:, 0, _COLOR] = place, color
+        intensity.covariance[:, 0, :n, :n] = spread
+        count = len(place)
+        one = np.ones(count, np.int64)
+        return FollowState(
+            crowd._replace(next_label=one + 1),
+            one,
+            place.copy(),
+            np.zeros((count, 2)),
+            color.copy(),
+            np.zeros(count, np.int64),
+            one + 1,
+        )
+
+    def step(
+        self,
+        state: FollowState,
+        detections: Array,
+        fresh: NDArray[np.bool_],
+        elapsed: Array,
+        ego_motion: EgoMotion,
+        joints_before: Array,
+        joints_after: Array,
+    ) -> tuple[FollowState, Sighting]:
+        """Fold one frame in, of those runs that have a new one.
+
+        Args:
+            state: As returned by `initial` or `step`.
+            detections: Shape (B, M, COLUMNS).
+            fresh: Which runs have a new frame. Shape (B,), bool.
+            elapsed: Time since the last frame. Shape (B,), s.
+            ego_motion: Where points at rest go.
+            joints_before: Joint angles at the last frame. Shape (B, n), rad.
+            joints_after: Joint angles at this one. Shape (B, n), rad.
+
+        Returns:
+            The new state, and what the frame tells of the person.
+
+        Raises:
+            ValueError: As the set filter does for detections of a wrong shape or not finite.
+        """
+        moved = self._carried(state, elapsed, ego_motion, joints_before, joints_after)
+        crowd, estimate = self.filter.step(moved.crowd, np.ascontiguousarray(detections[:, :, _SEEN]))
+        labels = np.concatenate([estimate.labels, estimate.held_labels], axis=1)
+        states = np.concatenate([estimate.states, estimate.held_states], axis=1)
+        new = moved._replace(
+            crowd=crowd,
+            label=moved.label.copy(),
+            color=moved.color.copy(),
+            unseen=moved.unseen.copy(),
+            strangers=moved.strangers.copy(),
+        )
+        features, visible = new.place.copy(), np.zeros(len(fresh), np.bool_)
+        _decide(
+            detections, labels, states, estimate.labels.shape[1], crowd.next_label, *new[1:], features, visible,
+            np.array([self.near, self.spreading * self.period, self.alike, self.position_noise]), self.patience,
+        )  # fmt: skip
+        kept = select_rows(fresh, new, state)
+        return kept, Sighting(np.where(fresh[:, None], features, state.place), visible & fresh)
+
+    def _carried(
+        self, state: FollowState, elapsed: Array, ego_motion: EgoMotion, joints_before: Array, joints_after: Array
+    ) -> FollowState:
+        """Everybody where they would be if they had not moved by themselves for the filter's own period."""
+        intensity, births = state.crowd.intensity, state.crowd.births
+        mean, born = intensity.mean.copy(), births.mean.copy()
+        place, motion = state.place[:, None], state.motion[:, None]
+        known = mean.shape[1]
+        position = np.concatenate([mean[..., _POSITION], born[..., _POSITION], place], axis=1)
+        velocity = np.concatenate([mean[..., _VELOCITY], born[..., _VELOCITY], motion], axis=1)
+        here = ego_motion(position, joints_before, joints_after)
+        ahead = ego_motion(position + self.period * velocity, joints_before, joints_after)
+        turned = (ahead - here) / self.period
+        # The filter itself goes on for one period; a lost frame leaves more.
+        here = here + (elapsed[:, None, None] - self.period) * turned
+        mean[..., _POSITION], mean[..., _VELOCITY] = here[:, :known], turned[:, :known]
+        born[..., _POSITION], born[..., _VELOCITY] = here[:, known:-1], turned[:, known:-1]
+        crowd = state.crowd._replace(intensity=intensity._replace(mean=mean), births=births._replace(mean=born))
+        return state._replace(crowd=crowd, place=here[:, -1] + self.period * turned[:, -1], motion=turned[:, -1])
+
+
+@njit(cache=True, nogil=True)
+def _nearest(detections, u, v, color, reach, alike):  # type: ignore[no-untyped-def]
+    """The detection nearest to (u, v) within `reach` px, of about this color; -1 for none."""
+    best, found = reach * reach, -1
+    for k in range(detections.shape[0]):
+        if detections[k, 0] < 0.5:
+            continue
+        distance = (detections[k, 1] - u) ** 2 + (detections[k, 2] - v) ** 2
+        off = 0.0
+        for channel in range(3):
+            off += (detections[k, 5 + channel] - color[channel]) ** 2
+        if distance < best and off < alike * alike:
+            best, found = distance, k
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _decide(  # type: ignore[no-untyped-def]
+    detections, labels, states, reported, next_label, label, place, motion, color, unseen, strangers, features, visible,
+    limits, patience,
+):  # fmt: skip
+    """Which track is the person's, in every run; fills the memory, `features` and `visible`."""
+    alike, noise = limits[2], limits[3]
+    for b in range(label.shape[0]):
+        track = -1
+        for k in range(labels.shape[1]):
+            if label[b] > 0 and labels[b, k] == label[b]:
+                track = k
+        if track < 0 and label[b] > 0:
+            # Who has a name by now is somebody else.
+            label[b] = 0
+            strangers[b] = next_label[b] - detections.shape[1]
+        if track < 0:
+            track = _recognized(labels[b, :reported], states[b], place[b], color[b], unseen[b], strangers[b], limits,
+                                patience)  # fmt: skip
+            if track >= 0:
+                label[b] = labels[b, track]
+        unseen[b] += 1
+        if track >= 0:
+            for axis in range(2):
+                place[b, axis] = states[b, track, 2 * axis]
+                motion[b, axis] = states[b, track, 2 * axis + 1]
+            found = _nearest(detections[b], place[b, 0], place[b, 1], states[b, track, 4:], 4.0 * noise, 2.0 * alike)
+            if found >= 0:
+                unseen[b] = 0
+                visible[b] = True
+                features[b, 0], features[b, 1] = detections[b, found, 1], detections[b, found, 2]
+                for channel in range(3):
+                    color[b, channel] += 0.05 * (states[b, track, 4 + channel] - color[b, channel])
+                continue
+        features[b] = place[b]
+
+
+@njit(cache=True, nogil=True)
+def _recognized(labels, states, place, color, unseen, strangers, limits, patience):  # type: ignore[no-untyped-def]
+    """The reported track that is most likely the person who got lost; -1 for none."""
+    near, spreading, alike, _ = limits
+    best, found = 1.0, -1
+    reach = near + spreading * unseen
+    for k in range(labels.shape[0]):
+        if labels[k] == 0 or labels[k] < strangers:
+            continue
+        away = ((states[k, 0] - place[0]) ** 2 + (states[k, 2] - place[1]) ** 2) / reach**2
+        off = 0.0
+        for channel in range(3):
+            off += (states[k, 4 + channel] - color[channel]) ** 2
+        off /= alike**2
+        score = off + (away if unseen < patience else 0.25 * away)
+        if score < best and off < 1.0:
+            best, found = score, k
+    return found
