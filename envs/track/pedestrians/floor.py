@@ -17,6 +17,8 @@ NEAR, FAR = 6.2, 15.0
 """Where people walk, z in m; at the default size they are 26 to 65 px per meter."""
 BACK_WALL = 15.6
 """Where the floor ends, z in m."""
+BAY = 5.0
+"""Doors stand at multiples of this along the back wall, m."""
 
 _FOCAL = 400.0 / 288.0
 """Focal length in heights of the image."""
