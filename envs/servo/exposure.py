@@ -78,11 +78,10 @@ def _covered(ground, i, j, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _row_view(y, shutter, camera, links, history, path, distractor, frame, view):  # type: ignore[no-untyped-def]
-    """Write how the image row at height `y` (0 to 1) sees the world at the row's own instant.
+def row_view(y, shutter, camera, links, history, frame, view):  # type: ignore[no-untyped-def]
+    """Write cos and sin of the heading and the tool at the instant of the image row at height `y` (0 to 1).
 
-    `view` receives cos and sin of the camera's heading, the tool, and target and distractor in the camera's untilted
-    frame.
+    Returns the sample before that instant, and how much of the period to the frame's own sample has passed.
     """
     before = max(frame - 1, 0)
     f = 1.0 - shutter * (1.0 - y) / PERIOD
@@ -94,6 +93,13 @@ def _row_view(y, shutter, camera, links, history, path, distractor, frame, view)
     view[1] = s2 * camera[5] + c2 * camera[6]
     view[2] = links[0] * math.cos(theta1) + links[1] * c2
     view[3] = links[0] * math.sin(theta1) + links[1] * s2
+    return before, f
+
+
+@njit(cache=True, nogil=True)
+def _marker_view(y, shutter, camera, links, history, path, distractor, frame, view):  # type: ignore[no-untyped-def]
+    """As `row_view`, and write target and distractor in the camera's untilted frame behind it."""
+    before, f = row_view(y, shutter, camera, links, history, frame, view)
     for k in range(2):
         table = path if k == 0 else distractor
         px, py = interpolate_path(table[before], table[frame], f)
@@ -104,7 +110,7 @@ def _row_view(y, shutter, camera, links, history, path, distractor, frame, view)
 
 
 @njit(cache=True, nogil=True)
-def _look_down(view, ground, detail, texels, starts, pose, out):  # type: ignore[no-untyped-def]
+def look_down(view, ground, detail, texels, starts, pose, out):  # type: ignore[no-untyped-def]
     """Brightness of the floor along one image row, bilinear in the texture's copy that fits each pixel."""
     # From the camera's frame straight into tiles of the texture, shifted so far that every coordinate is positive.
     fc, fs = pose[0] / TILE, pose[1] / TILE
@@ -193,11 +199,11 @@ def expose(  # type: ignore[no-untyped-def]
         for i in range(size):
             if i == 0 or shutter > 0.0:
                 y = (i + 0.5) / size
-                _row_view(y, shutter, cameras[n], links[n], history[n], paths[n], distractors[n], frame, views[i])
+                _marker_view(y, shutter, cameras[n], links[n], history[n], paths[n], distractors[n], frame, views[i])
             else:
                 views[i] = views[0]
             grain = noise[(i + first_row) & (NOISE_SIDE - 1), first_column : first_column + size]
-            _look_down(views[i], ground[n, i], detail[n, i], texels, starts, floor_pose[n], bright[i])
+            look_down(views[i], ground[n, i], detail[n, i], texels, starts, floor_pose[n], bright[i])
             _develop(bright[i], light[n, i], floor_color[n], grain, images[n, i])
         for marker in range(2):
             k = 4 + 2 * marker

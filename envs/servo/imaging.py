@@ -7,12 +7,13 @@ are; so the rays are traced once per episode, and a frame only turns and shifts 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.envs.servo.episode import LEAD, Episode, Stream, Streams, sample_times
+from servotrack.envs.servo.episode import LEAD, Episode, Stream, Streams, sample_times, samples
 from servotrack.envs.servo.exposure import NOISE_SIDE, expose, trace_rays
 from servotrack.envs.servo.floor import floor_texture
 from servotrack.envs.servo.targets import PERIOD
@@ -21,7 +22,7 @@ from servotrack.envs.servo.world import ServoWorld
 Array = NDArray[np.float64]
 
 
-class _Rays(NamedTuple):
+class Rays(NamedTuple):
     """What the pixels of N cameras see, each constant for an episode.
 
     Attributes:
@@ -37,8 +38,8 @@ class _Rays(NamedTuple):
     detail: NDArray[np.uint8]
 
 
-class ImageSensor:
-    """The images of a servo world's N cameras, kept up to date by `update`.
+class FloorCamera:
+    """What every arm's camera over a floor has in common: which frames arrive when, rays, floor and noise.
 
     Args:
         world: The world, which the sensor only reads.
@@ -54,22 +55,15 @@ class ImageSensor:
     def __init__(self, world: ServoWorld, image_size: int, image_noise: float) -> None:
         self._world = world
         self._scale = image_size / world.config.camera_size
-        count, table = world.count, (world.count, image_size, image_size)
-        self.images = np.zeros((*table, 3), np.uint8)
+        count = world.count
+        self.images = np.zeros((count, image_size, image_size, 3), np.uint8)
         self.frame_time, self.goal = np.zeros(count), np.zeros((count, 2))
         self._episodes: list[Episode | None] = [None] * count
         self._captured = np.full(count, -1)
-        self._rays = _Rays(
-            ground=np.zeros((*table, 2), np.float32),
-            light=np.zeros(table, np.float32),
-            spread=np.zeros(table, np.float32),
-            detail=np.zeros(table, np.uint8),
-        )
-        length = len(sample_times(world.config))
-        self._distractors = np.zeros((count, length, 4))
-        self._noise_offset = np.zeros((count, length, 2), np.int64)
+        self._rays = no_rays(count, image_size)
+        self._noise_offset = np.zeros((count, samples(world.config), 2), np.int64)
         self._floor_pose, self._floor_color = np.zeros((count, 4)), np.zeros((count, 3))
-        self._noise = _noise_tile(image_noise, image_size)
+        self._noise = noise_tile(image_noise, image_size)
 
     def update(self) -> None:
         """Render the frames that have arrived since the last call."""
@@ -77,42 +71,81 @@ class ImageSensor:
         # An episode is frozen: another object is another episode.
         fresh = [row for row, (a, b) in enumerate(zip(self._episodes, world.episodes, strict=True)) if a is not b]
         for row in fresh:
-            self._begin(row)
+            episode = world.episodes[row]
+            assert episode is not None
+            self._episodes[row] = episode
+            self._begin(row, episode)
         arrived = self._captured != world.captured
         arrived[fresh] = True
         self._captured[:] = world.captured
         config = world.config
         stamps = (world.captured - LEAD - config.warmup) * PERIOD - 0.5 * config.rolling_shutter
         np.copyto(self.frame_time, stamps if config.stamped else world.time, where=arrived)
-        texture = floor_texture()
-        expose(
-            arrived, world.captured, config.rolling_shutter, 1.0 / self._scale, world.cameras, world.links,
-            world.history, world.paths, self._distractors, *self._rays, texture.texels, texture.starts,
-            self._floor_pose, self._floor_color, self._noise, self._noise_offset, self.images,
-        )  # fmt: skip
+        self._expose(arrived)
+
+    def _begin(self, row: int, episode: Episode) -> None:
+        """Take in a row's new episode."""
+        self.goal[row] = episode.goal * self._scale
+        self._noise_offset[row] = noise_offsets(episode, self._noise_offset.shape[1])
+        self._floor_pose[row], self._floor_color[row] = floor_of(episode)
+        trace_rays(episode.camera, 1.0 / self._scale, *(table[row] for table in self._rays))
+
+    def _expose(self, rows: NDArray[np.bool_]) -> None:
+        """Render the frames that arrived in these rows."""
+        raise NotImplementedError
+
+
+class ImageSensor(FloorCamera):
+    """The images of a servo world's N cameras, kept up to date by `update`; arguments and attributes: `FloorCamera`."""
+
+    def __init__(self, world: ServoWorld, image_size: int, image_noise: float) -> None:
+        super().__init__(world, image_size, image_noise)
+        self._distractors = np.zeros((world.count, samples(world.config), 4))
 
     def distractor(self, row: int) -> Array:
         """True present position of one row's distractor, (2,) m."""
         return self._distractors[row, self._world.steps[row] + LEAD, :2]
 
-    def _begin(self, row: int) -> None:
-        world = self._world
-        episode = world.episodes[row]
-        assert episode is not None
-        self._episodes[row] = episode
-        self.goal[row] = episode.goal * self._scale
-        self._distractors[row] = _distractor_path(episode, sample_times(world.config))
-        rng = _stream(episode, Stream.IMAGE_NOISE)
-        self._noise_offset[row] = rng.integers(0, NOISE_SIDE, self._noise_offset.shape[1:])
-        rng = _stream(episode, Stream.FLOOR)
-        angle, brightness, warmth = rng.uniform((0.0, 105.0, -0.06), (2.0 * math.pi, 165.0, 0.08))
-        shift = rng.uniform(0.0, 1.0, 2)
-        self._floor_pose[row] = (math.cos(angle), math.sin(angle), *shift)
-        self._floor_color[row] = brightness * (1.0 + warmth * np.array([1.0, 0.4, -1.0]))
-        trace_rays(episode.camera, 1.0 / self._scale, *(table[row] for table in self._rays))
+    def _begin(self, row: int, episode: Episode) -> None:
+        super()._begin(row, episode)
+        self._distractors[row] = _distractor_path(episode, sample_times(self._world.config))
+
+    def _expose(self, rows: NDArray[np.bool_]) -> None:
+        world, texture = self._world, floor_texture()
+        expose(
+            rows, world.captured, world.config.rolling_shutter, 1.0 / self._scale, world.cameras, world.links,
+            world.history, world.paths, self._distractors, *self._rays, texture.texels, texture.starts,
+            self._floor_pose, self._floor_color, self._noise, self._noise_offset, self.images,
+        )  # fmt: skip
 
 
-def _noise_tile(level: float, image_size: int) -> NDArray[np.float32]:
+def no_rays(count: int, image_size: int) -> Rays:
+    """Tables for the rays of N images of S x S pixels, still empty."""
+    table = count, image_size, image_size
+    return Rays(
+        ground=np.zeros((*table, 2), np.float32),
+        light=np.zeros(table, np.float32),
+        spread=np.zeros(table, np.float32),
+        detail=np.zeros(table, np.uint8),
+    )
+
+
+def floor_of(episode: Episode) -> tuple[Array, Array]:
+    """How an episode's floor lies (cos, sin, shift in tiles; (4,)) and its color at brightness 1 (3,)."""
+    rng = _stream(episode, Stream.FLOOR)
+    angle, brightness, warmth = rng.uniform((0.0, 105.0, -0.06), (2.0 * math.pi, 165.0, 0.08))
+    shift = rng.uniform(0.0, 1.0, 2)
+    color = brightness * (1.0 + warmth * np.array([1.0, 0.4, -1.0]))
+    return np.array([math.cos(angle), math.sin(angle), *shift]), color
+
+
+def noise_offsets(episode: Episode, length: int) -> NDArray[np.int64]:
+    """Where in the noise tile each of an episode's frames begins, (length, 2)."""
+    return _stream(episode, Stream.IMAGE_NOISE).integers(0, NOISE_SIDE, (length, 2))
+
+
+@lru_cache(maxsize=16)
+def noise_tile(level: float, image_size: int) -> NDArray[np.float32]:
     """Sensor noise that frames read at random offsets, (256, 256 + image_size, 3); it repeats to the right."""
     tile = np.random.default_rng(0).standard_normal((NOISE_SIDE, NOISE_SIDE, 3))
     columns = np.arange(NOISE_SIDE + image_size) % NOISE_SIDE

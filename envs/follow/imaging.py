@@ -1,0 +1,159 @@
+"""The arm's camera over a crowd: its images, and the picture of the person to follow that an agent is shown at reset."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.follow.episode import FollowEpisode
+from servotrack.envs.follow.painting import expose_crowd
+from servotrack.envs.follow.world import FollowWorld
+from servotrack.envs.servo.episode import LEAD, Episode, samples
+from servotrack.envs.servo.exposure import trace_rays
+from servotrack.envs.servo.floor import floor_texture
+from servotrack.envs.servo.imaging import FloorCamera, floor_of, no_rays, noise_offsets, noise_tile
+from servotrack.envs.servo.targets import START
+from servotrack.envs.servo.world import RING
+from servotrack.envs.track.pedestrians.looks import LOOK_NUMBERS
+from servotrack.estimators.camera import CAMERA_SIZE, project_points
+
+Array = NDArray[np.float64]
+
+PATCH_SIZE = 32
+"""Width and height of a picture of the person to follow, px."""
+PATCH_SIDE = 0.8
+"""Width and height of what it shows of the plane, m."""
+
+_FLOOR_DOUBLED = 2  # times: the servo's floor, as all of that world, is four times larger here
+
+
+class CrowdCamera(FloorCamera):
+    """The images of a following world's N cameras and the pictures of whom to follow, kept up to date by `update`.
+
+    People are drawn flat on the plane, as seen from straight above: nobody leans away from the camera with their
+    height.
+
+    Args:
+        world: The world, which the sensor only reads.
+        image_size: Width and height S of a delivered image, px; it covers the camera's whole field of view.
+        image_noise: Standard deviation of the noise on every pixel and channel, gray levels.
+
+    Attributes:
+        images: The newest images that arrived, (N, S, S, 3) uint8, RGB; overwritten by `update`.
+        frame_time: Their time stamps, (N,) s.
+        goal: Taught goals in the images' pixels, (N, 2).
+        patches: Pictures of whom to follow (`target_patches`), (N, PATCH_SIZE, PATCH_SIZE, 3) uint8.
+    """
+
+    def __init__(self, world: FollowWorld, image_size: int, image_noise: float) -> None:
+        super().__init__(world, image_size, image_noise)
+        config = world.config
+        self._crowd_world, self._image_noise = world, image_noise
+        self.patches = np.zeros((world.count, PATCH_SIZE, PATCH_SIZE, 3), np.uint8)
+        self._crowd = _Crowds(world.count, samples(config), config.people, config.lamps)
+
+    def _begin(self, row: int, episode: Episode) -> None:
+        super()._begin(row, episode)
+        self._floor_pose[row], self._floor_color[row] = _floor(episode)
+        _enlarge(self._rays.detail[row])
+        self._crowd.put(row, self._crowd_world.episode(row))
+        self.patches[row] = target_patches(self._crowd_world, (row,), self._image_noise)[0]
+
+    def _expose(self, rows: NDArray[np.bool_]) -> None:
+        world, texture, config = self._crowd_world, floor_texture(), self._crowd_world.config
+        expose_crowd(
+            rows, world.captured, config.rolling_shutter, 1.0 / self._scale, config.shadows, world.cameras,
+            world.links, world.history, world.people, *self._crowd.tables, *self._rays, texture.texels, texture.starts,
+            self._floor_pose, self._floor_color, self._noise, self._noise_offset, self.images,
+        )  # fmt: skip
+
+
+class _Crowds:
+    """How N crowds walk and look, in the tables that the kernels read."""
+
+    def __init__(self, count: int, length: int, people: int, lamps: int) -> None:
+        self.walk = np.zeros((count, length, people, 3))
+        self.looks = np.zeros((count, people, LOOK_NUMBERS))
+        self.umbrella, self.umbrella_color = np.zeros((count, people)), np.zeros((count, people, 3))
+        self.lamps = np.zeros((count, lamps, 3))
+
+    @property
+    def tables(self) -> tuple[Array, ...]:
+        """Heading, phase and stride; looks; umbrellas' radii and colors; lampshades."""
+        return self.walk, self.looks, self.umbrella, self.umbrella_color, self.lamps
+
+    def put(self, row: int, episode: FollowEpisode, frames: slice = slice(None)) -> None:  # noqa: B008
+        """Take an episode's crowd in; lampshades where there is room for them."""
+        crowd, looks = episode.crowd, episode.looks
+        for column, table in enumerate((crowd.heading, crowd.phase, crowd.stride)):
+            self.walk[row, ..., column] = table[frames]
+        self.looks[row], self.lamps[row] = looks.people, looks.lamps[: self.lamps.shape[1]]
+        self.umbrella[row], self.umbrella_color[row] = looks.umbrella, looks.umbrella_color
+
+
+def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) -> NDArray[np.uint8]:
+    """Pictures of whom to follow: a square of the plane about the person, upright in the image, at reset.
+
+    Taken through the episode's camera at the instant of the first frame, enlarged, with shadows and whoever stands
+    near, but without umbrellas and lampshades: an agent has to be shown somebody.
+
+    Args:
+        world: Whose rows have been reset.
+        rows: Which of them.
+        image_noise: Standard deviation of the noise on every pixel and channel, gray levels.
+
+    Returns:
+        Shape (rows, PATCH_SIZE, PATCH_SIZE, 3), RGB.
+    """
+    chosen = list(rows)
+    pictures = np.zeros((len(chosen), PATCH_SIZE, PATCH_SIZE, 3), np.uint8)
+    texture, rays, one = floor_texture(), no_rays(1, PATCH_SIZE), np.ones(1, np.bool_)
+    noise = noise_tile(image_noise, PATCH_SIZE)
+    history = np.broadcast_to(START, (1, RING, 2)).copy()
+    for picture, row in zip(pictures, chosen, strict=True):
+        episode = world.episode(row)
+        frame = LEAD - episode.latency
+        camera, step = _close_up(episode, frame)
+        pose, color = _floor(episode)
+        trace_rays(camera, step, *(table[0] for table in rays))
+        _enlarge(rays.detail)
+        crowd = _Crowds(1, 1, len(episode.looks.people), 0)
+        crowd.put(0, episode, slice(frame, frame + 1))
+        crowd.umbrella[:] = 0.0
+        offset = noise_offsets(episode, frame + 1)[None, frame:]
+        expose_crowd(
+            one, np.zeros(1, np.int64), 0.0, step, world.config.shadows, camera[None], episode.links[None], history,
+            episode.crowd.paths[None, frame : frame + 1], *crowd.tables, *rays, texture.texels, texture.starts,
+            pose[None], color[None], noise, offset, picture[None],
+        )  # fmt: skip
+    return pictures
+
+
+def _close_up(episode: FollowEpisode, frame: int) -> tuple[Array, float]:
+    """The camera whose image's corner is that of the patch, and the distance of the patch's pixels in the camera's."""
+    position = episode.crowd.paths[frame, 0, :2]
+    half = 0.5 * PATCH_SIDE
+    around = position + half * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    pixels, _ = project_points(
+        np.broadcast_to(episode.camera, (5, CAMERA_SIZE)),
+        np.broadcast_to(episode.links, (5, 2)),
+        np.broadcast_to(START, (5, 2)),
+        around,
+    )
+    side = 2.0 * float(np.hypot(*(pixels[1:] - pixels[0]).T).mean())
+    camera = episode.camera.copy()
+    camera[2:4] -= pixels[0] - 0.5 * side
+    return camera, side / PATCH_SIZE
+
+
+def _floor(episode: Episode) -> tuple[Array, Array]:
+    pose, color = floor_of(episode)
+    pose[:2] /= 2.0**_FLOOR_DOUBLED
+    return pose, color
+
+
+def _enlarge(detail: NDArray[np.uint8]) -> None:
+    """Turn the copies of the servo's floor that fit into those that fit here."""
+    detail -= np.minimum(detail, np.uint8(_FLOOR_DOUBLED))

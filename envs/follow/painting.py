@@ -1,0 +1,291 @@
+"""Compiled kernels that paint a crowd over a floor: shadows, people, and what hangs over them, for any camera above.
+
+A picture is a canvas of float32 RGB whose pixels look at known points of the plane. Things are numbered: people first,
+then everybody's umbrella (of radius 0 where there is none), then lampshades.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from servotrack.envs.follow.figures import (
+    COVER_SHADOW,
+    PENUMBRA,
+    POSE_NUMBERS,
+    REACH,
+    SHADOW_LENGTH,
+    SHADOW_RADIUS,
+    SUN,
+    cover_shadow,
+    lamp_at,
+    person_at,
+    person_shadow,
+    pose,
+    umbrella_at,
+)
+from servotrack.envs.servo.exposure import NOISE_SIDE, look_down, row_view
+from servotrack.envs.servo.world import interpolate_path
+from servotrack.estimators.camera import project_ground
+
+FARTHEST = 0.35
+"""Pixels that see more of the plane than this (m) show nobody: they would be smaller than any noise."""
+
+_CORNERS = 8  # of the polygon that stands for a circle
+_FINE, _COARSE = 0.014, 0.07  # up to where a pixel is sampled once, and twice along each axis, m
+
+
+@njit(cache=True, nogil=True)
+def _box(camera, step, height, width, views, places, k, radius, ahead, box):  # type: ignore[no-untyped-def]
+    """Rows and columns (first, last + 1) that hold a circle for the whole readout; empty where it is out of view."""
+    box[:] = 0
+    if radius <= 0.0:
+        return
+    top, bottom, left, right = np.inf, -np.inf, np.inf, -np.inf
+    last = views.shape[0] - 1
+    for at in range(0, last + 1, max(last, 1)):
+        c, s = views[at, 0], views[at, 1]
+        x, y = places[at, k, 0] - ahead * SUN[0] - views[at, 2], places[at, k, 1] - ahead * SUN[1] - views[at, 3]
+        for corner in range(_CORNERS + 1):
+            # The polygon goes around the circle; its middle counts where no corner is in front of the lens.
+            r = radius / math.cos(math.pi / _CORNERS) if corner < _CORNERS else 0.0
+            angle = 2.0 * math.pi * corner / _CORNERS
+            wx, wy = x + r * math.cos(angle), y + r * math.sin(angle)
+            u, v, seen = project_ground(camera, c * wx + s * wy, s * wx - c * wy)
+            if seen:
+                top, bottom, left, right = min(top, v), max(bottom, v), min(left, u), max(right, u)
+    if right < 0.0 or bottom < 0.0 or left > width * step or top > height * step:
+        return
+    box[0], box[1] = max(int(top / step) - 1, 0), min(int(bottom / step) + 2, height)
+    box[2], box[3] = max(int(left / step) - 1, 0), min(int(right / step) + 2, width)
+
+
+@njit(cache=True, nogil=True)
+def find_boxes(  # type: ignore[no-untyped-def]
+    camera, step, height, width, views, places, poses, umbrella, lamps, boxes
+):
+    """Fill the table of where in the picture each thing's shadow (row 0) and the thing itself (row 1) may be seen.
+
+    Args:
+        camera: Packed.
+        step: Distance of the picture's pixels in the camera's, px.
+        height: Of the picture, px.
+        width: Of the picture, px.
+        views: Cos and sin of the camera's heading and the point below it, of each picture row or of all. (R, 4).
+        places: Where each thing is then, (R, 2 P + L, 2) m.
+        poses: Of everybody, (P, POSE_NUMBERS).
+        umbrella: Radii, (P,) m.
+        lamps: (L, 3) m.
+        boxes: Rows and columns (first, last + 1), (2, 2 P + L, 4).
+    """
+    people = len(umbrella)
+    for k in range(boxes.shape[1]):
+        if k < people:
+            radius, shadow, ahead = poses[k, REACH], 0.5 * SHADOW_LENGTH + SHADOW_RADIUS, 0.5 * SHADOW_LENGTH
+        else:
+            radius = umbrella[k - people] if k < 2 * people else lamps[k - 2 * people, 2]
+            shadow, ahead = radius + 2.0 * PENUMBRA if radius > 0.0 else 0.0, COVER_SHADOW
+        _box(camera, step, height, width, views, places, k, shadow, ahead, boxes[0, k])
+        _box(camera, step, height, width, views, places, k, radius, 0.0, boxes[1, k])
+
+
+@njit(cache=True, nogil=True)
+def paint_shadows(shade, ground, spread, strength, views, places, umbrella, lamps, boxes):  # type: ignore[no-untyped-def]
+    """Darken `shade`, the share of light that reaches each pixel's point; shadows that overlap are no darker."""
+    people = len(umbrella)
+    for k in range(boxes.shape[1]):
+        top, bottom, left, right = boxes[0, k]
+        for i in range(top, bottom):
+            view, place = views[i % len(views)], places[i % len(views), k]
+            c, s = view[0], view[1]
+            wx, wy = place[0] - view[2], place[1] - view[3]
+            gx, gy = c * wx + s * wy, s * wx - c * wy
+            # The direction away from the light, and the one across it, in the camera's frame.
+            ax, ay = -(c * SUN[0] + s * SUN[1]), -(s * SUN[0] - c * SUN[1])
+            bx, by = s * SUN[0] - c * SUN[1], -c * SUN[0] - s * SUN[1]
+            for j in range(left, right):
+                width = spread[i, j]
+                if width > FARTHEST:
+                    continue
+                dx, dy = ground[i, j, 0] - gx, ground[i, j, 1] - gy
+                along, across = ax * dx + ay * dy, bx * dx + by * dy
+                if k < people:
+                    dark = person_shadow(along, across, width)
+                else:
+                    radius = umbrella[k - people] if k < 2 * people else lamps[k - 2 * people, 2]
+                    along -= COVER_SHADOW
+                    dark = cover_shadow(math.sqrt(along * along + across * across), radius, width)
+                shade[i, j] = min(shade[i, j], np.float32(1.0 - strength * dark))
+
+
+@njit(cache=True, nogil=True)
+def paint_crowd(  # type: ignore[no-untyped-def]
+    canvas, ground, spread, opacity, views, places, headings, looks, poses, umbrella, umbrella_color, lamps, boxes
+):
+    """Lay people over the canvas, then umbrellas, then lampshades, the latter two with this opacity."""
+    people = len(umbrella)
+    sample, total = np.empty(4), np.empty(4)
+    rows, columns = spread.shape
+    for k in range(boxes.shape[1]):
+        top, bottom, left, right = boxes[1, k]
+        if top >= bottom:
+            continue
+        ch, sh, reach, full, lf, ll = 1.0, 0.0, 0.0, 1.0, SUN[0], SUN[1]
+        who = k % people if k < 2 * people else 0
+        if k < 2 * people:
+            ch, sh = math.cos(headings[who]), math.sin(headings[who])
+            lf, ll = ch * SUN[0] + sh * SUN[1], ch * SUN[1] - sh * SUN[0]
+        if k < people:
+            reach = poses[k, REACH]
+        else:
+            reach, full = umbrella[who] if k < 2 * people else lamps[k - 2 * people, 2], opacity
+        for i in range(top, bottom):
+            view, place = views[i % len(views)], places[i % len(views), k]
+            c, s = view[0], view[1]
+            wx, wy = place[0] - view[2], place[1] - view[3]
+            gx, gy = c * wx + s * wy, s * wx - c * wy
+            fx, fy = c * ch + s * sh, s * ch - c * sh
+            lx, ly = fy, -fx
+            for j in range(left, right):
+                width = spread[i, j]
+                if width > FARTHEST:
+                    continue
+                dx, dy = ground[i, j, 0] - gx, ground[i, j, 1] - gy
+                near = reach + 0.71 * width
+                if dx * dx + dy * dy > near * near:
+                    continue
+                f, l = fx * dx + fy * dy, lx * dx + ly * dy
+                n = 1 if width <= _FINE else 2 if width <= _COARSE else 3
+                total[:] = 0.0
+                if n > 1:
+                    # Whether anything is there at all costs one blurred look.
+                    _look(
+                        k,
+                        people,
+                        looks,
+                        poses,
+                        umbrella,
+                        umbrella_color,
+                        lamps,
+                        who,
+                        reach,
+                        lf,
+                        ll,
+                        f,
+                        l,
+                        1.5 * width,
+                        total,
+                    )
+                    if total[3] == 0.0:
+                        continue
+                    total[:] = 0.0
+                a, b = min(max(i, 1), rows - 2), min(max(j, 1), columns - 2)
+                xu, yu = (
+                    0.5 * (ground[i, b + 1, 0] - ground[i, b - 1, 0]),
+                    0.5 * (ground[i, b + 1, 1] - ground[i, b - 1, 1]),
+                )
+                xv, yv = (
+                    0.5 * (ground[a + 1, j, 0] - ground[a - 1, j, 0]),
+                    0.5 * (ground[a + 1, j, 1] - ground[a - 1, j, 1]),
+                )
+                fu, lu, fv, lv = fx * xu + fy * yu, lx * xu + ly * yu, fx * xv + fy * yv, lx * xv + ly * yv
+                for p in range(n):
+                    ov = (p + 0.5) / n - 0.5
+                    for q in range(n):
+                        ou = (q + 0.5) / n - 0.5
+                        sample[:] = 0.0
+                        _look(
+                            k, people, looks, poses, umbrella, umbrella_color, lamps, who, reach, lf, ll,
+                            f + ou * fu + ov * fv, l + ou * lu + ov * lv, width / n, sample,
+                        )  # fmt: skip
+                        for channel in range(4):
+                            total[channel] += sample[channel]
+                share = full / (n * n)
+                open_share = 1.0 - share * total[3]
+                for channel in range(3):
+                    canvas[i, j, channel] = open_share * canvas[i, j, channel] + share * total[channel]
+
+
+@njit(cache=True, nogil=True)
+def _look(  # type: ignore[no-untyped-def]
+    k, people, looks, poses, umbrella, umbrella_color, lamps, who, reach, lf, ll, f, l, width, out
+):
+    """What thing k shows at one sample."""
+    if k < people:
+        person_at(looks[k], poses[k], f, l, width, out)
+    elif k < 2 * people:
+        umbrella_at(umbrella_color[who], reach, lf, ll, f, l, width, out)
+    else:
+        lamp_at(reach, f, l, width, out)
+
+
+@njit(cache=True, nogil=True)
+def _develop(canvas, light, noise, image):  # type: ignore[no-untyped-def]
+    """Turn one row of the canvas into one row of noisy pixels."""
+    half, black, white = np.float32(0.5), np.float32(0.0), np.float32(255.0)
+    for j in range(image.shape[0]):
+        for channel in range(3):
+            value = canvas[j, channel] * light[j] + noise[j, channel] + half
+            image[j, channel] = np.uint8(min(max(value, black), white))
+
+
+@njit(cache=True, nogil=True)
+def _expose_one(  # type: ignore[no-untyped-def]
+    frame, views, places, step, strength, camera, walk, looks, umbrella, umbrella_color, lamps, ground, light, spread,
+    detail, texels, starts, floor_pose, floor_color, noise, first_row, first_column, boxes, image,
+):  # fmt: skip
+    """One picture of everything at its places."""
+    size = image.shape[0]
+    people = len(umbrella)
+    poses = np.empty((people, POSE_NUMBERS))
+    for k in range(people):
+        pose(looks[k], walk[frame, k, 0], walk[frame, k, 1], walk[frame, k, 2], poses[k])
+    find_boxes(camera, step, size, size, views, places, poses, umbrella, lamps, boxes)
+    bright, shade = np.empty((size, size), np.float32), np.ones((size, size), np.float32)
+    canvas = np.empty((size, size, 3), np.float32)
+    if strength > 0.0:
+        paint_shadows(shade, ground, spread, strength, views, places, umbrella, lamps, boxes)
+    red, green, blue = np.float32(floor_color[0]), np.float32(floor_color[1]), np.float32(floor_color[2])
+    for i in range(size):
+        look_down(views[i % len(views)], ground[i], detail[i], texels, starts, floor_pose, bright[i])
+        for j in range(size):
+            value = bright[i, j] * shade[i, j]
+            canvas[i, j, 0], canvas[i, j, 1], canvas[i, j, 2] = value * red, value * green, value * blue
+    paint_crowd(
+        canvas, ground, spread, 1.0, views, places, walk[frame, :, 0], looks, poses, umbrella, umbrella_color, lamps,
+        boxes,
+    )  # fmt: skip
+    for i in range(size):
+        grain = noise[(i + first_row) & (NOISE_SIDE - 1), first_column : first_column + size]
+        _develop(canvas[i], light[i], grain, image[i])
+
+
+@njit(cache=True, nogil=True)
+def expose_crowd(  # type: ignore[no-untyped-def]
+    rows, frames, shutter, step, strength, cameras, links, history, paths, walk, looks, umbrella, umbrella_color, lamps,
+    ground, light, spread, detail, texels, starts, floor_pose, floor_color, noise, noise_offset, images,
+):  # fmt: skip
+    """Render the given frames of the chosen rows; with a rolling shutter each image row is seen at its own instant."""
+    size, people = images.shape[1], paths.shape[2]
+    instants = size if shutter > 0.0 else 1
+    views, places = np.empty((instants, 4)), np.empty((instants, 2 * people + lamps.shape[1], 2))
+    boxes = np.empty((2, 2 * people + lamps.shape[1], 4), np.int64)
+    for n in range(rows.shape[0]):
+        if not rows[n]:
+            continue
+        frame = frames[n]
+        for i in range(instants):
+            before, f = row_view((i + 0.5) / size, shutter, cameras[n], links[n], history[n], frame, views[i])
+            for k in range(people):
+                x, y = interpolate_path(paths[n, before, k], paths[n, frame, k], f)
+                places[i, k, 0], places[i, k, 1] = x, y
+                places[i, people + k, 0], places[i, people + k, 1] = x, y
+            for k in range(lamps.shape[1]):
+                places[i, 2 * people + k, 0], places[i, 2 * people + k, 1] = lamps[n, k, 0], lamps[n, k, 1]
+        _expose_one(
+            frame, views, places, step, strength, cameras[n], walk[n], looks[n], umbrella[n], umbrella_color[n],
+            lamps[n], ground[n], light[n], spread[n], detail[n], texels, starts, floor_pose[n], floor_color[n], noise,
+            noise_offset[n, frame, 0], noise_offset[n, frame, 1], boxes, images[n],
+        )  # fmt: skip
