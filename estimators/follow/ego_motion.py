@@ -11,8 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from servotrack.estimators.camera import ground_points
-from servotrack.estimators.camera import project_points
+from servotrack.estimators.camera import ground_points, project_points
 from servotrack.estimators.jacobian.contract import Array
 from servotrack.estimators.jacobian.lifted import LiftedState
 

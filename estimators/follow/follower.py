@@ -4,8 +4,9 @@ Everybody is tracked, so that a detection which belongs to somebody else is know
 [u, u', v, v', r, g, b]: where it is in the image, how it moves by itself (the camera's own motion is taken out by what
 the Jacobian's estimator believes), and its color, the appearance that tells people apart where they cross.
 
-A set filter forgets who is not detected within a few frames. The memory does not: while the followed identity is gone
-it moves on with the person's last motion, and takes up again a track that is new, near and of the right color.
+A set filter forgets who is not detected within a few frames. The memory does not: the followed identity is kept in the
+mixture with a least weight, however long nobody is detected there, and spreads with the uncertainty of where the person
+went; so the filter itself takes it up again, by place, motion and color. Only after a while the color alone decides.
 """
 
 from __future__ import annotations
@@ -36,12 +37,11 @@ class FollowState(NamedTuple):
 
     Attributes:
         crowd: The set filter's state.
-        label: Identity that is followed; 0 while nobody is. Shape (B,).
+        label: Identity that is followed. Shape (B,).
         place: Where the person is in the newest frame. Shape (B, 2), px.
         motion: Their own motion in it. Shape (B, 2), px/s.
         color: Shape (B, 3), gray levels.
         unseen: Frames since the person was last detected. Shape (B,).
-        strangers: Identities below this one are known to be others. Shape (B,).
     """
 
     crowd: PHDState
@@ -50,7 +50,6 @@ class FollowState(NamedTuple):
     motion: Array
     color: Array
     unseen: NDArray[np.int64]
-    strangers: NDArray[np.int64]
 
 
 class Sighting(NamedTuple):
@@ -81,10 +80,10 @@ class PersonFollower:
         births: Expected number of people who appear per frame.
         clutter: Expected number of false detections per frame.
         first_color: Standard deviation of the color that the first picture shows, gray levels.
-        near: Distance from the expected place at which a new track may be the person, px.
-        spreading: By how much that distance grows while they are gone, px/s.
+        least_weight: That the followed identity keeps.
+        near: Distance at which a detection is that of the person's track, px.
         alike: Distance of colors at which two may be the same person, gray levels.
-        patience: Frames without a detection after which the color alone decides.
+        patience: Frames without a detection after which any track of that color may be the person.
         reduction: How far the filter's mixture is reduced.
     """
 
@@ -99,10 +98,10 @@ class PersonFollower:
     births: float = 0.05
     clutter: float = 1.5
     first_color: float = 30.0
-    near: float = 25.0
-    spreading: float = 60.0
+    least_weight: float = 0.2
+    near: float = 20.0
     alike: float = 25.0
-    patience: int = 20
+    patience: int = 30
     reduction: Reduction = field(default_factory=lambda: Reduction(components=40))
 
     @cached_property
@@ -125,6 +124,11 @@ class PersonFollower:
             reduction=self.reduction,
         )
 
+    @cached_property
+    def _spread(self) -> Array:
+        """Covariance of a person of whom nothing but a first picture is known."""
+        return np.diag([self.position_noise**2, self.speed**2] * 2 + [self.first_color**2] * 3)
+
     def initial(self, detections: Array, place: Array, color: Array) -> FollowState:
         """State before the first frame is folded in.
 
@@ -134,14 +138,11 @@ class PersonFollower:
             color: Their color. Shape (B, 3), gray levels.
         """
         crowd = self.filter.initial(detections[:, :, _SEEN])
-        spread = np.diag(
-            [self.position_noise**2, self.speed**2] * 2 + [self.first_color**2] * 3  # as the model's states are ordered
-        )
         intensity, n = crowd.intensity, 7
         intensity.number[:] = 1
         intensity.weight[:, 0], intensity.label[:, 0] = 0.98, 1
         intensity.mean[:, 0, _POSITION], intensity.mean[:, 0, _COLOR] = place, color
-        intensity.covariance[:, 0, :n, :n] = spread
+        intensity.covariance[:, 0, :n, :n] = self._spread
         count = len(place)
         one = np.ones(count, np.int64)
         return FollowState(
@@ -151,7 +152,6 @@ class PersonFollower:
             np.zeros((count, 2)),
             color.copy(),
             np.zeros(count, np.int64),
-            one + 1,
         )
 
     def step(
@@ -183,19 +183,13 @@ class PersonFollower:
         """
         moved = self._carried(state, elapsed, ego_motion, joints_before, joints_after)
         crowd, estimate = self.filter.step(moved.crowd, np.ascontiguousarray(detections[:, :, _SEEN]))
-        labels = np.concatenate([estimate.labels, estimate.held_labels], axis=1)
-        states = np.concatenate([estimate.states, estimate.held_states], axis=1)
         new = moved._replace(
-            crowd=crowd,
-            label=moved.label.copy(),
-            color=moved.color.copy(),
-            unseen=moved.unseen.copy(),
-            strangers=moved.strangers.copy(),
+            crowd=crowd, label=moved.label.copy(), color=moved.color.copy(), unseen=moved.unseen.copy()
         )
         features, visible = new.place.copy(), np.zeros(len(fresh), np.bool_)
         _decide(
-            detections, labels, states, estimate.labels.shape[1], crowd.next_label, *new[1:], features, visible,
-            np.array([self.near, self.spreading * self.period, self.alike, self.position_noise]), self.patience,
+            detections, estimate.labels, estimate.states, *crowd.intensity[:4], crowd.intensity.label, *new[1:],
+            features, visible, self._spread, (self.near, self.alike, self.least_weight), self.patience,
         )  # fmt: skip
         kept = select_rows(fresh, new, state)
         return kept, Sighting(np.where(fresh[:, None], features, state.place), visible & fresh)
@@ -239,56 +233,55 @@ def _nearest(detections, u, v, color, reach, alike):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def _decide(  # type: ignore[no-untyped-def]
-    detections, labels, states, reported, next_label, label, place, motion, color, unseen, strangers, features, visible,
-    limits, patience,
+    detections, labels, states, number, weight, mean, covariance, identity, label, place, motion, color, unseen,
+    features, visible, spread, limits, patience,
 ):  # fmt: skip
-    """Which track is the person's, in every run; fills the memory, `features` and `visible`."""
-    alike, noise = limits[2], limits[3]
+    """Keep the followed identity alive in every run; fill the memory, `features` and `visible`."""
+    near, alike, least = limits
     for b in range(label.shape[0]):
-        track = -1
-        for k in range(labels.shape[1]):
-            if label[b] > 0 and labels[b, k] == label[b]:
-                track = k
-        if track < 0 and label[b] > 0:
-            # Who has a name by now is somebody else.
-            label[b] = 0
-            strangers[b] = next_label[b] - detections.shape[1]
-        if track < 0:
-            track = _recognized(labels[b, :reported], states[b], place[b], color[b], unseen[b], strangers[b], limits,
-                                patience)  # fmt: skip
-            if track >= 0:
-                label[b] = labels[b, track]
-        unseen[b] += 1
-        if track >= 0:
-            for axis in range(2):
-                place[b, axis] = states[b, track, 2 * axis]
-                motion[b, axis] = states[b, track, 2 * axis + 1]
-            found = _nearest(detections[b], place[b, 0], place[b, 1], states[b, track, 4:], 4.0 * noise, 2.0 * alike)
+        if unseen[b] >= patience:
+            found = _recognized(labels[b], states[b], place[b], color[b], alike)
             if found >= 0:
-                unseen[b] = 0
-                visible[b] = True
-                features[b, 0], features[b, 1] = detections[b, found, 1], detections[b, found, 2]
-                for channel in range(3):
-                    color[b, channel] += 0.05 * (states[b, track, 4 + channel] - color[b, channel])
-                continue
+                label[b] = labels[b, found]
+        row = -1
+        for k in range(number[b]):
+            if identity[b, k] == label[b] and (row < 0 or weight[b, k] > weight[b, row]):
+                row = k
+        if row < 0:
+            # It was merged into somebody else's or cut off: it comes back where it is believed to be.
+            row = min(number[b], weight.shape[1] - 1)
+            number[b] = row + 1
+            identity[b, row] = label[b]
+            weight[b, row] = 0.0
+            mean[b, row] = 0.0
+            covariance[b, row] = 0.0
+            covariance[b, row, : spread.shape[0], : spread.shape[1]] = spread
+            for axis in range(2):
+                mean[b, row, 2 * axis], mean[b, row, 2 * axis + 1] = place[b, axis], motion[b, axis]
+            for channel in range(3):
+                mean[b, row, 4 + channel] = color[b, channel]
+        weight[b, row] = max(weight[b, row], least)
+        for axis in range(2):
+            place[b, axis], motion[b, axis] = mean[b, row, 2 * axis], mean[b, row, 2 * axis + 1]
+        unseen[b] += 1
+        found = _nearest(detections[b], place[b, 0], place[b, 1], mean[b, row, 4:7], near, 2.0 * alike)
         features[b] = place[b]
+        if found >= 0:
+            unseen[b], visible[b] = 0, True
+            features[b, 0], features[b, 1] = detections[b, found, 1], detections[b, found, 2]
+            for channel in range(3):
+                color[b, channel] += 0.05 * (mean[b, row, 4 + channel] - color[b, channel])
 
 
 @njit(cache=True, nogil=True)
-def _recognized(labels, states, place, color, unseen, strangers, limits, patience):  # type: ignore[no-untyped-def]
-    """The reported track that is most likely the person who got lost; -1 for none."""
-    near, spreading, alike, _ = limits
-    best, found = 1.0, -1
-    reach = near + spreading * unseen
+def _recognized(labels, states, place, color, alike):  # type: ignore[no-untyped-def]
+    """The nearest reported track of the person's color; -1 for none."""
+    best, found = np.inf, -1
     for k in range(labels.shape[0]):
-        if labels[k] == 0 or labels[k] < strangers:
-            continue
-        away = ((states[k, 0] - place[0]) ** 2 + (states[k, 2] - place[1]) ** 2) / reach**2
         off = 0.0
         for channel in range(3):
             off += (states[k, 4 + channel] - color[channel]) ** 2
-        off /= alike**2
-        score = off + (away if unseen < patience else 0.25 * away)
-        if score < best and off < 1.0:
-            best, found = score, k
+        away = (states[k, 0] - place[0]) ** 2 + (states[k, 2] - place[1]) ** 2
+        if labels[k] > 0 and off < alike * alike and away < best:
+            best, found = away, k
     return found
