@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.backdrop import background_colors, paint_backdrop
 from servotrack.envs.track.pedestrians.config import PedestrianConfig
-from servotrack.envs.track.pedestrians.effects import Light, Sensor, brighten, compress
+from servotrack.envs.track.pedestrians.effects import Light, Sensor, compress
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, lobby_camera
 from servotrack.envs.track.pedestrians.looks import LOOK_NUMBERS, draw_look
 from servotrack.envs.track.pedestrians.people import Drawn, People
@@ -128,8 +128,7 @@ class Stage:
             totals,
             visible,
         )
-        brighten(image, self._light.offset(frame))
-        self._sensor.expose(image, frame)
+        self._sensor.expose(image, frame, self._light.offset(frame))
         visibility = visible / np.maximum(totals, 1.0)
         return Drawn(compress(image, config.compression), boxes, visibility, owners)
 

@@ -6,6 +6,7 @@ import math
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
@@ -74,32 +75,50 @@ class Sensor:
             return
         self._places = rng.permutation(_BANK)
         shape = (height + _SIDE, width + _SIDE)
-        common = rng.standard_normal((*shape, 1), dtype=np.float32) * np.float32(math.sqrt(_COMMON) * deviation)
-        noise = rng.standard_normal((*shape, 3), dtype=np.float32)
-        noise *= np.float32(math.sqrt(1.0 - _COMMON) * deviation)
-        noise += common
-        np.rint(noise, out=noise)
-        # Two unsigned tiles: OpenCV adds and subtracts those fastest, and stops at black and white.
-        self._brighter = np.clip(noise, 0.0, 255.0).astype(np.uint8)
-        self._darker = np.clip(-noise, 0.0, 255.0).astype(np.uint8)
+        common = rng.standard_normal((*shape, 1), dtype=np.float32)
+        own = rng.standard_normal((*shape, 3), dtype=np.float32)
+        # Rows of channels as they lie in memory: what is added to them needs to know no more.
+        self._tile = np.empty((shape[0], 3 * shape[1]), dtype=np.int16)
+        share, rest = math.sqrt(_COMMON) * deviation, math.sqrt(1.0 - _COMMON) * deviation
+        _mix(common, own, np.float32(share), np.float32(rest), self._tile)
 
-    def expose(self, image: Image, frame: int) -> None:
-        """Add the frame's noise in place."""
-        if self._places is None:
-            return
-        top, left = divmod(int(self._places[frame % _BANK]), _SIDE)
-        window = (slice(top, top + self._height), slice(left, left + self._width))
-        cv2.add(image, self._brighter[window], dst=image)
-        cv2.subtract(image, self._darker[window], dst=image)
+    def expose(self, image: Image, frame: int, change: float) -> None:
+        """Make a frame brighter by whole gray levels and add its noise, in place.
+
+        Args:
+            image: RGB, contiguous.
+            frame: Its number.
+            change: Gray levels that it is brighter.
+        """
+        levels = np.int16(round(change))
+        if self._places is not None:
+            top, left = divmod(int(self._places[frame % _BANK]), _SIDE)
+            _expose(image.reshape(len(image), -1), levels, self._tile, top, 3 * left)
+        elif levels > 0:
+            cv2.add(image, np.full(4, float(levels)), dst=image)
+        elif levels < 0:
+            cv2.subtract(image, np.full(4, float(-levels)), dst=image)
 
 
-def brighten(image: Image, change: float) -> None:
-    """Make a frame brighter or darker by whole gray levels, in place."""
-    levels = round(change)
-    if levels > 0:
-        cv2.add(image, np.full(4, float(levels)), dst=image)
-    elif levels < 0:
-        cv2.subtract(image, np.full(4, float(-levels)), dst=image)
+@njit(cache=True, nogil=True)
+def _mix(common, own, share, rest, tile):  # type: ignore[no-untyped-def]
+    """A tile of noise in whole gray levels, of which three channels have a share in common."""
+    for i in range(own.shape[0]):
+        for j in range(own.shape[1]):
+            for c in range(3):
+                tile[i, 3 * j + c] = np.int16(np.rint(own[i, j, c] * rest + common[i, j, 0] * share))
+
+
+@njit(cache=True, nogil=True)
+def _expose(rows, levels, tile, top, left):  # type: ignore[no-untyped-def]
+    """Add `levels` and then noise; both stop at black and at white. All numbers are short: the loop is of vectors."""
+    black, white = np.int16(0), np.int16(255)
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        grain = tile[top + i, left : left + len(row)]
+        for j in range(len(row)):
+            lit = min(max(np.int16(np.int16(row[j]) + levels), black), white)
+            row[j] = np.uint8(min(max(np.int16(lit + grain[j]), black), white))
 
 
 def compress(image: Image, strength: float) -> Image:
