@@ -13,6 +13,7 @@ from numba import njit
 
 from servotrack.envs.follow.figures import (
     COVER_SHADOW,
+    HALF_WIDTH,
     PENUMBRA,
     POSE_NUMBERS,
     REACH,
@@ -34,10 +35,11 @@ FARTHEST = 0.35
 """Pixels that see more of the plane than this (m) show nobody: they would be smaller than any noise."""
 
 _CORNERS = 8  # of the polygon that stands for a circle
-_FINE, _COARSE = 0.014, 0.07  # up to where a pixel is sampled once, and twice along each axis, m
+_FINE, _COARSE = 0.09, 0.17  # up to where a pixel is sampled once (edges are soft), and twice along each axis, m
+_PERSON, _UMBRELLA, _LAMP = range(3)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _box(camera, step, height, width, views, places, k, radius, ahead, box):  # type: ignore[no-untyped-def]
     """Rows and columns (first, last + 1) that hold a circle for the whole readout; empty where it is out of view."""
     box[:] = 0
@@ -62,7 +64,7 @@ def _box(camera, step, height, width, views, places, k, radius, ahead, box):  # 
     box[2], box[3] = max(int(left / step) - 1, 0), min(int(right / step) + 2, width)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def find_boxes(  # type: ignore[no-untyped-def]
     camera, step, height, width, views, places, poses, umbrella, lamps, boxes
 ):
@@ -91,7 +93,7 @@ def find_boxes(  # type: ignore[no-untyped-def]
         _box(camera, step, height, width, views, places, k, radius, 0.0, boxes[1, k])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def paint_shadows(shade, ground, spread, strength, views, places, umbrella, lamps, boxes):  # type: ignore[no-untyped-def]
     """Darken `shade`, the share of light that reaches each pixel's point; shadows that overlap are no darker."""
     people = len(umbrella)
@@ -120,108 +122,92 @@ def paint_shadows(shade, ground, spread, strength, views, places, umbrella, lamp
                 shade[i, j] = min(shade[i, j], np.float32(1.0 - strength * dark))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def paint_crowd(  # type: ignore[no-untyped-def]
     canvas, ground, spread, opacity, views, places, headings, looks, poses, umbrella, umbrella_color, lamps, boxes
 ):
     """Lay people over the canvas, then umbrellas, then lampshades, the latter two with this opacity."""
     people = len(umbrella)
-    sample, total = np.empty(4), np.empty(4)
-    rows, columns = spread.shape
     for k in range(boxes.shape[1]):
-        top, bottom, left, right = boxes[1, k]
-        if top >= bottom:
+        if boxes[1, k, 0] >= boxes[1, k, 1]:
             continue
-        ch, sh, reach, full, lf, ll = 1.0, 0.0, 0.0, 1.0, SUN[0], SUN[1]
-        who = k % people if k < 2 * people else 0
-        if k < 2 * people:
-            ch, sh = math.cos(headings[who]), math.sin(headings[who])
-            lf, ll = ch * SUN[0] + sh * SUN[1], ch * SUN[1] - sh * SUN[0]
         if k < people:
-            reach = poses[k, REACH]
+            _paint(
+                canvas, ground, spread, 1.0, views, places[:, k], boxes[1, k], _PERSON, headings[k], poses[k, REACH],
+                looks[k], poses[k],
+            )  # fmt: skip
+        elif k < 2 * people:
+            who = k - people
+            _paint(
+                canvas, ground, spread, opacity, views, places[:, k], boxes[1, k], _UMBRELLA, headings[who],
+                umbrella[who], umbrella_color[who], poses[who],
+            )  # fmt: skip
         else:
-            reach, full = umbrella[who] if k < 2 * people else lamps[k - 2 * people, 2], opacity
-        for i in range(top, bottom):
-            view, place = views[i % len(views)], places[i % len(views), k]
-            c, s = view[0], view[1]
-            wx, wy = place[0] - view[2], place[1] - view[3]
-            gx, gy = c * wx + s * wy, s * wx - c * wy
-            fx, fy = c * ch + s * sh, s * ch - c * sh
-            lx, ly = fy, -fx
-            for j in range(left, right):
-                width = spread[i, j]
-                if width > FARTHEST:
-                    continue
-                dx, dy = ground[i, j, 0] - gx, ground[i, j, 1] - gy
-                near = reach + 0.71 * width
-                if dx * dx + dy * dy > near * near:
-                    continue
-                f, l = fx * dx + fy * dy, lx * dx + ly * dy
-                n = 1 if width <= _FINE else 2 if width <= _COARSE else 3
-                total[:] = 0.0
-                if n > 1:
-                    # Whether anything is there at all costs one blurred look.
-                    _look(
-                        k,
-                        people,
-                        looks,
-                        poses,
-                        umbrella,
-                        umbrella_color,
-                        lamps,
-                        who,
-                        reach,
-                        lf,
-                        ll,
-                        f,
-                        l,
-                        1.5 * width,
-                        total,
-                    )
-                    if total[3] == 0.0:
-                        continue
-                    total[:] = 0.0
-                a, b = min(max(i, 1), rows - 2), min(max(j, 1), columns - 2)
-                xu, yu = (
-                    0.5 * (ground[i, b + 1, 0] - ground[i, b - 1, 0]),
-                    0.5 * (ground[i, b + 1, 1] - ground[i, b - 1, 1]),
-                )
-                xv, yv = (
-                    0.5 * (ground[a + 1, j, 0] - ground[a - 1, j, 0]),
-                    0.5 * (ground[a + 1, j, 1] - ground[a - 1, j, 1]),
-                )
-                fu, lu, fv, lv = fx * xu + fy * yu, lx * xu + ly * yu, fx * xv + fy * yv, lx * xv + ly * yv
-                for p in range(n):
-                    ov = (p + 0.5) / n - 0.5
-                    for q in range(n):
-                        ou = (q + 0.5) / n - 0.5
-                        sample[:] = 0.0
-                        _look(
-                            k, people, looks, poses, umbrella, umbrella_color, lamps, who, reach, lf, ll,
-                            f + ou * fu + ov * fv, l + ou * lu + ov * lv, width / n, sample,
-                        )  # fmt: skip
-                        for channel in range(4):
-                            total[channel] += sample[channel]
-                share = full / (n * n)
-                open_share = 1.0 - share * total[3]
-                for channel in range(3):
-                    canvas[i, j, channel] = open_share * canvas[i, j, channel] + share * total[channel]
+            lamp = lamps[k - 2 * people]
+            _paint(
+                canvas, ground, spread, opacity, views, places[:, k], boxes[1, k], _LAMP, 0.0, lamp[2], lamp, lamp
+            )
 
 
-@njit(cache=True, nogil=True)
-def _look(  # type: ignore[no-untyped-def]
-    k, people, looks, poses, umbrella, umbrella_color, lamps, who, reach, lf, ll, f, l, width, out
+@njit(cache=True, nogil=True, error_model="numpy")
+def _paint(  # type: ignore[no-untyped-def]
+    canvas, ground, spread, opacity, views, places, box, kind, heading, reach, look, pose
 ):
-    """What thing k shows at one sample."""
-    if k < people:
-        person_at(looks[k], poses[k], f, l, width, out)
-    elif k < 2 * people:
-        umbrella_at(umbrella_color[who], reach, lf, ll, f, l, width, out)
-    else:
-        lamp_at(reach, f, l, width, out)
+    """Lay one thing over the canvas."""
+    rows, columns = spread.shape
+    seen, total = np.empty(4), np.empty(4)
+    ch, sh = math.cos(heading), math.sin(heading)
+    light_x, light_y = ch * SUN[0] + sh * SUN[1], ch * SUN[1] - sh * SUN[0]
+    for i in range(box[0], box[1]):
+        at = i % len(views)
+        c, s = views[at, 0], views[at, 1]
+        wx, wy = places[at, 0] - views[at, 2], places[at, 1] - views[at, 3]
+        gx, gy = c * wx + s * wy, s * wx - c * wy
+        # From the camera's frame into the thing's own axes; the camera looks from above and sees them mirrored.
+        xx, xy = c * ch + s * sh, s * ch - c * sh
+        yx, yy = xy, -xx
+        for j in range(box[2], box[3]):
+            width = spread[i, j]
+            if width > FARTHEST:
+                continue
+            dx, dy = ground[i, j, 0] - gx, ground[i, j, 1] - gy
+            near = reach + 0.71 * width
+            if dx * dx + dy * dy > near * near:
+                continue
+            x, y = xx * dx + xy * dy, yx * dx + yy * dy
+            if kind == _PERSON and abs(y) > HALF_WIDTH + 0.71 * width:
+                continue
+            n = 1 if width <= _FINE else 2 if width <= _COARSE else 3
+            total[:] = 0.0
+            for sample in range(n * n):
+                u, v = x, y
+                if n > 1:
+                    a, b = min(max(i, 1), rows - 2), min(max(j, 1), columns - 2)
+                    right, down = (sample % n + 0.5) / n - 0.5, (sample // n + 0.5) / n - 0.5
+                    dx = 0.5 * right * (ground[i, b + 1, 0] - ground[i, b - 1, 0])
+                    dy = 0.5 * right * (ground[i, b + 1, 1] - ground[i, b - 1, 1])
+                    dx += 0.5 * down * (ground[a + 1, j, 0] - ground[a - 1, j, 0])
+                    dy += 0.5 * down * (ground[a + 1, j, 1] - ground[a - 1, j, 1])
+                    u, v = x + xx * dx + xy * dy, y + yx * dx + yy * dy
+                # Things lay their parts under what is there: every sample begins anew.
+                seen[:] = 0.0
+                if kind == _PERSON:
+                    person_at(look, pose, u, v, width / n, seen)
+                elif kind == _UMBRELLA:
+                    umbrella_at(look, reach, light_x, light_y, u, v, width / n, seen)
+                else:
+                    lamp_at(reach, u, v, width / n, seen)
+                for channel in range(4):
+                    total[channel] += seen[channel]
+            if total[3] == 0.0:
+                continue
+            share = opacity / (n * n)
+            left_over = 1.0 - share * total[3]
+            for channel in range(3):
+                canvas[i, j, channel] = left_over * canvas[i, j, channel] + share * total[channel]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _develop(canvas, light, noise, image):  # type: ignore[no-untyped-def]
     """Turn one row of the canvas into one row of noisy pixels."""
     half, black, white = np.float32(0.5), np.float32(0.0), np.float32(255.0)
@@ -231,7 +217,7 @@ def _develop(canvas, light, noise, image):  # type: ignore[no-untyped-def]
             image[j, channel] = np.uint8(min(max(value, black), white))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _expose_one(  # type: ignore[no-untyped-def]
     frame, views, places, step, strength, camera, walk, looks, umbrella, umbrella_color, lamps, ground, light, spread,
     detail, texels, starts, floor_pose, floor_color, noise, first_row, first_column, boxes, image,
@@ -262,7 +248,7 @@ def _expose_one(  # type: ignore[no-untyped-def]
         _develop(canvas[i], light[i], grain, image[i])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def expose_crowd(  # type: ignore[no-untyped-def]
     rows, frames, shutter, step, strength, cameras, links, history, paths, walk, looks, umbrella, umbrella_color, lamps,
     ground, light, spread, detail, texels, starts, floor_pose, floor_color, noise, noise_offset, images,
