@@ -104,11 +104,11 @@ class Backdrop(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def backdrop(reach: float, caption: str) -> Backdrop:
-    """The backdrop for an arm of this reach (m), with a caption."""
+def backdrop(reach: float, caption: str, spacing: float = GRID_SPACING) -> Backdrop:
+    """The backdrop for an arm of this reach (m), with a caption and grid lines this far apart (m)."""
     image = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
     image[:] = PAPER
-    FLOOR_PANEL.of(image)[:] = _floor(reach)
+    FLOOR_PANEL.of(image)[:] = _floor(reach, spacing)
     CAMERA_PANEL.of(image)[:] = LENS
     _error_axes(ERROR_PANEL.of(image))
     put_text(CAMERA_PANEL.of(image), CAMERA_LABEL, *LABEL_PLACE, LENS_INK)
@@ -123,8 +123,8 @@ def backdrop(reach: float, caption: str) -> Backdrop:
     return Backdrop(image, np.rint(lit).astype(np.uint8), rim, opacity)
 
 
-def _floor(reach: float) -> Image:
-    """Warm plaster with a fine grain and the grid that the camera sees too."""
+def _floor(reach: float, spacing: float) -> Image:
+    """Warm plaster with a fine grain and a grid, which the camera may see too."""
     side = FLOOR_PANEL.width
     rng = np.random.default_rng(0)
     grain = rng.normal(0.0, 0.9, (side, side))
@@ -132,9 +132,9 @@ def _floor(reach: float) -> Image:
         coarse = rng.normal(0.0, strength, (cells, cells))
         grain += cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC)
     floor = np.rint(np.clip(np.array(FLOOR) + grain[..., None], 0, 255)).astype(np.uint8)
-    farthest = int(_WINDOW_SIDE * reach / GRID_SPACING)
+    farthest = int(_WINDOW_SIDE * reach / spacing)
     for k in range(-farthest, farthest + 1):
-        column, row = floor_pixels(np.array([k, k]) * GRID_SPACING, reach)
+        column, row = floor_pixels(np.array([k, k]) * spacing, reach)
         color = mix(FLOOR_GRID, INK, 0.10) if k == 0 else FLOOR_GRID
         for ends in (((column, 0), (column, side)), ((0, row), (side, row))):
             cv2.polylines(floor, [fixed_point(np.array(ends))], False, color, 1, cv2.LINE_AA, 4)

@@ -88,39 +88,42 @@ def draw(scene: ServoScene) -> Image:
     _draw_floor(still.FLOOR_PANEL.of(image), scene, parts.lit_floor)
     _draw_camera(still.CAMERA_PANEL.of(image), scene)
     _draw_error(still.ERROR_PANEL.of(image), scene)
+    round_corners(image, parts)
+    return image
+
+
+def round_corners(image: Image, parts: still.Backdrop) -> None:
+    """Give the panels their round corners, once they are drawn."""
     pixels = image.reshape(-1, 3)
     inside = pixels[parts.rim] * parts.rim_opacity
     pixels[parts.rim] = np.rint(inside + np.array(still.PAPER) * (1.0 - parts.rim_opacity))
-    return image
 
 
 def _draw_floor(panel: Image, scene: ServoScene, lit_floor: Image) -> None:
     reach = float(np.sum(scene.links))
-    # Arms of all sizes are drawn equally sturdy: widths are fractions of the reach.
     scale = still.floor_scale(reach) * reach
-    first, both = scene.joint_angles[0], scene.joint_angles[0] + scene.joint_angles[1]
-    elbow = scene.links[0] * np.array([np.cos(first), np.sin(first)])
-    tool = elbow + scene.links[1] * np.array([np.cos(both), np.sin(both)])
-    base, elbow, tool, target = still.floor_pixels(np.stack([np.zeros(2), elbow, tool, scene.target]), reach)
-
     if scene.footprint is not None:
-        outline = fixed_point(still.floor_pixels(scene.footprint, reach))
-        mask = np.zeros(panel.shape[:2], dtype=np.uint8)
-        cv2.fillPoly(mask, [outline], 255, cv2.LINE_8, 4)
-        cv2.copyTo(lit_floor, mask, panel)
-        cv2.polylines(panel, [outline], True, mix(still.FLOOR, still.TOOL, 0.45), 1, cv2.LINE_AA, 4)
-    _trail(panel, still.floor_pixels(scene.target_trail, reach), still.FLOOR, still.TARGET)
-    _trail(panel, still.floor_pixels(scene.tool_trail, reach), still.FLOOR, still.TOOL)
+        light_footprint(panel, still.floor_pixels(scene.footprint, reach), lit_floor)
+    trail(panel, still.floor_pixels(scene.target_trail, reach), still.FLOOR, still.TARGET)
+    trail(panel, still.floor_pixels(scene.tool_trail, reach), still.FLOOR, still.TOOL)
 
     if scene.distractor is not None:
         _marker(panel, still.floor_pixels(scene.distractor, reach), 0.021 * scale, still.DISTRACTOR)
-    _shadow(panel, base, elbow, tool, scale)
-    _arm(panel, base, elbow, tool, both, scale)
-    _marker(panel, target, 0.021 * scale, still.TARGET)
+    draw_arm(panel, scene.links, scene.joint_angles)
+    _marker(panel, still.floor_pixels(scene.target, reach), 0.021 * scale, still.TARGET)
     put_text(panel, f"{max(scene.time, 0.0):.1f} s", panel.shape[1] - 14, 20, still.SOFT_INK, align="right")
 
 
-def _trail(panel: Image, points: Array, floor: Color, color: Color) -> None:
+def light_footprint(panel: Image, corners: Array, lit_floor: Image) -> None:
+    """Show what of the floor the camera sees; corners of its outline in the panel's pixels, (k, 2)."""
+    outline = fixed_point(corners)
+    mask = np.zeros(panel.shape[:2], dtype=np.uint8)
+    cv2.fillPoly(mask, [outline], 255, cv2.LINE_8, 4)
+    cv2.copyTo(lit_floor, mask, panel)
+    cv2.polylines(panel, [outline], True, mix(still.FLOOR, still.TOOL, 0.45), 1, cv2.LINE_AA, 4)
+
+
+def trail(panel: Image, points: Array, floor: Color, color: Color) -> None:
     """A polyline that fades with age, in bands of one color each, oldest first."""
     strands: NDArray[np.int32] = fixed_point(points[-TRAIL_LENGTH:]) + _STRANDS
     length = strands.shape[1]
@@ -131,6 +134,25 @@ def _trail(panel: Image, points: Array, floor: Color, color: Color) -> None:
             # One point of overlap closes the gap to the next band.
             band_strands = [strand[max(start, 0) : end + 1] for strand in strands]
             cv2.polylines(panel, band_strands, False, mix(floor, color, strength), 1, cv2.LINE_AA, 4)
+
+
+def draw_arm(panel: Image, links: Array, joint_angles: Array) -> None:
+    """Draw an arm and its shadow into the floor's panel.
+
+    Args:
+        panel: Of the size of the floor's panel, RGB.
+        links: Shape (2,), m.
+        joint_angles: Shape (2,), rad.
+    """
+    reach = float(np.sum(links))
+    # Arms of all sizes are drawn equally sturdy: widths are fractions of the reach.
+    scale = still.floor_scale(reach) * reach
+    first, both = joint_angles[0], joint_angles[0] + joint_angles[1]
+    elbow = links[0] * np.array([np.cos(first), np.sin(first)])
+    tool = elbow + links[1] * np.array([np.cos(both), np.sin(both)])
+    base, elbow, tool = still.floor_pixels(np.stack([np.zeros(2), elbow, tool]), reach)
+    _shadow(panel, base, elbow, tool, scale)
+    _arm(panel, base, elbow, tool, both, scale)
 
 
 def _shadow(panel: Image, base: Array, elbow: Array, tool: Array, scale: float) -> None:
@@ -152,19 +174,19 @@ def _shadow(panel: Image, base: Array, elbow: Array, tool: Array, scale: float) 
 def _arm(panel: Image, base: Array, elbow: Array, tool: Array, heading: float, scale: float) -> None:
     """Base, two tapered links, joints, and the camera at the tool."""
     plate = 0.080 * scale
-    _disc(panel, base, plate, mix(still.INK, still.PAPER, 0.62))
-    _disc(panel, base, plate - 1.3, mix(still.FLOOR, still.PAPER, 0.35))
+    disc(panel, base, plate, mix(still.INK, still.PAPER, 0.62))
+    disc(panel, base, plate - 1.3, mix(still.FLOOR, still.PAPER, 0.35))
     _link(panel, base, elbow, 0.042 * scale, 0.033 * scale)
     _link(panel, elbow, tool, 0.033 * scale, 0.022 * scale)
     for joint, radius in ((base, 0.027 * scale), (elbow, 0.0215 * scale)):
-        _disc(panel, joint, radius, still.INK)
-        _disc(panel, joint, 0.5 * radius, still.IVORY)
+        disc(panel, joint, radius, still.INK)
+        disc(panel, joint, 0.5 * radius, still.IVORY)
     half = 0.036 * scale
     a, b = half * np.cos(heading), -half * np.sin(heading)
     body = fixed_point(tool + np.array([(a - b, b + a), (a + b, b - a), (b - a, -b - a), (-a - b, a - b)]))
     cv2.fillConvexPoly(panel, body, still.TOOL, cv2.LINE_AA, 4)
     cv2.polylines(panel, [body], True, still.TOOL, 2, cv2.LINE_AA, 4)
-    _disc(panel, tool, 0.031 * scale, still.IVORY)
+    disc(panel, tool, 0.031 * scale, still.IVORY)
 
 
 def _link(panel: Image, start: Array, end: Array, start_width: float, end_width: float) -> None:
@@ -176,15 +198,15 @@ def _link(panel: Image, start: Array, end: Array, start_width: float, end_width:
         a, b = start_width + grow, end_width + grow
         sides = [(x0 - s * a, y0 + c * a), (x1 - s * b, y1 + c * b), (x1 + s * b, y1 - c * b), (x0 + s * a, y0 - c * a)]
         cv2.fillConvexPoly(panel, fixed_point(np.array(sides)), color, cv2.LINE_AA, 4)
-        _disc(panel, start, a, color)
+        disc(panel, start, a, color)
     a, b = 2.2 * start_width, 3.0 * end_width
     groove = np.array([(x0 + a * c, y0 + a * s), (x1 - b * c, y1 - b * s)])
     cv2.polylines(panel, [fixed_point(groove)], False, mix(still.IVORY, still.INK, 0.20), 2, cv2.LINE_AA, 4)
 
 
 def _marker(panel: Image, center: Array, radius: float, color: Color) -> None:
-    _disc(panel, center, radius + 1.5, still.IVORY)
-    _disc(panel, center, radius, color)
+    disc(panel, center, radius + 1.5, still.IVORY)
+    disc(panel, center, radius, color)
 
 
 def _draw_camera(panel: Image, scene: ServoScene) -> None:
@@ -197,15 +219,15 @@ def _draw_camera(panel: Image, scene: ServoScene) -> None:
         cv2.polylines(panel, _scaled(scene.floor_lines, scale), False, still.LENS_GRID, 1, cv2.LINE_AA, 4)
     feature, goal = scene.feature * scale, scene.goal * scale
     if scene.camera_image is None:
-        _trail(panel, scene.feature_trail * scale, still.LENS, still.TARGET)
+        trail(panel, scene.feature_trail * scale, still.LENS, still.TARGET)
     if scene.visible:
         cv2.polylines(panel, [fixed_point(np.stack([goal, feature]))], False, still.GOAL, 1, cv2.LINE_AA, 4)
-    _crosshair(panel, goal)
+    crosshair(panel, goal)
     if scene.camera_image is None:
         # A target that the newest frame does not show is a hollow mark where it was last seen.
-        _disc(panel, feature, 6.5, still.TARGET)
+        disc(panel, feature, 6.5, still.TARGET)
         if not scene.visible:
-            _disc(panel, feature, 5.0, still.LENS)
+            disc(panel, feature, 5.0, still.LENS)
     if not scene.visible:
         put_text(panel, "not seen", side - 14, 20, still.TARGET, align="right")
 
@@ -219,7 +241,7 @@ def _scaled(lines: Sequence[Array], scale: float) -> list[NDArray[np.int32]]:
     return [points[start:end] for start, end in pairwise([0, *ends])]
 
 
-def _crosshair(panel: Image, center: Array) -> None:
+def crosshair(panel: Image, center: Array) -> None:
     """A cross with an open middle, so that a feature on the goal stays visible."""
     x, y = center.tolist()
     for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1)):
@@ -245,7 +267,8 @@ def _length(meters: float) -> str:
     return f"{millimeters:.1f} mm" if millimeters < 100.0 else f"{meters:.2f} m"
 
 
-def _disc(panel: Image, center: Array, radius: float, color: Color) -> None:
+def disc(panel: Image, center: Array, radius: float, color: Color) -> None:
+    """A filled circle, where it is anywhere near the panel."""
     x, y = center.tolist()
     if abs(x) < 4000.0 and abs(y) < 4000.0 and radius > 0.0:
         cv2.circle(panel, (round(16 * x), round(16 * y)), round(16 * radius), color, -1, cv2.LINE_AA, 4)
