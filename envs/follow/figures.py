@@ -40,7 +40,7 @@ from servotrack.envs.track.pedestrians.shapes import CHECK, OPEN, STRIPES
 SUN = (-0.5812, 0.8137)
 """Where light comes from, a direction on the plane."""
 POSE_NUMBERS = 10
-"""How far forward left and right foot and hand are, where the light is in the person's axes, and how far all reaches."""
+"""Left and right foot and hand (how far forward, m), the light in the person's axes, how far all reaches (m)."""
 HALF_WIDTH = 0.36
 """Of what belongs to a person, to the left and right of their middle, m."""
 SHADOW_LENGTH = 0.55
@@ -277,19 +277,19 @@ def _carried_bag(look, pose, light_y, x, y, width, out):  # type: ignore[no-unty
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def person_at(look, pose, x, y, width, out):  # type: ignore[no-untyped-def]
-    """Add what is seen of a person at a sample, from the top down, to `out`: premultiplied RGB, and how opaque it is."""
+    """Add what is seen of a person at a sample, from the top down, to `out`: premultiplied RGB and opacity."""
     light_x, light_y = pose[_LIGHT_FORWARD], pose[_LIGHT_LEFT]
     _head(look, light_x, light_y, x, y, width, out)
     if out[3] > _OPAQUE:
         return
     bag = look[BAG]
-    if bag == BACKPACK or bag == SHOULDER_BAG:
+    if bag in (BACKPACK, SHOULDER_BAG):
         _worn_bag(look, light_x, light_y, x, y, width, out)
     _torso(look, light_x, light_y, x, y, width, out)
     if out[3] > _OPAQUE:
         return
     _arms(look, pose, light_x, light_y, x, y, width, out)
-    if y < 0.0 and (bag == SHOULDER_BAG or bag == CASE):
+    if y < 0.0 and bag in (SHOULDER_BAG, CASE):
         _carried_bag(look, pose, light_y, x, y, width, out)
     if look[COAT] > 0.05:
         _lay(out, _ellipse(x, y, 0.175 * look[BUILD], 0.205 * look[BUILD], width), 0.78, look, TOP)

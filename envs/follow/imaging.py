@@ -1,4 +1,4 @@
-"""The arm's camera over a crowd: its images, and the picture of the person to follow that an agent is shown at reset."""
+"""The arm's camera over a crowd: its images, and the picture of whom to follow that an agent is shown at reset."""
 
 from __future__ import annotations
 
@@ -64,10 +64,54 @@ class CrowdCamera(FloorCamera):
     def _expose(self, rows: NDArray[np.bool_]) -> None:
         world, texture, config = self._crowd_world, floor_texture(), self._crowd_world.config
         expose_crowd(
-            rows, world.captured, config.rolling_shutter, 1.0 / self._scale, config.shadows, world.cameras,
+            rows, world.captured, float(config.rolling_shutter), 1.0 / self._scale, float(config.shadows), world.cameras,
             world.links, world.history, world.people, *self._crowd.tables, *self._rays, texture.texels, texture.starts,
             self._floor_pose, self._floor_color, self._noise, self._noise_offset, self.images,
         )  # fmt: skip
+
+
+class CloseUp:
+    """One arm's view for people to look at: any size, no noise, rendered when asked for.
+
+    Args:
+        world: The world, which is only read.
+        row: Which of its arms.
+        image_size: Width and height S, px.
+    """
+
+    def __init__(self, world: FollowWorld, row: int, image_size: int) -> None:
+        self._world, self._row, self._step = world, row, world.config.camera_size / image_size
+        self._episode: FollowEpisode | None = None
+        self._floor = np.zeros(4), np.zeros(3)
+        self._rays, self._noise = no_rays(1, image_size), noise_tile(0.0, image_size)
+        self._crowd = _Crowds(1, samples(world.config), world.config.people, world.config.lamps)
+
+    def picture(self, frame: int, history: Array) -> NDArray[np.uint8]:
+        """A frame of the present episode.
+
+        Args:
+            frame: Its index into the episode's tables.
+            history: The world's ring of joint angles when it was taken, (RING, 2) rad.
+
+        Returns:
+            A new RGB image, shape (S, S, 3).
+        """
+        world, config, one = self._world, self._world.config, slice(self._row, self._row + 1)
+        episode = world.episode(self._row)
+        if episode is not self._episode:
+            self._episode, self._floor = episode, _floor(episode)
+            trace_rays(episode.camera, self._step, *(table[0] for table in self._rays))
+            _enlarge(self._rays.detail)
+            self._crowd.put(0, episode)
+        texture, images = floor_texture(), np.zeros((*self._rays.light.shape, 3), np.uint8)
+        pose, color = self._floor
+        expose_crowd(
+            np.ones(1, np.bool_), np.full(1, frame), float(config.rolling_shutter), self._step, float(config.shadows),
+            world.cameras[one], world.links[one], history[None], world.people[one], *self._crowd.tables, *self._rays,
+            texture.texels, texture.starts, pose[None], color[None], self._noise,
+            np.zeros((1, samples(config), 2), np.int64), images,
+        )  # fmt: skip
+        return images[0]
 
 
 class _Crowds:
@@ -84,7 +128,7 @@ class _Crowds:
         """Heading, phase and stride; looks; umbrellas' radii and colors; lampshades."""
         return self.walk, self.looks, self.umbrella, self.umbrella_color, self.lamps
 
-    def put(self, row: int, episode: FollowEpisode, frames: slice = slice(None)) -> None:  # noqa: B008
+    def put(self, row: int, episode: FollowEpisode, frames: slice = slice(None)) -> None:
         """Take an episode's crowd in; lampshades where there is room for them."""
         crowd, looks = episode.crowd, episode.looks
         for column, table in enumerate((crowd.heading, crowd.phase, crowd.stride)):
@@ -124,7 +168,7 @@ def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) 
         crowd.umbrella[:] = 0.0
         offset = noise_offsets(episode, frame + 1)[None, frame:]
         expose_crowd(
-            one, np.zeros(1, np.int64), 0.0, step, world.config.shadows, camera[None], episode.links[None], history,
+            one, np.zeros(1, np.int64), 0.0, step, float(world.config.shadows), camera[None], episode.links[None], history,
             episode.crowd.paths[None, frame : frame + 1], *crowd.tables, *rays, texture.texels, texture.starts,
             pose[None], color[None], noise, offset, picture[None],
         )  # fmt: skip

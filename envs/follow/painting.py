@@ -144,9 +144,7 @@ def paint_crowd(  # type: ignore[no-untyped-def]
             )  # fmt: skip
         else:
             lamp = lamps[k - 2 * people]
-            _paint(
-                canvas, ground, spread, opacity, views, places[:, k], boxes[1, k], _LAMP, 0.0, lamp[2], lamp, lamp
-            )
+            _paint(canvas, ground, spread, opacity, views, places[:, k], boxes[1, k], _LAMP, 0.0, lamp[2], lamp, lamp)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -275,3 +273,50 @@ def expose_crowd(  # type: ignore[no-untyped-def]
             lamps[n], ground[n], light[n], spread[n], detail[n], texels, starts, floor_pose[n], floor_color[n], noise,
             noise_offset[n, frame, 0], noise_offset[n, frame, 1], boxes, images[n],
         )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def paint_panel(  # type: ignore[no-untyped-def]
+    panel, camera, view, ground, spread, strength, opacity, people, walk, looks, umbrella, umbrella_color, lamps
+):
+    """Paint a crowd over a panel that is there already: what hangs over people with this opacity.
+
+    Args:
+        panel: RGB, (H, W, 3) uint8.
+        camera: Packed, whose pixels are the panel's.
+        view: Cos and sin of its heading and the point below it, (1, 4).
+        ground: What the pixels see, in the camera's frame, (H, W, 2) m.
+        spread: How far apart they see it, (H, W) m.
+        strength: Of shadows.
+        opacity: Of umbrellas, lampshades.
+        people: Positions, (P, >= 2) m.
+        walk: Heading, phase and stride, (P, 3).
+        looks: (P, LOOK_NUMBERS).
+        umbrella: Radii, (P,) m.
+        umbrella_color: (P, 3).
+        lamps: (L, 3) m.
+    """
+    height, width = spread.shape
+    count, things = len(people), 2 * len(people) + len(lamps)
+    poses, places = np.empty((count, POSE_NUMBERS)), np.empty((1, things, 2))
+    for k in range(count):
+        pose(looks[k], walk[k, 0], walk[k, 1], walk[k, 2], poses[k])
+        for axis in range(2):
+            places[0, k, axis] = places[0, count + k, axis] = people[k, axis]
+    for k in range(len(lamps)):
+        places[0, 2 * count + k, 0], places[0, 2 * count + k, 1] = lamps[k, 0], lamps[k, 1]
+    boxes = np.empty((2, things, 4), np.int64)
+    find_boxes(camera, 1.0, height, width, view, places, poses, umbrella, lamps, boxes)
+    shade, canvas = np.ones((height, width), np.float32), np.empty((height, width, 3), np.float32)
+    paint_shadows(shade, ground, spread, strength, view, places, umbrella, lamps, boxes)
+    for i in range(height):
+        for j in range(width):
+            for channel in range(3):
+                canvas[i, j, channel] = panel[i, j, channel] * shade[i, j]
+    paint_crowd(
+        canvas, ground, spread, opacity, view, places, walk[:, 0], looks, poses, umbrella, umbrella_color, lamps, boxes
+    )
+    for i in range(height):
+        for j in range(width):
+            for channel in range(3):
+                panel[i, j, channel] = np.uint8(min(max(canvas[i, j, channel] + 0.5, 0.0), 255.0))

@@ -113,14 +113,19 @@ def backdrop(reach: float, caption: str, spacing: float = GRID_SPACING) -> Backd
     _error_axes(ERROR_PANEL.of(image))
     put_text(CAMERA_PANEL.of(image), CAMERA_LABEL, *LABEL_PLACE, LENS_INK)
     put_text(FLOOR_PANEL.of(image), caption, 14, FLOOR_PANEL.height - 14, SOFT_INK)
-    put_text(FLOOR_PANEL.of(image), "target", 28, 20, SOFT_INK)
-    put_text(FLOOR_PANEL.of(image), "tool", 84, 20, SOFT_INK)
-    for x, color in ((19, TARGET), (75, TOOL)):
-        cv2.circle(FLOOR_PANEL.of(image), (x * 16, 17 * 16), 56, color, -1, cv2.LINE_AA, 4)
+    draw_legend(FLOOR_PANEL.of(image))
     lit = FLOOR_PANEL.of(image).astype(np.float32)
     lit += (np.array(TOOL, dtype=np.float32) - lit) * 0.075
     rim, opacity = _rounded_corners()
     return Backdrop(image, np.rint(lit).astype(np.uint8), rim, opacity)
+
+
+def draw_legend(panel: Image) -> None:
+    """Tell in the floor's panel which color is whose."""
+    put_text(panel, "target", 28, 20, SOFT_INK)
+    put_text(panel, "tool", 84, 20, SOFT_INK)
+    for x, color in ((19, TARGET), (75, TOOL)):
+        cv2.circle(panel, (x * 16, 17 * 16), 56, color, -1, cv2.LINE_AA, 4)
 
 
 def _floor(reach: float, spacing: float) -> Image:

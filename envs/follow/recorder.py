@@ -1,0 +1,106 @@
+"""Watches one row of a following world and remembers what its picture needs: trails and the distance so far."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.follow.imaging import CloseUp
+from servotrack.envs.follow.render import FollowScene, draw
+from servotrack.envs.follow.world import FollowWorld
+from servotrack.envs.servo.backdrop import CAMERA_PANEL, Image
+from servotrack.envs.servo.episode import LEAD, samples
+from servotrack.envs.servo.footprint import camera_footprint
+from servotrack.envs.servo.world import RING
+from servotrack.estimators.camera import CAMERA_SIZE, project_points
+
+Array = NDArray[np.float64]
+
+RECENT = 30
+"""Samples of the person's way that the camera's view shows."""
+
+
+class Recorder:
+    """Call `record` after every reset and step; `frame` draws the present.
+
+    Args:
+        world: The world, which the recorder only reads.
+        row: Which of its arms.
+        caption: Written into the picture; lower-case letters, digits and spaces.
+    """
+
+    def __init__(self, world: FollowWorld, row: int = 0, caption: str = "") -> None:
+        self._world, self._row, self._caption = world, row, caption
+        length = samples(world.config) - LEAD
+        self._tool, self._distance = np.zeros((length, 2)), np.zeros(length)
+        self._wrong, self._lost = np.zeros(length, np.bool_), np.zeros(length, np.bool_)
+        self._first, self._captured, self._history = 0, -1, np.zeros((RING, 2))
+        self._close_up = CloseUp(world, row, CAMERA_PANEL.width)
+
+    def record(self) -> None:
+        """Take the world's newest sample; a sample of a new episode forgets the old one."""
+        world, row = self._world, self._row
+        step = int(world.steps[row])
+        self._first = step if step == 0 else min(self._first, step)
+        self._tool[step], self._distance[step] = world.tool[row], world.tracking_error[row]
+        self._wrong[step], self._lost[step] = world.identity_error[row], world.lost[row]
+        # The world's ring forgets how the arm stood while frames are lost.
+        if step == 0 or world.captured[row] != self._captured:
+            self._captured, self._history = int(world.captured[row]), world.history[row].copy()
+
+    def frame(
+        self, camera_image: Image | None = None, detections: Array | None = None, belief: Array | None = None
+    ) -> Image:
+        """Draw the present.
+
+        Args:
+            camera_image: The newest image where the agent has one, RGB, square; else a picture is rendered.
+            detections: In the newest frame, rows of existence, u, v, width, height (px), red, green, blue. (M, 8).
+            belief: Where an agent thinks the person is in the newest frame, (2,) px.
+
+        Returns:
+            A new RGB image, shape (416, 720, 3), uint8.
+        """
+        world, row = self._world, self._row
+        episode, size = world.episode(row), world.config.camera_size
+        now = int(world.steps[row]) + LEAD
+        past = slice(self._first, int(world.steps[row]) + 1)
+        if camera_image is None:
+            camera_image = self._close_up.picture(self._captured, self._history)
+        crowd = episode.crowd
+        return draw(
+            FollowScene(
+                links=world.links[row],
+                joint_angles=world.joints[row],
+                people=crowd.paths[now, :, :2],
+                walk=np.stack([crowd.heading[now], crowd.phase[now], crowd.stride[now]], axis=-1),
+                looks=episode.looks,
+                goal=world.goal[row],
+                camera_size=size,
+                camera_image=camera_image,
+                visible=bool(world.visible[row]),
+                distance=float(world.tracking_error[row]),
+                time=float(world.time[row]),
+                footprint=camera_footprint(world.cameras[row], world.links[row], world.joints[row], size),
+                tool_trail=self._tool[past],
+                person_trail=world.paths[row, LEAD + past.start : LEAD + past.stop, :2],
+                image_trail=self._recent_way(),
+                distances=self._distance[past],
+                wrong=self._wrong[past],
+                lost=self._lost[past],
+                span=len(self._distance),
+                detections=detections,
+                belief=belief,
+                caption=self._caption,
+            )
+        )
+
+    def _recent_way(self) -> Array:
+        """Where in the newest image the places lie at which the person was before, (k, 2) px."""
+        world, row = self._world, self._row
+        places = world.paths[row, max(self._captured - RECENT, 0) : self._captured + 1, :2]
+        camera = np.broadcast_to(world.cameras[row], (len(places), CAMERA_SIZE))
+        links = np.broadcast_to(world.links[row], places.shape)
+        joints = np.broadcast_to(self._history[self._captured % RING], places.shape)
+        pixels, seen = project_points(camera, links, joints, places)
+        return pixels[seen]

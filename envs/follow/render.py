@@ -1,0 +1,218 @@
+"""Pictures of the following world: the arm over the crowd from above, its camera's view, and the distance so far."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.follow.looks import Looks
+from servotrack.envs.follow.painting import paint_panel
+from servotrack.envs.glyphs import put_text
+from servotrack.envs.servo import backdrop as still
+from servotrack.envs.servo.backdrop import Color, Image, fixed_point, mix
+from servotrack.envs.servo.exposure import trace_rays
+from servotrack.envs.servo.imaging import Rays, no_rays
+from servotrack.envs.servo.render import crosshair, draw_arm, light_footprint, round_corners, trail
+from servotrack.estimators.camera import pack_camera
+
+Array = NDArray[np.float64]
+
+BELIEF: Color = (86, 222, 208)
+DETECTED: Color = (250, 216, 120)
+
+_GRID = 1.0  # m
+_FAR_UP = 1e5  # of the camera whose picture is the floor's panel, m: rays are as good as parallel
+_SEEN_THROUGH = 0.55  # opacity of umbrellas and lampshades in the floor's panel
+_SHADOWS = 0.28  # darkness of shadows there
+_ARM = 0.8  # opacity of the arm
+_RING = 0.42  # radius of the ring around the person to follow, m
+_SHORTEST, _LONGEST = 0.01, 4.0  # of the distance's scale, m
+_MARK_ROWS = {"wrong": 4, "lost": 9}  # of the marks below the plot, px under it
+
+
+def _none() -> Array:
+    return np.empty((0, 2))
+
+
+@dataclass(frozen=True)
+class FollowScene:
+    """All that a picture of the following world shows.
+
+    Attributes:
+        links: Link lengths. Shape (2,), m.
+        joint_angles: Shape (2,), rad.
+        people: Everybody's positions, the person to follow first. Shape (P, 2), m.
+        walk: Their headings, phases and strides. Shape (P, 3).
+        looks: How all look.
+        goal: The wanted image point. Shape (2,), px.
+        camera_size: Width and height of the camera's image, px.
+        camera_image: What the camera sees, any size, RGB uint8.
+        visible: Whether the newest frame shows the person.
+        distance: Of tool and person, m.
+        time: In the episode, s.
+        tool_trail: Past tool positions, oldest first. Shape (k, 2), m.
+        person_trail: Past positions of the person. Shape (k, 2), m.
+        image_trail: Where in the newest image the person's recent way lies. Shape (k, 2), px.
+        distances: So far, oldest first. Shape (k,), m.
+        wrong: Where the tool was with somebody else. Shape (k,), bool.
+        lost: Where the person had got away. Shape (k,), bool.
+        span: Samples that the plot of distances holds.
+        footprint: Outline of what the camera sees of the floor. Shape (k, 2), m.
+        detections: Rows of existence, u, v, width, height (px), red, green, blue, or None. Shape (M, 8).
+        belief: Where an agent thinks the person is in the image, or None. Shape (2,), px.
+        caption: Names the world; lower-case letters and digits.
+    """
+
+    links: Array
+    joint_angles: Array
+    people: Array
+    walk: Array
+    looks: Looks
+    goal: Array
+    camera_size: float
+    camera_image: Image
+    visible: bool
+    distance: float
+    time: float
+    footprint: Array
+    tool_trail: Array = field(default_factory=_none)
+    person_trail: Array = field(default_factory=_none)
+    image_trail: Array = field(default_factory=_none)
+    distances: Array = field(default_factory=lambda: np.empty(0))
+    wrong: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+    lost: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+    span: int = 401
+    detections: Array | None = None
+    belief: Array | None = None
+    caption: str = ""
+
+
+def draw(scene: FollowScene) -> Image:
+    """Draw a scene.
+
+    Returns:
+        A new RGB image, shape (416, 720, 3).
+    """
+    parts = still.backdrop(round(float(np.sum(scene.links)), 6), scene.caption, _GRID)
+    image = parts.image.copy()
+    _draw_floor(still.FLOOR_PANEL.of(image), scene, parts.lit_floor)
+    _draw_camera(still.CAMERA_PANEL.of(image), scene)
+    still.ERROR_PANEL.of(image)[:] = _distance_axes()
+    _draw_distance(still.ERROR_PANEL.of(image), scene)
+    round_corners(image, parts)
+    return image
+
+
+def _draw_floor(panel: Image, scene: FollowScene, lit_floor: Image) -> None:
+    reach = float(np.sum(scene.links))
+    light_footprint(panel, still.floor_pixels(scene.footprint, reach), lit_floor)
+    trail(panel, still.floor_pixels(scene.person_trail, reach), still.FLOOR, still.TARGET)
+    trail(panel, still.floor_pixels(scene.tool_trail, reach), still.FLOOR, still.TOOL)
+    camera, view, rays = _panel_camera(round(reach, 6))
+    crowd = np.ascontiguousarray(panel)
+    looks = scene.looks
+    paint_panel(
+        crowd, camera, view, rays.ground[0], rays.spread[0], _SHADOWS, _SEEN_THROUGH, scene.people, scene.walk,
+        looks.people, looks.umbrella, looks.umbrella_color, looks.lamps,
+    )  # fmt: skip
+    panel[:] = crowd
+    # A tool that is where it should be hides whom it follows.
+    draw_arm(crowd, scene.links, scene.joint_angles)
+    cv2.addWeighted(crowd, _ARM, panel, 1.0 - _ARM, 0.0, dst=panel)
+    still.draw_legend(panel)
+    _ring(panel, still.floor_pixels(scene.people[0], reach), _RING * still.floor_scale(reach), still.TARGET)
+    put_text(panel, f"{max(scene.time, 0.0):.1f} s", panel.shape[1] - 14, 20, still.SOFT_INK, align="right")
+
+
+@lru_cache(maxsize=16)
+def _panel_camera(reach: float) -> tuple[Array, Array, Rays]:
+    """The camera straight above the floor whose picture is the floor's panel: packed, its view, and its rays."""
+    side = still.FLOOR_PANEL.width
+    camera = pack_camera(
+        focal=_FAR_UP * still.floor_scale(reach),
+        depth=_FAR_UP,
+        # OpenCV counts from the middle of the first pixel, the camera from its corner.
+        center=still.floor_pixels(np.zeros(2), reach) + 0.5,
+        half_width=0.5 * side,
+    )
+    rays = no_rays(1, side)
+    trace_rays(camera, 1.0, *(table[0] for table in rays))
+    return camera, np.array([[1.0, 0.0, 0.0, 0.0]]), rays
+
+
+def _draw_camera(panel: Image, scene: FollowScene) -> None:
+    side = panel.shape[0]
+    scale = side / scene.camera_size
+    cv2.resize(scene.camera_image, (side, side), dst=panel, interpolation=cv2.INTER_NEAREST)
+    trail(panel, scene.image_trail * scale, mix(still.FLOOR, still.LENS, 0.5), still.TARGET)
+    if scene.detections is not None:
+        _draw_detections(panel, scene.detections, scale)
+    crosshair(panel, scene.goal * scale)
+    if scene.belief is not None:
+        _ring(panel, scene.belief * scale, 13.0, BELIEF)
+    put_text(panel, still.CAMERA_LABEL, *still.LABEL_PLACE, still.GOAL)
+    if not scene.visible:
+        put_text(panel, "not seen", side - 14, 20, still.TARGET, align="right")
+
+
+def _draw_detections(panel: Image, detections: Array, scale: float) -> None:
+    found = detections[detections[:, 0] > 0.5]
+    half = 0.5 * found[:, 3:5]
+    low, high = found[:, 1:3] - half, found[:, 1:3] + half
+    corners = np.stack(
+        [low, np.stack([high[:, 0], low[:, 1]], axis=-1), high, np.stack([low[:, 0], high[:, 1]], -1)], 1
+    )
+    boxes: Sequence[NDArray[np.int32]] = list(fixed_point(corners * scale))
+    cv2.polylines(panel, boxes, True, DETECTED, 1, cv2.LINE_AA, 4)
+
+
+def _ring(panel: Image, center: Array, radius: float, color: Color) -> None:
+    x, y = fixed_point(center).tolist()
+    cv2.circle(panel, (x, y), round(16 * radius), color, 1, cv2.LINE_AA, 4)
+    cv2.circle(panel, (x, y), round(16 * radius) + 11, color, 1, cv2.LINE_AA, 4)
+
+
+def _distance_height(distance: Array | float) -> Array:
+    """Row in the lower panel of a distance in m, on a logarithmic scale cut at its ends."""
+    span = np.log(_LONGEST / _SHORTEST)
+    return (
+        still.ERROR_PLOT.top
+        + still.ERROR_PLOT.height * np.log(_LONGEST / np.clip(distance, _SHORTEST, _LONGEST)) / span
+    )
+
+
+@lru_cache(maxsize=1)
+def _distance_axes() -> Image:
+    """The lower panel without anything that moves: up to 10 cm is on target, up to half a meter followed."""
+    panel = np.empty((still.ERROR_PANEL.height, still.ERROR_PANEL.width, 3), np.uint8)
+    panel[:] = mix(still.PAPER, still.FLOOR, 0.45)
+    left, right = still.ERROR_PLOT.left, still.ERROR_PLOT.left + still.ERROR_PLOT.width
+    bottom = still.ERROR_PLOT.top + still.ERROR_PLOT.height
+    for distance, label, strength in ((0.5, "0.5 m", 0.06), (0.1, "10 cm", 0.10)):
+        row = round(float(_distance_height(distance)))
+        panel[row:bottom, left:right] = mix(still.PAPER, still.TOOL, strength)
+        panel[row, left:right] = mix(still.PAPER, still.TOOL, 0.45)
+        put_text(panel, label, left - 6, row + 3, still.SOFT_INK, height=6, weight=0.9, align="right")
+    for distance in (_SHORTEST, _LONGEST):
+        panel[round(float(_distance_height(distance))), left:right] = mix(still.PAPER, still.INK, 0.12)
+    put_text(panel, "distance", left, 14, still.SOFT_INK)
+    return panel
+
+
+def _draw_distance(panel: Image, scene: FollowScene) -> None:
+    plot = still.ERROR_PLOT
+    columns = plot.left + plot.width * np.arange(len(scene.distances)) / max(scene.span - 1, 1)
+    for name, at, color in (("wrong", scene.wrong, still.DISTRACTOR), ("lost", scene.lost, still.TARGET)):
+        row = plot.top + plot.height + _MARK_ROWS[name] - 2
+        for column in np.unique(np.rint(columns[at])).astype(int).tolist():
+            panel[row : row + 3, column : column + 2] = color
+    if len(columns) > 1:
+        curve = fixed_point(np.stack([columns, _distance_height(scene.distances)], axis=-1))
+        cv2.polylines(panel, [curve], False, still.INK, 1, cv2.LINE_AA, 4)
+        cv2.circle(panel, curve[-1].tolist(), 45, still.TARGET, -1, cv2.LINE_AA, 4)
+    put_text(panel, f"{scene.distance:.2f} m", plot.left + plot.width, 14, still.INK, align="right")
