@@ -30,7 +30,7 @@ _FLOOR_DOUBLED = 2  # times: the servo's floor, as all of that world, is four ti
 
 
 class CrowdCamera(FloorCamera):
-    """The images of a following world's N cameras and the pictures of whom to follow, kept up to date by `update`.
+    """The images of a following world's N cameras, kept up to date by `update`.
 
     People are drawn flat on the plane, as seen from straight above: nobody leans away from the camera with their
     height.
@@ -44,14 +44,12 @@ class CrowdCamera(FloorCamera):
         images: The newest images that arrived, (N, S, S, 3) uint8, RGB; overwritten by `update`.
         frame_time: Their time stamps, (N,) s.
         goal: Taught goals in the images' pixels, (N, 2).
-        patches: Pictures of whom to follow (`target_patches`), (N, PATCH_SIZE, PATCH_SIZE, 3) uint8.
     """
 
     def __init__(self, world: FollowWorld, image_size: int, image_noise: float) -> None:
         super().__init__(world, image_size, image_noise)
         config = world.config
-        self._crowd_world, self._image_noise = world, image_noise
-        self.patches = np.zeros((world.count, PATCH_SIZE, PATCH_SIZE, 3), np.uint8)
+        self._crowd_world = world
         self._crowd = _Crowds(world.count, samples(config), config.people, config.lamps)
 
     def _begin(self, row: int, episode: Episode) -> None:
@@ -59,14 +57,13 @@ class CrowdCamera(FloorCamera):
         self._floor_pose[row], self._floor_color[row] = _floor(episode)
         _enlarge(self._rays.detail[row])
         self._crowd.put(row, self._crowd_world.episode(row))
-        self.patches[row] = target_patches(self._crowd_world, (row,), self._image_noise)[0]
 
     def _expose(self, rows: NDArray[np.bool_]) -> None:
         world, texture, config = self._crowd_world, floor_texture(), self._crowd_world.config
         expose_crowd(
-            rows, world.captured, float(config.rolling_shutter), 1.0 / self._scale, float(config.shadows), world.cameras,
-            world.links, world.history, world.people, *self._crowd.tables, *self._rays, texture.texels, texture.starts,
-            self._floor_pose, self._floor_color, self._noise, self._noise_offset, self.images,
+            rows, world.captured, float(config.rolling_shutter), 1.0 / self._scale, float(config.shadows),
+            world.cameras, world.links, world.history, world.people, *self._crowd.tables, *self._rays, texture.texels,
+            texture.starts, self._floor_pose, self._floor_color, self._noise, self._noise_offset, self.images,
         )  # fmt: skip
 
 
@@ -168,9 +165,9 @@ def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) 
         crowd.umbrella[:] = 0.0
         offset = noise_offsets(episode, frame + 1)[None, frame:]
         expose_crowd(
-            one, np.zeros(1, np.int64), 0.0, step, float(world.config.shadows), camera[None], episode.links[None], history,
-            episode.crowd.paths[None, frame : frame + 1], *crowd.tables, *rays, texture.texels, texture.starts,
-            pose[None], color[None], noise, offset, picture[None],
+            one, np.zeros(1, np.int64), 0.0, step, float(world.config.shadows), camera[None], episode.links[None],
+            history, episode.crowd.paths[None, frame : frame + 1], *crowd.tables, *rays, texture.texels,
+            texture.starts, pose[None], color[None], noise, offset, picture[None],
         )  # fmt: skip
     return pictures
 
