@@ -20,7 +20,8 @@ BODY_WIDTH = 0.5
 UMBRELLA_RADIUS = 0.5
 """m."""
 _UMBRELLAS = ((150, 34, 40), (34, 70, 120), (30, 32, 38), (196, 160, 60), (40, 96, 84))
-_LAMP_RADIUS = (0.35, 0.55)  # m
+_LAMP_RADIUS = (0.3, 0.5)  # m
+_CLEAR_START, _WALKS = 60, 0.3  # samples before a lampshade may be met; speed of who walks, m/s
 _COVERED = 0.12  # somebody's middle has to lie this far inside a shade to be hidden, m
 _NO_BACKGROUND = np.zeros((1, 3))
 _TOP_SHARE = 0.72  # of a person's picture from above; the rest is hair
@@ -63,7 +64,10 @@ def draw_looks(config: FollowConfig, streams: Streams, crowd: Crowd) -> Looks:
     # The last ones carry them: who walks with the person to follow does not, if it can be helped.
     umbrella[config.people - config.umbrellas :] = UMBRELLA_RADIUS
     umbrella_color[:] = np.array(_UMBRELLAS, dtype=np.float64)[rng.integers(0, len(_UMBRELLAS), config.people)]
-    at = rng.integers(len(crowd.paths) // 8, len(crowd.paths), config.lamps)
+    speed = np.hypot(crowd.paths[:, 0, 2], crowd.paths[:, 0, 3])
+    # Where the person walks: who rests under a lampshade cannot be found by anybody.
+    walking = np.flatnonzero(speed[_CLEAR_START:] > _WALKS) + _CLEAR_START
+    at = rng.choice(walking, config.lamps) if len(walking) else np.zeros(config.lamps, np.int64)
     lamps = np.concatenate([crowd.paths[at, 0, :2], rng.uniform(*_LAMP_RADIUS, (config.lamps, 1))], axis=1)
     bare = _TOP_SHARE * people[:, TOP : TOP + 3] + (1.0 - _TOP_SHARE) * people[:, HAIR : HAIR + 3]
     under = umbrella[:, None] > 0.0

@@ -42,6 +42,7 @@ class FollowState(NamedTuple):
         motion: Their own motion in it. Shape (B, 2), px/s.
         color: Shape (B, 3), gray levels.
         unseen: Frames since the person was last detected. Shape (B,).
+        strangers: Identities below this one were there beside the person: they are others. Shape (B,).
     """
 
     crowd: PHDState
@@ -50,6 +51,7 @@ class FollowState(NamedTuple):
     motion: Array
     color: Array
     unseen: NDArray[np.int64]
+    strangers: NDArray[np.int64]
 
 
 class Sighting(NamedTuple):
@@ -83,7 +85,8 @@ class PersonFollower:
         least_weight: That the followed identity keeps.
         near: Distance at which a detection is that of the person's track, px.
         alike: Distance of colors at which two may be the same person, gray levels.
-        patience: Frames without a detection after which any track of that color may be the person.
+        patience: Frames without a detection after which any new track of that color may be the person.
+        memory: Time over which somebody who is not detected is expected to stop or turn, s.
         reduction: How far the filter's mixture is reduced.
     """
 
@@ -102,6 +105,7 @@ class PersonFollower:
     near: float = 20.0
     alike: float = 25.0
     patience: int = 30
+    memory: float = 0.4
     reduction: Reduction = field(default_factory=lambda: Reduction(components=40))
 
     @cached_property
@@ -152,6 +156,7 @@ class PersonFollower:
             np.zeros((count, 2)),
             color.copy(),
             np.zeros(count, np.int64),
+            one + 1,
         )
 
     def step(
@@ -184,12 +189,16 @@ class PersonFollower:
         moved = self._carried(state, elapsed, ego_motion, joints_before, joints_after)
         crowd, estimate = self.filter.step(moved.crowd, np.ascontiguousarray(detections[:, :, _SEEN]))
         new = moved._replace(
-            crowd=crowd, label=moved.label.copy(), color=moved.color.copy(), unseen=moved.unseen.copy()
+            crowd=crowd,
+            label=moved.label.copy(),
+            color=moved.color.copy(),
+            unseen=moved.unseen.copy(),
+            strangers=np.where(moved.unseen == 0, crowd.next_label, moved.strangers),
         )
         features, visible = new.place.copy(), np.zeros(len(fresh), np.bool_)
         _decide(
             detections, estimate.labels, estimate.states, *crowd.intensity[:4], crowd.intensity.label, *new[1:],
-            features, visible, self._spread, (self.near, self.alike, self.least_weight), self.patience,
+            features, visible, self._spread, (self.near, self.alike, self.least_weight, np.exp(-self.period / self.memory)), self.patience,
         )  # fmt: skip
         kept = select_rows(fresh, new, state)
         return kept, Sighting(np.where(fresh[:, None], features, state.place), visible & fresh)
@@ -234,13 +243,13 @@ def _nearest(detections, u, v, color, reach, alike):  # type: ignore[no-untyped-
 @njit(cache=True, nogil=True)
 def _decide(  # type: ignore[no-untyped-def]
     detections, labels, states, number, weight, mean, covariance, identity, label, place, motion, color, unseen,
-    features, visible, spread, limits, patience,
+    strangers, features, visible, spread, limits, patience,
 ):  # fmt: skip
     """Keep the followed identity alive in every run; fill the memory, `features` and `visible`."""
-    near, alike, least = limits
+    near, alike, least, slowing = limits
     for b in range(label.shape[0]):
         if unseen[b] >= patience:
-            found = _recognized(labels[b], states[b], place[b], color[b], alike)
+            found = _recognized(labels[b], states[b], place[b], color[b], strangers[b], alike)
             if found >= 0:
                 label[b] = labels[b, found]
         row = -1
@@ -271,17 +280,21 @@ def _decide(  # type: ignore[no-untyped-def]
             features[b, 0], features[b, 1] = detections[b, found, 1], detections[b, found, 2]
             for channel in range(3):
                 color[b, channel] += 0.05 * (mean[b, row, 4 + channel] - color[b, channel])
+        else:
+            for axis in range(2):
+                mean[b, row, 2 * axis + 1] *= slowing
+                motion[b, axis] *= slowing
 
 
 @njit(cache=True, nogil=True)
-def _recognized(labels, states, place, color, alike):  # type: ignore[no-untyped-def]
-    """The nearest reported track of the person's color; -1 for none."""
+def _recognized(labels, states, place, color, strangers, alike):  # type: ignore[no-untyped-def]
+    """The nearest reported track of the person's color that is new since they were lost; -1 for none."""
     best, found = np.inf, -1
     for k in range(labels.shape[0]):
         off = 0.0
         for channel in range(3):
             off += (states[k, 4 + channel] - color[channel]) ** 2
         away = (states[k, 0] - place[0]) ** 2 + (states[k, 2] - place[1]) ** 2
-        if labels[k] > 0 and off < alike * alike and away < best:
+        if labels[k] >= strangers and off < alike * alike and away < best:
             best, found = away, k
     return found
