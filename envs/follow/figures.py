@@ -41,7 +41,7 @@ SUN = (-0.5812, 0.8137)
 """Where light comes from, a direction on the plane."""
 POSE_NUMBERS = 10
 """Left and right foot and hand (how far forward, m), the light in the person's axes, how far all reaches (m)."""
-HALF_WIDTH = 0.36
+HALF_WIDTH = 0.40
 """Of what belongs to a person, to the left and right of their middle, m."""
 SHADOW_LENGTH = 0.55
 """From somebody's feet to the shadow of their head, m."""
@@ -81,7 +81,7 @@ def pose(look, heading, phase, stride, out):  # type: ignore[no-untyped-def]
     out[_LIGHT_FORWARD], out[_LIGHT_LEFT] = c * SUN[0] + s * SUN[1], c * SUN[1] - s * SUN[0]
     out[REACH] = max(0.36, abs(out[_LEFT_FOOT]) + _SHOE, abs(out[_RIGHT_FOOT]) + _SHOE, abs(out[_LEFT_HAND]) + 0.2)
     if look[BAG] != 0.0:
-        out[REACH] = max(out[REACH], 0.42)
+        out[REACH] = max(out[REACH], 0.48)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -149,14 +149,15 @@ def _head(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-
         return
     qx, qy = x / radius, y / radius
     light = qx * light_x + qy * light_y
-    dome = 1.04 + 0.30 * light - 0.24 * (qx * qx + qy * qy)
+    dome = 1.02 + 0.24 * light - 0.22 * (qx * qx + qy * qy)
     # Bald towards the forehead by the hairline; the face's slope shows in front of it.
     hair = _ellipse(x + radius * (0.16 + 0.5 * look[HAIRLINE]), y, radius * 0.98, radius * 0.93, width)
     if hair > 0.0:
         gx, gy = qx - 0.42 * light_x, qy - 0.42 * light_y
-        gloss = 1.0 + 0.45 * max(1.0 - (gx * gx + gy * gy) / 0.16, 0.0)
+        gloss = 1.0 + 0.26 * max(1.0 - (gx * gx + gy * gy) / 0.16, 0.0)
         if width < _FIBER:
-            gloss *= 1.0 + 0.07 * math.cos(34.0 * y + 9.0 * x)
+            # Strands fall to all sides from the crown.
+            gloss *= 1.0 + 0.12 * math.cos(13.0 * math.atan2(qy, qx + 0.35)) * min(abs(qx + 0.35) + abs(qy), 1.0)
         _lay(out, hair, dome * gloss, look, HAIR)
         if hair == 1.0:
             return
@@ -193,6 +194,8 @@ def _pattern(look, x, y, width):  # type: ignore[no-untyped-def]
 def _torso(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-def]
     """Shoulders in the top's cloth, darker under the chin."""
     a, b = _CHEST * look[BUILD], _SHOULDERS * look[BUILD]
+    if abs(x) > a + width or abs(y) > b + width:
+        return
     cover = _ellipse(x, y, a, b, width)
     if cover == 0.0:
         return
@@ -221,6 +224,8 @@ def _arms(look, pose, light_x, light_y, x, y, width, out):  # type: ignore[no-un
     hand, apart = pose[_RIGHT_HAND if right else _LEFT_HAND], _HANDS_APART * build
     if right and look[ARM] == PHONE:
         hand, apart = 0.24, 0.10
+    if x < min(hand, 0.0) - _SLEEVE - width or x > max(hand, 0.0) + _SLEEVE + width:
+        return
     if not (right and look[ARM] == POCKET):
         fist = _ellipse(x - hand, y - apart, _HAND, _HAND * 0.9, width)
         if fist > 0.0:
@@ -239,6 +244,8 @@ def _legs(look, pose, x, y, width, out):  # type: ignore[no-untyped-def]
         if across < -0.03 - width or across > 0.18 + width:
             continue
         foot = pose[_LEFT_FOOT + side]
+        if x < min(foot - _SHOE, -_LEG) - width or x > max(foot + _SHOE, _LEG) + width:
+            continue
         bare = look[SKIRT] > 0.0
         leg = _rod(x, across, 0.0, 0.08, foot - 0.05, _FEET_APART, 0.045 if bare else _LEG, width)
         if leg > 0.0:
@@ -353,6 +360,8 @@ def lamp_at(radius, x, y, width, out):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy")
 def person_shadow(along, across, width):  # type: ignore[no-untyped-def]
     """Darkness of a person's shadow at a point: along the way from the feet away from the light, and across it, m."""
+    if abs(across) > 0.24 + 0.25 * width:
+        return 0.0
     t = min(max(along / SHADOW_LENGTH, 0.0), 1.0)
     ox = along - t * SHADOW_LENGTH
     soft, d2 = 0.06 + 0.09 * t + 0.5 * width, ox * ox + across * across

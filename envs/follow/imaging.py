@@ -17,7 +17,7 @@ from servotrack.envs.servo.imaging import FloorCamera, floor_of, no_rays, noise_
 from servotrack.envs.servo.targets import START
 from servotrack.envs.servo.world import RING
 from servotrack.envs.track.pedestrians.looks import LOOK_NUMBERS
-from servotrack.estimators.camera import CAMERA_SIZE, project_points
+from servotrack.estimators.camera import project
 
 Array = NDArray[np.float64]
 
@@ -174,15 +174,10 @@ def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) 
 
 def _close_up(episode: FollowEpisode, frame: int) -> tuple[Array, float]:
     """The camera whose image's corner is that of the patch, and the distance of the patch's pixels in the camera's."""
-    position = episode.crowd.paths[frame, 0, :2]
-    half = 0.5 * PATCH_SIDE
-    around = position + half * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-    pixels, _ = project_points(
-        np.broadcast_to(episode.camera, (5, CAMERA_SIZE)),
-        np.broadcast_to(episode.links, (5, 2)),
-        np.broadcast_to(START, (5, 2)),
-        around,
-    )
+    x, y = episode.crowd.paths[frame, 0, :2].tolist()
+    half, arm = 0.5 * PATCH_SIDE, (*episode.links.tolist(), *START.tolist())
+    around = [(x, y), (x + half, y), (x, y + half), (x - half, y), (x, y - half)]
+    pixels = np.array([project(episode.camera, *arm, *point)[:2] for point in around])
     side = 2.0 * float(np.hypot(*(pixels[1:] - pixels[0]).T).mean())
     camera = episode.camera.copy()
     camera[2:4] -= pixels[0] - 0.5 * side
