@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.backdrop import background_colors, paint_backdrop
 from servotrack.envs.track.pedestrians.config import PedestrianConfig
-from servotrack.envs.track.pedestrians.effects import Light, Sensor, compress
+from servotrack.envs.track.pedestrians.effects import Light, Sensor
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, lobby_camera
+from servotrack.envs.track.pedestrians.jpeg import JpegCoder
 from servotrack.envs.track.pedestrians.looks import LOOK_NUMBERS, draw_look
 from servotrack.envs.track.pedestrians.people import Drawn, People
 from servotrack.envs.track.pedestrians.props import PropPatches, lobby_plants, occluders
@@ -72,6 +73,8 @@ class Stage:
         self._grain = fold_cloth(streams[_GRAIN])
         self._light = Light(config, streams, _FLICKER, _DRIFT, _STEP)
         self._sensor = Sensor(config.sensor_noise, config.width, config.height, streams[_NOISE])
+        quality = round(100.0 - 90.0 * config.compression)
+        self._coder = JpegCoder(config.width, config.height, quality) if config.compression > 0.0 else None
         self._sun = float(streams[_SUN].uniform(-0.7, 0.7))
         self._wind = float(streams[_WIND].uniform(0.0, 2.0 * math.pi))
         props = lobby_plants(camera, streams[_PLANTS]) + occluders(camera, config.occluders, streams[_OCCLUDERS])
@@ -129,8 +132,9 @@ class Stage:
             visible,
         )
         self._sensor.expose(image, frame, self._light.offset(frame))
-        visibility = visible / np.maximum(totals, 1.0)
-        return Drawn(compress(image, config.compression), boxes, visibility, owners)
+        if self._coder is not None:
+            image = self._coder.code(image)
+        return Drawn(image, boxes, visible / np.maximum(totals, 1.0), owners)
 
     def _pose(self, people: People) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
         """Parts of all bodies, their drawing orders (the number of parts last), and the extents of their patches."""

@@ -1,4 +1,4 @@
-"""What light, sensor and coder do to a frame; every number is a function of the episode's seed and the frame."""
+"""What light and sensor do to a frame; every number is a function of the episode's seed and the frame."""
 
 from __future__ import annotations
 
@@ -119,22 +119,3 @@ def _expose(rows, levels, tile, top, left):  # type: ignore[no-untyped-def]
         for j in range(len(row)):
             lit = min(max(np.int16(np.int16(row[j]) + levels), black), white)
             row[j] = np.uint8(min(max(np.int16(lit + grain[j]), black), white))
-
-
-def compress(image: Image, strength: float) -> Image:
-    """A frame as a JPEG coder leaves it.
-
-    Args:
-        image: RGB.
-        strength: 0 (left as it is) to 1 (quality 10).
-    """
-    if strength <= 0.0:
-        return image
-    quality = round(100.0 - 90.0 * strength)
-    written, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
-    if not written:
-        raise RuntimeError(f"OpenCV could not code a frame of shape {image.shape} as JPEG")
-    decoded = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
-    if decoded is None:
-        raise RuntimeError(f"OpenCV could not read its own JPEG of a frame of shape {image.shape}")
-    return np.asarray(decoded, dtype=np.uint8)
