@@ -1,4 +1,4 @@
-"""What is seen from straight above at one point of a person, an umbrella, a lampshade and their shadows; compiled.
+"""What is seen from straight above at one point of a person; compiled.
 
 Everything is flat on the plane: nothing leans away from the camera with its height. A sample is a point in a figure's
 own axes (forward and left, m) and the width over which an edge is spread there.
@@ -39,28 +39,19 @@ from servotrack.envs.track.pedestrians.shapes import CHECK, OPEN, STRIPES
 
 SUN = (-0.5812, 0.8137)
 """Where light comes from, a direction on the plane."""
-POSE_NUMBERS = 10
+POSE_NUMBERS = 7
 """Left and right foot and hand (how far forward, m), the light in the person's axes, how far all reaches (m)."""
 HALF_WIDTH = 0.40
 """Of what belongs to a person, to the left and right of their middle, m."""
-SHADOW_LENGTH = 0.55
-"""From somebody's feet to the shadow of their head, m."""
-SHADOW_RADIUS = 0.32
-"""Of the circle around a shadow's line that holds all of it, m."""
-COVER_SHADOW = 0.75
-"""From an umbrella's or lampshade's middle to that of its shadow, m."""
-PENUMBRA = 0.09
-"""Half width of the edge of a shade's shadow, m."""
 
 _LEFT_FOOT, _RIGHT_FOOT, _LEFT_HAND, _RIGHT_HAND, _LIGHT_FORWARD, _LIGHT_LEFT, REACH = range(7)
 _SHOULDERS, _CHEST = 0.245, 0.138  # half the torso's ellipse, m
 _HEAD = 0.105  # m
 _STEP, _SWING = 0.27, 0.25  # how far feet and hands go to and fro, m
+_TOES = 0.055  # how far forward the feet of somebody who stands are, m
 _FEET_APART, _HANDS_APART = 0.085, 0.262  # from the middle, m
 _SHOE, _SHOE_WIDTH, _LEG, _SLEEVE, _HAND = 0.135, 0.052, 0.078, 0.060, 0.046  # half widths, m
-_ENAMEL, _RIM, _METAL, _CABLE = (240.0, 231.0, 208.0), (150.0, 116.0, 70.0), (62.0, 60.0, 58.0), (44.0, 42.0, 40.0)
 _OPAQUE = 0.995
-_PANEL = 0.25 * math.pi  # of an umbrella, rad
 _FIBER = 0.02  # samples wider than this show no strands of hair, m
 
 
@@ -68,13 +59,12 @@ _FIBER = 0.02  # samples wider than this show no strands of hair, m
 def pose(look, heading, phase, stride, out):  # type: ignore[no-untyped-def]
     """Where a walking person's hands and feet are, and the light about them."""
     swing = stride * math.sin(phase)
-    stand = 0.055
-    out[_LEFT_FOOT], out[_RIGHT_FOOT] = stand + _STEP * swing, stand - _STEP * swing
+    out[_LEFT_FOOT], out[_RIGHT_FOOT] = _TOES + _STEP * swing, _TOES - _STEP * swing
     out[_LEFT_HAND], out[_RIGHT_HAND] = 0.04 - _SWING * swing, 0.04 + _SWING * swing
     if look[ARM] == POCKET:
         out[_RIGHT_HAND] = 0.05
     elif look[ARM] == PHONE:
-        out[_RIGHT_HAND] = 0.10
+        out[_RIGHT_HAND] = 0.24
     if look[BAG] == CASE:
         out[_RIGHT_HAND] *= 0.4
     c, s = math.cos(heading), math.sin(heading)
@@ -85,7 +75,7 @@ def pose(look, heading, phase, stride, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _lay(out, cover, brightness, color, start):  # type: ignore[no-untyped-def]
+def lay(out, cover, brightness, color, start):  # type: ignore[no-untyped-def]
     """Put a color under what is there already."""
     share = cover * (1.0 - out[3])
     out[3] += share
@@ -96,7 +86,7 @@ def _lay(out, cover, brightness, color, start):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _inside(distance, width):  # type: ignore[no-untyped-def]
+def inside(distance, width):  # type: ignore[no-untyped-def]
     """Share of a sample that lies inside an edge, from the distance to it outward."""
     return min(max(0.5 - distance / width, 0.0), 1.0)
 
@@ -124,7 +114,7 @@ def _rod(x, y, x0, y0, x1, y1, radius, width):  # type: ignore[no-untyped-def]
         return 0.0
     if near > 0.0 and d2 <= near * near:
         return 1.0
-    return _inside(math.sqrt(d2) - radius, width)
+    return inside(math.sqrt(d2) - radius, width)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -135,8 +125,8 @@ def _block(x, y, a, b, width):  # type: ignore[no-untyped-def]
     if max(dx, dy) > corner + width:
         return 0.0
     if min(dx, dy) > 0.0:
-        return _inside(math.sqrt(dx * dx + dy * dy) - corner, width)
-    return _inside(max(dx, dy) - corner, width)
+        return inside(math.sqrt(dx * dx + dy * dy) - corner, width)
+    return inside(max(dx, dy) - corner, width)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -158,7 +148,7 @@ def _head(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-
         if width < _FIBER:
             # Strands fall to all sides from the crown.
             gloss *= 1.0 + 0.12 * math.cos(13.0 * math.atan2(qy, qx + 0.35)) * min(abs(qx + 0.35) + abs(qy), 1.0)
-        _lay(out, hair, dome * gloss, look, HAIR)
+        lay(out, hair, dome * gloss, look, HAIR)
         if hair == 1.0:
             return
     skin = _ellipse(x - 0.012, y, radius * 1.02, radius * 0.86, width)
@@ -166,10 +156,10 @@ def _head(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-
         skin = max(skin, _ellipse(x - 1.08 * radius, y, 0.024, 0.018, width))
         skin = max(skin, _ellipse(x, abs(y) - 0.95 * radius, 0.026, 0.018, width))
     if skin > 0.0:
-        _lay(out, skin, dome + 0.06, look, SKIN)
+        lay(out, skin, dome + 0.06, look, SKIN)
     if look[HAIR_LENGTH] > 0.0:
         long = _ellipse(x + 0.6 * radius, y, radius * 0.62 + 0.5 * look[HAIR_LENGTH], radius * 0.95, width)
-        _lay(out, long, 0.82 + 0.2 * light, look, HAIR)
+        lay(out, long, 0.82 + 0.2 * light, look, HAIR)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -177,7 +167,7 @@ def _pattern(look, x, y, width):  # type: ignore[no-untyped-def]
     """How much of a top's second color shows; patterns blur where samples are too coarse for them."""
     material = look[TOP_MATERIAL]
     if material == OPEN:
-        return _inside(abs(y) - 0.17 * look[TOP_DETAIL] - 0.25 * max(x, 0.0), width) * _inside(-x, width)
+        return inside(abs(y) - 0.17 * look[TOP_DETAIL] - 0.25 * max(x, 0.0), width) * inside(-x, width)
     if material == STRIPES:
         period = 0.40 / look[TOP_DETAIL]
         sharp = max(1.0 - width / period, 0.0)
@@ -206,10 +196,10 @@ def _torso(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped
     brightness = (1.13 + 0.24 * (qx * light_x + qy * light_y) - 0.30 * k2 * k2) * chin
     second = cover * _pattern(look, x, y, width)
     if second > 0.0:
-        _lay(out, second, brightness, look, TOP_SECOND)
+        lay(out, second, brightness, look, TOP_SECOND)
         # The first color fills what the second left open of the cover.
         cover = (cover - second) / max(1.0 - second, 1e-9)
-    _lay(out, cover, brightness, look, TOP)
+    lay(out, cover, brightness, look, TOP)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -223,17 +213,17 @@ def _arms(look, pose, light_x, light_y, x, y, width, out):  # type: ignore[no-un
         return
     hand, apart = pose[_RIGHT_HAND if right else _LEFT_HAND], _HANDS_APART * build
     if right and look[ARM] == PHONE:
-        hand, apart = 0.24, 0.10
+        apart = 0.10
     if x < min(hand, 0.0) - _SLEEVE - width or x > max(hand, 0.0) + _SLEEVE + width:
         return
     if not (right and look[ARM] == POCKET):
         fist = _ellipse(x - hand, y - apart, _HAND, _HAND * 0.9, width)
         if fist > 0.0:
-            _lay(out, fist, 1.0 + 0.2 * light_x * (x - hand) / _HAND, look, SKIN)
+            lay(out, fist, 1.0 + 0.2 * light_x * (x - hand) / _HAND, look, SKIN)
     arm = _rod(x, y, 0.0, 0.86 * _SHOULDERS * build, 0.86 * hand, apart, _SLEEVE, width)
     if arm > 0.0:
         across = min(max((y - 0.95 * apart) / _SLEEVE, -1.0), 1.0)
-        _lay(out, arm, 0.90 + 0.16 * across * light_y, look, SLEEVE)
+        lay(out, arm, 0.90 + 0.16 * across * light_y, look, SLEEVE)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -249,10 +239,10 @@ def _legs(look, pose, x, y, width, out):  # type: ignore[no-untyped-def]
         bare = look[SKIRT] > 0.0
         leg = _rod(x, across, 0.0, 0.08, foot - 0.05, _FEET_APART, 0.045 if bare else _LEG, width)
         if leg > 0.0:
-            _lay(out, leg, 1.0 - 0.5 * min(abs(x), 0.4), look, SKIN if bare else TROUSERS)
+            lay(out, leg, 1.0 - 0.5 * min(abs(x), 0.4), look, SKIN if bare else TROUSERS)
         shoe = _ellipse(x - foot, across - _FEET_APART, _SHOE, _SHOE_WIDTH, width)
         if shoe > 0.0:
-            _lay(out, shoe, 1.0, look, SHOES)
+            lay(out, shoe, 1.0, look, SHOES)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -262,12 +252,12 @@ def _worn_bag(look, light_x, light_y, x, y, width, out):  # type: ignore[no-unty
         pack = _block(x + 0.175, y, 0.085, 0.135, width)
         if pack > 0.0:
             light = light_y * y / 0.135 + light_x * (x + 0.175) / 0.085
-            _lay(out, pack, 1.0 + 0.25 * light - 0.3 * max(x + 0.14, 0.0), look, BAG_COLOR)
+            lay(out, pack, 1.0 + 0.25 * light - 0.3 * max(x + 0.14, 0.0), look, BAG_COLOR)
         strap = _block(x, abs(y) - 0.125, 0.115, 0.02, width)
     else:
         strap = _rod(x, y, 0.10, 0.16, -0.07, -0.22, 0.014, width)
     if strap > 0.0:
-        _lay(out, strap * min(0.03 / width, 1.0), 0.85, look, BAG_COLOR)
+        lay(out, strap * min(0.03 / width, 1.0), 0.85, look, BAG_COLOR)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -276,10 +266,10 @@ def _carried_bag(look, pose, light_y, x, y, width, out):  # type: ignore[no-unty
     y += 0.30 * look[BUILD]
     if look[BAG] == CASE:
         x -= pose[_RIGHT_HAND]
-        _lay(out, _block(x, y, 0.035, 0.012, width) * min(0.03 / width, 1.0), 0.5, look, BAG_COLOR)
-        _lay(out, _block(x, y, 0.19, 0.055, width), 1.0 + 0.2 * light_y * y / 0.055, look, BAG_COLOR)
+        lay(out, _block(x, y, 0.035, 0.012, width) * min(0.03 / width, 1.0), 0.5, look, BAG_COLOR)
+        lay(out, _block(x, y, 0.19, 0.055, width), 1.0 + 0.2 * light_y * y / 0.055, look, BAG_COLOR)
     else:
-        _lay(out, _block(x + 0.07, y, 0.13, 0.055, width), 1.0, look, BAG_COLOR)
+        lay(out, _block(x + 0.07, y, 0.13, 0.055, width), 1.0, look, BAG_COLOR)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -299,81 +289,7 @@ def person_at(look, pose, x, y, width, out):  # type: ignore[no-untyped-def]
     if y < 0.0 and bag in (SHOULDER_BAG, CASE):
         _carried_bag(look, pose, light_y, x, y, width, out)
     if look[COAT] > 0.05:
-        _lay(out, _ellipse(x, y, 0.175 * look[BUILD], 0.205 * look[BUILD], width), 0.78, look, TOP)
+        lay(out, _ellipse(x, y, 0.175 * look[BUILD], 0.205 * look[BUILD], width), 0.78, look, TOP)
     if look[SKIRT] > 0.0:
-        _lay(out, _ellipse(x, y, 0.185 * look[BUILD], 0.195 * look[BUILD], width), 0.9, look, TROUSERS)
+        lay(out, _ellipse(x, y, 0.185 * look[BUILD], 0.195 * look[BUILD], width), 0.9, look, TROUSERS)
     _legs(look, pose, x, y, width, out)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def umbrella_at(color, radius, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-def]
-    """Add what is seen of an umbrella at a sample: eight panels between ribs, and the tip."""
-    r = math.sqrt(x * x + y * y)
-    if r > radius + width:
-        return
-    angle = math.atan2(y, x) / _PANEL
-    panel = math.floor(angle)
-    from_middle = angle - panel - 0.5
-    # Cloth between two ribs hangs in: the edge is an arc that bends inward.
-    cover = _inside(r - radius * (0.925 + 0.3 * from_middle * from_middle), width)
-    if cover <= 0.0:
-        return
-    q = r / radius
-    toward = math.cos((panel + 0.5) * _PANEL) * light_x + math.sin((panel + 0.5) * _PANEL) * light_y
-    brightness = 1.06 + 0.26 * toward * (0.35 + 0.65 * q) - 0.10 * q * q
-    if int(panel) % 2 == 0:
-        brightness *= 0.93
-    off_rib = r * (0.5 - abs(from_middle)) * _PANEL
-    brightness *= 1.0 - 0.35 * _inside(off_rib - 0.007, width) * min(0.014 / width, 1.0)
-    _lay(out, _inside(r - 0.022, width), 1.0, _METAL, 0)
-    gloss = 22.0 * max(toward, 0.0) * max(1.0 - (q - 0.45) * (q - 0.45) / 0.16, 0.0)
-    share = cover * (1.0 - out[3])
-    out[3] += share
-    for channel in range(3):
-        out[channel] += share * (brightness * color[channel] + gloss)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def lamp_at(radius, x, y, width, out):  # type: ignore[no-untyped-def]
-    """Add what is seen of a lampshade at a sample in the plane's axes: enamel, rim, cap and cable."""
-    r = math.sqrt(x * x + y * y)
-    cover = _inside(r - radius, width)
-    if cover == 0.0:
-        return
-    q = r / radius
-    toward = (x * SUN[0] + y * SUN[1]) / radius
-    _lay(out, _inside(r - 0.055, width), 1.0 + 8.0 * toward * radius, _METAL, 0)
-    along = 0.8 * x + 0.6 * y
-    if along > 0.0:
-        cable = _inside(abs(0.8 * y - 0.6 * x + 0.12 * along * along) - 0.007, width) * min(0.02 / width, 1.0)
-        _lay(out, 0.75 * cable * cover, 1.0, _CABLE, 0)
-    rim = cover - _inside(r - radius + 0.022, width)
-    if rim > 0.0:
-        _lay(out, rim, 1.0 + 0.35 * toward, _RIM, 0)
-    gx, gy = x / radius - 0.5 * SUN[0], y / radius - 0.5 * SUN[1]
-    brightness = 0.97 + 0.10 * toward - 0.10 * q * q + 0.16 * max(1.0 - (gx * gx + gy * gy) / 0.07, 0.0)
-    if q > 0.52:
-        brightness -= 0.06
-    _lay(out, cover, min(brightness, 1.06), _ENAMEL, 0)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def person_shadow(along, across, width):  # type: ignore[no-untyped-def]
-    """Darkness of a person's shadow at a point: along the way from the feet away from the light, and across it, m."""
-    if abs(across) > 0.24 + 0.25 * width:
-        return 0.0
-    t = min(max(along / SHADOW_LENGTH, 0.0), 1.0)
-    ox = along - t * SHADOW_LENGTH
-    soft, d2 = 0.06 + 0.09 * t + 0.5 * width, ox * ox + across * across
-    edge = 0.21 - 0.08 * t + 0.5 * soft
-    if d2 >= edge * edge:
-        return 0.0
-    inside = min((edge - math.sqrt(d2)) / soft, 1.0)
-    return inside * inside * (3.0 - 2.0 * inside) * (1.0 - 0.35 * t)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def cover_shadow(distance, radius, width):  # type: ignore[no-untyped-def]
-    """Darkness of an umbrella's or lampshade's shadow, from the distance to its middle, m."""
-    inside = min(max(0.5 + (radius - distance) / (2.0 * PENUMBRA + width), 0.0), 1.0)
-    return 0.9 * inside * inside * (3.0 - 2.0 * inside)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.follow.episode import FollowEpisode
-from servotrack.envs.follow.painting import expose_crowd
+from servotrack.envs.follow.exposure import expose_crowd
 from servotrack.envs.follow.world import FollowWorld
 from servotrack.envs.servo.episode import LEAD, Episode, samples
 from servotrack.envs.servo.exposure import trace_rays

@@ -1,4 +1,4 @@
-"""Compiled kernels that paint a crowd over a floor: shadows, people, and what hangs over them, for any camera above.
+"""Compiled kernels that paint a crowd over a canvas: shadows, people, and what hangs over them, for any camera above.
 
 A picture is a canvas of float32 RGB whose pixels look at known points of the plane. Things are numbered: people first,
 then everybody's umbrella (of radius 0 where there is none), then lampshades.
@@ -11,24 +11,17 @@ import math
 import numpy as np
 from numba import njit
 
-from servotrack.envs.follow.figures import (
+from servotrack.envs.follow.covers import (
     COVER_SHADOW,
-    HALF_WIDTH,
     PENUMBRA,
-    POSE_NUMBERS,
-    REACH,
     SHADOW_LENGTH,
     SHADOW_RADIUS,
-    SUN,
     cover_shadow,
     lamp_at,
-    person_at,
     person_shadow,
-    pose,
     umbrella_at,
 )
-from servotrack.envs.servo.exposure import NOISE_SIDE, look_down, row_view
-from servotrack.envs.servo.world import interpolate_path
+from servotrack.envs.follow.figures import HALF_WIDTH, POSE_NUMBERS, REACH, SUN, person_at, pose
 from servotrack.estimators.camera import project_ground
 
 FARTHEST = 0.35
@@ -203,76 +196,6 @@ def _paint(  # type: ignore[no-untyped-def]
             left_over = 1.0 - share * total[3]
             for channel in range(3):
                 canvas[i, j, channel] = left_over * canvas[i, j, channel] + share * total[channel]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _develop(canvas, light, noise, image):  # type: ignore[no-untyped-def]
-    """Turn one row of the canvas into one row of noisy pixels."""
-    half, black, white = np.float32(0.5), np.float32(0.0), np.float32(255.0)
-    for j in range(image.shape[0]):
-        for channel in range(3):
-            value = canvas[j, channel] * light[j] + noise[j, channel] + half
-            image[j, channel] = np.uint8(min(max(value, black), white))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _expose_one(  # type: ignore[no-untyped-def]
-    frame, views, places, step, strength, camera, walk, looks, umbrella, umbrella_color, lamps, ground, light, spread,
-    detail, texels, starts, floor_pose, floor_color, noise, first_row, first_column, boxes, image,
-):  # fmt: skip
-    """One picture of everything at its places."""
-    size = image.shape[0]
-    people = len(umbrella)
-    poses = np.empty((people, POSE_NUMBERS))
-    for k in range(people):
-        pose(looks[k], walk[frame, k, 0], walk[frame, k, 1], walk[frame, k, 2], poses[k])
-    find_boxes(camera, step, size, size, views, places, poses, umbrella, lamps, boxes)
-    bright, shade = np.empty((size, size), np.float32), np.ones((size, size), np.float32)
-    canvas = np.empty((size, size, 3), np.float32)
-    if strength > 0.0:
-        paint_shadows(shade, ground, spread, strength, views, places, umbrella, lamps, boxes)
-    red, green, blue = np.float32(floor_color[0]), np.float32(floor_color[1]), np.float32(floor_color[2])
-    for i in range(size):
-        look_down(views[i % len(views)], ground[i], detail[i], texels, starts, floor_pose, bright[i])
-        for j in range(size):
-            value = bright[i, j] * shade[i, j]
-            canvas[i, j, 0], canvas[i, j, 1], canvas[i, j, 2] = value * red, value * green, value * blue
-    paint_crowd(
-        canvas, ground, spread, 1.0, views, places, walk[frame, :, 0], looks, poses, umbrella, umbrella_color, lamps,
-        boxes,
-    )  # fmt: skip
-    for i in range(size):
-        grain = noise[(i + first_row) & (NOISE_SIDE - 1), first_column : first_column + size]
-        _develop(canvas[i], light[i], grain, image[i])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def expose_crowd(  # type: ignore[no-untyped-def]
-    rows, frames, shutter, step, strength, cameras, links, history, paths, walk, looks, umbrella, umbrella_color, lamps,
-    ground, light, spread, detail, texels, starts, floor_pose, floor_color, noise, noise_offset, images,
-):  # fmt: skip
-    """Render the given frames of the chosen rows; with a rolling shutter each image row is seen at its own instant."""
-    size, people = images.shape[1], paths.shape[2]
-    instants = size if shutter > 0.0 else 1
-    views, places = np.empty((instants, 4)), np.empty((instants, 2 * people + lamps.shape[1], 2))
-    boxes = np.empty((2, 2 * people + lamps.shape[1], 4), np.int64)
-    for n in range(rows.shape[0]):
-        if not rows[n]:
-            continue
-        frame = frames[n]
-        for i in range(instants):
-            before, f = row_view((i + 0.5) / size, shutter, cameras[n], links[n], history[n], frame, views[i])
-            for k in range(people):
-                x, y = interpolate_path(paths[n, before, k], paths[n, frame, k], f)
-                places[i, k, 0], places[i, k, 1] = x, y
-                places[i, people + k, 0], places[i, people + k, 1] = x, y
-            for k in range(lamps.shape[1]):
-                places[i, 2 * people + k, 0], places[i, 2 * people + k, 1] = lamps[n, k, 0], lamps[n, k, 1]
-        _expose_one(
-            frame, views, places, step, strength, cameras[n], walk[n], looks[n], umbrella[n], umbrella_color[n],
-            lamps[n], ground[n], light[n], spread[n], detail[n], texels, starts, floor_pose[n], floor_color[n], noise,
-            noise_offset[n, frame, 0], noise_offset[n, frame, 1], boxes, images[n],
-        )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
