@@ -67,21 +67,20 @@ class Movement:
 
     def people(self, frame: int) -> tuple[People, NDArray[np.intp]]:
         """Who may be seen in a frame, and their rows."""
-        reach = _MARGIN * self.height[frame]
-        column = self.feet[frame, :, 0]
-        rows = np.flatnonzero((self.ids[frame] > 0) & (column > -reach) & (column < self.width + reach))
-        return (
-            People(
-                self.ids[frame, rows],
-                self.feet[frame, rows],
-                self.height[frame, rows],
-                self.heading[frame, rows],
-                self.phase[frame, rows],
-                self.stride[frame, rows],
-                self.looks[frame, rows],
-            ),
-            rows,
+        ids, feet, height = self.ids[frame], self.feet[frame], self.height[frame]
+        column, reach = feet[:, 0], _MARGIN * height
+        rows = np.flatnonzero((ids > 0) & (column > -reach) & (column < self.width + reach))
+        # A view of the frame and then its rows: several times cheaper than both in one index.
+        people = People(
+            ids[rows],
+            feet[rows],
+            height[rows],
+            self.heading[frame][rows],
+            self.phase[frame][rows],
+            self.stride[frame][rows],
+            self.looks[frame][rows],
         )
+        return people, rows
 
 
 def assemble(paths: Sequence[ImagePath], frames: int, rows: int, width: float, shown_from: int = 0) -> Movement:

@@ -114,9 +114,9 @@ class PedestrianWorld(PeopleWorld):
         drawn = stage.draw(people, frame)
         self.images[row] = drawn.image
         inside = (drawn.boxes[:, 2] > 0.0) & (drawn.boxes[:, 3] > 0.0)
-        self._ids[row, frame, rows] = np.where(inside, people.ids, 0)
-        self._boxes[row, frame, rows] = drawn.boxes
-        self._visibility[row, frame, rows] = np.where(inside, drawn.visibility, 0.0)
+        self._ids[row, frame][rows] = people.ids * inside
+        self._boxes[row, frame][rows] = drawn.boxes
+        self._visibility[row, frame][rows] = drawn.visibility * inside
         sensor = self._sensors[row]
         if sensor is not None:
             self.observations[row] = sensor.observe(drawn.image, frame)
