@@ -129,7 +129,7 @@ def _block(x, y, a, b, width):  # type: ignore[no-untyped-def]
     return inside(max(dx, dy) - corner, width)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _head(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-def]
     """Hair over a face that shows where somebody looks."""
     radius = _HEAD * look[HEAD_SIZE]
@@ -162,7 +162,7 @@ def _head(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-
         lay(out, long, 0.82 + 0.2 * light, look, HAIR)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _pattern(look, x, y, width):  # type: ignore[no-untyped-def]
     """How much of a top's second color shows; patterns blur where samples are too coarse for them."""
     material = look[TOP_MATERIAL]
@@ -180,7 +180,7 @@ def _pattern(look, x, y, width):  # type: ignore[no-untyped-def]
     return 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _torso(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-def]
     """Shoulders in the top's cloth, darker under the chin."""
     a, b = _CHEST * look[BUILD], _SHOULDERS * look[BUILD]
@@ -202,7 +202,7 @@ def _torso(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped
     lay(out, cover, brightness, look, TOP)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _arms(look, pose, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-def]
     """Arms that swing, and the hands that show beyond the sleeves."""
     right = y < 0.0
@@ -226,7 +226,7 @@ def _arms(look, pose, light_x, light_y, x, y, width, out):  # type: ignore[no-un
         lay(out, arm, 0.90 + 0.16 * across * light_y, look, SLEEVE)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _legs(look, pose, x, y, width, out):  # type: ignore[no-untyped-def]
     """Trousers or bare legs, and shoes that step."""
     for side in range(2):
@@ -272,7 +272,7 @@ def _carried_bag(look, pose, light_y, x, y, width, out):  # type: ignore[no-unty
         lay(out, _block(x + 0.07, y, 0.13, 0.055, width), 1.0, look, BAG_COLOR)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def person_at(look, pose, x, y, width, out):  # type: ignore[no-untyped-def]
     """Add what is seen of a person at a sample, from the top down, to `out`: premultiplied RGB and opacity."""
     light_x, light_y = pose[_LIGHT_FORWARD], pose[_LIGHT_LEFT]

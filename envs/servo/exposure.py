@@ -125,9 +125,10 @@ def look_down(view, ground, detail, texels, starts, pose, out):  # type: ignore[
         last = np.uint64(side - 1)
         gx, gy = ground[j, 0], ground[j, 1]
         x, y = (xx * gx + xy * gy + x0) * side, (yx * gx + yy * gy + y0) * side
+        whole_x, whole_y = np.int64(x), np.int64(y)
+        fx, fy = x - whole_x, y - whole_y
         # Unsigned indices spare the check for negative ones at every access.
-        column, row = np.uint64(x), np.uint64(y)
-        fx, fy = x - column, y - row
+        column, row = np.uint64(whole_x), np.uint64(whole_y)
         start = starts[level]
         top, bottom = start + (row & last) * np.uint64(side), start + ((row + one) & last) * np.uint64(side)
         left, right = column & last, (column + one) & last
