@@ -166,12 +166,43 @@ def predict_into(runs, probabilities, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def retrodict_into(runs, values, out):  # type: ignore[no-untyped-def]
-    """Backward step: out[i] = sum_j a_ij values[j]."""
-    out[:] = 0.0
+def reach_of_band(runs, width, low, high):  # type: ignore[no-untyped-def]
+    """Where runs lead from states whose number modulo `width` lies in low to high - 1: the same of their targets."""
+    lowest, highest = width, 0
     for run in range(runs.source.shape[0]):
-        weight, length = runs.weight[run], runs.length[run]
-        source = values[runs.target[run] : runs.target[run] + length]
-        target = out[runs.source[run] : runs.source[run] + length]
-        for i in range(length):
-            target[i] += weight * source[i]
+        first = runs.source[run] % width
+        start, stop = max(low, first), min(high, first + runs.length[run])
+        if start < stop:
+            shift = runs.target[run] % width - first
+            lowest, highest = min(lowest, start + shift), max(highest, stop + shift)
+    return lowest, highest
+
+
+@njit(cache=True, nogil=True)
+def predict_band(runs, probabilities, width, low, high, out):  # type: ignore[no-untyped-def]
+    """`predict_into` from states whose number modulo `width` lies in low to high - 1; added to `out`."""
+    for run in range(runs.source.shape[0]):
+        first = runs.source[run] % width
+        skip = max(low - first, 0)
+        length = min(high - first, runs.length[run]) - skip
+        if length > 0:
+            weight = runs.weight[run]
+            source = probabilities[runs.source[run] + skip : runs.source[run] + skip + length]
+            target = out[runs.target[run] + skip : runs.target[run] + skip + length]
+            for i in range(length):
+                target[i] += weight * source[i]
+
+
+@njit(cache=True, nogil=True)
+def retrodict_band(runs, values, width, low, high, out):  # type: ignore[no-untyped-def]
+    """Backward step, out[i] = sum_j a_ij values[j], to the states i of a band as in `predict_band`; added to `out`."""
+    for run in range(runs.source.shape[0]):
+        first = runs.source[run] % width
+        skip = max(low - first, 0)
+        length = min(high - first, runs.length[run]) - skip
+        if length > 0:
+            weight = runs.weight[run]
+            source = values[runs.target[run] + skip : runs.target[run] + skip + length]
+            target = out[runs.source[run] + skip : runs.source[run] + skip + length]
+            for i in range(length):
+                target[i] += weight * source[i]

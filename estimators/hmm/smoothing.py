@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from servotrack.estimators.hmm.chain import Chain, predict_into, retrodict_into
+from servotrack.estimators.hmm.chain import Chain, predict_band, reach_of_band, retrodict_band
 
 Array = NDArray[np.float64]
 
@@ -25,15 +25,21 @@ class Smoothed(NamedTuple):
         existence_likelihood: Lam_k: mean likelihood of row k under what all other rows say of the state; its mean is 1
             where the rows are noise. Shape (T,).
         log_evidence: Sum of the logarithms of the scales c_k: of the likelihood of all rows.
+        bands: Of each row, first of the W columns that are not left out, and the one after the last. Shape (T, 2).
     """
 
     marginal: Array
     existence_likelihood: Array
     log_evidence: float
+    bands: NDArray[np.int64]
 
 
 def smooth(
-    chain: Chain, likelihood: ArrayLike, prior: ArrayLike | None = None, presence: ArrayLike | None = None
+    chain: Chain,
+    likelihood: ArrayLike,
+    prior: ArrayLike | None = None,
+    presence: ArrayLike | None = None,
+    negligible: float = 0.0,
 ) -> Smoothed:
     """Forward-backward (paper 003, eqs. 8 to 16 and the appendix, reconstructed).
 
@@ -44,13 +50,18 @@ def smooth(
         prior: Probabilities of the states at the first row; None: uniform. Shape (S,).
         presence: Probability that the chain's object is there in each row: rows count as 1 + presence (b - 1). None:
             always. Shape (T,).
+        negligible: The outermost of the W columns of states are left out of a row while each of them has less
+            probability given the rows so far; what is in reach of the rest in the next row is taken in again. A target
+            that the rows show well then costs its surroundings instead of the whole grid. 0: none are.
 
     Returns:
         Marginals, existence likelihoods (of the full likelihood) and evidence.
 
     Raises:
-        ValueError: For a wrong shape, or likelihoods that are not positive and finite.
+        ValueError: For a wrong shape, likelihoods that are not positive and finite, or `negligible` outside [0, 1e-6].
     """
+    if not 0.0 <= negligible <= 1e-6:
+        raise ValueError(f"negligible must lie in [0, 1e-6], got {negligible!r}")
     b = _checked(chain, likelihood)
     p = _prior(chain, prior)
     there = np.ones(len(b)) if presence is None else np.ascontiguousarray(presence, np.float64)
@@ -58,8 +69,9 @@ def smooth(
         raise ValueError(f"presence must have shape ({len(b)},), got {there.shape}")
     marginal = np.empty((len(b), chain.states))
     existence = np.empty(len(b))
-    evidence = _forward_backward(chain.runs, b, p, there, marginal, existence)
-    return Smoothed(marginal, existence, float(evidence))
+    bands = np.empty((len(b), 2), np.int64)
+    evidence = _forward_backward(chain.runs, b, p, there, negligible, marginal, existence, bands)
+    return Smoothed(marginal, existence, float(evidence), bands)
 
 
 def advance(chain: Chain, prior: ArrayLike, likelihood: ArrayLike, presence: float = 1.0) -> Array:
@@ -101,59 +113,79 @@ def _prior(chain: Chain, prior: ArrayLike | None) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _forward_backward(runs, likelihood, prior, presence, marginal, existence):  # type: ignore[no-untyped-def]
+def _forward_backward(runs, likelihood, prior, presence, negligible, marginal, existence, bands):  # type: ignore[no-untyped-def]
     """Writes the marginals over the forward messages; returns the log evidence."""
     T, W = likelihood.shape
     S = prior.shape[0]
     message = prior.copy()
-    b = np.empty(W)
-    evidence = 0.0
+    b, cavity = np.empty(W), np.empty(W)
+    evidence, total = 0.0, 1.0
+    low, high = 0, W
     for k in range(T):
         if k > 0:
-            predict_into(runs, marginal[k - 1], message)
-        for i in range(W):
-            b[i] = 1.0 + presence[k] * (likelihood[k, i] - 1.0)
+            before = low, high
+            low, high = reach_of_band(runs, W, low, high)
+            for start in range(0, S, W):
+                message[start + low : start + high] = 0.0
+            predict_band(runs, marginal[k - 1], W, before[0], before[1], message)
+        # The messages are not normalized: the sum of one is taken out of the next one's likelihood.
+        for i in range(low, high):
+            b[i] = (1.0 + presence[k] * (likelihood[k, i] - 1.0)) / total
         alpha = marginal[k]
-        total = 0.0
+        cavity[low:high] = 0.0
         for start in range(0, S, W):
-            total += _multiply(message[start : start + W], b, alpha[start : start + W])
+            span = slice(start + low, start + high)
+            _multiply(message[span], b[low:high], alpha[span], cavity[low:high])
+        total = cavity[low:high].sum()
         evidence += np.log(total)
-        alpha *= 1.0 / total
-    beta = np.ones(S)
-    weighted = np.empty(S)
-    cavity = np.empty(W)
+        while high - low > 1 and cavity[low] < negligible * total:
+            low += 1
+        while high - low > 1 and cavity[high - 1] < negligible * total:
+            high -= 1
+        bands[k] = low, high
+    beta, weighted = np.ones(S), np.zeros(S)
     for k in range(T - 1, -1, -1):
-        for i in range(W):
+        low, high = bands[k]
+        for i in range(low, high):
             b[i] = 1.0 + presence[k] * (likelihood[k, i] - 1.0)
         gamma = marginal[k]
-        cavity[:] = 0.0
+        cavity[low:high] = 0.0
         for start in range(0, S, W):
-            _accumulate(gamma[start : start + W], beta[start : start + W], cavity)
+            span = slice(start + low, start + high)
+            _accumulate(gamma[span], beta[span], cavity[low:high])
         total, without, with_row = 0.0, 0.0, 0.0
-        for i in range(W):
+        for i in range(low, high):
             total += cavity[i]
             without += cavity[i] / b[i]
             with_row += cavity[i] / b[i] * likelihood[k, i]
         existence[k] = with_row / without
-        gamma *= 1.0 / total
+        for start in range(0, S, W):
+            gamma[start : start + low] = 0.0
+            gamma[start + low : start + high] *= 1.0 / total
+            gamma[start + high : start + W] = 0.0
         if k > 0:
             for start in range(0, S, W):
-                _multiply(beta[start : start + W], b, weighted[start : start + W])
-            weighted *= 1.0 / weighted.sum()
-            retrodict_into(runs, weighted, beta)
-            beta *= 1.0 / beta.max()
-            beta += TINY
+                weighted[start : start + W] = 0.0
+                weighted[start + low : start + high] = beta[start + low : start + high] * b[low:high]
+            low, high = bands[k - 1]
+            for start in range(0, S, W):
+                beta[start + low : start + high] = 0.0
+            retrodict_band(runs, weighted, W, low, high, beta)
+            largest = 0.0
+            for start in range(0, S, W):
+                largest = max(largest, beta[start + low : start + high].max())
+            for start in range(0, S, W):
+                _rescale(beta[start + low : start + high], 1.0 / largest)
     return evidence
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _multiply(values, factors, out):  # type: ignore[no-untyped-def]
-    """Products into out, of values that are at least TINY; returns their sum."""
-    total = 0.0
+@njit(cache=True, nogil=True)
+def _multiply(values, factors, out, cavity):  # type: ignore[no-untyped-def]
+    """Products into out, of values that are at least TINY; added to the cavity."""
     for i in range(out.shape[0]):
         out[i] = (values[i] + TINY) * factors[i]
-        total += out[i]
-    return total
+    for i in range(out.shape[0]):
+        cavity[i] += out[i]
 
 
 @njit(cache=True, nogil=True)
@@ -161,4 +193,11 @@ def _accumulate(gamma, beta, cavity):  # type: ignore[no-untyped-def]
     """The message gamma becomes gamma times beta, and is added to the cavity."""
     for i in range(gamma.shape[0]):
         gamma[i] *= beta[i]
+    for i in range(gamma.shape[0]):
         cavity[i] += gamma[i]
+
+
+@njit(cache=True, nogil=True)
+def _rescale(beta, factor):  # type: ignore[no-untyped-def]
+    for i in range(beta.shape[0]):
+        beta[i] = beta[i] * factor + TINY

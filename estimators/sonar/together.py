@@ -30,6 +30,8 @@ FEWEST = 5
 """Rows from which a spectrum is fitted."""
 AROUND = 20
 """Rows to each side whose median is the power that is expected of a target."""
+NEGLIGIBLE = 1e-25
+"""Probability below which the surroundings of a target that was found are left out of smoothing."""
 MOST_EXCHANGES = 12
 """Of the rests of two chains after a meeting."""
 SAME = 1.0
@@ -187,7 +189,8 @@ class Together:
         if closed is not None and closed.any():
             b = np.where(np.tile(closed, (1, b.shape[1] // closed.shape[1])), 1.0, b)
         chain.likelihood = b
-        smoothed = smooth(tracker.chain, b, chain.prior, None if closed is not None else chain.presence)
+        presence, negligible = (chain.presence, NEGLIGIBLE) if closed is None else (None, 0.0)
+        smoothed = smooth(tracker.chain, b, chain.prior, presence, negligible)
         chain.locate(smoothed.marginal, tracker.looks, tracker.chain.rates)
         chain.existence_likelihood = smoothed.existence_likelihood
         if tracker.likelihood == "cell":

@@ -83,6 +83,24 @@ def test_probabilities_sum_to_one(seed, strength):
     assert np.isfinite(found.marginal).all() and (there >= 0.0).all() and (there <= 1.0).all()
 
 
+def test_negligible_surroundings_are_left_out_and_change_nothing():
+    chain = grid_chain(201, [-1.0, -0.5, 0.0, 0.5, 1.0], 0.25)
+    at = 80 + np.arange(20)
+    rows = np.exp(np.maximum(12.0 - 0.5 * (np.arange(201) - at[:, None]) ** 2, -4.0))
+    there = np.r_[np.full(15, 1.0), np.full(5, 0.05)]
+    whole, part = (smooth(chain, rows, presence=there, negligible=least) for least in (0.0, 1e-25))
+    np.testing.assert_allclose(part.marginal, whole.marginal, atol=1e-20)
+    np.testing.assert_allclose(part.existence_likelihood, whole.existence_likelihood, rtol=1e-12)
+    assert part.log_evidence == pytest.approx(whole.log_evidence, rel=1e-12)
+    assert (whole.bands == [0, 201]).all()
+    width = np.diff(part.bands, axis=1)[:, 0]
+    assert width[10:15].max() < 100 and width[19] > width[14]
+    outside = np.ones((20, 201), np.bool_)
+    for row, (first, stop) in zip(outside, part.bands, strict=True):
+        row[first:stop] = False
+    assert (part.marginal.reshape(20, 5, 201).sum(axis=1)[outside] == 0.0).all()
+
+
 def test_existence_likelihood_has_mean_one_under_noise():
     rng = np.random.default_rng(4)
     chain = grid_chain(81, [-0.5, 0.0, 0.5], 0.25)
@@ -161,6 +179,7 @@ def test_rates_that_do_not_fit_name_the_spacing_that_does():
         (lambda: smooth(sparse_chain(np.eye(3)), np.zeros((4, 3))), "positive"),
         (lambda: smooth(sparse_chain(np.eye(3)), np.full((4, 3), np.nan)), "positive"),
         (lambda: smooth(sparse_chain(np.eye(3)), np.ones((4, 3)), np.zeros(3)), "prior"),
+        (lambda: smooth(sparse_chain(np.eye(3)), np.ones((4, 3)), negligible=0.1), "negligible must lie in"),
         (lambda: best_path(sparse_chain(np.eye(3)), np.ones((0, 3))), "log_likelihood"),
         (lambda: presence([1.0, -1.0]), "existence_likelihood"),
         (lambda: presence([1.0], switching=0.0), "switching"),
