@@ -54,7 +54,7 @@ class JpegCoder:
             image: RGB, of the coder's size.
         """
         if self._padding:
-            image = cv2.copyMakeBorder(image, 0, 0, 0, self._padding, cv2.BORDER_REPLICATE)
+            image = np.asarray(cv2.copyMakeBorder(image, 0, 0, 0, self._padding, cv2.BORDER_REPLICATE), dtype=np.uint8)
         red, green, blue = self._colors
         cv2.split(image, self._colors)
         _take_apart(red, green, blue, self._brightness, self._differences, _TO_PLANES, self._rows)
