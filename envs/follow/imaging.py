@@ -121,7 +121,7 @@ class _Crowds:
         self.lamps = np.zeros((count, lamps, 3))
 
     @property
-    def tables(self) -> tuple[Array, ...]:
+    def tables(self) -> tuple[Array, Array, Array, Array, Array]:
         """Heading, phase and stride; looks; umbrellas' radii and colors; lampshades."""
         return self.walk, self.looks, self.umbrella, self.umbrella_color, self.lamps
 
@@ -175,9 +175,9 @@ def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) 
 def _close_up(episode: FollowEpisode, frame: int) -> tuple[Array, float]:
     """The camera whose image's corner is that of the patch, and the distance of the patch's pixels in the camera's."""
     x, y = episode.crowd.paths[frame, 0, :2].tolist()
-    half, arm = 0.5 * PATCH_SIDE, (*episode.links.tolist(), *START.tolist())
+    half, (l1, l2), (theta1, theta2) = 0.5 * PATCH_SIDE, episode.links, START
     around = [(x, y), (x + half, y), (x, y + half), (x - half, y), (x, y - half)]
-    pixels = np.array([project(episode.camera, *arm, *point)[:2] for point in around])
+    pixels = np.array([project(episode.camera, l1, l2, theta1, theta2, px, py)[:2] for px, py in around])
     side = 2.0 * float(np.hypot(*(pixels[1:] - pixels[0]).T).mean())
     camera = episode.camera.copy()
     camera[2:4] -= pixels[0] - 0.5 * side

@@ -32,7 +32,8 @@ _SHADOWS = 0.28  # darkness of shadows there
 _ARM = 0.8  # opacity of the arm
 _RING = 0.42  # radius of the ring around the person to follow, m
 _SHORTEST, _LONGEST = 0.01, 4.0  # of the distance's scale, m
-_MARK_ROWS = {"wrong": 4, "lost": 9}  # of the marks below the plot, px under it
+_MARKS = (("wrong person", still.DISTRACTOR, 104, 1), ("lost", still.TARGET, 184, 4))
+"""Names and colors of the marks below the plot, where its legend names them, and how far below it they are, px."""
 
 
 def _none() -> Array:
@@ -201,14 +202,17 @@ def _distance_axes() -> Image:
     for distance in (_SHORTEST, _LONGEST):
         panel[round(float(_distance_height(distance))), left:right] = mix(still.PAPER, still.INK, 0.12)
     put_text(panel, "distance", left, 14, still.SOFT_INK)
+    for name, color, column, _ in _MARKS:
+        panel[9:13, column : column + 4] = color
+        put_text(panel, name, column + 9, 14, still.SOFT_INK, height=6, weight=0.9)
     return panel
 
 
 def _draw_distance(panel: Image, scene: FollowScene) -> None:
     plot = still.ERROR_PLOT
     columns = plot.left + plot.width * np.arange(len(scene.distances)) / max(scene.span - 1, 1)
-    for name, at, color in (("wrong", scene.wrong, still.DISTRACTOR), ("lost", scene.lost, still.TARGET)):
-        row = plot.top + plot.height + _MARK_ROWS[name] - 2
+    for (_, color, _, below), at in zip(_MARKS, (scene.wrong, scene.lost), strict=True):
+        row = plot.top + plot.height + below
         for column in np.unique(np.rint(columns[at])).astype(int).tolist():
             panel[row : row + 3, column : column + 2] = color
     if len(columns) > 1:

@@ -231,7 +231,7 @@ def test_the_distance_s_plot_tells_of_whom_the_tool_is_with():
         recorder.record()
         frames.append(ERROR_PANEL.of(recorder.frame()).astype(int))
     colors = [
-        [np.abs(frame[-10:] - np.array(color)).max(axis=-1).min() for color in ((76, 112, 188), (226, 85, 52))]
+        [np.abs(frame[-8:] - np.array(color)).max(axis=-1).min() for color in ((76, 112, 188), (226, 85, 52))]
         for frame in frames
     ]
     assert min(colors[0]) > 10
