@@ -24,7 +24,7 @@ def _develop(canvas, light, noise, image):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy")
 def _expose_one(  # type: ignore[no-untyped-def]
     frame, views, places, step, strength, camera, walk, looks, umbrella, umbrella_color, lamps, ground, light, spread,
-    detail, texels, starts, floor_pose, floor_color, noise, first_row, first_column, boxes, image,
+    detail, texels, starts, floor_pose, floor_color, noise, first_row, first_column, boxes, bright, shade, canvas, image,
 ):  # fmt: skip
     """One picture of everything at its places."""
     size = image.shape[0]
