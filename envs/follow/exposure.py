@@ -24,7 +24,7 @@ def _develop(canvas, light, noise, image):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy")
 def _expose_one(  # type: ignore[no-untyped-def]
     frame, views, places, step, strength, camera, walk, looks, umbrella, umbrella_color, lamps, ground, light, spread,
-    detail, texels, starts, floor_pose, floor_color, noise, first_row, first_column, boxes, bright, shade, canvas, image,
+    detail, texels, starts, floor_pose, floor_color, noise, first_row, first_column, boxes, shade, canvas, image,
 ):  # fmt: skip
     """One picture of everything at its places."""
     size = image.shape[0]
@@ -33,15 +33,15 @@ def _expose_one(  # type: ignore[no-untyped-def]
     for k in range(people):
         pose(looks[k], walk[frame, k, 0], walk[frame, k, 1], walk[frame, k, 2], poses[k])
     find_boxes(camera, step, size, size, views, places, poses, umbrella, lamps, boxes)
-    bright, shade = np.empty((size, size), np.float32), np.ones((size, size), np.float32)
-    canvas = np.empty((size, size, 3), np.float32)
+    shade[:] = np.float32(1.0)
     if strength > 0.0:
         paint_shadows(shade, ground, spread, strength, views, places, umbrella, lamps, boxes)
     red, green, blue = np.float32(floor_color[0]), np.float32(floor_color[1]), np.float32(floor_color[2])
+    bright = np.empty(size, np.float32)
     for i in range(size):
-        look_down(views[i % len(views)], ground[i], detail[i], texels, starts, floor_pose, bright[i])
+        look_down(views[i % len(views)], ground[i], detail[i], texels, starts, floor_pose, bright)
         for j in range(size):
-            value = bright[i, j] * shade[i, j]
+            value = bright[j] * shade[i, j]
             canvas[i, j, 0], canvas[i, j, 1], canvas[i, j, 2] = value * red, value * green, value * blue
     paint_crowd(
         canvas, ground, spread, 1.0, views, places, walk[frame, :, 0], looks, poses, umbrella, umbrella_color, lamps,
@@ -62,6 +62,7 @@ def expose_crowd(  # type: ignore[no-untyped-def]
     instants = size if shutter > 0.0 else 1
     views, places = np.empty((instants, 4)), np.empty((instants, 2 * people + lamps.shape[1], 2))
     boxes = np.empty((2, 2 * people + lamps.shape[1], 4), np.int64)
+    shade, canvas = np.empty((size, size), np.float32), np.empty((size, size, 3), np.float32)
     for n in range(rows.shape[0]):
         if not rows[n]:
             continue
@@ -77,5 +78,5 @@ def expose_crowd(  # type: ignore[no-untyped-def]
         _expose_one(
             frame, views, places, step, strength, cameras[n], walk[n], looks[n], umbrella[n], umbrella_color[n],
             lamps[n], ground[n], light[n], spread[n], detail[n], texels, starts, floor_pose[n], floor_color[n], noise,
-            noise_offset[n, frame, 0], noise_offset[n, frame, 1], boxes, images[n],
+            noise_offset[n, frame, 0], noise_offset[n, frame, 1], boxes, shade, canvas, images[n],
         )  # fmt: skip
