@@ -14,6 +14,7 @@ from servotrack.estimators.follow import (
     FollowState,
     JacobianMotion,
     LiftedMotion,
+    PeopleFromAbove,
     PersonFollower,
     Sighting,
     StillCamera,
@@ -30,7 +31,7 @@ from servotrack.estimators.online import select_rows
 Identity = Literal["tracked", "nearest", "oracle"]
 Detection = Literal["observed", "oracle"]
 
-KEYS = ("joint_angles", "goal", "frame_time", "time", "target_patch", "target_box", "detections")
+KEYS = ("joint_angles", "goal", "frame_time", "time", "target_patch", "target_box")
 _ORACLE_REACH = 40.0  # how far from the right person a detection may lie that is taken for theirs, px
 _NEAREST_REACH = 80.0  # the same from the last detection, for who follows the nearest one, px
 
@@ -65,6 +66,7 @@ class FollowServo:
         identity: "tracked" by the follower, "nearest" detection to the last one, or told by an "oracle".
         detection: "observed", or those of an "oracle" (nobody missed or merged, no clutter, no noise).
         told_camera: Whether the camera's own motion is told, instead of what the controller's estimator believes.
+        detector: Finds people where images are observed.
     """
 
     def __init__(
@@ -74,10 +76,12 @@ class FollowServo:
         identity: Identity = "tracked",
         detection: Detection = "observed",
         told_camera: bool = False,
+        detector: PeopleFromAbove | None = None,
     ) -> None:
         self.controller = controller
         self.follower = follower or PersonFollower()
         self.identity, self.detection, self.told_camera = identity, detection, told_camera
+        self.detector = detector or PeopleFromAbove()
         self._alignment = Alignment()
 
     def predict(
@@ -101,11 +105,7 @@ class FollowServo:
         Raises:
             ValueError: A key is missing or a measurement is bad.
         """
-        missing = [key for key in KEYS if not isinstance(observation, Mapping) or key not in observation]
-        if missing:
-            raise ValueError(f"observation must have {', '.join(KEYS)}; {', '.join(missing)} missing")
-        single = np.ndim(observation["joint_angles"]) == 1
-        seen = {key: np.asarray(value)[None] if single else np.asarray(value) for key, value in observation.items()}
+        seen, single = self._seen(observation)
         detections = self._detections(seen)
         if state is None:
             state = self._initial(seen, detections)
@@ -127,11 +127,29 @@ class FollowServo:
         stamp = np.where(fresh, stamp, state.frame_time)
         return (action[0] if single else action), FollowServoState(stamp, frames, person, servo)
 
+    def _seen(self, observation: Mapping[str, Any]) -> tuple[dict[str, Any], bool]:
+        """The observation with a leading axis, in the camera's pixels, and whether it came without that axis."""
+        missing = [key for key in KEYS if not isinstance(observation, Mapping) or key not in observation]
+        if not missing and not {"detections", "image"}.intersection(observation):
+            missing = ["detections (or image)"]
+        if missing:
+            raise ValueError(
+                f"observation must have {', '.join(KEYS)} and detections or image; {', '.join(missing)} missing"
+            )
+        single = np.ndim(observation["joint_angles"]) == 1
+        seen = {key: np.asarray(value)[None] if single else np.asarray(value) for key, value in observation.items()}
+        if "image" in seen:
+            scale = self.detector.reference_size / seen["image"].shape[-2]
+            seen |= {key: scale * seen[key] for key in ("goal", "target_box")}
+        return seen, single
+
     def _detections(self, seen: Mapping[str, Array]) -> Array:
-        if self.detection == "observed":
+        if self.detection == "oracle":
+            people = seen["true_people"]
+            return np.where(people[..., :1] > 0.5, people, 0.0)
+        if "detections" in seen:
             return seen["detections"]
-        people = seen["true_people"]
-        return np.where(people[..., :1] > 0.5, people, 0.0)
+        return self.detector.detect(seen["image"], np.maximum(seen["target_box"][:, 2:].mean(axis=1), 1.0))
 
     def _initial(self, seen: Mapping[str, Any], detections: Array) -> FollowServoState:
         box = seen["target_box"]

@@ -3,12 +3,14 @@
 from servotrack.estimators.follow.ego_motion import CameraMotion, JacobianMotion, LiftedMotion, StillCamera
 from servotrack.estimators.follow.follower import FollowState, PersonFollower, Sighting
 from servotrack.estimators.follow.patch import patch_color
+from servotrack.estimators.follow.vision import PeopleFromAbove
 
 __all__ = [
     "CameraMotion",
     "FollowState",
     "JacobianMotion",
     "LiftedMotion",
+    "PeopleFromAbove",
     "PersonFollower",
     "Sighting",
     "StillCamera",

@@ -85,6 +85,7 @@ class PersonFollower:
         least_weight: That the followed identity keeps.
         near: Distance at which a detection is that of the person's track, px.
         alike: Distance of colors at which two may be the same person, gray levels.
+        spreading: By how much that distance grows for new tracks while the person is not detected, px/s.
         patience: Frames without a detection after which any new track of that color may be the person.
         memory: Time over which somebody who is not detected is expected to stop or turn, s.
         reduction: How far the filter's mixture is reduced.
@@ -104,6 +105,7 @@ class PersonFollower:
     least_weight: float = 0.2
     near: float = 20.0
     alike: float = 25.0
+    spreading: float = 60.0
     patience: int = 30
     memory: float = 0.4
     reduction: Reduction = field(default_factory=lambda: Reduction(components=40))
@@ -132,6 +134,11 @@ class PersonFollower:
     def _spread(self) -> Array:
         """Covariance of a person of whom nothing but a first picture is known."""
         return np.diag([self.position_noise**2, self.speed**2] * 2 + [self.first_color**2] * 3)
+
+    @cached_property
+    def _limits(self) -> tuple[float, ...]:
+        slowing = float(np.exp(-self.period / self.memory))
+        return self.near, self.alike, self.least_weight, slowing, self.spreading * self.period
 
     def initial(self, detections: Array, place: Array, color: Array) -> FollowState:
         """State before the first frame is folded in.
@@ -198,7 +205,7 @@ class PersonFollower:
         features, visible = new.place.copy(), np.zeros(len(fresh), np.bool_)
         _decide(
             detections, estimate.labels, estimate.states, *crowd.intensity[:4], crowd.intensity.label, *new[1:],
-            features, visible, self._spread, (self.near, self.alike, self.least_weight, np.exp(-self.period / self.memory)), self.patience,
+            features, visible, self._spread, self._limits, self.patience,
         )  # fmt: skip
         kept = select_rows(fresh, new, state)
         return kept, Sighting(np.where(fresh[:, None], features, state.place), visible & fresh)
@@ -246,10 +253,12 @@ def _decide(  # type: ignore[no-untyped-def]
     strangers, features, visible, spread, limits, patience,
 ):  # fmt: skip
     """Keep the followed identity alive in every run; fill the memory, `features` and `visible`."""
-    near, alike, least, slowing = limits
+    near, alike, least, slowing, spreading = limits
     for b in range(label.shape[0]):
-        if unseen[b] >= patience:
-            found = _recognized(labels[b], states[b], place[b], color[b], strangers[b], alike)
+        if unseen[b] > 0:
+            # Only near, until there has been time to go anywhere.
+            reach = near + spreading * unseen[b] if unseen[b] < patience else np.inf
+            found = _recognized(labels[b], states[b], place[b], color[b], strangers[b], reach, alike)
             if found >= 0:
                 label[b] = labels[b, found]
         row = -1
@@ -287,9 +296,9 @@ def _decide(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _recognized(labels, states, place, color, strangers, alike):  # type: ignore[no-untyped-def]
+def _recognized(labels, states, place, color, strangers, reach, alike):  # type: ignore[no-untyped-def]
     """The nearest reported track of the person's color that is new since they were lost; -1 for none."""
-    best, found = np.inf, -1
+    best, found = reach * reach, -1
     for k in range(labels.shape[0]):
         off = 0.0
         for channel in range(3):
