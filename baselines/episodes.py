@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.baselines.color.episodes import BoxScoreRecorder
+from servotrack.baselines.follow.episodes import FollowScoreRecorder
 from servotrack.baselines.results import Row
 from servotrack.baselines.track_episodes import SetScoreRecorder
 
@@ -42,13 +43,17 @@ class EpisodeRecorder:
         self._seeds = list(seeds)
         rows = len(self._seeds)
         self.max_steps = _max_steps(env)
-        self.is_servo = isinstance(observation, Mapping) and "time" in observation and "tracking_error" in info
+        follows = "identity_error" in info
+        timed = isinstance(observation, Mapping) and "time" in observation
+        self.is_servo = timed and "tracking_error" in info and not follows
         self.ended: NDArray[np.bool_] = np.zeros(rows, dtype=bool)
         self._alive: NDArray[np.bool_] = np.ones(rows, dtype=bool)
         self._returns = np.zeros(rows)
         self._lengths = np.zeros(rows, dtype=np.int64)
         self._successes: list[bool | None] = [None] * rows
-        self._sets: SetScoreRecorder | BoxScoreRecorder | None = None
+        self._sets: SetScoreRecorder | BoxScoreRecorder | FollowScoreRecorder | None = None
+        if follows:
+            self._sets = FollowScoreRecorder(rows, self.max_steps)
         self._times: list[Array] = []
         self._tracking: list[Array] = []
         self._features: list[Array] = []
@@ -75,11 +80,11 @@ class EpisodeRecorder:
         else:
             for row in np.flatnonzero(self._alive & self.ended):
                 self._successes[row] = _final_success(info, int(row))
-        if "iou" in info:
-            self._sets = self._sets or BoxScoreRecorder(len(self._seeds))
-            self._sets.record(info, self._alive & self.ended)
-        if "ospa" in info:
-            self._sets = self._sets or SetScoreRecorder(len(self._seeds))
+        if self._sets is None and "iou" in info:
+            self._sets = BoxScoreRecorder(len(self._seeds))
+        if self._sets is None and "ospa" in info:
+            self._sets = SetScoreRecorder(len(self._seeds))
+        if self._sets is not None:
             self._sets.record(info, self._alive & self.ended)
         self._alive &= ~self.ended
 

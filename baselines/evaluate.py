@@ -108,6 +108,18 @@ def make_single(env_id: str, env_kwargs: Mapping[str, Any], *, privileged: bool 
     return PrivilegedObservation(env)
 
 
+def show_belief(env: Any, state: Any) -> None:
+    """Tell a world's picture where an agent of one environment believes its target to be, where both have a say in it.
+
+    Args:
+        env: One environment; those with an attribute `belief` draw it.
+        state: What the agent's `predict` returned; a `belief` in it has a leading axis of one.
+    """
+    belief = getattr(state, "belief", None)
+    if belief is not None and hasattr(env.unwrapped, "belief"):
+        env.unwrapped.belief = belief[0]
+
+
 def run_episodes(
     env_id: str, card: AgentCard, seeds: Sequence[int], env_kwargs: Mapping[str, Any]
 ) -> tuple[list[Row], int | None]:

@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.baselines.evaluate import make_single
+from servotrack.baselines.evaluate import make_single, show_belief
 from servotrack.baselines.registry import agent_card, create_agent
 
 KEYS = {"right": (0, 1.0), "left": (0, -1.0), "up": (1, 1.0), "down": (1, -1.0)}
@@ -34,6 +34,7 @@ def watch(env_id: str, agent: str, env_kwargs: Mapping[str, Any], seed: int | No
         while not over:
             start = np.asarray(state is None)
             action, state = player.predict(observation, state=state, episode_start=start, deterministic=True)
+            show_belief(env, state)
             observation, _, terminated, truncated, _ = env.step(action)
             over = terminated or truncated
     finally:

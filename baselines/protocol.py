@@ -14,9 +14,9 @@ Observation: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
 Information = Literal["model-free", "structure", "prior", "calibrated", "privileged", "undeclared"]
 """What an agent was told: nothing; the model's structure; the randomization's ranges; this very system; the truth."""
 
-World = Literal["servo", "clutter", "video", "color", "sonar"]
+World = Literal["servo", "clutter", "video", "color", "sonar", "follow"]
 """Kinds of worlds: a robot; points in clutter; boxes of people in frames, rendered or real; a box of a colored object;
-bearings."""
+bearings; a robot that follows one of many."""
 
 
 def world_of(env_id: str) -> World:
@@ -30,6 +30,7 @@ _WORLDS: Mapping[str, World] = {
     "VideoTracking": "video",
     "ColorTracking": "color",
     "SonarTracking": "sonar",
+    "PedestrianServo": "follow",
 }
 
 

@@ -6,6 +6,7 @@ import difflib
 import importlib
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from typing import Any, get_args
 
 from servotrack.baselines.color.grids import tuning_steps
@@ -89,6 +90,31 @@ def _sonar(name: str, summary: str, information: Information = "calibrated", **f
     )
 
 
+def _follow(name: str, summary: str, information: Information = "structure", **parameters: Any) -> AgentCard:
+    told = bool(parameters.get("told"))
+    return AgentCard(
+        name,
+        "servotrack.baselines.follow.agents:create_follow_agent",
+        "privileged" if told else information,
+        summary,
+        parameters=parameters,
+        requires=_TRUTH if told else frozenset(),
+        worlds=frozenset({"follow"}),
+    )
+
+
+_TOLD = ("identity", "jacobian", "detections")
+
+
+def _ablation() -> tuple[AgentCard, ...]:
+    """The follower with every combination of its parts told by an oracle."""
+    kinds = sorted(product((False, True), repeat=len(_TOLD)), key=sum)
+    chosen = [tuple(part for part, told in zip(_TOLD, kind, strict=True) if told) for kind in kinds if any(kind)]
+    return tuple(
+        _follow(f"phd-servo-told-{'-'.join(told)}", f"the same, told {', '.join(told)}", told=told) for told in chosen
+    )
+
+
 _CARDS = (
     AgentCard(
         "random",
@@ -161,6 +187,11 @@ _CARDS = (
     _sonar("peak-nearest-neighbor", "peaks of each record, joined to the nearest track"),
     _sonar("peak-kalman-hungarian", "peaks of each record, Kalman tracks, one assignment per record"),
     _sonar("bearing-oracle", "told the true bearings", "privileged", requires=_TRUTH),
+    _follow("phd-servo", "GM-PHD of everybody with colors, lifted Kalman servo on the one to follow"),
+    _follow(
+        "nearest-servo", "nearest detection to the last one, Kalman filter servo", "model-free", identity="nearest"
+    ),
+    *_ablation(),
 )
 
 AGENTS: dict[str, AgentCard] = {card.name: card for card in _CARDS}

@@ -84,4 +84,13 @@ JUDGMENTS: Mapping[World, Judgment] = {
             Measure("ospa", "OSPA", "deg"),
         ),
     ),
+    "follow": Judgment(
+        Measure("time_on_target", "within 10 cm", "% of time", 100.0, 1, True),
+        "nearest-servo",
+        (
+            Measure("identity_error", "at another person", "% of time", 100.0, 1),
+            Measure("losses", "times lost", digits=2),
+            Measure("reacquisitions", "times found again", digits=2, high_is_good=True),
+        ),
+    ),
 }

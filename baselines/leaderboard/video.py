@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.baselines.evaluate import make_single
+from servotrack.baselines.evaluate import make_single, show_belief
 from servotrack.baselines.registry import agent_card, create_agent
 from servotrack.baselines.results import atomic_path
 
@@ -174,6 +174,7 @@ def _episode_frames(env: Any, agent: Any, seed: int | None) -> Iterator[Frame]:
         action, state = agent.predict(
             observation, state=state, episode_start=np.asarray(state is None), deterministic=True
         )
+        show_belief(env, state)
         observation, _, terminated, truncated, _ = env.step(action)
         over = terminated or truncated
     yield _frame(env)
