@@ -60,7 +60,10 @@ class Together:
         return self.tracker.scores.whiten(self.rows - 1.0)
 
     def search(self, attempts: int) -> None:
-        """Start chains on the strongest unexplained ridge until the test of existence fails `attempts` in a row."""
+        """Start chains on the strongest unexplained ridge until the test of existence fails `attempts` in a row.
+
+        A chain that only takes the place of another one counts as failed: the two would displace each other for ever.
+        """
         failed = 0
         closed = np.zeros(self.rows.shape, np.bool_)
         looks = self.tracker.looks
@@ -70,17 +73,18 @@ class Together:
             if unexplained is None:
                 unexplained = self._likelihood(chain)
             self._smooth(chain, unexplained, closed)
+            ridge, before = chain.bearings, len(self.chains)
             if chain.spans and not self._followed_already(chain):
                 self.chains.append(chain)
                 self._explain(chain)
                 chain.power = np.full(len(self.rows), 0.0)
                 self._settle()
                 unexplained = None
-            if chain in self.chains:
+            if len(self.chains) > before:
                 failed = 0
             else:
                 failed += 1
-                closed |= np.abs(looks - chain.bearings[:, None]) < FAILED
+                closed |= np.abs(looks - ridge[:, None]) < FAILED
 
     def conclude(self) -> None:
         """Solve all chains of a whole record together, sort out who is who, and look for what is left."""

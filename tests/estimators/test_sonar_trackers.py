@@ -10,6 +10,7 @@ from servotrack.estimators.hmm import smooth
 from servotrack.estimators.online import Online
 from servotrack.estimators.sonar import HMMBearings, PeakKalmanHungarian, PeakNearestNeighbor, ViterbiNulling
 from servotrack.estimators.sonar.likelihood import AMPLITUDES, known_power, unknown_power
+from servotrack.estimators.sonar.together import Together
 
 ROW = HMMBearings(**SETTINGS)
 CELL = HMMBearings("cell", **SETTINGS)
@@ -73,6 +74,16 @@ def test_bearings_of_a_mirrored_record_are_mirrored():
     for track, other in zip(straight, mirrored[::-1], strict=True):
         assert track.first == other.first and track.last == other.last
         np.testing.assert_allclose(track.bearings, 180.0 - other.bearings, atol=0.02)
+
+
+def test_the_search_ends_though_every_new_chain_displaces_the_one_before(monkeypatch):
+    def displace(self):
+        self.chains[:] = self.chains[-1:]
+
+    monkeypatch.setattr(Together, "_settle", displace)
+    together = Together(ROW, record(40, CROSSING))
+    together.search(attempts=2)
+    assert len(together.chains) == 1
 
 
 @given(order=st.permutations(range(3)))
