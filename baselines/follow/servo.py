@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.baselines.servo import PrivilegedMeasurement, servo_measurement
+from servotrack.baselines.servo import servo_measurement
 from servotrack.estimators.follow import (
     CameraMotion,
     FollowState,
@@ -22,7 +22,7 @@ from servotrack.estimators.follow import (
 )
 from servotrack.estimators.follow.ego_motion import EgoMotion
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
-from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
+from servotrack.estimators.jacobian.contract import Array
 from servotrack.estimators.jacobian.controller import ControllerState, ServoController
 from servotrack.estimators.jacobian.kf import KalmanState
 from servotrack.estimators.jacobian.lifted import LiftedState
@@ -201,8 +201,6 @@ class FollowServo:
         return JacobianMotion(belief.jacobian) if isinstance(belief, KalmanState) else StillCamera()
 
 
-def _measurement(
-    seen: Mapping[str, Any], features: Array, visible: NDArray[np.bool_]
-) -> ServoMeasurement | PrivilegedMeasurement:
+def _measurement(seen: Mapping[str, Any], features: Array, visible: NDArray[np.bool_]) -> Any:
     """A servo's measurement of these features in the newest frame."""
     return servo_measurement({**seen, "features": features, "visible": visible[:, None]})

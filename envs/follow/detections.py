@@ -150,8 +150,8 @@ def _detect(  # type: ignore[no-untyped-def]
         tool[0] = links[i, 0] * np.cos(joints[0]) + links[i, 1] * np.cos(phi)
         tool[1] = links[i, 0] * np.sin(joints[0]) + links[i, 1] * np.sin(phi)
         for k in range(count):
-            before = max(frame - 1, 0)
-            path[before], path[frame] = people[i, before, k], people[i, frame, k]
+            # Before the first sample of all, which a frame that was lost at once falls back on, nobody moved.
+            path[frame - 1], path[frame] = people[i, max(frame - 1, 0), k], people[i, frame, k]
             u, v, seen = capture(camera, links[i], path, history[i], frame, size, shutter)
             here = truth[i, k]
             here[:] = 0.0

@@ -12,6 +12,7 @@ from servotrack.envs.follow.config import LEVEL_NAMES, FollowConfig, follow_conf
 from servotrack.envs.follow.sensors import FollowSensors
 from servotrack.envs.follow.world import ON_TARGET, FollowWorld
 from servotrack.envs.servo.env import Observation, UncalibServoEnv
+from servotrack.envs.servo.episode import LEAD
 
 if TYPE_CHECKING:
     from servotrack.envs.follow.recorder import Recorder
@@ -142,7 +143,8 @@ class PedestrianServoEnv(UncalibServoEnv):
         return {key: value[0] for key, value in self._sensors.observe().items()}
 
     def _pictured(self) -> dict[str, Any]:
-        return pictured(self._sensors, 0) | {"belief": self.belief}
+        belief = None if self.belief is None else np.asarray(self.belief, dtype=np.float64)
+        return pictured(self._sensors, 0) | {"belief": belief}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -155,7 +157,7 @@ class PedestrianServoEnv(UncalibServoEnv):
         world = self.world
         info = super()._info()
         info["success"] = info["tracking_error"] < ON_TARGET
-        info["truth"]["people"] = people_now(world)[0]
+        info["truth"]["people"] = world.people[0, world.steps[0] + LEAD, :, :2].copy()
         return info | {
             "time_on_target": float(world.time_on_target[0]),
             "identity_error": bool(world.identity_error[0]),

@@ -92,6 +92,7 @@ class ServoWorld:
         self.tool, self.target = np.zeros((count, 2)), np.zeros((count, 4))
         self.captured = np.zeros(count, np.int64)
         self._rates = np.zeros((count, 2))
+        self._everyone = np.ones(count, np.bool_)
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
         """Start new episodes in some rows; the others are left as they are, to the bit.
@@ -138,7 +139,7 @@ class ServoWorld:
                 share the engine, but their tables have ended: nothing is counted or observed until their reset.
         """
         if rows is None:
-            rows = np.ones(self.count, np.bool_)
+            rows = self._everyone
         _command(
             actions, self.steps, self.joints, JOINT_LOW, JOINT_HIGH, self.config.max_joint_rate,
             PERIOD / self.config.substeps, self.gain, self._rate_noise, self._rates,
@@ -152,8 +153,8 @@ class ServoWorld:
         _sense(
             rows, self.steps, config.warmup, config.horizon, self._lost_after, float(config.camera_size),
             config.rolling_shutter, config.stamped, config.noise_kind == "quantized", self.links, self.cameras,
-            self.goal, self.latency, self.paths, self._feature_noise, self._encoder_noise, self._dropped, self.joints, self.history,
-            self._out_of_view, self.joint_angles, self.features, self.visible, self.frame_time, self.time,
+            self.goal, self.latency, self.paths, self._feature_noise, self._encoder_noise, self._dropped, self.joints,
+            self.history, self._out_of_view, self.joint_angles, self.features, self.visible, self.frame_time, self.time,
             self.reward, self.terminated, self.truncated, self.tracking_error, self.feature_error, self.tool,
             self.target, self.captured,
         )  # fmt: skip
@@ -239,17 +240,20 @@ def interpolate_path(before, after, fraction):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def capture(camera, links, path, history, frame, size, shutter):  # type: ignore[no-untyped-def]
-    """Noise-free features of the frame whose readout ends at sample `frame`, each image row seen at its own instant."""
+def capture(camera, links, before, after, history, frame, size, shutter):  # type: ignore[no-untyped-def]
+    """Noise-free features of the frame whose readout ends at sample `frame`, each image row seen at its own instant.
+
+    Who is looked at moves from `before`, their place and velocity one sample earlier, to `after`.
+    """
     now = history[frame % RING]
-    u, v, seen = project(camera, links[0], links[1], now[0], now[1], path[frame, 0], path[frame, 1])
+    u, v, seen = project(camera, links[0], links[1], now[0], now[1], after[0], after[1])
     if shutter > 0.0:
-        before = history[(frame - 1) % RING]
+        old = history[(frame - 1) % RING]
         for _ in range(3):
             f = 1.0 - shutter * (1.0 - min(max(v / size, 0.0), 1.0)) / PERIOD
-            theta1 = before[0] + f * (now[0] - before[0])
-            theta2 = before[1] + f * (now[1] - before[1])
-            x, y = interpolate_path(path[frame - 1], path[frame], f)
+            theta1 = old[0] + f * (now[0] - old[0])
+            theta2 = old[1] + f * (now[1] - old[1])
+            x, y = interpolate_path(before, after, f)
             u, v, seen = project(camera, links[0], links[1], theta1, theta2, x, y)
     return u, v, seen and 0.0 <= u < size and 0.0 <= v < size
 
@@ -295,7 +299,9 @@ def _sense(  # type: ignore[no-untyped-def]
         if dropped.shape[1] > 0 and dropped[i, frame]:
             continue
         captured[i] = frame
-        u, v, in_view = capture(cameras[i], links[i], path[i], history[i], frame, size, shutter)
+        u, v, in_view = capture(
+            cameras[i], links[i], path[i, frame - 1], path[i, frame], history[i], frame, size, shutter
+        )
         if not in_view:
             continue
         if feature_noise.shape[1] > 0:

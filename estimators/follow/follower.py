@@ -203,7 +203,7 @@ class PersonFollower:
             strangers=np.where(moved.unseen == 0, crowd.next_label, moved.strangers),
         )
         features, visible = new.place.copy(), np.zeros(len(fresh), np.bool_)
-        _decide(
+        _decide(  # type: ignore[call-arg]  # mypy cannot count starred arguments of a compiled function
             detections, estimate.labels, estimate.states, *crowd.intensity[:4], crowd.intensity.label, *new[1:],
             features, visible, self._spread, self._limits, self.patience,
         )  # fmt: skip
