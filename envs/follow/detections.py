@@ -7,11 +7,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from servotrack.envs.follow.config import FollowConfig
-from servotrack.envs.follow.episode import FollowEpisode
 from servotrack.envs.follow.streams import FollowStream
 from servotrack.envs.follow.world import FollowWorld
-from servotrack.envs.servo.episode import LEAD, samples
-from servotrack.envs.servo.targets import PERIOD
+from servotrack.envs.servo.arrivals import Arrivals
+from servotrack.envs.servo.episode import samples
 from servotrack.envs.servo.world import capture
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.levels import poisson_quantile
@@ -28,6 +27,7 @@ _SIZE_NOISE = 0.08  # standard deviation of a size, as a fraction
 _CLUTTER_SIZE = (0.3, 1.0)  # diameter of a false detection, m
 _CLUTTER_COLOR = (15.0, 240.0)
 _NUMBERS = COLUMNS - 1
+_AROUND = np.array([(np.cos(angle), np.sin(angle)) for angle in 0.25 * np.pi * np.arange(8)])  # a circle's points
 
 
 def capacity(config: FollowConfig) -> int:
@@ -56,15 +56,17 @@ class DetectionSensor:
         self.detections = np.zeros((count, rows, COLUMNS))
         self.truth = np.zeros((count, config.people, COLUMNS))
         self.target_box = np.zeros((count, 4))
-        self.frame_time = np.zeros(count)
-        self._episodes: list[FollowEpisode | None] = [None] * count
-        self._captured = np.full(count, -1)
+        self._arrivals = Arrivals(world)
+        self.frame_time = self._arrivals.frame_time
         self._sizes, self._colors = np.zeros((count, config.people)), np.zeros((count, config.people, 3))
+        size_noise = _SIZE_NOISE if config.pixel_noise else 0.0
+        self._noise_scales = np.array([config.pixel_noise] * 2 + [size_noise] * 2 + [config.color_noise] * 3)
         self._noise = np.zeros((count, length, config.people, _NUMBERS), np.float32)
         self._missed = np.zeros((count, length, config.people), np.bool_)
-        self._false = np.zeros((count, length), np.int64)
-        self._clutter = np.zeros((count, length, rows - config.people, _NUMBERS), np.float32)
-        self._order = np.zeros((count, length, rows), np.int16)
+        # False detections of all frames lie one after the other: where those of each frame begin.
+        self._first_false = np.zeros((count, length + 1), np.int64)
+        self._clutter = np.zeros((count, length * (rows - config.people), _NUMBERS), np.float32)
+        self._shuffle = np.zeros((count, length, rows), np.float32)
 
     def update(self) -> list[int]:
         """Take the frames in that have arrived since the last call.
@@ -73,47 +75,33 @@ class DetectionSensor:
             The rows whose episode began since then.
         """
         world, config = self._world, self._world.config
-        # An episode is frozen: another object is another episode.
-        fresh = [row for row, (a, b) in enumerate(zip(self._episodes, world.episodes, strict=True)) if a is not b]
+        fresh = self._arrivals.look()
         for row in fresh:
             self._begin(row)
-        arrived = self._captured != world.captured
-        arrived[fresh] = True
-        self._captured[:] = world.captured
-        stamps = (world.captured - LEAD - config.warmup) * PERIOD - 0.5 * config.rolling_shutter
-        np.copyto(self.frame_time, stamps if config.stamped else world.time, where=arrived)
         _detect(
-            arrived, world.captured, float(config.camera_size), config.rolling_shutter, config.merge_distance,
-            world.cameras, world.links, world.history, world.people, world.hidden, self._sizes, self._colors,
-            self._noise, self._missed, self._false, self._clutter, self._order, self.truth, self.detections,
+            self._arrivals.rows, world.captured, float(config.camera_size), float(config.rolling_shutter),
+            float(config.merge_distance), world.cameras, world.links, world.history, world.people, world.hidden,
+            self._sizes, self._colors, self._noise_scales, self._noise, self._missed, self._first_false,
+            self._clutter, self._shuffle, self.truth, self.detections,
         )  # fmt: skip
-        person = self.truth[fresh, 0, 1:5]
-        self.target_box[fresh] = np.concatenate([person[:, :2] - 0.5 * person[:, 2:], person[:, 2:]], axis=1)
+        for row in fresh:
+            middle, extent = self.truth[row, 0, 1:3], self.truth[row, 0, 3:5]
+            self.target_box[row, :2], self.target_box[row, 2:] = middle - 0.5 * extent, extent
         return fresh
 
     def _begin(self, row: int) -> None:
         world, config = self._world, self._world.config
         episode = world.episode(row)
-        self._episodes[row] = episode
         self._sizes[row], self._colors[row] = episode.looks.sizes, episode.looks.colors
         # From their beginnings, so that a second sensor on the same episode sees the same.
-        streams, shape = Streams(episode.streams.seed), self._missed.shape[1:]
-        noise = streams[FollowStream.DETECTION_NOISE].standard_normal((*shape, _NUMBERS), dtype=np.float32)
-        scale = (*(config.pixel_noise,) * 2, *(_SIZE_NOISE if config.pixel_noise else 0.0,) * 2)
-        self._noise[row] = noise * np.array((*scale, *(config.color_noise,) * 3), np.float32)
-        self._missed[row] = streams[FollowStream.MISSES].random(shape) < config.misses
-        if self._clutter.shape[2]:
-            rng = streams[FollowStream.CLUTTER]
-            self._false[row] = np.minimum(rng.poisson(config.clutter, shape[0]), self._clutter.shape[2])
-            clutter = rng.random(self._clutter.shape[1:], dtype=np.float32)
-            clutter[..., :2] *= config.camera_size
-            low, high = (diameter * episode.camera[0] / episode.camera[4] for diameter in _CLUTTER_SIZE)
-            clutter[..., 2:4] = low + (high - low) * clutter[..., 2:4]
-            dark, bright = _CLUTTER_COLOR
-            clutter[..., 4:] = dark + (bright - dark) * clutter[..., 4:]
-            self._clutter[row] = clutter
-        keys = streams[FollowStream.SHUFFLE].random((shape[0], self._order.shape[2]), dtype=np.float32)
-        self._order[row] = np.argsort(keys, axis=1)
+        streams, (length, people) = Streams(episode.streams.seed), self._missed.shape[1:]
+        streams[FollowStream.DETECTION_NOISE].standard_normal(out=self._noise[row], dtype=np.float32)
+        self._missed[row] = streams[FollowStream.MISSES].random((length, people)) < config.misses
+        rng = streams[FollowStream.CLUTTER]
+        false = np.minimum(rng.poisson(config.clutter, length), self._shuffle.shape[2] - people)
+        np.cumsum(false, out=self._first_false[row, 1:])
+        rng.random(out=self._clutter[row, : self._first_false[row, -1]], dtype=np.float32)
+        streams[FollowStream.SHUFFLE].random(out=self._shuffle[row], dtype=np.float32)
 
 
 @njit(cache=True, nogil=True)
@@ -122,23 +110,35 @@ def _extent(camera, u, v, heading, tool, x, y, radius, out):  # type: ignore[no-
     c, s = heading
     width, height = 0.0, 0.0
     for k in range(8):
-        angle = 0.25 * np.pi * k
-        wx, wy = x + radius * np.cos(angle) - tool[0], y + radius * np.sin(angle) - tool[1]
+        wx, wy = x + radius * _AROUND[k, 0] - tool[0], y + radius * _AROUND[k, 1] - tool[1]
         a, b, _ = project_ground(camera, c * wx + s * wy, s * wx - c * wy)
         width, height = max(width, abs(a - u)), max(height, abs(b - v))
     out[0], out[1] = 2.0 * width, 2.0 * height
 
 
 @njit(cache=True, nogil=True)
+def _deal(free, used, shares):  # type: ignore[no-untyped-def]
+    """A row that is still free, each of them equally likely: one exchange of Fisher and Yates's shuffle."""
+    chosen = used + int(shares[used] * (len(free) - used))
+    free[used], free[chosen] = free[chosen], free[used]
+    return free[used]
+
+
+@njit(cache=True, nogil=True)
+def _between(bounds, share):  # type: ignore[no-untyped-def]
+    """The number at this share of the way from the lower bound to the upper one."""
+    return bounds[0] + (bounds[1] - bounds[0]) * share
+
+
+@njit(cache=True, nogil=True)
 def _detect(  # type: ignore[no-untyped-def]
-    rows, frames, size, shutter, merge, cameras, links, history, people, hidden, sizes, colors, noise, missed, false,
-    clutter, order, truth, detections,
+    rows, frames, size, shutter, merge, cameras, links, history, people, hidden, sizes, colors, noise_scales, noise,
+    missed, first_false, clutter, shuffle, truth, detections,
 ):  # fmt: skip
     """Fill the tables of every chosen row from its newest frame."""
     count = people.shape[2]
-    path = np.empty((people.shape[1], 4))
-    heading, tool = np.empty(2), np.empty(2)
-    group = np.empty(count, np.int64)
+    heading, tool, rough = np.empty(2), np.empty(2), np.empty(_NUMBERS)
+    group, free = np.empty(count, np.int64), np.empty(shuffle.shape[2], np.int64)
     for i in range(rows.shape[0]):
         if not rows[i]:
             continue
@@ -151,14 +151,14 @@ def _detect(  # type: ignore[no-untyped-def]
         tool[1] = links[i, 0] * np.sin(joints[0]) + links[i, 1] * np.sin(phi)
         for k in range(count):
             # Before the first sample of all, which a frame that was lost at once falls back on, nobody moved.
-            path[frame - 1], path[frame] = people[i, max(frame - 1, 0), k], people[i, frame, k]
-            u, v, seen = capture(camera, links[i], path, history[i], frame, size, shutter)
+            before, after = people[i, max(frame - 1, 0), k], people[i, frame, k]
+            u, v, seen = capture(camera, links[i], before, after, history[i], frame, size, shutter)
             here = truth[i, k]
             here[:] = 0.0
             if not seen:
                 continue
             here[0], here[1], here[2] = 0.0 if hidden[i, frame, k] else 1.0, u, v
-            _extent(camera, u, v, heading, tool, path[frame, 0], path[frame, 1], 0.5 * sizes[i, k], here[3:5])
+            _extent(camera, u, v, heading, tool, after[0], after[1], 0.5 * sizes[i, k], here[3:5])
             here[5:] = colors[i, k]
         # Who is found, and together with whom: the first of a group of people who touch speaks for all.
         for k in range(count):
@@ -174,10 +174,12 @@ def _detect(  # type: ignore[no-untyped-def]
                     break
         detections[i] = 0.0
         used = 0
+        for row in range(len(free)):
+            free[row] = row
         for k in range(count):
             if group[k] != k:
                 continue
-            out = detections[i, order[i, frame, used]]
+            out = detections[i, _deal(free, used, shuffle[i, frame])]
             out[0] = 1.0
             members = 0
             left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
@@ -190,7 +192,8 @@ def _detect(  # type: ignore[no-untyped-def]
                 top, bottom = min(top, there[2] - 0.5 * there[4]), max(bottom, there[2] + 0.5 * there[4])
                 for channel in range(5, 8):
                     out[channel] += there[channel]
-            rough = noise[i, frame, k]
+            for number in range(_NUMBERS):
+                rough[number] = noise_scales[number] * noise[i, frame, k, number]
             out[1] = min(max(0.5 * (left + right) + rough[0], 0.0), size)
             out[2] = min(max(0.5 * (top + bottom) + rough[1], 0.0), size)
             out[3] = min(max((right - left) * (1.0 + rough[2]), 1.0), LARGEST * size)
@@ -198,9 +201,13 @@ def _detect(  # type: ignore[no-untyped-def]
             for channel in range(3):
                 out[5 + channel] = min(max(out[5 + channel] / members + rough[4 + channel], 0.0), 255.0)
             used += 1
-        for k in range(false[i, frame]):
-            out = detections[i, order[i, frame, used]]
+        meter = camera[0] / camera[4]
+        for k in range(first_false[i, frame], first_false[i, frame + 1]):
+            out = detections[i, _deal(free, used, shuffle[i, frame])]
             out[0] = 1.0
-            for column in range(1, 8):
-                out[column] = clutter[i, frame, k, column - 1]
+            for axis in range(2):
+                out[1 + axis] = size * clutter[i, k, axis]
+                out[3 + axis] = meter * _between(_CLUTTER_SIZE, clutter[i, k, 2 + axis])
+            for channel in range(3):
+                out[5 + channel] = _between(_CLUTTER_COLOR, clutter[i, k, 4 + channel])
             used += 1

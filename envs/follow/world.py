@@ -85,10 +85,13 @@ class FollowWorld(ServoWorld):
 
     def step(self, actions: Array, rows: NDArray[np.bool_] | None = None) -> None:
         """Advance rows by one control period; as `ServoWorld.step`."""
-        chosen = np.ones(self.count, np.bool_) if rows is None else rows
-        before = self.features.copy(), self.frame_time.copy()
-        super().step(actions, chosen)
-        _cover(chosen, self.captured, self.hidden, *before, self.visible, self.features, self.frame_time)
+        chosen = self._everyone if rows is None else rows
+        if self.config.lamps or self.config.umbrellas:
+            before = self.features.copy(), self.frame_time.copy()
+            super().step(actions, chosen)
+            _cover(chosen, self.captured, self.hidden, *before, self.visible, self.features, self.frame_time)
+        else:
+            super().step(actions, chosen)
         _follow(
             chosen, self.steps, self.people, self.tool, self._last_errors, self._on_target, self.identity_error,
             self.lost, self.losses, self.reacquisitions, self.kept, self.time_on_target,

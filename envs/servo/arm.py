@@ -21,6 +21,8 @@ LINK_MASS = 1.0
 CAMERA_MASS = 0.2
 _PIVOT_BIAS = 0.01**60
 _ANGLES = pymunk.batch.BodyFields.BODY_ID | pymunk.batch.BodyFields.ANGLE
+_FEW = 16
+"""Up to this number of bodies each is asked for its angle; more are read in one call, which costs as much as twenty."""
 _set_rate = pymunk.SimpleMotor.rate.fset  # type: ignore[attr-defined]
 """What `motor.rate = ...` ends in, without pymunk's detour over `__setattr__`, which costs as much again."""
 
@@ -102,6 +104,7 @@ class ArmSpace:
         self._substep = PERIOD / config.substeps
         self._arms: list[_Arm | None] = [None] * count
         self._missing = count
+        self._bodies: list[pymunk.Body | None] = [None] * (2 * count)
         self._motors: list[pymunk.SimpleMotor | None] = [None] * (2 * count)
         self._body_ids = np.zeros((count, 2), np.int64)
         self._places: NDArray[np.intp] | None = None
@@ -114,6 +117,7 @@ class ArmSpace:
         arm = self._arms[row]
         if arm is None:
             arm = self._arms[row] = _Arm(self._space, self._config.max_motor_torque)
+            self._bodies[2 * row : 2 * row + 2] = arm.bodies
             self._body_ids[row] = [body.id for body in arm.bodies]
             self._missing -= 1
         arm.start(links)
@@ -129,9 +133,14 @@ class ArmSpace:
             _set_rate(motor, rate)
         for _ in range(self._config.substeps):
             self._space.step(self._substep)
-        self._read_angles()
+        if len(self._bodies) <= _FEW:
+            angles = np.array([body.angle for body in filter(None, self._bodies)]).reshape(-1, 2)
+        else:
+            angles = self._all_angles()
+        self.angles[:, 0] = angles[:, 0]
+        self.angles[:, 1] = angles[:, 1] - angles[:, 0]
 
-    def _read_angles(self) -> None:
+    def _all_angles(self) -> Array:
         """All bodies' angles in one call; the Space lists them in an order of its own, the static body among them."""
         self._buffer.clear()
         pymunk.batch.get_space_bodies(self._space, _ANGLES, self._buffer)
@@ -139,9 +148,7 @@ class ArmSpace:
             ids = np.frombuffer(self._buffer.int_buf(), np.int64)
             order = np.argsort(ids)
             self._places = order[np.searchsorted(ids[order], self._body_ids)]
-        angles = np.frombuffer(self._buffer.float_buf(), np.float64)[self._places]
-        self.angles[:, 0] = angles[:, 0]
-        self.angles[:, 1] = angles[:, 1] - angles[:, 0]
+        return np.frombuffer(self._buffer.float_buf(), np.float64)[self._places]
 
     def tool_gap(self) -> float:
         """Largest distance between two ends that a pivot holds together, m: how far the solver let a joint open."""

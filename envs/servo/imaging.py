@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.envs.servo.arrivals import Arrivals
 from servotrack.envs.servo.episode import LEAD, Episode, Stream, Streams, sample_times, samples
 from servotrack.envs.servo.exposure import NOISE_SIDE, expose, trace_rays
 from servotrack.envs.servo.floor import floor_texture
-from servotrack.envs.servo.targets import PERIOD
 from servotrack.envs.servo.world import ServoWorld
 
 Array = NDArray[np.float64]
@@ -57,9 +57,8 @@ class FloorCamera:
         self._scale = image_size / world.config.camera_size
         count = world.count
         self.images = np.zeros((count, image_size, image_size, 3), np.uint8)
-        self.frame_time, self.goal = np.zeros(count), np.zeros((count, 2))
-        self._episodes: list[Episode | None] = [None] * count
-        self._captured = np.full(count, -1)
+        self._arrivals = Arrivals(world)
+        self.frame_time, self.goal = self._arrivals.frame_time, np.zeros((count, 2))
         self._rays = no_rays(count, image_size)
         self._noise_offset = np.zeros((count, samples(world.config), 2), np.int64)
         self._floor_pose, self._floor_color = np.zeros((count, 4)), np.zeros((count, 3))
@@ -67,21 +66,11 @@ class FloorCamera:
 
     def update(self) -> None:
         """Render the frames that have arrived since the last call."""
-        world = self._world
-        # An episode is frozen: another object is another episode.
-        fresh = [row for row, (a, b) in enumerate(zip(self._episodes, world.episodes, strict=True)) if a is not b]
-        for row in fresh:
-            episode = world.episodes[row]
+        for row in self._arrivals.look():
+            episode = self._world.episodes[row]
             assert episode is not None
-            self._episodes[row] = episode
             self._begin(row, episode)
-        arrived = self._captured != world.captured
-        arrived[fresh] = True
-        self._captured[:] = world.captured
-        config = world.config
-        stamps = (world.captured - LEAD - config.warmup) * PERIOD - 0.5 * config.rolling_shutter
-        np.copyto(self.frame_time, stamps if config.stamped else world.time, where=arrived)
-        self._expose(arrived)
+        self._expose(self._arrivals.rows)
 
     def _begin(self, row: int, episode: Episode) -> None:
         """Take in a row's new episode."""
