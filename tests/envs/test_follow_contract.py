@@ -1,4 +1,4 @@
-"""The following world keeps the rules of Gymnasium and Stable-Baselines3, single and vector, and is easy to reproduce."""
+"""The following world keeps the rules of Gymnasium and Stable-Baselines3, single and vector."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_vector_environment_is_the_single_one_to_the_bit(keywords):
 
 def test_what_oracles_are_told():
     env = PrivilegedObservation(gym.make(ENV_ID, level=0))
-    observation, info = env.reset(seed=3)
+    observation, _ = env.reset(seed=3)
     assert observation in env.observation_space
     left, top, width, height = observation["target_box"]
     np.testing.assert_allclose(observation["true_people"][0, 1:5], [left + width / 2, top + height / 2, width, height])

@@ -182,15 +182,16 @@ def test_an_arm_that_stays_over_the_person_keeps_them():
 def test_losing_following_another_and_finding_again_are_counted():
     world = made(level=0)
     start = world.tool[0].copy()
-    for table, distance in ((AWAY + 0.5, 1), (FOLLOWED - 0.2, 2)):
-        world.people[0, :, 0, :2] = start + [table, 0.0]
-        world.people[0, :, 1, :2] = start + [0.2, 0.0]
+    aside = np.array([1.0, 0.0])
+    for distance, away in ((AWAY + 0.5, True), (FOLLOWED - 0.2, False)):
+        world.people[0, :, 0, :2] = start + distance * aside
+        world.people[0, :, 1, :2] = start + 0.2 * aside
         world.step(np.zeros((1, 2)))
         assert world.losses[0] == 1
-        assert world.identity_error[0] == (distance == 1)
-        assert world.lost[0] == (distance == 1)
+        assert world.identity_error[0] == away
+        assert world.lost[0] == away
     assert world.reacquisitions[0] == 1
-    world.people[0, :, 0, :2] = start + [0.5 * ON_TARGET, 0.0]
+    world.people[0, :, 0, :2] = start + 0.5 * ON_TARGET * aside
     world.step(np.zeros((1, 2)))
     assert world.time_on_target[0] == pytest.approx(1.0 / 3.0)
 
@@ -198,11 +199,10 @@ def test_losing_following_another_and_finding_again_are_counted():
 def test_an_episode_ends_when_the_person_is_out_of_view_for_three_seconds():
     world = made(level=0)
     world.people[0, :, 0, :2] = world.paths[0, :, :2] = [40.0, 40.0]
-    for step in range(1, LOST_AFTER + 5):
+    steps = 0
+    while not world.terminated[0]:
         world.step(np.zeros((1, 2)))
-        if world.terminated[0]:
-            break
-    # The sample at the reset was still in view.
-    assert step == LOST_AFTER
+        steps += 1
+    assert steps == LOST_AFTER
     assert not world.kept[0]
     assert world.reward[0] == 0.0
