@@ -20,6 +20,7 @@ import cv2
 import gymnasium as gym
 
 from servotrack.baselines import create_agent
+from servotrack.baselines.evaluate import show_belief
 from servotrack.envs.registration import ENVIRONMENTS
 
 FOLDER = Path(__file__).parent / "environments"
@@ -38,6 +39,7 @@ class Picture(NamedTuple):
 
 PICTURES = (
     Picture("servo.png", "UncalibServo-v0", {"level": 3}, "lifted-kf", 160),
+    Picture("pedestrian-servo.png", "PedestrianServo-v0", {"level": 4}, "phd-servo", 180),
     Picture("clutter-tracking.png", "ClutterTracking-v0", {}, "pmb", 88),
     Picture("pedestrians.png", "PedestrianTracking-v0", {"level": 1}, "pmb", 150),
     Picture("sonar.png", "SonarTracking-v0", {"level": 3}, "hmm-row", 184),
@@ -155,10 +157,13 @@ def _shown(value: Any) -> str:
 
 
 def _attributes(documented: type) -> dict[str, str]:
-    """The section `Attributes:` of a docstring in the Google style: name to text."""
-    section = inspect.cleandoc(documented.__doc__ or "").partition("Attributes:\n")[2]
-    entries = re.findall(r"^ {4}(\w+): (.*?)(?=^ {4}\w|\Z)", section, re.MULTILINE | re.DOTALL)
-    return {name: " ".join(text.split()) for name, text in entries}
+    """The sections `Attributes:` of a class and its bases, in the Google style: name to text."""
+    meanings: dict[str, str] = {}
+    for part in reversed(documented.__mro__):
+        section = inspect.cleandoc(part.__doc__ or "").partition("Attributes:\n")[2]
+        entries = re.findall(r"^ {4}(\w+): (.*?)(?=^ {4}\w|\Z)", section, re.MULTILINE | re.DOTALL)
+        meanings |= {name: " ".join(text.split()) for name, text in entries}
+    return meanings
 
 
 def draw(picture: Picture) -> None:
@@ -169,6 +174,7 @@ def draw(picture: Picture) -> None:
     state: Any = None
     for _ in range(picture.steps):
         action, state = agent.predict(observation, state)
+        show_belief(env, state)
         observation, *_ = env.step(action)
     frame: Any = env.render()
     env.close()

@@ -105,7 +105,7 @@ def bench(
 def leaderboard(
     results: Annotated[Path, typer.Argument(help="Folder of results.")],
     output: Annotated[Path | None, typer.Option("--output", help="Where to write; default: into RESULTS.")] = None,
-    details: Annotated[bool, typer.Option(help="Print every environment's own table, too.")] = False,
+    details: Annotated[bool, typer.Option(help="Print every environment's own table, too, and put it into the document.")] = False,
     into: Annotated[
         Path | None,
         typer.Option(help="A document that has the marks <!-- leaderboard:begin --> and <!-- leaderboard:end -->."),
@@ -121,7 +121,7 @@ def leaderboard(
     film = results / "best.webm"
     _show(tasks, output or results, film if output is None and film.exists() else None, details)
     if into is not None:
-        embed(markdown_overview(tasks, _command()), into, "leaderboard")
+        embed(markdown_overview(tasks, _command(), details), into, "leaderboard")
 
 
 @app.command()

@@ -152,8 +152,14 @@ def as_sections(grids: Mapping[str, Grid], heading: str) -> str:
     return "\n".join(f"{heading} {title}\n\n{as_markdown(grid)}" for title, grid in grids.items())
 
 
-def markdown_overview(tasks: Sequence[TaskSummary], command: str) -> str:
-    """The overviews for a document of another kind, with the command that wrote them; "" where there are none."""
+def markdown_overview(tasks: Sequence[TaskSummary], command: str, details: bool = False) -> str:
+    """The overviews for a document of another kind, with the command that wrote them; "" where there are none.
+
+    Args:
+        tasks: From `summarize`.
+        command: What the tables say they were written by.
+        details: Whether every task's own table follows, under a heading of the third level.
+    """
     parts = []
     overview = overview_grid(tasks)
     if overview.rows:
@@ -166,6 +172,9 @@ def markdown_overview(tasks: Sequence[TaskSummary], command: str) -> str:
             f"{as_markdown(grid)}\n{title}, up to {_most_episodes(tasks)} episodes each; {PRIVILEGED_MARK} sees the "
             f"truth. Written by `{command}`.\n"
         )
+    if details:
+        parts += [f"### {task.environment}\n\n{as_markdown(task_grid(task))}" for task in tasks]
+        parts.append(f"Written by `{command}`. {NOTE}\n")
     return "\n".join(parts)
 
 

@@ -21,6 +21,7 @@ class FollowConfig(ServoConfig):
     Outliers and kinds of noise of the servo's ladder belong to the features of `observation="identity"`.
 
     Attributes:
+        target: Always `person`.
         people: How many walk there, the one to follow among them.
         script: `plaza` (people stroll between places and cross the person's way now and then) or `crossings` (the
             others do nothing but cross it).
