@@ -105,7 +105,7 @@ def bench(
 def leaderboard(
     results: Annotated[Path, typer.Argument(help="Folder of results.")],
     output: Annotated[Path | None, typer.Option("--output", help="Where to write; default: into RESULTS.")] = None,
-    details: Annotated[bool, typer.Option(help="Print every environment's own table, too, and put it into the document.")] = False,
+    details: Annotated[bool, typer.Option(help="Every environment's own table, too, also in the document.")] = False,
     into: Annotated[
         Path | None,
         typer.Option(help="A document that has the marks <!-- leaderboard:begin --> and <!-- leaderboard:end -->."),
