@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.streams import FollowStream
-from servotrack.envs.servo.targets import PERIOD, reachable_point, solvable
+from servotrack.envs.servo.episode import LEAD
+from servotrack.envs.servo.targets import PERIOD, reachable_place, solvable
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.movement import gait
 from servotrack.envs.track.pedestrians.social_force import LEG_NUMBERS, drive
@@ -32,6 +33,8 @@ _BEYOND = (1.0, 2.0)  # how far somebody goes on after a crossing, m
 _PAUSES, _PAUSE = 0.15, (20.0, 60.0)  # how often a strolling leg ends with a rest, and for how many samples
 _ABREAST = 0.6  # between two who walk together, m
 _WANDER = 0.12  # largest small change of direction, rad
+_LONGER = 1.3  # times the episode that plans last, for who is fast
+_LEAST_SAMPLES = 10  # that a leg of the others takes
 _TRIES = 60
 
 
@@ -52,20 +55,22 @@ class Crowd:
     stride: Array
 
 
-def draw_crowd(config: FollowConfig, streams: Streams, links: Array, count: int) -> Crowd:
-    """Draw everybody's plans and let them live.
+def draw_paths(config: FollowConfig, streams: Streams, links: Array, count: int) -> Array:
+    """Draw everybody's plans and let them live until the person to follow is where the arm cannot.
 
     Args:
         config: The world.
         streams: Of the episode.
         links: Link lengths, shape (2,), m: the person to follow walks where the arm can.
         count: Number of samples K.
+
+    Returns:
+        As `Crowd.paths`; zeros once the arm could not follow, for such an episode is drawn again.
     """
     rng = streams[FollowStream.PERSON]
     people, party = config.people, np.arange(config.people)
     pace = rng.uniform(*config.pace, people)
-    own = _own_way(rng, config, links, float(pace[0]), count)
-    nominal = _along(own, float(pace[0]), count)
+    own = _draw_own_way(rng, config, links, float(pace[0]), count)
     starts, plans = [own[0]], [own[1:]]
     for _ in range(config.companions):
         angle = rng.uniform(0.0, 2.0 * math.pi)
@@ -75,10 +80,15 @@ def draw_crowd(config: FollowConfig, streams: Streams, links: Array, count: int)
         starts.append(own[0] + aside)
         plans.append(own[1:] + aside)
     rng = streams[FollowStream.OTHERS]
-    center = 0.9 * links
+    center, nominal = 0.9 * links, np.empty((count, 2))
+    _walk_along(own, pace[0] * PERIOD, nominal)
+    crosses = 1.0 if config.script == "crossings" else _CROSSES
+    longest = math.ceil(_LONGER * count / _LEAST_SAMPLES)
     while len(starts) < people:
-        start = _free_place(rng, center, np.array(starts))
-        plans.append(_others_way(rng, config, start, nominal, center, float(pace[len(starts)])))
+        start = _free_place(rng.random((_TRIES, 2)), center, np.array(starts))
+        ways = np.empty((longest, 2))
+        number = _others_way(rng.random((longest, 4)), crosses, start, nominal, center, pace[len(starts)], ways)
+        plans.append(ways[:number])
         starts.append(start)
     legs = np.full((people, max(len(plan) for plan in plans), LEG_NUMBERS), math.nan)
     legs[:, :, 2:4], legs[:, :, 4] = 0.0, -1.0
@@ -96,99 +106,152 @@ def draw_crowd(config: FollowConfig, streams: Streams, links: Array, count: int)
         axis=-1,
     )
     number = np.array([len(plan) for plan in plans], dtype=np.int64)
-    paths = np.empty((count, people, 4))
-    _live(np.array(starts), legs, number, pace, wander, party, PERIOD, paths)
+    paths = np.zeros((count, people, 4))
+    _live(
+        np.array(starts), legs, number, pace, wander, party, PERIOD, LEAD + config.warmup, links, config.max_joint_rate,
+        paths,
+    )  # fmt: skip
+    return paths
+
+
+def walking_crowd(paths: Array, streams: Streams) -> Crowd:
+    """Give people who move along these paths (K, P, 4) their gait."""
+    count, people = paths.shape[:2]
     moved = np.diff(paths[:, :, :2], axis=0, prepend=paths[:1, :, :2]) / STATURE
     resting = np.full(count, math.nan)
     bodies = np.stack([gait(np.ascontiguousarray(moved[:, i]), resting, math.nan, 0.0, PERIOD) for i in range(people)])
     heading, phase, stride = np.ascontiguousarray(bodies.transpose(2, 1, 0))
-    return Crowd(paths, heading, phase + rng.uniform(0.0, 2.0 * math.pi, people), stride)
+    return Crowd(paths, heading, phase + streams[FollowStream.OTHERS].uniform(0.0, 2.0 * math.pi, people), stride)
 
 
-def _own_way(rng: np.random.Generator, config: FollowConfig, links: Array, pace: float, count: int) -> Array:
+def _draw_own_way(rng: np.random.Generator, config: FollowConfig, links: Array, pace: float, count: int) -> Array:
     """Places that the person to follow goes to, the start first, straight ways that the arm can follow. (k, 2) m."""
-    places = [_first_place(rng, links)]
-    left = 1.3 * pace * count * PERIOD
-    while left > 0.0:
-        here = places[-1]
-        there = here
-        for _ in range(_TRIES):
-            candidate = reachable_point(rng, links)
-            length = float(np.hypot(*(candidate - here)))
-            if not _SHORTEST < length < _LONGEST:
-                continue
-            samples = np.linspace(here, candidate, max(3, int(length / (pace * PERIOD))))
-            if solvable(samples, links[0], links[1], config.max_joint_rate):
-                there = candidate
-                break
-        places.append(there)
-        left -= max(float(np.hypot(*(there - here))), pace)
-    return np.array(places)
-
-
-def _first_place(rng: np.random.Generator, links: Array) -> Array:
-    """Near the tool at reset, within the arm's reach."""
-    for _ in range(_TRIES):
-        angle, distance = rng.uniform(0.0, 2.0 * math.pi), _NEAR_TOOL * math.sqrt(rng.random())
-        place = links + distance * np.array([math.cos(angle), math.sin(angle)])
-        if solvable(place[None], links[0], links[1], 1.0):
-            return place
-    return links.copy()
-
-
-def _along(places: Array, pace: float, count: int) -> Array:
-    """Where somebody would be who walks from place to place without anybody in the way, shape (count, 2)."""
-    lengths = np.hypot(*np.diff(places, axis=0).T)
-    at = np.concatenate([[0.0], np.cumsum(lengths)])
-    way = pace * PERIOD * np.arange(count)
-    return np.stack([np.interp(way, at, places[:, axis]) for axis in range(2)], axis=-1)
-
-
-def _free_place(rng: np.random.Generator, center: Array, taken: Array) -> Array:
-    """A place of the plaza where nobody stands; the freest of many where it is crowded."""
-    angle, radius = rng.uniform(0.0, 2.0 * math.pi, _TRIES), _PLAZA_RADIUS * np.sqrt(rng.random(_TRIES))
-    places = center + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    room = np.hypot(*(places[:, None] - taken).transpose(2, 0, 1)).min(axis=1)
-    free = np.flatnonzero(room > _ELBOW_ROOM)
-    return places[free[0] if len(free) else int(room.argmax())]
-
-
-def _others_way(
-    rng: np.random.Generator, config: FollowConfig, start: Array, nominal: Array, center: Array, pace: float
-) -> Array:
-    """Places that one of the others goes to, (k, 2) m."""
-    crosses = 1.0 if config.script == "crossings" else _CROSSES
-    here, sample, places = start, 0, []
-    while sample < 1.3 * len(nominal):
-        there = center + _PLAZA_RADIUS * np.sqrt(rng.random()) * _direction(rng.uniform(0.0, 2.0 * math.pi))
-        beyond, wants = rng.uniform(*_BEYOND), rng.random() < crosses
-        meeting = _meeting(here, sample, nominal, pace) if wants else None
-        if meeting is not None:
-            way = meeting - here
-            there = meeting + beyond * way / max(float(np.hypot(*way)), 1e-9)
-        out = there - center
-        there = center + out * min(1.0, _PLAZA_RADIUS / max(float(np.hypot(*out)), 1e-9))
-        places.append(there)
-        sample += max(int(np.hypot(*(there - here)) / (pace * PERIOD)), 10)
-        here = there
-    return np.array(places)
-
-
-def _direction(angle: float) -> Array:
-    return np.array([math.cos(angle), math.sin(angle)])
-
-
-def _meeting(here: Array, sample: int, nominal: Array, pace: float) -> Array | None:
-    """Where somebody who sets out now in a straight line meets a walker; None where they cannot catch up."""
-    ahead = nominal[sample:]
-    late = np.hypot(*(ahead - here).T) - pace * PERIOD * np.arange(len(ahead))
-    met = np.flatnonzero(late[10:] < 0.0)
-    return ahead[10 + met[0]] if len(met) else None
+    left = _LONGER * pace * count * PERIOD
+    places = np.empty((math.ceil(_LONGER * count * PERIOD) + 2, 2))
+    places[0] = _first_place(rng.random((_TRIES, 2)), links)
+    shares = rng.random((len(places), _TRIES, 2))
+    return places[: _own_way(shares, links, pace, left, config.max_joint_rate, places)]
 
 
 @njit(cache=True, nogil=True)
-def _live(starts, legs, number, pace, wander, party, dt, paths):  # type: ignore[no-untyped-def]
-    """Walk everybody through all samples; who touches another is pushed off."""
+def _first_place(shares, links):  # type: ignore[no-untyped-def]
+    """Near the tool at reset, within the arm's reach."""
+    place = np.empty((1, 2))
+    for share in shares:
+        angle, distance = 2.0 * math.pi * share[0], _NEAR_TOOL * math.sqrt(share[1])
+        place[0, 0], place[0, 1] = links[0] + distance * math.cos(angle), links[1] + distance * math.sin(angle)
+        if solvable(place, links[0], links[1], 1.0):
+            return place[0]
+    return links.copy()
+
+
+@njit(cache=True, nogil=True)
+def _own_way(shares, links, pace, left, max_joint_rate, places):  # type: ignore[no-untyped-def]
+    """Fill `places` from the second on until they are `left` m apart in all; returns how many there are."""
+    number = 1
+    way = np.empty((int(_LONGEST / (pace * PERIOD)) + 3, 2))
+    while left > 0.0:
+        here, there = places[number - 1], places[number]
+        there[:] = here
+        done = pace
+        for share in shares[number]:
+            x, y = reachable_place(share[0], share[1], links[0], links[1])
+            length = math.hypot(x - here[0], y - here[1])
+            if not _SHORTEST < length < _LONGEST:
+                continue
+            samples = max(3, int(length / (pace * PERIOD)))
+            for k in range(samples):
+                f = k / (samples - 1)
+                way[k, 0], way[k, 1] = here[0] + f * (x - here[0]), here[1] + f * (y - here[1])
+            if solvable(way[:samples], links[0], links[1], max_joint_rate):
+                there[0], there[1] = x, y
+                done = max(length, pace)
+                break
+        left -= done
+        number += 1
+    return number
+
+
+@njit(cache=True, nogil=True)
+def _walk_along(places, step, out):  # type: ignore[no-untyped-def]
+    """Where somebody would be who walks from place to place without anybody in the way, at every row of `out`."""
+    leg, walked = 0, 0.0
+    length = math.hypot(places[1, 0] - places[0, 0], places[1, 1] - places[0, 1])
+    for k in range(out.shape[0]):
+        while step * k > walked + length and leg < places.shape[0] - 2:
+            walked += length
+            leg += 1
+            length = math.hypot(places[leg + 1, 0] - places[leg, 0], places[leg + 1, 1] - places[leg, 1])
+        f = min((step * k - walked) / max(length, 1e-9), 1.0)
+        for axis in range(2):
+            out[k, axis] = places[leg, axis] + f * (places[leg + 1, axis] - places[leg, axis])
+
+
+@njit(cache=True, nogil=True)
+def _free_place(shares, center, taken):  # type: ignore[no-untyped-def]
+    """A place of the plaza where nobody stands; the freest of many where it is crowded."""
+    best, most = np.empty(2), -1.0
+    for share in shares:
+        x, y = _plaza_place(share[0], share[1], center)
+        room = np.inf
+        for other in taken:
+            room = min(room, math.hypot(x - other[0], y - other[1]))
+        if room > most:
+            best[0], best[1], most = x, y, room
+        if room > _ELBOW_ROOM:
+            break
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _plaza_place(turn, area, center):  # type: ignore[no-untyped-def]
+    """A place of the plaza from two numbers between 0 and 1."""
+    angle, radius = 2.0 * math.pi * turn, _PLAZA_RADIUS * math.sqrt(area)
+    return center[0] + radius * math.cos(angle), center[1] + radius * math.sin(angle)
+
+
+@njit(cache=True, nogil=True)
+def _others_way(shares, crosses, start, nominal, center, pace, places):  # type: ignore[no-untyped-def]
+    """Fill `places` with where one of the others goes; returns how many there are."""
+    x, y = start[0], start[1]
+    sample, number = 0, 0
+    while sample < _LONGER * nominal.shape[0]:
+        share = shares[number]
+        to_x, to_y = _plaza_place(share[0], share[1], center)
+        if share[2] < crosses:
+            met = _meeting(x, y, sample, nominal, pace)
+            if met >= 0:
+                dx, dy = nominal[met, 0] - x, nominal[met, 1] - y
+                beyond = _BEYOND[0] + (_BEYOND[1] - _BEYOND[0]) * share[3]
+                longer = 1.0 + beyond / max(math.hypot(dx, dy), 1e-9)
+                to_x, to_y = x + longer * dx, y + longer * dy
+        out_x, out_y = to_x - center[0], to_y - center[1]
+        inward = min(1.0, _PLAZA_RADIUS / max(math.hypot(out_x, out_y), 1e-9))
+        to_x, to_y = center[0] + inward * out_x, center[1] + inward * out_y
+        sample += max(int(math.hypot(to_x - x, to_y - y) / (pace * PERIOD)), _LEAST_SAMPLES)
+        x, y = to_x, to_y
+        places[number, 0], places[number, 1] = x, y
+        number += 1
+    return number
+
+
+@njit(cache=True, nogil=True)
+def _meeting(x, y, sample, nominal, pace):  # type: ignore[no-untyped-def]
+    """The sample at which somebody who sets out now in a straight line meets a walker; -1 where they cannot."""
+    for k in range(sample + _LEAST_SAMPLES, nominal.shape[0]):
+        if math.hypot(nominal[k, 0] - x, nominal[k, 1] - y) < pace * PERIOD * (k - sample):
+            return k
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def _live(  # type: ignore[no-untyped-def]
+    starts, legs, number, pace, wander, party, dt, first, links, max_joint_rate, paths
+):
+    """Walk everybody through all samples, as long as the arm could follow the first of them from sample `first` on.
+
+    Who touches another is pushed off.
+    """
     people = starts.shape[0]
     active = np.arange(people)
     position, velocity = starts.copy(), np.zeros((people, 2))
@@ -203,6 +266,8 @@ def _live(starts, legs, number, pace, wander, party, dt, paths):  # type: ignore
     for sample in range(paths.shape[0]):
         for i in range(people):
             paths[sample, i, 0], paths[sample, i, 1] = position[i, 0], position[i, 1]
+        if not solvable(paths[max(sample - 1, first) : sample + 1, 0], links[0], links[1], max_joint_rate):
+            return
         drive(
             active, position, velocity, legs, number, leg, since, arrived, facing, over, pace, wander, party, walls,
             nothing, sample, dt,

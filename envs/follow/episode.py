@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.follow.config import FollowConfig
-from servotrack.envs.follow.crowd import Crowd, draw_crowd
+from servotrack.envs.follow.crowd import Crowd, draw_paths, walking_crowd
 from servotrack.envs.follow.looks import Looks, draw_looks, hidden_people
 from servotrack.envs.servo.episode import Episode, ServoStreams, draw_episode, samples
 
@@ -40,14 +40,14 @@ def draw_follow_episode(config: FollowConfig, seed: int) -> FollowEpisode:
     Raises:
         ValueError: As `servotrack.envs.servo.episode.draw_episode`.
     """
-    drawn: list[Crowd] = []
+    drawn: list[Array] = []
 
     def motion(streams: ServoStreams, links: Array) -> Array:
-        drawn[:] = [draw_crowd(config, streams, links, samples(config))]
-        return drawn[0].paths[:, 0]
+        drawn[:] = [draw_paths(config, streams, links, samples(config))]
+        return drawn[0][:, 0]
 
     servo = draw_episode(config, seed, motion)
-    crowd = drawn[0]
+    crowd = walking_crowd(drawn[0], servo.streams)
     looks = draw_looks(config, servo.streams, crowd)
     parts = {field.name: getattr(servo, field.name) for field in fields(Episode)}
     return FollowEpisode(**parts, crowd=crowd, looks=looks, hidden=hidden_people(crowd, looks))

@@ -11,7 +11,7 @@ from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.crowd import Crowd
 from servotrack.envs.follow.streams import FollowStream
 from servotrack.envs.streams import Streams
-from servotrack.envs.track.pedestrians.looks import HAIR, LOOK_NUMBERS, TOP, draw_look
+from servotrack.envs.track.pedestrians.looks import HAIR, TOP, compose_look
 
 Array = NDArray[np.float64]
 
@@ -56,9 +56,10 @@ def draw_looks(config: FollowConfig, streams: Streams, crowd: Crowd) -> Looks:
         crowd: Where people walk.
     """
     rng = streams[FollowStream.LOOKS]
-    seeds, alike = rng.integers(0, 2**62, config.people), rng.random(config.people) < config.look_alikes
-    alike[0] = True
-    people = np.stack([draw_look(int(seeds[0 if alike[i] else i]), 0.0, _NO_BACKGROUND) for i in range(config.people)])
+    alike = rng.random(config.people) < config.look_alikes
+    # One generator for all: making one for everybody would take longer than all the rest.
+    people = np.array([compose_look(rng, rng, rng, 0.0, _NO_BACKGROUND) for _ in range(config.people)])
+    people[alike] = people[0]
     rng = streams[FollowStream.OCCLUDERS]
     umbrella, umbrella_color = np.zeros(config.people), np.zeros((config.people, 3))
     # The last ones carry them: who walks with the person to follow does not, if it can be helped.
@@ -72,7 +73,7 @@ def draw_looks(config: FollowConfig, streams: Streams, crowd: Crowd) -> Looks:
     bare = _TOP_SHARE * people[:, TOP : TOP + 3] + (1.0 - _TOP_SHARE) * people[:, HAIR : HAIR + 3]
     under = umbrella[:, None] > 0.0
     return Looks(
-        people.reshape(config.people, LOOK_NUMBERS),
+        people,
         umbrella,
         umbrella_color,
         lamps,

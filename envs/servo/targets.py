@@ -120,9 +120,17 @@ def _waves(kind: str, rng: np.random.Generator | None, links: Array) -> list[tup
 
 def reachable_point(rng: np.random.Generator, links: Array) -> Array:
     """A point over which the arm can stand well inside its joint range."""
-    theta1, theta2 = rng.uniform(-1.3, 1.3), rng.uniform(0.4, 2.4)
-    elbow = links[0] * np.array([math.cos(theta1), math.sin(theta1)])
-    return elbow + links[1] * np.array([math.cos(theta1 + theta2), math.sin(theta1 + theta2)])
+    return np.array(reachable_place(rng.random(), rng.random(), links[0], links[1]))
+
+
+@njit(cache=True, nogil=True)
+def reachable_place(share1, share2, l1, l2):  # type: ignore[no-untyped-def]
+    """The same from how far along their ranges the joints are, two numbers between 0 and 1."""
+    theta1, theta2 = -1.3 + 2.6 * share1, 0.4 + 2.0 * share2
+    return (
+        l1 * math.cos(theta1) + l2 * math.cos(theta1 + theta2),
+        l1 * math.sin(theta1) + l2 * math.sin(theta1 + theta2),
+    )
 
 
 def _waypoints(rng: np.random.Generator, links: Array, clock: Array, max_joint_rate: float) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,12 +81,33 @@ def draw_look(seed: int, camouflage: float, background: Array) -> Array:
         Shape (LOOK_NUMBERS,).
     """
     streams = Streams(seed)
-    shape, paint, blend = streams[_SHAPE], streams[_PAINT], streams[_BLEND]
+    return compose_look(streams[_SHAPE], streams[_PAINT], streams[_BLEND], camouflage, background)
+
+
+def compose_look(
+    shape: np.random.Generator,
+    paint: np.random.Generator,
+    blend: np.random.Generator,
+    camouflage: float,
+    background: Array,
+) -> Array:
+    """A person's look from generators, which may be one and the same; otherwise as `draw_look`.
+
+    Args:
+        shape: Decides build, cut and what is carried.
+        paint: Decides colors.
+        blend: Decides which clothes are in the background's colors.
+        camouflage: As in `draw_look`.
+        background: As in `draw_look`.
+
+    Returns:
+        Shape (LOOK_NUMBERS,).
+    """
     look = np.zeros(LOOK_NUMBERS)
 
-    def choose(colors: tuple[tuple[int, int, int], ...], spread: float) -> Array:
-        chosen = np.array(colors[int(paint.integers(len(colors)))], dtype=np.float64)
-        return np.clip(chosen * paint.uniform(1.0 - spread, 1.0 + spread), 8.0, 250.0)
+    def choose(colors: tuple[tuple[int, int, int], ...], spread: float) -> list[float]:
+        chosen, brightness = colors[int(paint.integers(len(colors)))], paint.uniform(1.0 - spread, 1.0 + spread)
+        return [min(max(channel * brightness, 8.0), 250.0) for channel in chosen]
 
     for part, colors, spread in (
         (SKIN, _SKINS, 0.06),
@@ -109,17 +132,18 @@ def draw_look(seed: int, camouflage: float, background: Array) -> Array:
     look[COAT] = shape.uniform(0.08, 0.2) if look[TOP_MATERIAL] in (0, 2) and shape.random() < 0.3 else 0.03
     look[SHORT_SLEEVE] = float(look[TOP_MATERIAL] != 2 and shape.random() < 0.35)
     look[SKIRT] = shape.uniform(0.2, 0.3) if long_hair and shape.random() < 0.4 else 0.0
-    look[BAG] = (BACKPACK, SHOULDER_BAG, CASE, NO_BAG)[int(np.searchsorted((0.18, 0.34, 0.46), shape.random()))]
-    look[ARM] = (POCKET, PHONE, SWINGING)[int(np.searchsorted((0.12, 0.24), shape.random()))]
+    look[BAG] = (BACKPACK, SHOULDER_BAG, CASE, NO_BAG)[bisect_left((0.18, 0.34, 0.46), shape.random())]
+    look[ARM] = (POCKET, PHONE, SWINGING)[bisect_left((0.12, 0.24), shape.random())]
     look[RELIEF_TOP], look[RELIEF_TROUSERS], look[FOLDS] = 0.75, 0.7, 0.10
-    blends, chosen = blend.random(2) < camouflage, background[blend.integers(len(background), size=2)]
-    if blends[0]:
-        look[TOP : TOP + 3] = chosen[0]
-        look[TOP_SECOND : TOP_SECOND + 3] = chosen[0] * 0.94
-        look[RELIEF_TOP] = 0.3
-    if blends[1]:
-        look[TROUSERS : TROUSERS + 3] = chosen[1]
-        look[RELIEF_TROUSERS] = 0.3
+    if camouflage > 0.0:
+        blends, chosen = blend.random(2) < camouflage, background[blend.integers(len(background), size=2)]
+        if blends[0]:
+            look[TOP : TOP + 3] = chosen[0]
+            look[TOP_SECOND : TOP_SECOND + 3] = chosen[0] * 0.94
+            look[RELIEF_TOP] = 0.3
+        if blends[1]:
+            look[TROUSERS : TROUSERS + 3] = chosen[1]
+            look[RELIEF_TROUSERS] = 0.3
     sleeve = SKIN if look[SHORT_SLEEVE] else TOP
     look[SLEEVE : SLEEVE + 3] = look[sleeve : sleeve + 3]
     return look
