@@ -143,12 +143,19 @@ class PersonFollower:
     def initial(self, detections: Array, place: Array, color: Array) -> FollowState:
         """State before the first frame is folded in.
 
+        A picture shows other shades than a detector: a detection at the place in question tells the color better.
+
         Args:
-            detections: Of that frame, for the number of runs only. Shape (B, M, COLUMNS).
+            detections: Of that frame. Shape (B, M, COLUMNS).
             place: Middle of the person in it. Shape (B, 2), px.
             color: Their color. Shape (B, 3), gray levels.
         """
         crowd = self.filter.initial(detections[:, :, _SEEN])
+        color = color.copy()
+        for run, (table, middle) in enumerate(zip(detections, place, strict=True)):
+            found = _nearest(table, middle[0], middle[1], color[run], self.near, 2.0 * self.first_color)
+            if found >= 0:
+                color[run] = table[found, 5:]
         intensity, n = crowd.intensity, 7
         intensity.number[:] = 1
         intensity.weight[:, 0], intensity.label[:, 0] = 0.98, 1
@@ -161,7 +168,7 @@ class PersonFollower:
             one,
             place.copy(),
             np.zeros((count, 2)),
-            color.copy(),
+            color,
             np.zeros(count, np.int64),
             one + 1,
         )
