@@ -159,7 +159,11 @@ def ground_point(cam, u, v):  # type: ignore[no-untyped-def]
         rho = min(rho, 0.999 * rho_fold)
     for _ in range(8):
         slope = 1.0 + 3.0 * k * rho * rho
-        rho = rho - (rho * (1.0 + k * rho * rho) - rho_d) / slope
+        step = (rho * (1.0 + k * rho * rho) - rho_d) / slope
+        # No further step would change a bit: at once without distortion.
+        if step == 0.0:
+            break
+        rho = rho - step
         if k < 0.0 and rho > 0.999 * rho_fold:
             rho = 0.999 * rho_fold
     scale = rho / rho_d if rho_d > 1e-12 else 1.0

@@ -7,6 +7,8 @@ pivots last, so that what a motor asks for never tears a joint apart.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pymunk
 import pymunk.batch
@@ -104,7 +106,7 @@ class ArmSpace:
         self._substep = PERIOD / config.substeps
         self._arms: list[_Arm | None] = [None] * count
         self._missing = count
-        self._bodies: list[pymunk.Body | None] = [None] * (2 * count)
+        self._bodies: list[Any] = [None] * (2 * count)
         self._motors: list[pymunk.SimpleMotor | None] = [None] * (2 * count)
         self._body_ids = np.zeros((count, 2), np.int64)
         self._places: NDArray[np.intp] | None = None
@@ -129,16 +131,18 @@ class ArmSpace:
         if self._missing:
             raise RuntimeError(f"arms {[row for row, arm in enumerate(self._arms) if arm is None]} were never reset")
         # Chipmunk's motors turn the second body against the sign of their rate.
-        for motor, rate in zip(self._motors, (-rates).ravel().tolist(), strict=True):
-            _set_rate(motor, rate)
+        for motor, rate in zip(self._motors, rates.ravel().tolist(), strict=True):
+            _set_rate(motor, -rate)
         for _ in range(self._config.substeps):
             self._space.step(self._substep)
         if len(self._bodies) <= _FEW:
-            angles = np.array([body.angle for body in filter(None, self._bodies)]).reshape(-1, 2)
+            for row, (upper, lower) in enumerate(zip(self._bodies[::2], self._bodies[1::2], strict=True)):
+                first = upper.angle
+                self.angles[row] = first, lower.angle - first
         else:
             angles = self._all_angles()
-        self.angles[:, 0] = angles[:, 0]
-        self.angles[:, 1] = angles[:, 1] - angles[:, 0]
+            self.angles[:, 0] = angles[:, 0]
+            self.angles[:, 1] = angles[:, 1] - angles[:, 0]
 
     def _all_angles(self) -> Array:
         """All bodies' angles in one call; the Space lists them in an order of its own, the static body among them."""

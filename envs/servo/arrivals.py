@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from operator import is_not
+
 import numpy as np
 from numba import njit
 
@@ -35,7 +37,7 @@ class Arrivals:
         """
         world, config = self._world, self._world.config
         # An episode is frozen: another object is another episode.
-        fresh = [row for row, (a, b) in enumerate(zip(self._episodes, world.episodes, strict=True)) if a is not b]
+        fresh = [row for row, another in enumerate(map(is_not, self._episodes, world.episodes)) if another]
         for row in fresh:
             self._episodes[row] = world.episodes[row]
             self._captured[row] = -1

@@ -8,6 +8,7 @@ from servo_history import run, wiggle
 
 from servotrack.envs.servo.episode import draw_episode
 from servotrack.envs.servo.levels import servo_config
+from servotrack.envs.streams import Streams
 
 TABLES = (
     "links",
@@ -112,3 +113,16 @@ def test_two_agents_on_one_seed_meet_the_same_noise() -> None:
     both = noises[0][1] & noises[1][1]
     assert both.mean() > 0.5
     np.testing.assert_allclose(noises[0][0][both], noises[1][0][both], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", [0, 7, 2**32 - 1, 2**32, 2**63 - 1, 2**130 + 5])
+@pytest.mark.parametrize("key", [(0,), (2007,), (2**32,), (3, 9), (1, 2**40, 7)])
+def test_streams_are_those_of_numpys_seed_sequence(seed, key):
+    theirs = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
+    ours = Streams(seed)[key if len(key) > 1 else key[0]]
+    np.testing.assert_array_equal(ours.integers(0, 2**63, 8), theirs.integers(0, 2**63, 8))
+
+
+def test_a_negative_seed_is_refused():
+    with pytest.raises(ValueError, match=r"seed must be a non-negative integer, got -1"):
+        Streams(-1)
