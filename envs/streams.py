@@ -30,7 +30,9 @@ class Streams:
         """The stream of a quantity, or of one member of it where the key is (quantity, member)."""
         key = tuple(int(part) for part in stream) if isinstance(stream, tuple) else (int(stream),)
         if key not in self._made:
-            self._made[key] = np.random.Generator(np.random.PCG64(_Seed(self.seed, key)))
+            # NumPy's types name SeedSequence alone; what it takes is any ISeedSequence.
+            generator = np.random.PCG64(_Seed(self.seed, key))  # type: ignore[arg-type]
+            self._made[key] = np.random.Generator(generator)
         return self._made[key]
 
 

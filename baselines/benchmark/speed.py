@@ -76,7 +76,7 @@ def subjects(pusht_python: str | None) -> list[Subject]:
     """
     reacher, reacher64 = "Reacher-v5", "Reacher-v5, SyncVectorEnv, N = 64"
     state, pixels = "gym-pusht, state", "gym-pusht, pixels 96 x 96"
-    servo = "UncalibServo-v0"
+    servo, crowd = "UncalibServo-v0", "PedestrianServo-v0"
     return [
         Subject(f"{servo}, level 0", environment(servo, level=0), wanted=20_000.0, peers={state: 6.0, reacher: 0.7}),
         Subject(f"{servo}, level 3", environment(servo, level=3)),
@@ -91,6 +91,13 @@ def subjects(pusht_python: str | None) -> list[Subject]:
             {pixels: 8.0},
         ),
         Subject("UncalibServoPixels-v0, level 3, 96 x 96", environment("UncalibServoPixels-v0", level=3)),
+        Subject(f"{crowd}, level 2, detections", environment(crowd, level=2), 10_000.0),
+        Subject(f"{crowd}, level 2, detections, N = 64", environment(crowd, 64, level=2)),
+        Subject(
+            f"{crowd}, level 2, pixels 96 x 96",
+            environment(crowd, level=2, observation="pixels", image_size=96),
+            2_000.0,
+        ),
         Subject(f"{servo}, frames of rgb_array", environment(servo, level=0, render_mode="rgb_array"), 1_000.0),
         Subject("Kalman estimator, batch of 1024, updates", (str(FILTERING), "1024"), 1_000_000.0),
         _reacher(reacher),

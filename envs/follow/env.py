@@ -17,6 +17,9 @@ from servotrack.envs.servo.episode import LEAD
 if TYPE_CHECKING:
     from servotrack.envs.follow.recorder import Recorder
 
+_COUNTED = ("time_on_target", "identity_error", "lost", "losses", "reacquisitions", "kept")
+"""What the world counts and `info` holds under the same name."""
+
 
 class PedestrianServoEnv(UncalibServoEnv):
     """An arm with a camera that nobody calibrated keeps one person of a walking crowd centered.
@@ -158,14 +161,9 @@ class PedestrianServoEnv(UncalibServoEnv):
         info = super()._info()
         info["success"] = info["tracking_error"] < ON_TARGET
         info["truth"]["people"] = world.people[0, world.steps[0] + LEAD, :, :2].copy()
-        return info | {
-            "time_on_target": float(world.time_on_target[0]),
-            "identity_error": bool(world.identity_error[0]),
-            "lost": bool(world.lost[0]),
-            "losses": int(world.losses[0]),
-            "reacquisitions": int(world.reacquisitions[0]),
-            "kept": bool(world.kept[0]),
-        }
+        for name in _COUNTED:
+            info[name] = getattr(world, name).item(0)
+        return info
 
     def privileged(self) -> Observation:
         """What `PrivilegedObservation` adds: as `FollowWorld` and `FollowSensors` say, without the leading axis."""

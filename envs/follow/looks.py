@@ -65,11 +65,7 @@ def draw_looks(config: FollowConfig, streams: Streams, crowd: Crowd) -> Looks:
     # The last ones carry them: who walks with the person to follow does not, if it can be helped.
     umbrella[config.people - config.umbrellas :] = UMBRELLA_RADIUS
     umbrella_color[:] = np.array(_UMBRELLAS, dtype=np.float64)[rng.integers(0, len(_UMBRELLAS), config.people)]
-    speed = np.hypot(crowd.paths[:, 0, 2], crowd.paths[:, 0, 3])
-    # Where the person walks: who rests under a lampshade cannot be found by anybody.
-    walking = np.flatnonzero(speed[_CLEAR_START:] > _WALKS) + _CLEAR_START
-    at = rng.choice(walking, config.lamps) if len(walking) else np.zeros(config.lamps, np.int64)
-    lamps = np.concatenate([crowd.paths[at, 0, :2], rng.uniform(*_LAMP_RADIUS, (config.lamps, 1))], axis=1)
+    lamps = _hang_lamps(config.lamps, rng, crowd.paths[:, 0]) if config.lamps else np.zeros((0, 3))
     bare = _TOP_SHARE * people[:, TOP : TOP + 3] + (1.0 - _TOP_SHARE) * people[:, HAIR : HAIR + 3]
     under = umbrella[:, None] > 0.0
     return Looks(
@@ -80,6 +76,15 @@ def draw_looks(config: FollowConfig, streams: Streams, crowd: Crowd) -> Looks:
         np.where(under, umbrella_color, bare),
         np.where(umbrella > 0.0, 2.0 * umbrella, BODY_WIDTH),
     )
+
+
+def _hang_lamps(count: int, rng: np.random.Generator, path: Array) -> Array:
+    """Lampshades over a path (K, 4), as `Looks.lamps`."""
+    speed = np.hypot(path[:, 2], path[:, 3])
+    # Where the person walks: who rests under a lampshade cannot be found by anybody.
+    walking = np.flatnonzero(speed[_CLEAR_START:] > _WALKS) + _CLEAR_START
+    at = rng.choice(walking, count) if len(walking) else np.zeros(count, np.int64)
+    return np.concatenate([path[at, :2], rng.uniform(*_LAMP_RADIUS, (count, 1))], axis=1)
 
 
 def hidden_people(crowd: Crowd, looks: Looks) -> NDArray[np.bool_]:

@@ -90,7 +90,7 @@ class FollowSensors:
             from servotrack.envs.follow.imaging import target_patches
 
             self._patches[fresh] = target_patches(world, fresh, self.image_noise)
-        shared = {
+        shared: Observation = {
             "joint_angles": world.joint_angles.copy(),
             "time": world.time[:, None].copy(),
             "target_patch": self._patches.copy(),
