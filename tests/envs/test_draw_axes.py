@@ -1,5 +1,6 @@
 """Axes of the picture: each changes what it says and nothing else; statistics lie where real video has them."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -7,7 +8,8 @@ import pytest
 
 from servotrack.envs.track.pedestrians.config import PedestrianConfig
 from servotrack.envs.track.pedestrians.draw import Stage, occluder_places
-from servotrack.envs.track.pedestrians.floor import lobby_camera
+from servotrack.envs.track.pedestrians.floor import BACK_WALL, lobby_camera
+from servotrack.envs.track.pedestrians.paving import paint_floor
 from servotrack.envs.track.pedestrians.people import People
 
 SEED = 5
@@ -210,3 +212,14 @@ def test_larger_frames_show_the_same_lobby():
     assert large.shape == (576, 768, 3)
     shrunk = large.reshape(288, 2, 384, 2, 3).mean(axis=(1, 3))
     assert np.abs(shrunk - small).mean() < 6.0
+
+
+@pytest.mark.parametrize("part", [0.1, 0.5, 0.9])
+def test_the_row_of_the_walls_foot_is_no_darker_than_its_neighbors(part):
+    camera = lobby_camera(64, 64)
+    foot = 30.0 + part
+    wall, image = np.full((40, 64, 3), 150.0, np.float32), np.full((64, 64, 3), 150.0, np.float32)
+    moved = replace(camera, horizon=foot - camera.focal * camera.elevation / BACK_WALL)
+    paint_floor(image, wall, (150, 150, 150), moved, foot, np.random.default_rng(0))
+    rows = image.mean(axis=(1, 2))
+    assert rows[30] > 0.85 * min(rows[29], rows[31])

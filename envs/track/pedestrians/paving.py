@@ -139,7 +139,8 @@ def _paint(image, mirrored, noise, tones, stone, tints, focal, center, horizon, 
     # Of one row at a time, channel by channel: what is added up over its samples, and what it mirrors.
     sums, reflected = np.empty((3, width), np.float32), np.empty((3, width))
     light, level, speckle = np.empty((2, width)), np.empty(width), np.empty(width)
-    for i in range(math.floor(foot), height):
+    # A row whose samples all lie on the wall is the wall's.
+    for i in range(math.ceil(foot - 0.75), height):
         for sub_row in range(2):
             row = i + 0.25 + 0.5 * sub_row
             if sub_row == 0:
