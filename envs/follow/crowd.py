@@ -116,12 +116,25 @@ def draw_paths(config: FollowConfig, streams: Streams, links: Array, count: int)
 
 def walking_crowd(paths: Array, streams: Streams) -> Crowd:
     """Give people who move along these paths (K, P, 4) their gait."""
+    heading, phase, stride = bodies = np.empty((3, *paths.shape[:2]))
+    _move_bodies(paths, bodies)
+    phase += streams[FollowStream.OTHERS].uniform(0.0, 2.0 * math.pi, paths.shape[1])
+    return Crowd(paths, heading, phase, stride)
+
+
+@njit(cache=True, nogil=True)
+def _move_bodies(paths, bodies):  # type: ignore[no-untyped-def]
+    """Fill heading, phase and stride of everybody, (3, K, P)."""
     count, people = paths.shape[:2]
-    moved = np.diff(paths[:, :, :2], axis=0, prepend=paths[:1, :, :2]) / STATURE
-    resting = np.full(count, math.nan)
-    bodies = np.stack([gait(np.ascontiguousarray(moved[:, i]), resting, math.nan, 0.0, PERIOD) for i in range(people)])
-    heading, phase, stride = np.ascontiguousarray(bodies.transpose(2, 1, 0))
-    return Crowd(paths, heading, phase + streams[FollowStream.OTHERS].uniform(0.0, 2.0 * math.pi, people), stride)
+    moved, resting = np.zeros((count, 2)), np.full(count, math.nan)
+    for i in range(people):
+        for k in range(1, count):
+            moved[k, 0] = (paths[k, i, 0] - paths[k - 1, i, 0]) / STATURE
+            moved[k, 1] = (paths[k, i, 1] - paths[k - 1, i, 1]) / STATURE
+        body = gait(moved, resting, math.nan, 0.0, PERIOD)
+        for k in range(count):
+            for number in range(3):
+                bodies[number, k, i] = body[k, number]
 
 
 def _draw_own_way(rng: np.random.Generator, config: FollowConfig, links: Array, pace: float, count: int) -> Array:
