@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 _COLUMNS = 8
 _NO_FLOOR = 8.0  # pixels darker than this are where the lens shows nothing, gray levels
+_CORE = 0.45  # radius about the middle within which a person's color is taken, widths
 _DIM = 60.0  # colors are told from the floor's in proportion to brightness up to this, gray levels
 
 
@@ -44,7 +45,7 @@ class PeopleFromAbove:
     bright: float = 1.6
     surroundings: float = 0.32
     smallest: float = 0.15
-    usual: float = 0.7
+    usual: float = 0.6
     capacity: int = 24
     reference_size: float = 480.0
 
@@ -118,16 +119,18 @@ class PeopleFromAbove:
             place = np.stack([columns + left + 0.5, rows + top + 0.5], axis=-1)
             color = image[window_of][rows, columns].astype(np.float64)
             number = max(1, int(area / (self.usual * square) + 0.35))
-            owner = _parts(place / (width / scale), color, number)
+            owner = _parts(place, number)
             for part in range(number):
                 mine = owner == part
                 if used == self.capacity or mine.sum() < self.smallest * square:
                     continue
                 spot = place[mine]
                 found[used, 0] = 1.0
-                found[used, 1:3] = scale * spot.mean(axis=0)
+                middle = spot.mean(axis=0)
+                core = np.hypot(*(spot - middle).T) < _CORE * width / scale
+                found[used, 1:3] = scale * middle
                 found[used, 3:5] = scale * (np.ptp(spot, axis=0) + 1.0)
-                found[used, 5:] = color[mine].mean(axis=0)
+                found[used, 5:] = color[mine][core if core.any() else slice(None)].mean(axis=0)
                 used += 1
         return found
 
@@ -150,21 +153,21 @@ def _differs(smooth, brightness, around, hue, chroma, dark, bright, mask):  # ty
 
 
 _ROUNDS = 6
-_COLOR_UNIT = 60.0
-"""Distance of colors that counts as much as a person's width, gray levels."""
 
 
-def _parts(place: Array, color: Array, number: int) -> NDArray[np.int64]:
-    """Divide pixels among people by place (in widths) and color: Lloyd's algorithm from the longest axis."""
+def _parts(place: Array, number: int) -> NDArray[np.int64]:
+    """Divide pixels among people by place alone: Lloyd's algorithm from the longest axis.
+
+    Colors would divide a person's hair from their coat.
+    """
     if number == 1:
         return np.zeros(len(place), np.int64)
-    features = np.concatenate([place, color / _COLOR_UNIT], axis=1)
-    centered = features - features.mean(axis=0)
+    centered = place - place.mean(axis=0)
     _, axes = np.linalg.eigh(centered.T @ centered)
     along = centered @ axes[:, -1]
     owner = np.minimum((number * np.argsort(np.argsort(along)) / len(along)).astype(np.int64), number - 1)
     for _ in range(_ROUNDS):
-        middles = np.stack([features[owner == part].mean(axis=0) if (owner == part).any() else features[0]
-                            for part in range(number)])  # fmt: skip
-        owner = ((features[:, None] - middles) ** 2).sum(axis=2).argmin(axis=1)
+        mine = [place[owner == part] for part in range(number)]
+        middles = np.stack([spot.mean(axis=0) if len(spot) else place[0] for spot in mine])
+        owner = ((place[:, None] - middles) ** 2).sum(axis=2).argmin(axis=1)
     return owner

@@ -197,7 +197,7 @@ def test_people_are_found_on_a_floor():
         np.testing.assert_allclose(nearest[3:5], 40.0, atol=12.0)
 
 
-def test_two_who_touch_are_told_apart_by_color():
+def test_two_who_touch_are_told_apart():
     found = PeopleFromAbove().detect(with_people(floor(), (60.0, 60.0, RED), (69.0, 60.0, BLUE)), 40.0)
     rows = found[found[:, 0] > 0]
     assert len(rows) == 2
