@@ -39,7 +39,7 @@ class Picture(NamedTuple):
 
 PICTURES = (
     Picture("servo.png", "UncalibServo-v0", {"level": 3}, "lifted-kf", 160),
-    Picture("pedestrian-servo.png", "PedestrianServo-v0", {"level": 4}, "phd-servo", 180),
+    Picture("pedestrian-servo.png", "PedestrianServo-v0", {"level": 2, "lamps": 2, "umbrellas": 1}, "phd-servo", 70),
     Picture("clutter-tracking.png", "ClutterTracking-v0", {}, "pmb", 88),
     Picture("pedestrians.png", "PedestrianTracking-v0", {"level": 1}, "pmb", 150),
     Picture("sonar.png", "SonarTracking-v0", {"level": 3}, "hmm-row", 184),
