@@ -83,7 +83,7 @@ class PersonFollower:
         clutter: Expected number of false detections per frame.
         first_color: Standard deviation of the color that the first picture shows, gray levels.
         least_weight: That the followed identity keeps.
-        near: Distance at which a detection is that of the person's track, px.
+        near: Distance at which a detection is that of the person's track, and at which nobody else can be, px.
         alike: Distance of colors at which two may be the same person, gray levels.
         spreading: By how much that distance grows for new tracks while the person is not detected, px/s.
         patience: Frames without a detection after which any new track of that color may be the person.
@@ -103,7 +103,7 @@ class PersonFollower:
     clutter: float = 1.5
     first_color: float = 30.0
     least_weight: float = 0.2
-    near: float = 20.0
+    near: float = 25.0
     alike: float = 25.0
     spreading: float = 60.0
     patience: int = 30
@@ -212,7 +212,7 @@ class PersonFollower:
         features, visible = new.place.copy(), np.zeros(len(fresh), np.bool_)
         _decide(  # type: ignore[call-arg]  # mypy cannot count starred arguments of a compiled function
             detections, estimate.labels, estimate.states, *crowd.intensity[:4], crowd.intensity.label, *new[1:],
-            features, visible, self._spread, self._limits, self.patience,
+            features, visible, self._spread, self._limits, self.patience, moved.crowd.next_label,
         )  # fmt: skip
         kept = select_rows(fresh, new, state)
         return kept, Sighting(np.where(fresh[:, None], features, state.place), visible & fresh)
@@ -257,7 +257,7 @@ def _nearest(detections, u, v, color, reach, alike):  # type: ignore[no-untyped-
 @njit(cache=True, nogil=True)
 def _decide(  # type: ignore[no-untyped-def]
     detections, labels, states, number, weight, mean, covariance, identity, label, place, motion, color, unseen,
-    strangers, features, visible, spread, limits, patience,
+    strangers, features, visible, spread, limits, patience, newborn,
 ):  # fmt: skip
     """Keep the followed identity alive in every run; fill the memory, `features` and `visible`."""
     near, alike, least, slowing, spreading = limits
@@ -296,6 +296,11 @@ def _decide(  # type: ignore[no-untyped-def]
             features[b, 0], features[b, 1] = detections[b, found, 1], detections[b, found, 2]
             for channel in range(3):
                 color[b, channel] += 0.05 * (mean[b, row, 4 + channel] - color[b, channel])
+            for k in range(number[b]):
+                # Nobody else can stand so near: what is born here is a second track of the person.
+                away = (mean[b, k, 0] - place[b, 0]) ** 2 + (mean[b, k, 2] - place[b, 1]) ** 2
+                if identity[b, k] >= newborn[b] and away < near * near:
+                    identity[b, k] = label[b]
         else:
             for axis in range(2):
                 mean[b, row, 2 * axis + 1] *= slowing
