@@ -150,7 +150,7 @@ class PersonFollower:
             place: Middle of the person in it. Shape (B, 2), px.
             color: Their color. Shape (B, 3), gray levels.
         """
-        crowd = self.filter.initial(detections[:, :, _SEEN])
+        crowd = self.filter.initial(checked(detections)[:, :, _SEEN])
         color = color.copy()
         for run, (table, middle) in enumerate(zip(detections, place, strict=True)):
             found = _nearest(table, middle[0], middle[1], color[run], self.near, 2.0 * self.first_color)
@@ -200,6 +200,7 @@ class PersonFollower:
         Raises:
             ValueError: As the set filter does for detections of a wrong shape or not finite.
         """
+        checked(detections)
         moved = self._carried(state, elapsed, ego_motion, joints_before, joints_after)
         crowd, estimate = self.filter.step(moved.crowd, np.ascontiguousarray(detections[:, :, _SEEN]))
         new = moved._replace(
@@ -236,6 +237,16 @@ class PersonFollower:
         born[..., _POSITION], born[..., _VELOCITY] = here[:, known:-1], turned[:, known:-1]
         crowd = state.crowd._replace(intensity=intensity._replace(mean=mean), births=births._replace(mean=born))
         return state._replace(crowd=crowd, place=here[:, -1] + self.period * turned[:, -1], motion=turned[:, -1])
+
+
+def checked(detections: Array) -> Array:
+    """The detections, if they are a table for each run; raises ValueError that says what would be."""
+    if np.ndim(detections) != 3 or detections.shape[2] != COLUMNS:
+        raise ValueError(
+            f"detections must have shape (runs, rows, {COLUMNS}): existence, column, row, width, height, red, green, "
+            f"blue; got {np.shape(detections)}"
+        )
+    return detections
 
 
 @njit(cache=True, nogil=True)

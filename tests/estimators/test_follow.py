@@ -173,6 +173,15 @@ def test_bad_detections_are_refused():
         follower.step(state, frame, FRESH, PERIOD, StillCamera(), BEFORE, BEFORE)
 
 
+@pytest.mark.parametrize("bad", [np.zeros((1, 4, 5)), np.zeros((4, 8))])
+def test_detections_of_another_shape_are_refused(bad):
+    follower = PersonFollower()
+    frame = table((200.0, 240.0, RED))
+    state = follower.initial(frame, frame[:, 0, 1:3], RED[None])
+    with pytest.raises(ValueError, match=r"detections must have shape \(runs, rows, 8\)"):
+        follower.step(state, bad, FRESH, PERIOD, StillCamera(), BEFORE, BEFORE)
+
+
 def floor(side: int = 128) -> np.ndarray:
     rng = np.random.default_rng(0)
     return np.clip(rng.normal(120.0, 9.0, (side, side, 1)) + rng.normal(0.0, 3.0, (side, side, 3)), 0, 255)
