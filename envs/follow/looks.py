@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 BODY_WIDTH = 0.5
 """Of a person from above, m."""
-UMBRELLA_RADIUS = 0.5
+UMBRELLA_RADIUS = 0.6
 """m."""
 _UMBRELLAS = ((150, 34, 40), (34, 70, 120), (30, 32, 38), (196, 160, 60), (40, 96, 84))
 _LAMP_RADIUS = (0.3, 0.5)  # m

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import cast
 
 import numpy as np
@@ -68,32 +67,23 @@ class FollowWorld(ServoWorld):
         """The episode of a row that has been reset."""
         return cast(FollowEpisode, self.episodes[row])
 
-    def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
-        """Start new episodes in some rows; as `ServoWorld.reset`."""
-        super().reset(rows, seeds)
-        for row in rows:
-            episode = self.episode(row)
-            self.people[row], self.hidden[row] = episode.crowd.paths, episode.hidden
-            self.identity_error[row] = self.lost[row] = False
-            self.losses[row] = self.reacquisitions[row] = self._on_target[row] = 0
-            self.time_on_target[row] = 0.0
-            self._last_errors[row] = self.tracking_error[row]
-            self.kept[row] = self.tracking_error[row] < FOLLOWED
-
     def _draw(self, seed: int) -> FollowEpisode:
         return draw_follow_episode(self.config, seed)
 
-    def step(self, actions: Array, rows: NDArray[np.bool_] | None = None) -> None:
-        """Advance rows by one control period; as `ServoWorld.step`."""
-        chosen = self._everyone if rows is None else rows
+    def _begin(self, row: int, seed: int) -> None:
+        super()._begin(row, seed)
+        episode = self.episode(row)
+        self.people[row], self.hidden[row] = episode.crowd.paths, episode.hidden
+
+    def _observe(self, rows: NDArray[np.bool_]) -> None:
         if self.config.lamps or self.config.umbrellas:
             before = self.features.copy(), self.frame_time.copy()
-            super().step(actions, chosen)
-            _cover(chosen, self.captured, self.hidden, *before, self.visible, self.features, self.frame_time)
+            super()._observe(rows)
+            _cover(rows, self.captured, self.hidden, *before, self.visible, self.features, self.frame_time)
         else:
-            super().step(actions, chosen)
+            super()._observe(rows)
         _follow(
-            chosen, self.steps, self.people, self.tool, self._last_errors, self._on_target, self.identity_error,
+            rows, self.steps, self.people, self.tool, self._last_errors, self._on_target, self.identity_error,
             self.lost, self.losses, self.reacquisitions, self.kept, self.time_on_target,
         )  # fmt: skip
 
@@ -122,6 +112,14 @@ def _follow(  # type: ignore[no-untyped-def]
         for k in range(1, now.shape[0]):
             nearest = min(nearest, math.hypot(tool[i, 0] - now[k, 0], tool[i, 1] - now[k, 1]))
         identity_error[i] = nearest < FOLLOWED < own
+        if steps[i] == 0:
+            # Nobody has been followed yet, the right one no more than another.
+            identity_error[i] = lost[i] = False
+            losses[i] = reacquisitions[i] = on_target[i] = 0
+            share[i] = 0.0
+            last_errors[i] = own
+            kept[i] = own < FOLLOWED
+            continue
         if lost[i] and own < FOLLOWED:
             lost[i] = False
             reacquisitions[i] += 1

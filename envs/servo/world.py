@@ -103,32 +103,36 @@ class ServoWorld:
         """
         moved = np.zeros(self.count, np.bool_)
         for row, seed in zip(rows, seeds, strict=True):
-            episode = self._draw(seed)
-            self.episodes[row] = episode
-            self.arms.reset(row, episode.links)
-            self.links[row], self.cameras[row], self.goal[row] = episode.links, episode.camera, episode.goal
-            self.gain[row], self.latency[row] = episode.gain, episode.latency
-            self.noise_levels[row], self.paths[row] = episode.noise_levels, episode.path
-            for table, values in (
-                (self._feature_noise, episode.feature_noise),
-                (self._rate_noise, episode.rate_noise),
-                (self._encoder_noise, episode.encoder_noise),
-                (self._dropped, episode.dropped),
-            ):
-                if table.shape[1]:
-                    table[row] = values
-            self.steps[row] = 0
-            self._rates[row] = 0.0
-            self.history[row] = START
-            self._out_of_view[row] = 0
-            self.features[row] = self.config.camera_size / 2.0
-            self.frame_time[row] = -(LEAD + self.config.warmup) * PERIOD
-            self.captured[row] = 0
+            self._begin(row, seed)
             moved[row] = True
         self._observe(moved)
 
     def _draw(self, seed: int) -> Episode:
         return draw_episode(self.config, seed)
+
+    def _begin(self, row: int, seed: int) -> None:
+        """Take a new episode in; nothing of it is observed yet."""
+        episode = self._draw(seed)
+        self.episodes[row] = episode
+        self.arms.reset(row, episode.links)
+        self.links[row], self.cameras[row], self.goal[row] = episode.links, episode.camera, episode.goal
+        self.gain[row], self.latency[row] = episode.gain, episode.latency
+        self.noise_levels[row], self.paths[row] = episode.noise_levels, episode.path
+        for table, values in (
+            (self._feature_noise, episode.feature_noise),
+            (self._rate_noise, episode.rate_noise),
+            (self._encoder_noise, episode.encoder_noise),
+            (self._dropped, episode.dropped),
+        ):
+            if table.shape[1]:
+                table[row] = values
+        self.steps[row] = 0
+        self._rates[row] = 0.0
+        self.history[row] = START
+        self._out_of_view[row] = 0
+        self.features[row] = self.config.camera_size / 2.0
+        self.frame_time[row] = -(LEAD + self.config.warmup) * PERIOD
+        self.captured[row] = 0
 
     def step(self, actions: Array, rows: NDArray[np.bool_] | None = None) -> None:
         """Advance rows by one control period.

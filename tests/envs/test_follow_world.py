@@ -154,6 +154,22 @@ def test_who_is_under_a_lampshade_is_not_seen():
     assert hidden > 10
 
 
+def test_an_umbrella_hides_whoever_comes_close_but_not_who_carries_it():
+    hidden = np.mean([made(level=0, first=seed, umbrellas=1).hidden[0].mean(axis=0) for seed in SEEDS], axis=0)
+    assert hidden[-1] == 0.0
+    assert 0.002 < hidden[:-1].mean() < 0.1
+
+
+def test_who_is_covered_at_the_reset_is_not_seen_either():
+    covered = 0
+    for seed in SEEDS:
+        world = made(level=0, first=seed, lamps=20)
+        at = world.captured[0]
+        assert world.visible[0] == (not world.hidden[0, at, 0])
+        covered += bool(world.hidden[0, at, 0])
+    assert covered > 0
+
+
 def test_latency_delivers_the_frames_of_the_past_with_their_stamps():
     world = made(level=0, count=1, latency=(2, 2))
     sensor = DetectionSensor(world)
