@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
-from servotrack.envs.arguments import check_fields, check_keywords, check_level
-from servotrack.envs.servo.levels import Range, ServoConfig
+from servotrack.envs.arguments import check_fields
+from servotrack.envs.servo.levels import Range, ServoConfig, rung
 
 SCRIPTS = ("plaza", "crossings")
 """What the others do: stroll about and cross the person's way now and then, or do nothing but cross it."""
@@ -146,9 +146,4 @@ def follow_config(level: int = 2, **axes: Any) -> FollowConfig:
         ValueError: A level outside 0 to 6, or a value outside its bounds.
         TypeError: An unknown axis; the message suggests the nearest known one.
     """
-    level = check_level(level, len(_LADDER))
-    check_keywords(axes, AXES, ("level", "observation", "image_size", "image_noise", "render_mode"))
-    settings: dict[str, Any] = {}
-    for step in _LADDER[: level + 1]:
-        settings.update(step)
-    return replace(FollowConfig(**settings), **axes)
+    return FollowConfig(**rung(_LADDER, level, axes, AXES, ("observation", "image_size", "image_noise", "render_mode")))

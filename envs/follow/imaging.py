@@ -46,20 +46,21 @@ class CrowdCamera(FloorCamera):
         goal: Taught goals in the images' pixels, (N, 2).
     """
 
+    _world: FollowWorld
+
     def __init__(self, world: FollowWorld, image_size: int, image_noise: float) -> None:
         super().__init__(world, image_size, image_noise)
         config = world.config
-        self._crowd_world = world
         self._crowd = _Crowds(world.count, samples(config), config.people, config.lamps)
 
     def _begin(self, row: int, episode: Episode) -> None:
         super()._begin(row, episode)
         self._floor_pose[row], self._floor_color[row] = _floor(episode)
         _enlarge(self._rays.detail[row])
-        self._crowd.put(row, self._crowd_world.episode(row))
+        self._crowd.put(row, self._world.episode(row))
 
     def _expose(self, rows: NDArray[np.bool_]) -> None:
-        world, texture, config = self._crowd_world, floor_texture(), self._crowd_world.config
+        world, texture, config = self._world, floor_texture(), self._world.config
         expose_crowd(
             rows, world.captured, float(config.rolling_shutter), 1.0 / self._scale, float(config.shadows),
             world.cameras, world.links, world.history, world.people, *self._crowd.tables, *self._rays, texture.texels,

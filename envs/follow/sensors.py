@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -10,17 +10,12 @@ from numpy.typing import NDArray
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.detections import COLUMNS, LARGEST, DetectionSensor, capacity
+from servotrack.envs.follow.imaging import PATCH_SIZE, CrowdCamera, target_patches
 from servotrack.envs.follow.world import FollowWorld
 from servotrack.envs.servo.env import Observation, feature_observations, feature_space
 from servotrack.envs.servo.pixels import check_image_arguments
 
-if TYPE_CHECKING:
-    from servotrack.envs.follow.imaging import CrowdCamera
-
 ObservationKind = Literal["pixels", "detections", "identity"]
-
-PATCH_SIZE = 32
-"""Width and height of `target_patch`, px."""
 
 
 def check_observation(observation: str) -> ObservationKind:
@@ -54,8 +49,6 @@ class FollowSensors:
         self.camera: CrowdCamera | None = None
         self._patches = np.zeros((world.count, PATCH_SIZE, PATCH_SIZE, 3), np.uint8)
         if self.observation == "pixels":
-            from servotrack.envs.follow.imaging import CrowdCamera
-
             self.camera = CrowdCamera(world, self.image_size, self.image_noise)
 
     def space(self) -> gym.spaces.Dict:
@@ -87,8 +80,6 @@ class FollowSensors:
             return feature_observations(world)
         fresh = detector.update()
         if fresh:
-            from servotrack.envs.follow.imaging import target_patches
-
             self._patches[fresh] = target_patches(world, fresh, self.image_noise)
         shared: Observation = {
             "joint_angles": world.joint_angles.copy(),

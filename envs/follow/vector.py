@@ -12,7 +12,6 @@ from servotrack.envs.follow.sensors import FollowSensors
 from servotrack.envs.follow.world import ON_TARGET, FollowWorld
 from servotrack.envs.servo.env import Observation
 from servotrack.envs.servo.vector import UncalibServoVectorEnv
-from servotrack.envs.vector_env import Mask, masked_infos
 
 if TYPE_CHECKING:
     from servotrack.envs.follow.recorder import Recorder
@@ -68,11 +67,10 @@ class PedestrianServoVectorEnv(UncalibServoVectorEnv):
     def _pictured(self, row: int) -> dict[str, Any]:
         return pictured(self._sensors, row)
 
-    def _infos(self, chosen: Mask) -> dict[str, Any]:
-        world = self.world
-        values = {
-            "tracking_error": world.tracking_error,
-            "feature_error": world.feature_error,
+    def _told(self) -> dict[str, Any]:
+        world, told = self.world, super()._told()
+        told["truth"]["people"] = people_now(world)
+        return told | {
             "success": world.tracking_error < ON_TARGET,
             "time_on_target": world.time_on_target,
             "identity_error": world.identity_error,
@@ -80,15 +78,7 @@ class PedestrianServoVectorEnv(UncalibServoVectorEnv):
             "losses": world.losses,
             "reacquisitions": world.reacquisitions,
             "kept": world.kept,
-            "truth": {
-                "joint_angles": world.joints,
-                "tool": world.tool,
-                "target": world.target[:, :2],
-                "target_velocity": world.target[:, 2:],
-                "people": people_now(world),
-            },
         }
-        return masked_infos(values, chosen)
 
     def privileged(self) -> Observation:
         """What `VectorPrivilegedObservation` adds, with a leading axis of N."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import numbers
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 from servotrack.envs.arguments import check_keywords, check_level
@@ -201,12 +202,35 @@ def servo_config(level: int = 3, **axes: Any) -> ServoConfig:
         ValueError: A level outside 0 to 6, or a value outside its bounds.
         TypeError: An unknown axis; the message suggests the nearest known one.
     """
-    level = check_level(level, len(_LADDER))
-    check_keywords(axes, AXES, ("level", "render_mode"))
+    return ServoConfig(**rung(_LADDER, level, axes, AXES, ("render_mode",)))
+
+
+def rung(
+    ladder: Sequence[Mapping[str, Any]],
+    level: int,
+    axes: Mapping[str, Any],
+    known: Sequence[str],
+    beside: Sequence[str] = (),
+) -> dict[str, Any]:
+    """What a level of a ladder sets, whose steps each add to those before, and what single axes override.
+
+    Args:
+        ladder: What each step adds.
+        level: Whole number from 0.
+        axes: Keywords that override the level's values.
+        known: Names that an axis may have.
+        beside: Further keywords of the environment, besides `level`.
+
+    Raises:
+        ValueError: A level that the ladder does not have.
+        TypeError: An unknown axis; the message suggests the nearest known one.
+    """
+    level = check_level(level, len(ladder))
+    check_keywords(axes, known, ("level", *beside))
     settings: dict[str, Any] = {}
-    for step in _LADDER[: level + 1]:
+    for step in ladder[: level + 1]:
         settings.update(step)
-    return replace(ServoConfig(**settings), **axes)
+    return {**settings, **axes}
 
 
 def reach_config(level: int = 3, **axes: Any) -> ServoConfig:

@@ -80,8 +80,12 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
         return Recorder(self.world, row, level_caption(self.level))
 
     def _infos(self, chosen: Mask) -> dict[str, Any]:
+        return masked_infos(self._told(), chosen)
+
+    def _told(self) -> dict[str, Any]:
+        """Infos of all rows, arrays or dictionaries of arrays with a leading axis of N."""
         world = self.world
-        values = {
+        return {
             "tracking_error": world.tracking_error,
             "feature_error": world.feature_error,
             "success": world.tracking_error < SUCCESS_DISTANCE,
@@ -92,7 +96,6 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
                 "target_velocity": world.target[:, 2:],
             },
         }
-        return masked_infos(values, chosen)
 
 
 class UncalibServoReachVectorEnv(UncalibServoVectorEnv):
