@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.baselines.association_oracle import AssociationOracle
+from servotrack.baselines.memory import remembered
 from servotrack.baselines.patience import WaitingRows, allocate_patiently, no_rows
 from servotrack.baselines.track_filters import SMALLEST_CAPACITY, FilterSettings, track_filter
 from servotrack.envs.track.told import SceneModel
 from servotrack.envs.track.told_video import VideoModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
-from servotrack.estimators.online import select_rows
 from servotrack.estimators.rfs import RowAllocation
 
 Array = NDArray[np.float64]
@@ -76,11 +76,7 @@ class SetObserver:
         scan, single = _batched(observation)
         count = len(scan[OBSERVATION_KEY])
         measurement = scan if len(scan) > 1 else scan[OBSERVATION_KEY]
-        if state is None:
-            state = self._initial(measurement, count)
-        elif episode_start is not None and np.any(episode_start):
-            starts = np.broadcast_to(np.asarray(episode_start, dtype=np.bool_).reshape(-1), (count,))
-            state = select_rows(starts, self._initial(measurement, count), state)
+        state = remembered(state, episode_start, (count,), lambda: self._initial(measurement, count))
         belief, estimate = self.estimator.step(state.belief, measurement)
         rows, answer = allocate_patiently(self._allocation, state.rows, estimate)
         answer = np.clip(answer, self._low, self._high)

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.baselines.memory import remembered
 from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
 from servotrack.estimators.jacobian.controller import ControllerState, ServoController
 from servotrack.estimators.jacobian.informed import Geometry
-from servotrack.estimators.online import select_rows
 
 OBSERVATION_KEYS = ("joint_angles", "features", "goal", "visible", "frame_time", "time")
 
@@ -93,10 +93,7 @@ class JacobianServo:
             ValueError: A key is missing or a measurement is bad.
         """
         measurement: Any = servo_measurement(observation)
-        if state is None:
-            state = self.controller.initial(measurement)
-        elif episode_start is not None and np.any(episode_start):
-            starts = np.broadcast_to(np.asarray(episode_start, dtype=np.bool_), np.shape(measurement.time))
-            state = select_rows(starts, self.controller.initial(measurement), state)
+        batch = np.shape(measurement.time)
+        state = remembered(state, episode_start, batch, lambda: self.controller.initial(measurement))
         state, rate = self.controller.step(state, measurement)
         return (rate / self.controller.max_joint_rate).astype(np.float32), state

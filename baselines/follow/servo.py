@@ -8,6 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.baselines.memory import remembered
 from servotrack.baselines.servo import servo_measurement
 from servotrack.estimators.follow import (
     CameraMotion,
@@ -26,7 +27,6 @@ from servotrack.estimators.jacobian.contract import Array
 from servotrack.estimators.jacobian.controller import ControllerState, ServoController
 from servotrack.estimators.jacobian.kf import KalmanState
 from servotrack.estimators.jacobian.lifted import LiftedState
-from servotrack.estimators.online import select_rows
 
 Identity = Literal["tracked", "nearest", "oracle"]
 Detection = Literal["observed", "oracle"]
@@ -107,11 +107,7 @@ class FollowServo:
         """
         seen, single = self._seen(observation)
         detections = self._detections(seen)
-        if state is None:
-            state = self._initial(seen, detections)
-        elif episode_start is not None and np.any(episode_start):
-            starts = np.broadcast_to(np.asarray(episode_start, dtype=np.bool_).reshape(-1), (len(detections),))
-            state = select_rows(starts, self._initial(seen, detections), state)
+        state = remembered(state, episode_start, (len(detections),), lambda: self._initial(seen, detections))
         stamp = seen["frame_time"][:, 0]
         fresh = stamp > state.frame_time
         frames, increment = self._alignment.step(state.frames, _measurement(seen, seen["goal"], fresh))
