@@ -179,30 +179,19 @@ def reach_of_band(runs, width, low, high):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def predict_band(runs, probabilities, width, low, high, out):  # type: ignore[no-untyped-def]
-    """`predict_into` from states whose number modulo `width` lies in low to high - 1; added to `out`."""
+def step_band(runs, read, write, values, width, low, high, out):  # type: ignore[no-untyped-def]
+    """One step along the runs from states whose number modulo `width` lies in low to high - 1; added to `out`.
+
+    Read at a run's source and written at its target this is `predict_into`; the other way about it is the backward
+    step, out[i] = sum_j a_ij values[j], of the states i in the band.
+    """
     for run in range(runs.source.shape[0]):
         first = runs.source[run] % width
         skip = max(low - first, 0)
         length = min(high - first, runs.length[run]) - skip
         if length > 0:
             weight = runs.weight[run]
-            source = probabilities[runs.source[run] + skip : runs.source[run] + skip + length]
-            target = out[runs.target[run] + skip : runs.target[run] + skip + length]
-            for i in range(length):
-                target[i] += weight * source[i]
-
-
-@njit(cache=True, nogil=True)
-def retrodict_band(runs, values, width, low, high, out):  # type: ignore[no-untyped-def]
-    """Backward step, out[i] = sum_j a_ij values[j], to the states i of a band as in `predict_band`; added to `out`."""
-    for run in range(runs.source.shape[0]):
-        first = runs.source[run] % width
-        skip = max(low - first, 0)
-        length = min(high - first, runs.length[run]) - skip
-        if length > 0:
-            weight = runs.weight[run]
-            source = values[runs.target[run] + skip : runs.target[run] + skip + length]
-            target = out[runs.source[run] + skip : runs.source[run] + skip + length]
+            source = values[read[run] + skip : read[run] + skip + length]
+            target = out[write[run] + skip : write[run] + skip + length]
             for i in range(length):
                 target[i] += weight * source[i]

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from servotrack.estimators.hmm.chain import Chain, predict_band, reach_of_band, retrodict_band
+from servotrack.estimators.hmm.chain import Chain, reach_of_band, step_band
 
 Array = NDArray[np.float64]
 
@@ -127,7 +127,7 @@ def _forward_backward(runs, likelihood, prior, presence, negligible, marginal, e
             low, high = reach_of_band(runs, W, low, high)
             for start in range(0, S, W):
                 message[start + low : start + high] = 0.0
-            predict_band(runs, marginal[k - 1], W, before[0], before[1], message)
+            step_band(runs, runs.source, runs.target, marginal[k - 1], W, before[0], before[1], message)
         # The messages are not normalized: the sum of one is taken out of the next one's likelihood.
         for i in range(low, high):
             b[i] = (1.0 + presence[k] * (likelihood[k, i] - 1.0)) / total
@@ -170,7 +170,7 @@ def _forward_backward(runs, likelihood, prior, presence, negligible, marginal, e
             low, high = bands[k - 1]
             for start in range(0, S, W):
                 beta[start + low : start + high] = 0.0
-            retrodict_band(runs, weighted, W, low, high, beta)
+            step_band(runs, runs.target, runs.source, weighted, W, low, high, beta)
             largest = 0.0
             for start in range(0, S, W):
                 largest = max(largest, beta[start + low : start + high].max())
