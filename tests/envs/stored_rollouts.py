@@ -20,6 +20,19 @@ def stored_rollout(file: Path, case: Any) -> dict[str, Any]:
         return {name.split("/")[1]: stored[name] for name in stored if name.startswith(f"{case}/")}
 
 
+def assert_as_stored(
+    file: Path, case: Any, history: Mapping[str, Any], images: Iterable[str] = (), tolerance: float = 1e-6
+) -> None:
+    """A rollout comes out as it is stored: numbers to a relative tolerance, images to a mean difference below 1."""
+    stored = stored_rollout(file, case)
+    assert stored.keys() == history.keys()
+    for name, values in history.items():
+        if name in images:
+            assert np.abs(np.asarray(values, dtype=np.float64) - stored[name]).mean() < 1.0
+        else:
+            np.testing.assert_allclose(values, stored[name], rtol=tolerance, atol=1e-3 * tolerance, err_msg=name)
+
+
 def digests(rollout: Rollout, cases: Iterable[Any]) -> list[str]:
     """A hash of all bits of each case."""
     found = []

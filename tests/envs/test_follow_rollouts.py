@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from stored_rollouts import digests, digests_elsewhere, print_or_store, stored_rollout
+from stored_rollouts import assert_as_stored, digests, digests_elsewhere, print_or_store
 
 import servotrack  # noqa: F401
 
@@ -46,14 +46,7 @@ def rollout(case: str) -> dict[str, Any]:
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_stored_rollout_comes_out_again(case: str) -> None:
-    history = rollout(case)
-    stored = stored_rollout(STORED, case)
-    assert stored.keys() == history.keys()
-    for name, values in history.items():
-        if name in IMAGES:
-            assert np.abs(values.astype(float) - stored[name]).mean() < 1.0
-        else:
-            np.testing.assert_allclose(values, stored[name], rtol=1e-6, atol=1e-9, err_msg=name)
+    assert_as_stored(STORED, case, rollout(case), IMAGES)
 
 
 def test_another_process_gets_the_same_bits() -> None:
