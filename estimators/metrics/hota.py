@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from servotrack.estimators.metrics.joined import Joined
 from servotrack.estimators.metrics.sequence import EPSILON, Array, TrackSequence
 
 THRESHOLDS = np.arange(0.05, 0.99, 0.05)
@@ -34,14 +35,14 @@ def hota_scores(sequence: TrackSequence) -> HotaScores:
     """
     alignment = _alignment(sequence)
     # Of every match its pair of tracks and how many thresholds it passes; few of all pairs ever meet.
-    pairs, passed = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    pairs, passed = Joined(np.int64), Joined(np.int64)
     for truth, estimate, similarity in sequence.meetings():
         rows, columns = linear_sum_assignment(alignment[np.ix_(truth, estimate)] * similarity, maximize=True)
         pairs.append(truth[rows] * alignment.shape[1] + estimate[columns])
         passed.append((similarity[rows, columns][:, None] >= THRESHOLDS - EPSILON).sum(axis=1))
-    met, pair = np.unique(np.concatenate(pairs), return_inverse=True)
+    met, pair = np.unique(pairs.array(), return_inverse=True)
     steps = len(THRESHOLDS) + 1
-    levels = np.bincount(pair * steps + np.concatenate(passed), minlength=len(met) * steps).reshape(len(met), steps)
+    levels = np.bincount(pair * steps + passed.array(), minlength=len(met) * steps).reshape(len(met), steps)
     together = np.cumsum(levels[:, :0:-1], axis=1)[:, ::-1].T.astype(np.float64)
     true, reported = sequence.truth_counts, sequence.estimate_counts
     matches = together.sum(axis=1)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from servotrack.estimators.metrics.joined import Joined
 from servotrack.estimators.metrics.tracks import Array, Track, members_by_step
 
 EPSILON = float(np.finfo(np.float64).eps)  # rounding that a similarity at the threshold is forgiven
@@ -28,6 +29,41 @@ class Frame(NamedTuple):
     similarity: Array
 
 
+class _Frames(Sequence[Frame]):
+    """Frames cut out of whole arrays when they are asked for: hours of steps would fill the memory.
+
+    Args:
+        sizes: Numbers of true and of estimated tracks at each step, shape (T, 2).
+        truth: Indices of all steps, one after the other.
+        estimate: Likewise.
+        similarity: Of all pairs of all steps, likewise.
+    """
+
+    def __init__(
+        self, sizes: NDArray[np.int64], truth: NDArray[np.intp], estimate: NDArray[np.intp], similarity: Array
+    ) -> None:
+        ends = np.cumsum(np.column_stack([sizes, sizes.prod(axis=1)]), axis=0)
+        self._sizes, self._bounds = sizes, np.concatenate([np.zeros((1, 3), np.int64), ends])
+        self._truth, self._estimate, self._similarity = truth, estimate, similarity
+
+    def __len__(self) -> int:
+        return len(self._sizes)
+
+    @overload
+    def __getitem__(self, step: int) -> Frame: ...
+
+    @overload
+    def __getitem__(self, step: slice) -> list[Frame]: ...
+
+    def __getitem__(self, step: int | slice) -> Frame | list[Frame]:
+        if isinstance(step, slice):
+            return [self[one] for one in range(*step.indices(len(self)))]
+        one = range(len(self))[step]
+        (first, other, pair), (last, end, stop) = self._bounds[one].tolist(), self._bounds[one + 1].tolist()
+        similarity = self._similarity[pair:stop].reshape(last - first, end - other)
+        return Frame(self._truth[first:last], self._estimate[other:end], similarity)
+
+
 class TrackSequence(NamedTuple):
     """All steps.
 
@@ -37,7 +73,7 @@ class TrackSequence(NamedTuple):
         estimate_counts: Steps at which each estimated track exists. Shape (number of estimated tracks,).
     """
 
-    frames: list[Frame]
+    frames: Sequence[Frame]
     truth_counts: NDArray[np.int64]
     estimate_counts: NDArray[np.int64]
 
@@ -77,8 +113,9 @@ def track_sequence(
     dimension = next(np.asarray(track.states).shape[1] for track in everything if len(track.steps))
     there = members_by_step([*truth, *ignored], length, dimension)
     here = members_by_step(estimate, length, dimension)
-    frames = []
-    for (a, true), (b, estimated) in zip(there, here, strict=True):
+    sizes = np.zeros((length, 2), np.int64)
+    those, others, pairs = Joined(np.intp), Joined(np.intp), Joined(np.float64)
+    for step, ((a, true), (b, estimated)) in enumerate(zip(there, here, strict=True)):
         similarity = np.zeros((len(a), len(b)))
         if similarity.size:
             similarity = np.clip(1.0 - distances(true, estimated) / cutoff, 0.0, 1.0)
@@ -86,16 +123,16 @@ def track_sequence(
         if not counted.all():
             kept = _not_ignored(similarity, counted, threshold)
             a, b, similarity = a[counted], b[kept], similarity[np.ix_(counted, kept)]
-        frames.append(Frame(a, b, similarity))
+        sizes[step] = len(a), len(b)
+        those.append(a)
+        others.append(b)
+        pairs.append(similarity.ravel())
+    true_rows, estimated_rows = those.array(), others.array()
     return TrackSequence(
-        frames,
-        _counts([frame.truth for frame in frames], len(truth)),
-        _counts([frame.estimate for frame in frames], len(estimate)),
+        _Frames(sizes, true_rows, estimated_rows, pairs.array()),
+        np.bincount(true_rows, minlength=len(truth)).astype(np.int64),
+        np.bincount(estimated_rows, minlength=len(estimate)).astype(np.int64),
     )
-
-
-def _counts(members: list[NDArray[np.intp]], number: int) -> NDArray[np.int64]:
-    return np.bincount(np.concatenate(members), minlength=number).astype(np.int64)
 
 
 def _not_ignored(similarity: Array, counted: NDArray[np.bool_], threshold: float) -> NDArray[np.bool_]:

@@ -93,17 +93,25 @@ def members_by_step(tracks: Sequence[Track], length: int, dimension: int) -> Seq
     Raises:
         ValueError: A track with steps outside 0..T - 1, or states of another shape.
     """
-    steps, rows, states = [np.zeros(0, np.int64)], [np.zeros(0, np.intp)], [np.zeros((0, dimension))]
-    for row, track in enumerate(tracks):
-        checked = _checked(row, track, length, dimension)
-        exists = ~np.isnan(checked.states).any(axis=1)
-        steps.append(checked.steps[exists])
-        rows.append(np.full(np.count_nonzero(exists), row, np.intp))
-        states.append(checked.states[exists])
-    at, who, what = np.concatenate(steps), np.concatenate(rows), np.concatenate(states)
-    # Stable: the rows stay in order within a step.
-    order = np.argsort(at, kind="stable")
-    return _Steps(np.searchsorted(at[order], np.arange(length + 1)), who[order], what[order])
+    present = [_present(_checked(row, track, length, dimension)) for row, track in enumerate(tracks)]
+    bounds = np.zeros(length + 1, np.int64)
+    for track in present:
+        # One track is at a step once.
+        bounds[track.steps + 1] += 1
+    np.cumsum(bounds, out=bounds)
+    rows, states = np.empty(bounds[-1], np.intp), np.empty((bounds[-1], dimension))
+    free = bounds[:-1].copy()
+    for row, track in enumerate(present):
+        places = free[track.steps]
+        rows[places], states[places] = row, track.states
+        free[track.steps] += 1
+    return _Steps(bounds, rows, states)
+
+
+def _present(track: Track) -> Track:
+    """A track without the steps at which it does not exist."""
+    exists = ~np.isnan(track.states).any(axis=1)
+    return track if exists.all() else Track(track.steps[exists], track.states[exists])
 
 
 def _checked(row: int, track: Track, length: int, dimension: int) -> Track:
