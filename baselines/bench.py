@@ -16,7 +16,7 @@ from servotrack.baselines import seeds as seed_ranges
 from servotrack.baselines.evaluate import evaluate
 from servotrack.baselines.protocol import world_of
 from servotrack.baselines.registry import AGENTS, agent_card
-from servotrack.baselines.results import CellResults, ResultsFolder, provenance
+from servotrack.baselines.results import CellResults, ResultsFolder, describe_environment, provenance
 
 DEFAULT_LEVELS = (0, 1, 2, 3, 4, 5)
 DEFAULT_EPISODES = 100
@@ -72,7 +72,15 @@ def suite_of(
     for kwargs in worlds:
         # Now, not after minutes of the levels before it: making one says what is wrong with it.
         gym.make(env_id, **kwargs).close()
-    return [Cell(env_id, name, kwargs) for kwargs in worlds for name in names]
+    return [
+        Cell(env_id, name, kwargs) for kwargs in worlds for name in names if agents or _can_act(name, env_id, kwargs)
+    ]
+
+
+def _can_act(name: str, env_id: str, kwargs: Mapping[str, Any]) -> bool:
+    """Whether an agent that nobody asked for by name has what it needs in an environment."""
+    trained_in = AGENTS[name].trained_in
+    return trained_in is None or describe_environment(env_id, kwargs) in trained_in
 
 
 def _has_levels(env_id: str) -> bool:

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from servotrack.baselines.episodes import EpisodeRecorder
 from servotrack.baselines.protocol import Agent, AgentCard
 from servotrack.baselines.registry import agent_card, create_agent
-from servotrack.baselines.results import CellResults, ResultsFolder, Row, plain, provenance
+from servotrack.baselines.results import (
+    CellResults,
+    ResultsFolder,
+    Row,
+    describe_environment,
+    plain,
+    provenance,
+)
 
 CHUNK = 100
 FOREIGN_CHUNK = 10
@@ -61,7 +68,11 @@ def evaluate(
         raise ValueError(f"chunk must be at least 1, got {chunk}")
     card = agent if isinstance(agent, AgentCard) else agent_card(agent)
     cell = (folder.load(env_id, kwargs, card.name) if folder else None) or CellResults(
-        env_id, plain(kwargs), card.name, card.as_record(env_id), provenance=record or provenance()
+        env_id,
+        plain(kwargs),
+        card.name,
+        card.as_record(env_id, describe_environment(env_id, kwargs)),
+        provenance=record or provenance(),
     )
     done = set(cell.seeds)
     todo = [seed for seed in seeds if seed not in done]

@@ -75,6 +75,8 @@ class AgentCard:
         worlds: Which worlds it can act in; a name of several means the same algorithm in each.
         in_default_suite: Whether `servotrack bench` measures it unless told otherwise.
         information_in: Where it was told something else.
+        trained_in: Environments, as `describe_environment` writes them, that it has networks for, and the environment
+            steps that each took; None for agents that need no training.
     """
 
     name: str
@@ -88,14 +90,20 @@ class AgentCard:
     worlds: frozenset[World] = frozenset({"servo"})
     in_default_suite: bool = True
     information_in: Mapping[World, Information] = field(default_factory=dict)
+    trained_in: Mapping[str, int] | None = None
 
-    def as_record(self, env_id: str) -> dict[str, Any]:
-        """What results in an environment keep of it."""
+    def as_record(self, env_id: str, environment: str) -> dict[str, Any]:
+        """What results in an environment keep of it.
+
+        Args:
+            env_id: Gymnasium id.
+            environment: Id and arguments in one line.
+        """
         return {
             "summary": self.summary,
             "information": self.information_in.get(world_of(env_id), self.information),
             "requires": sorted(self.requires),
-            "tuning_steps": self.tuning_steps,
+            "tuning_steps": (self.trained_in or {}).get(environment, self.tuning_steps),
         }
 
     @property

@@ -7,9 +7,11 @@ import importlib
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from typing import Any, get_args
 
 from servotrack.baselines.color.grids import tuning_steps
+from servotrack.baselines.learned.shipped import agent_in_file, shipped_agents
 from servotrack.baselines.protocol import Agent, AgentCard, Information, World
 from servotrack.baselines.tuning_record import shipped_tuning_steps
 
@@ -194,20 +196,23 @@ _CARDS = (
     *_ablation(),
 )
 
-AGENTS: dict[str, AgentCard] = {card.name: card for card in _CARDS}
+AGENTS: dict[str, AgentCard] = {card.name: card for card in (*_CARDS, *shipped_agents())}
 
 
 def agent_card(name: str) -> AgentCard:
     """The card of an agent.
 
     Args:
-        name: A registered name, one with a control law ("kf+pi"), or "module:callable" for an agent of your own.
-            The callable gets the environment and returns an `Agent`; it may carry the attributes `information`,
-            `requires` and `tuning_steps`.
+        name: A registered name, one with a control law ("kf+pi"), the .json or .onnx file of a learned agent, or
+            "module:callable" for an agent of your own. The callable gets the environment and returns an `Agent`; it may
+            carry the attributes `information`, `requires` and `tuning_steps`.
 
     Raises:
         ValueError: Nothing has that name; the message suggests the nearest one.
+        AgentFileError: A file of a learned agent that cannot be used.
     """
+    if name.endswith((".json", ".onnx")):
+        return agent_in_file(Path(name))
     if ":" in name:
         return _foreign_card(name)
     base, plus, law = name.partition("+")

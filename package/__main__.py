@@ -203,6 +203,37 @@ def reproduce(
 
 
 @app.command()
+def train(
+    env: Annotated[str, typer.Argument(help="Gymnasium id with a vector environment of its own.")],
+    algo: Annotated[str, typer.Option(help="ppo, a2c, sac, td3, recurrent_ppo, tqc.")] = "ppo",
+    level: Level = None,
+    settings: Settings = None,
+    seeds: Annotated[str, typer.Option(help="One training run each, such as 0-2.")] = "0",
+    steps: Annotated[int | None, typer.Option(min=1, help="Environment steps of a run; default: the file's.")] = None,
+    hyper_parameters: Annotated[
+        Path | None, typer.Option("--settings", help="YAML in rl-zoo3's form; default: the package's for ENV.")
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder of runs; those that were interrupted there are resumed.")
+    ] = DEFAULT_RESULTS / "train",
+    name: Annotated[str | None, typer.Option(help="Of the agent; default: the algorithm's.")] = None,
+    ship: Annotated[Path | None, typer.Option(help="Folder for the best run's network and card.")] = None,
+    jobs: Annotated[int, typer.Option("--jobs", "-j", help="Runs at a time.")] = 1,
+) -> None:
+    """Train with Stable-Baselines3 (extra `rl`), measured beside the classical agents; writes ONNX and a card."""
+    from dataclasses import replace
+
+    from servotrack.baselines.learned.command import TrainingRequest, run_training
+    from servotrack.baselines.learned.settings import load_settings
+
+    chosen = load_settings(env, algo, level, hyper_parameters)
+    if steps is not None:
+        chosen = replace(chosen, n_timesteps=steps)
+    kwargs = _env_kwargs(level, settings)
+    run_training(TrainingRequest(env, kwargs, chosen, tuple(_levels(seeds)), output, jobs, name, ship), _console())
+
+
+@app.command()
 def track(
     source: Annotated[
         str, typer.Argument(help="Video file, folder of images, MOTChallenge sequence, or a camera's index.")

@@ -28,9 +28,24 @@ ROOMS = {
     "servotrack.estimators": "estimators",
     "servotrack.baselines": "baselines",
 }
-HEAVY = {"torch", "stable_baselines3", "matplotlib", "pygame", "numba", "cv2", "scipy", "pymunk", "rich", "typer"}
-OPTIONAL = {"torch", "stable_baselines3", "pygame", "mujoco", "pytest"}
-LEARNED = {"servotrack.baselines.sb3"}
+HEAVY = {
+    "torch",
+    "stable_baselines3",
+    "matplotlib",
+    "pygame",
+    "numba",
+    "cv2",
+    "scipy",
+    "pymunk",
+    "rich",
+    "typer",
+    "onnxruntime",
+}
+OPTIONAL = {"torch", "stable_baselines3", "sb3_contrib", "onnx", "pygame", "mujoco", "pytest"}
+LEARNED = {
+    "servotrack.baselines.sb3",
+    *(f"servotrack.baselines.learned.{name}" for name in ("command", "encoded_env", "export", "training")),
+}
 FOR_OTHER_ENVIRONMENTS = {"servotrack.baselines.benchmark.stone_soup"}
 CACHES = {"__pycache__", ".mypy_cache", ".ruff_cache"}
 SECTIONS = [

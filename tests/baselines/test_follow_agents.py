@@ -114,4 +114,4 @@ def test_an_agents_belief_reaches_the_picture():
 
 def test_what_an_agent_was_told_is_on_its_card():
     assert agent_card("phd-servo").information == "structure"
-    assert agent_card("phd-servo-told-jacobian").as_record(ENV_ID)["information"] == "privileged"
+    assert agent_card("phd-servo-told-jacobian").as_record(ENV_ID, ENV_ID)["information"] == "privileged"

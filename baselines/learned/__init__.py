@@ -1,0 +1,1 @@
+"""Agents that learned: what they see, how they are trained, and how they are shipped and run without torch."""

@@ -1,0 +1,133 @@
+"""Learned agents behind `predict`: an encoding and a network, no torch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from servotrack.baselines.learned.card import AgentFileError, load_card
+from servotrack.baselines.learned.encoding import Encoding, create_encoding
+from servotrack.baselines.learned.network import OnnxNetwork
+from servotrack.baselines.learned.shipped import shipped_file
+from servotrack.baselines.memory import remembered
+
+
+class LearnedState(NamedTuple):
+    """Memory of a `LearnedAgent`, with a leading axis of N.
+
+    Attributes:
+        encoding: Of the encoding.
+        network: Of the network. Shape (N, M).
+        action: What was done last. Shape (N, actions).
+    """
+
+    encoding: Any
+    network: NDArray[np.float32]
+    action: NDArray[np.float32]
+
+
+class LearnedAgent:
+    """A network that reads encoded observations.
+
+    Args:
+        network: Rows (N, size) and memory (N, M) in, actions and memory out.
+        encoding: What it reads.
+        observation_space: Of one environment.
+        action_space: Of one environment, a Box of one axis.
+
+    Raises:
+        AgentFileError: Network, encoding and spaces do not fit each other.
+    """
+
+    def __init__(
+        self,
+        network: OnnxNetwork,
+        encoding: Encoding,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Space[Any],
+    ) -> None:
+        if network.size != encoding.size:
+            raise AgentFileError(
+                f"{network.path} reads rows of {network.size} numbers, its encoding gives {encoding.size} here"
+            )
+        if not isinstance(action_space, spaces.Box) or action_space.shape != (network.actions,):
+            raise AgentFileError(f"{network.path} gives {network.actions} numbers, the action space is {action_space}")
+        self._network, self._encoding = network, encoding
+        self._low, self._high = action_space.low, action_space.high
+        self._axes = len(_first(observation_space).shape)
+
+    def predict(
+        self,
+        observation: Any,
+        state: LearnedState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], LearnedState]:
+        """Choose actions.
+
+        Args:
+            observation: As the environment gives it, single or with a leading axis.
+            state: What the last call returned; None starts anew.
+            episode_start: Rows that start anew. Shape (N,), or a scalar for a single observation.
+            deterministic: These agents always are: they return the policy's mode.
+
+        Returns:
+            Actions with the observation's leading axis, and the new state.
+        """
+        single = np.ndim(_first(observation)) == self._axes
+        if single:
+            observation = _with_leading_axis(observation)
+        count = len(_first(observation))
+        state = remembered(state, episode_start, (count,), lambda: self._initial(observation, count))
+        memory, rows = self._encoding.step(state.encoding, observation, state.action)
+        action, carried = self._network(rows, state.network)
+        action = np.clip(action, self._low, self._high)
+        return action[0] if single else action, LearnedState(memory, carried, action)
+
+    def _initial(self, observation: Any, count: int) -> LearnedState:
+        return LearnedState(
+            self._encoding.initial(observation),
+            np.zeros((count, self._network.memory), np.float32),
+            np.zeros((count, self._network.actions), np.float32),
+        )
+
+
+def _first(observation: Any) -> Any:
+    """An observation, or the first entry of one that is a dictionary; the same of spaces."""
+    return next(iter(observation.values())) if isinstance(observation, (Mapping, spaces.Dict)) else observation
+
+
+def _with_leading_axis(observation: Any) -> Any:
+    if isinstance(observation, Mapping):
+        return {key: np.asarray(value)[None] for key, value in observation.items()}
+    return np.asarray(observation)[None]
+
+
+def create_learned_agent(env: Any, path: str | None = None, name: str | None = None) -> LearnedAgent:
+    """A learned agent for an environment.
+
+    Args:
+        env: A Gymnasium environment or vector environment.
+        path: Of a card or network.
+        name: Of a shipped agent instead: that of its networks is taken which was trained in this environment.
+
+    Raises:
+        AgentFileError: Files that cannot be used, or that do not fit the environment.
+    """
+    file = shipped_file(name, env) if path is None and name is not None else Path(str(path))
+    card = load_card(file)
+    spec = getattr(env, "spec", None)
+    if spec is not None and card.encoding.get("kind") != "servo" and spec.id != card.env_id:
+        raise AgentFileError(f"{file} was trained in {card.env_id}, and cannot act in {spec.id}")
+    observations = getattr(env, "single_observation_space", env.observation_space)
+    actions = getattr(env, "single_action_space", env.action_space)
+    try:
+        encoding = create_encoding(card.encoding, observations)
+    except ValueError as error:
+        raise AgentFileError(f"{file} does not fit this environment: {error}") from error
+    return LearnedAgent(OnnxNetwork(file.parent / card.network, card), encoding, observations, actions)

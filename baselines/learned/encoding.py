@@ -1,0 +1,160 @@
+"""What a learned agent sees: each observation as one flat row of float32, with a memory of what came before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from servotrack.baselines.learned.servo_encoding import ServoEncoding
+
+Rows = NDArray[np.float32]
+
+
+class Encoding(Protocol):
+    """A value; all memory is handed around, with a leading axis of N as everywhere."""
+
+    @property
+    def size(self) -> int:
+        """Numbers in a row."""
+
+    def initial(self, observation: Any) -> Any:
+        """Memory before an episode whose first observation this is; `step` takes the same one again."""
+
+    def step(self, memory: Any, observation: Any, action: Rows) -> tuple[Any, Rows]:
+        """Fold one observation in.
+
+        Args:
+            memory: What the last call returned, or `initial`.
+            observation: A batch, as the environment gives it.
+            action: What was done since the last observation, zeros at the first. Shape (N, actions).
+
+        Returns:
+            The new memory, and one row per environment, shape (N, size).
+        """
+
+
+@dataclass(frozen=True)
+class FlatEncoding:
+    """Everything that a Box, or a dictionary of them, holds, in the order of its keys, scaled to [-1, 1] by its bounds.
+
+    Attributes:
+        low: Least values, in the order of the row.
+        high: Largest values.
+    """
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    @classmethod
+    def of(cls, space: spaces.Space[Any]) -> FlatEncoding:
+        """The encoding of a space.
+
+        Raises:
+            ValueError: The space is no Box and no Dict of Boxes, or is not bounded.
+        """
+        boxes = list(space.spaces.values()) if isinstance(space, spaces.Dict) else [space]
+        for box in boxes:
+            if not isinstance(box, spaces.Box) or not box.is_bounded():
+                raise ValueError(f"observation_space must be a bounded Box, or a Dict of such, got {space}")
+        low, high = (np.concatenate([np.ravel(getattr(box, side)) for box in boxes]) for side in ("low", "high"))
+        return cls(tuple(low.tolist()), tuple(high.tolist()))
+
+    @property
+    def size(self) -> int:
+        """Numbers in a row."""
+        return len(self.low)
+
+    def initial(self, observation: Any) -> tuple[()]:
+        """Nothing is remembered."""
+        return ()
+
+    def step(self, memory: tuple[()], observation: Any, action: Rows) -> tuple[tuple[()], Rows]:
+        """As `Encoding.step`."""
+        parts = list(observation.values()) if isinstance(observation, Mapping) else [observation]
+        row = np.concatenate([np.asarray(part, np.float64).reshape(len(part), -1) for part in parts], axis=1)
+        low, high = np.array(self.low), np.array(self.high)
+        return (), (2.0 * (row - low) / np.where(high > low, high - low, 1.0) - 1.0).astype(np.float32)
+
+
+class StackMemory(NamedTuple):
+    """Memory of `Stacked`.
+
+    Attributes:
+        own: Of the encoding that is stacked.
+        rows: The newest rows, the last one the newest. Shape (N, frames, size).
+        fresh: Whether no row was seen yet. Shape (N,).
+    """
+
+    own: Any
+    rows: Rows
+    fresh: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Stacked:
+    """The last few rows of another encoding side by side, the newest last; before the first one it repeats itself.
+
+    Attributes:
+        encoding: Whose rows.
+        frames: How many.
+    """
+
+    encoding: Encoding
+    frames: int
+
+    def __post_init__(self) -> None:
+        """Check the number of frames."""
+        if self.frames < 2:
+            raise ValueError(f"frames must be at least 2 to be stacked, got {self.frames!r}")
+
+    @property
+    def size(self) -> int:
+        """Numbers in a row."""
+        return self.frames * self.encoding.size
+
+    def initial(self, observation: Any) -> StackMemory:
+        """As `Encoding.initial`."""
+        count = len(next(iter(observation.values())) if isinstance(observation, Mapping) else observation)
+        rows = np.zeros((count, self.frames, self.encoding.size), np.float32)
+        return StackMemory(self.encoding.initial(observation), rows, np.ones(count, np.bool_))
+
+    def step(self, memory: StackMemory, observation: Any, action: Rows) -> tuple[StackMemory, Rows]:
+        """As `Encoding.step`."""
+        own, row = self.encoding.step(memory.own, observation, action)
+        rows = np.concatenate([memory.rows[:, 1:], row[:, None]], axis=1)
+        if memory.fresh.any():
+            rows = np.where(memory.fresh[:, None, None], row[:, None], rows)
+        return StackMemory(own, rows, np.zeros_like(memory.fresh)), rows.reshape(len(rows), -1)
+
+
+def create_encoding(settings: Mapping[str, Any], observation_space: spaces.Space[Any]) -> Encoding:
+    """The encoding that a card or a file of hyper-parameters describes.
+
+    Args:
+        settings: `kind` ("servo" or "flat"), `frames` to stack, 1 for none, and what the kind takes.
+        observation_space: Of a single environment.
+
+    Raises:
+        ValueError: An unknown kind or keyword, or a space that the kind cannot read.
+    """
+    given = dict(settings)
+    kind, frames = given.pop("kind", "flat"), given.pop("frames", 1)
+    if kind == "servo":
+        try:
+            encoding: Encoding = ServoEncoding(**given)
+        except TypeError as error:
+            known = ", ".join(asdict(ServoEncoding()))
+            raise ValueError(f"encoding servo takes kind, frames, {known}, got {dict(settings)!r}") from error
+        ServoEncoding.check(observation_space)
+    elif kind == "flat":
+        if given:
+            raise ValueError(f"encoding flat takes kind and frames, got {dict(settings)!r}")
+        encoding = FlatEncoding.of(observation_space)
+    else:
+        raise ValueError(f"encoding must be of kind servo or flat, got {kind!r}")
+    return encoding if frames == 1 else Stacked(encoding, int(frames))
