@@ -86,7 +86,7 @@ class LearnedAgent:
         state = remembered(state, episode_start, (count,), lambda: self._initial(observation, count))
         memory, rows = self._encoding.step(state.encoding, observation, state.action)
         action, carried = self._network(rows, state.network)
-        action = np.clip(action, self._low, self._high)
+        action = np.clip(action + self._encoding.base(memory), self._low, self._high)
         return action[0] if single else action, LearnedState(memory, carried, action)
 
     def _initial(self, observation: Any, count: int) -> LearnedState:
@@ -127,7 +127,7 @@ def create_learned_agent(env: Any, path: str | None = None, name: str | None = N
     observations = getattr(env, "single_observation_space", env.observation_space)
     actions = getattr(env, "single_action_space", env.action_space)
     try:
-        encoding = create_encoding(card.encoding, observations)
+        encoding = create_encoding(card.encoding, env)
     except ValueError as error:
         raise AgentFileError(f"{file} does not fit this environment: {error}") from error
     return LearnedAgent(OnnxNetwork(file.parent / card.network, card), encoding, observations, actions)

@@ -40,6 +40,7 @@ class EncodedVecEnv(VecEnvWrapper):
     def step_async(self, actions: NDArray[Any]) -> None:
         """Keep the actions until `step_wait`."""
         space: Any = self.action_space
+        actions = actions + self.encoding.base(self._memory)
         self._action = np.clip(actions, space.low, space.high).astype(np.float32)
         self.venv.step_async(self._action)
 

@@ -11,6 +11,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from servotrack.baselines.learned.servo_encoding import ServoEncoding
+from servotrack.baselines.registry import create_agent
+from servotrack.baselines.servo import JacobianServo, servo_measurement
 
 Rows = NDArray[np.float32]
 
@@ -36,6 +38,9 @@ class Encoding(Protocol):
         Returns:
             The new memory, and one row per environment, shape (N, size).
         """
+
+    def base(self, memory: Any) -> Rows | float:
+        """What is done when the network answers with zeros; its answer is added. Shape (N, actions), or 0."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +84,10 @@ class FlatEncoding:
         row = np.concatenate([np.asarray(part, np.float64).reshape(len(part), -1) for part in parts], axis=1)
         low, high = np.array(self.low), np.array(self.high)
         return (), (2.0 * (row - low) / np.where(high > low, high - low, 1.0) - 1.0).astype(np.float32)
+
+    def base(self, memory: tuple[()]) -> float:
+        """As `Encoding.base`."""
+        return 0.0
 
 
 class StackMemory(NamedTuple):
@@ -131,30 +140,91 @@ class Stacked:
             rows = np.where(memory.fresh[:, None, None], row[:, None], rows)
         return StackMemory(own, rows, np.zeros_like(memory.fresh)), rows.reshape(len(rows), -1)
 
+    def base(self, memory: StackMemory) -> Rows | float:
+        """As `Encoding.base`."""
+        return self.encoding.base(memory.own)
 
-def create_encoding(settings: Mapping[str, Any], observation_space: spaces.Space[Any]) -> Encoding:
+
+class ResidualMemory(NamedTuple):
+    """Memory of `Residual`.
+
+    Attributes:
+        own: Of the encoding.
+        servo: Of the classical servo.
+        action: What that one does. Shape (N, actions).
+    """
+
+    own: Any
+    servo: Any
+    action: Rows
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What a classical servo would do beside another encoding's rows; the network corrects it.
+
+    Attributes:
+        encoding: Whose rows.
+        servo: The classical agent.
+    """
+
+    encoding: Encoding
+    servo: JacobianServo
+
+    @property
+    def size(self) -> int:
+        """Numbers in a row: the action has as many as a planar arm has joints."""
+        return self.encoding.size + 2
+
+    def initial(self, observation: Any) -> ResidualMemory:
+        """As `Encoding.initial`."""
+        measurement: Any = servo_measurement(observation)
+        action = np.zeros(measurement.joint_angles.shape, np.float32)
+        return ResidualMemory(self.encoding.initial(observation), self.servo.controller.initial(measurement), action)
+
+    def step(self, memory: ResidualMemory, observation: Any, action: Rows) -> tuple[ResidualMemory, Rows]:
+        """As `Encoding.step`."""
+        own, row = self.encoding.step(memory.own, observation, action)
+        classical, servo = self.servo.predict(observation, memory.servo)
+        return ResidualMemory(own, servo, classical), np.concatenate([row, classical], axis=1)
+
+    def base(self, memory: ResidualMemory) -> Rows:
+        """As `Encoding.base`."""
+        return memory.action
+
+
+def create_encoding(settings: Mapping[str, Any], env: Any) -> Encoding:
     """The encoding that a card or a file of hyper-parameters describes.
 
     Args:
-        settings: `kind` ("servo" or "flat"), `frames` to stack, 1 for none, and what the kind takes.
-        observation_space: Of a single environment.
+        settings: `kind` ("servo" or "flat"), `frames` to stack, 1 for none, `residual`, the name of a classical servo
+            whose action the network corrects, and what the kind takes.
+        env: A Gymnasium environment or vector environment.
 
     Raises:
-        ValueError: An unknown kind or keyword, or a space that the kind cannot read.
+        ValueError: An unknown kind, keyword or servo, or a space that the kind cannot read.
     """
+    space = getattr(env, "single_observation_space", env.observation_space)
     given = dict(settings)
-    kind, frames = given.pop("kind", "flat"), given.pop("frames", 1)
+    kind, frames, residual = given.pop("kind", "flat"), given.pop("frames", 1), given.pop("residual", None)
     if kind == "servo":
         try:
             encoding: Encoding = ServoEncoding(**given)
         except TypeError as error:
             known = ", ".join(asdict(ServoEncoding()))
-            raise ValueError(f"encoding servo takes kind, frames, {known}, got {dict(settings)!r}") from error
-        ServoEncoding.check(observation_space)
+            raise ValueError(f"encoding servo takes kind, frames, residual, {known}, got {dict(settings)!r}") from error
+        ServoEncoding.check(space)
     elif kind == "flat":
         if given:
-            raise ValueError(f"encoding flat takes kind and frames, got {dict(settings)!r}")
-        encoding = FlatEncoding.of(observation_space)
+            raise ValueError(f"encoding flat takes kind, frames and residual, got {dict(settings)!r}")
+        encoding = FlatEncoding.of(space)
     else:
         raise ValueError(f"encoding must be of kind servo or flat, got {kind!r}")
-    return encoding if frames == 1 else Stacked(encoding, int(frames))
+    if frames != 1:
+        encoding = Stacked(encoding, int(frames))
+    if residual is None:
+        return encoding
+    servo = create_agent(str(residual), env)
+    if not isinstance(servo, JacobianServo):
+        raise ValueError(f"residual must name a classical servo of features, got {residual!r}")
+    return Residual(encoding, servo)

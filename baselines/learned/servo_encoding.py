@@ -134,6 +134,10 @@ class ServoEncoding:
         )  # fmt: skip
         return memory, rows
 
+    def base(self, memory: ServoMemory) -> float:
+        """As `Encoding.base`."""
+        return 0.0
+
 
 @njit(cache=True, nogil=True)
 def _encode(  # type: ignore[no-untyped-def]

@@ -156,7 +156,7 @@ def create_model(task: TrainingTask, steps: int = 0) -> BaseAlgorithm:
         autoreset_mode=AutoresetMode.SAME_STEP,
         **task.env_kwargs,
     )
-    encoding = create_encoding(settings.encoding, venv.single_observation_space)
+    encoding = create_encoding(settings.encoding, venv)
     env: Any = EncodedVecEnv(StableBaselinesVecEnv(venv, info_keys=()), encoding)
     if settings.normalize:
         env = VecNormalize(env, gamma=float(settings.hyper_parameters.get("gamma", 0.99)))
