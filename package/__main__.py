@@ -205,7 +205,9 @@ def reproduce(
 @app.command()
 def train(
     env: Annotated[str, typer.Argument(help="Gymnasium id with a vector environment of its own.")],
-    algo: Annotated[str, typer.Option(help="ppo, a2c, sac, td3, recurrent_ppo, tqc.")] = "ppo",
+    algo: Annotated[
+        str, typer.Option(help="ppo, a2c, sac, td3, recurrent_ppo, tqc, student, or a recipe's name in the file.")
+    ] = "ppo",
     level: Level = None,
     settings: Settings = None,
     seeds: Annotated[str, typer.Option(help="One training run each, such as 0-2.")] = "0",

@@ -29,23 +29,11 @@ ROOMS = {
     "servotrack.baselines": "baselines",
 }
 HEAVY = {
-    "torch",
-    "stable_baselines3",
-    "matplotlib",
-    "pygame",
-    "numba",
-    "cv2",
-    "scipy",
-    "pymunk",
-    "rich",
-    "typer",
-    "onnxruntime",
-}
+    "torch", "stable_baselines3", "matplotlib", "pygame", "numba", "cv2", "scipy", "pymunk", "rich", "typer", "onnxruntime",
+}  # fmt: skip
 OPTIONAL = {"torch", "stable_baselines3", "sb3_contrib", "onnx", "pygame", "mujoco", "pytest"}
-LEARNED = {
-    "servotrack.baselines.sb3",
-    *(f"servotrack.baselines.learned.{name}" for name in ("command", "encoded_env", "export", "training")),
-}
+TRAINING = ("command", "course", "encoded_env", "export", "reinforcement", "student", "training")
+LEARNED = {"servotrack.baselines.sb3", *(f"servotrack.baselines.learned.{name}" for name in TRAINING)}
 FOR_OTHER_ENVIRONMENTS = {"servotrack.baselines.benchmark.stone_soup"}
 CACHES = {"__pycache__", ".mypy_cache", ".ruff_cache"}
 SECTIONS = [

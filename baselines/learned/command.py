@@ -12,9 +12,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from servotrack.baselines.learned.card import LearnedCard, digest, load_card
+from servotrack.baselines.learned.course import AGENT, Entry, TrainingCurve, TrainingTask
 from servotrack.baselines.learned.export import write_card
 from servotrack.baselines.learned.settings import TrainingSettings
-from servotrack.baselines.learned.training import AGENT, Entry, TrainingCurve, TrainingTask, train
+from servotrack.baselines.learned.training import train
 from servotrack.baselines.learned.yardstick import Yardstick
 from servotrack.baselines.results import ResultsFolder, atomic_path, describe_environment
 
@@ -55,7 +56,7 @@ class TrainingRequest:
 
     def task(self, seed: int) -> TrainingTask:
         """One run."""
-        folder = self.environment / f"{self.settings.algorithm}-seed{seed}"
+        folder = self.environment / f"{self.settings.recipe}-seed{seed}"
         return TrainingTask(self.env_id, self.env_kwargs, self.settings, seed, folder)
 
 
@@ -67,7 +68,7 @@ def run_training(request: TrainingRequest, console: Console) -> Path:
     """
     yardstick = _yardstick(request)
     beside = " · ".join(f"{name} {_text(values)}" for name, values in yardstick.beside.items())
-    console.print(f"{request.environment.name}: {request.settings.algorithm}, measured on tune seeds beside {beside}")
+    console.print(f"{request.environment.name}: {request.settings.recipe}, measured on tune seeds beside {beside}")
     if request.jobs == 1:
         curves = [_shown(request.task(seed), yardstick, console) for seed in request.seeds]
     else:

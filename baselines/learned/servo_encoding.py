@@ -178,14 +178,15 @@ def _encode(  # type: ignore[no-untyped-def]
         evidence = math.hypot(turns[i, best, 0], turns[i, best, 1])
         c, s = turns[i, best, 0] / evidence, -turns[i, best, 1] / evidence
         row, at = rows[i], 6 + 4 * best
-        row[0], row[1] = _turned(new, at, c, s)
+        u, v = _turned(new, at, c, s)
+        row[0], row[1] = u, v
         row[2:6] = new[at : at + 4]
         row[6:FRAME] = new[2:6]
         out = FRAME
         for lag in lags:
             old = frames[i, lag]
-            u, v = _turned(old, at, c, s)
-            row[out], row[out + 1] = FASTER * (u - row[0]), FASTER * (v - row[1])
+            before_u, before_v = _turned(old, at, c, s)
+            row[out], row[out + 1] = FASTER * (before_u - u), FASTER * (before_v - v)
             for j in range(4):
                 row[out + 2 + j] = FASTER * (old[at + j] - new[at + j])
             row[out + 6 : out + FRAME] = old[2:6]

@@ -11,7 +11,9 @@ from typing import Any
 import yaml
 
 FOLDER = Path(__file__).parent / "hyper_parameters"
-ALGORITHMS = ("ppo", "a2c", "sac", "td3", "recurrent_ppo", "tqc")
+ALGORITHMS = ("ppo", "a2c", "sac", "td3", "recurrent_ppo", "tqc", "student")
+"""Those of Stable-Baselines3 and sb3-contrib, and `servotrack.baselines.learned.student`."""
+_OWN = ("algorithm", "n_envs", "n_timesteps", "policy", "normalize", "encoding", "measurements", "summary")
 _ZOO_ONLY = ("env_wrapper", "vec_env_wrapper", "frame_stack", "callback", "normalize_kwargs", "env_kwargs")
 
 
@@ -20,28 +22,34 @@ class TrainingSettings:
     """How one agent is trained.
 
     Attributes:
+        recipe: Key in the file.
         algorithm: One of `ALGORITHMS`.
         n_envs: Environments side by side.
         n_timesteps: Environment steps of a run.
         policy: Name of Stable-Baselines3's policy class.
         normalize: Whether rows are normalized by their running mean and deviation.
         encoding: What `create_encoding` takes.
+        measurements: On tune seeds in the course of a run; as often the run is saved.
+        summary: Of the agent, one line for people.
         hyper_parameters: Keywords of the algorithm.
     """
 
+    recipe: str
     algorithm: str
     n_envs: int = 64
     n_timesteps: int = 1_000_000
     policy: str = "MlpPolicy"
     normalize: bool = False
     encoding: Mapping[str, Any] = field(default_factory=lambda: {"kind": "flat"})
+    measurements: int = 20
+    summary: str = ""
     hyper_parameters: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check what can be checked without Stable-Baselines3."""
         if self.algorithm not in ALGORITHMS:
             raise ValueError(f"algorithm must be one of {', '.join(ALGORITHMS)}, got {self.algorithm!r}")
-        for name in ("n_envs", "n_timesteps"):
+        for name in ("n_envs", "n_timesteps", "measurements"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or int(value) != value or value < 1:
                 raise ValueError(f"{name} must be a whole number from 1 on, got {value!r}")
@@ -50,22 +58,26 @@ class TrainingSettings:
     def as_record(self) -> dict[str, Any]:
         """As JSON can hold it."""
         return {
+            "recipe": self.recipe,
             "algorithm": self.algorithm,
             "n_envs": self.n_envs,
             "n_timesteps": self.n_timesteps,
             "policy": self.policy,
             "normalize": self.normalize,
             "encoding": dict(self.encoding),
+            "measurements": self.measurements,
+            "summary": self.summary,
             "hyper_parameters": dict(self.hyper_parameters),
         }
 
 
-def load_settings(env_id: str, algorithm: str, level: int | None = None, path: Path | None = None) -> TrainingSettings:
+def load_settings(env_id: str, recipe: str, level: int | None = None, path: Path | None = None) -> TrainingSettings:
     """Settings of an environment from its file; those of its level where the file has any.
 
     Args:
         env_id: Gymnasium id.
-        algorithm: One of `ALGORITHMS`; also the key in the file, or with " level=L" behind it.
+        recipe: Key in the file, or with " level=L" behind it: one of `ALGORITHMS`, or any name of a recipe that says
+            itself which `algorithm` it is for.
         level: Of the environment.
         path: A file of one's own.
 
@@ -84,17 +96,15 @@ def load_settings(env_id: str, algorithm: str, level: int | None = None, path: P
         raise ValueError(f"{file} is no YAML: {error}") from error
     if not isinstance(document, dict):
         raise ValueError(f"{file} must map algorithms to hyper-parameters, got {type(document).__name__}")
-    names = [algorithm] if level is None else [f"{algorithm} level={level}", algorithm]
+    names = [recipe] if level is None else [f"{recipe} level={level}", recipe]
     chosen = next((document[name] for name in names if name in document), None)
     if not isinstance(chosen, dict):
-        raise ValueError(f"{file} has no hyper-parameters for {algorithm!r}, only for {', '.join(map(str, document))}")
+        raise ValueError(f"{file} has no hyper-parameters for {recipe!r}, only for {', '.join(map(str, document))}")
     if strange := [name for name in _ZOO_ONLY if chosen.get(name)]:
         raise ValueError(f"{file}: {', '.join(strange)} of rl-zoo3 has no meaning here; use encoding and --set")
-    own = {
-        name: chosen[name] for name in ("n_envs", "n_timesteps", "policy", "normalize", "encoding") if name in chosen
-    }
+    own = {name: chosen[name] for name in _OWN if name in chosen}
     rest = {name: _read(value) for name, value in chosen.items() if name not in own and name not in _ZOO_ONLY}
-    return TrainingSettings(algorithm, **own, hyper_parameters=rest)
+    return TrainingSettings(recipe, **{"algorithm": recipe, **own}, hyper_parameters=rest)
 
 
 def _read(value: Any) -> Any:

@@ -1,0 +1,188 @@
+"""Files of learned agents: what they say, what is refused, and that nothing in them can run code."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import servotrack  # noqa: F401
+from servotrack.baselines.learned.agent import create_learned_agent
+from servotrack.baselines.learned.card import AgentFileError, LearnedCard, digest, load_card
+from servotrack.baselines.learned.network import LARGEST_NETWORK
+from servotrack.baselines.learned.servo_encoding import ServoEncoding
+from servotrack.baselines.registry import agent_card, create_agent
+
+onnx = pytest.importorskip("onnx")
+
+ROWS = ServoEncoding().size
+
+
+def network(rows: int = ROWS, actions: int = 2, domain: str = "", name: str = "observation", dtype: int = 1) -> bytes:
+    """A linear network."""
+    helper = onnx.helper
+    weights = onnx.numpy_helper.from_array(np.full((rows, actions), 0.01, np.float32), "weights")
+    graph = helper.make_graph(
+        [helper.make_node("MatMul", [name, "weights"], ["action"], domain=domain)],
+        "linear",
+        [helper.make_tensor_value_info(name, dtype, ["n", rows])],
+        [helper.make_tensor_value_info("action", 1, ["n", actions])],
+        [weights],
+    )
+    opsets = [helper.make_opsetid("", 17), *([helper.make_opsetid(domain, 1)] if domain else [])]
+    return onnx.helper.make_model(graph, opset_imports=opsets, ir_version=9).SerializeToString()  # type: ignore[no-any-return]
+
+
+def write(folder: Path, content: bytes, **fields: Any) -> Path:
+    """An agent's two files."""
+    card = LearnedCard(
+        **{
+            "name": "linear",
+            "summary": "a linear network",
+            "env_id": "UncalibServo-v0",
+            "env_kwargs": {"level": 3},
+            "encoding": {"kind": "servo"},
+            "network": "linear.onnx",
+            "sha256": digest(content),
+            **fields,
+        }
+    )
+    (folder / "linear.onnx").write_bytes(content)
+    (folder / "linear.json").write_text(card.as_json())
+    return folder / "linear.json"
+
+
+@pytest.fixture()
+def env() -> Any:
+    return gym.make("UncalibServo-v0", level=3)
+
+
+def test_a_file_is_an_agent_s_name(tmp_path: Path, env: Any) -> None:
+    path = write(tmp_path, network(), steps=7)
+    for name in (str(path), str(path.with_suffix(".onnx"))):
+        card = agent_card(name)
+        assert (card.information, card.tuning_steps, card.summary) == ("prior", 7, "a linear network")
+        observation, _ = env.reset(seed=100_000)
+        action, _ = create_agent(card, env).predict(observation)
+        assert action.shape == (2,) and action.dtype == np.float32 and env.action_space.contains(action)
+
+
+def test_a_card_says_all_again(tmp_path: Path) -> None:
+    path = write(tmp_path, network(), training={"seed": 3, "curve": [{"steps": 1}]})
+    card = load_card(path)
+    assert card.training == {"seed": 3, "curve": [{"steps": 1}]} and card.environment == "UncalibServo-v0,level=3"
+    assert load_card(path.with_suffix(".onnx")) == card
+
+
+BAD_NETWORKS: dict[str, tuple[Callable[[], bytes], str]] = {
+    "text": (lambda: b"import os; os.system('true')", "cannot be run by onnxruntime"),
+    "empty": (lambda: b"", "cannot be run by onnxruntime"),
+    "truncated": (lambda: network()[:200], "cannot be run by onnxruntime"),
+    "foreign operator": (lambda: network(domain="org.example"), "org.example"),
+    "too large": (lambda: bytes(LARGEST_NETWORK + 1), "at most"),
+    "other input": (lambda: network(name="pixels"), "observation"),
+    "other rows": (lambda: network(rows=5), "reads rows of 5"),
+    "other actions": (lambda: network(actions=3), "gives 3 numbers"),
+    "whole numbers": (lambda: network(dtype=11), "float32|onnxruntime"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_NETWORKS)
+def test_networks_that_cannot_be_used_are_refused_with_a_reason(kind: str, tmp_path: Path, env: Any) -> None:
+    make, message = BAD_NETWORKS[kind]
+    path = write(tmp_path, make())
+    with pytest.raises(AgentFileError, match=message):
+        create_learned_agent(env, str(path))
+
+
+def test_a_network_that_refers_to_other_files_is_refused(tmp_path: Path, env: Any) -> None:
+    model = onnx.load_model_from_string(network())
+    onnx.save_model(
+        model, str(tmp_path / "linear.onnx"), save_as_external_data=True, location="weights.bin", size_threshold=0
+    )
+    path = write(tmp_path, (tmp_path / "linear.onnx").read_bytes())
+    with pytest.raises(AgentFileError, match="cannot be run by onnxruntime"):
+        create_learned_agent(env, str(path))
+
+
+def test_a_network_that_is_not_the_card_s_is_refused(tmp_path: Path, env: Any) -> None:
+    path = write(tmp_path, network())
+    (tmp_path / "linear.onnx").write_bytes(network() + b"\0")
+    with pytest.raises(AgentFileError, match="not the file that its card describes"):
+        create_learned_agent(env, str(path))
+    (tmp_path / "linear.onnx").unlink()
+    with pytest.raises(AgentFileError, match="beside its card"):
+        create_learned_agent(env, str(path))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": "pickle"}, "no card of a learned agent"),
+        ({"format_version": 9}, "version 9"),
+        ({"encoding": None}, "encoding must be a dict"),
+        ({"steps": -1}, ">= 0"),
+        ({"steps": True}, "steps must be a int"),
+        ({"memory": 1.5}, "memory must be a int"),
+        ({"information": "everything"}, "information must be one of"),
+        ({"network": "../linear.onnx"}, "own folder"),
+        ({"surprise": 1}, "surprise"),
+        ({"memory": 8}, "memory"),
+        ({"encoding": {"kind": "wavelets"}}, "kind servo or flat"),
+    ],
+)
+def test_cards_that_cannot_be_used_are_refused_with_a_reason(
+    change: dict[str, Any], message: str, tmp_path: Path, env: Any
+) -> None:
+    path = write(tmp_path, network())
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(AgentFileError, match=message):
+        create_learned_agent(env, str(path))
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", '"pickle"', "\x80\x04N."])
+def test_what_is_no_card_is_refused(content: str, tmp_path: Path) -> None:
+    (tmp_path / "linear.json").write_text(content)
+    with pytest.raises(AgentFileError):
+        load_card(tmp_path / "linear.json")
+
+
+def test_missing_fields_are_named(tmp_path: Path) -> None:
+    path = write(tmp_path, network())
+    content = json.loads(path.read_text())
+    del content["sha256"]
+    path.write_text(json.dumps(content))
+    with pytest.raises(AgentFileError, match="sha256"):
+        load_card(path)
+    with pytest.raises(AgentFileError, match="cannot be read"):
+        agent_card(str(tmp_path / "nobody.json"))
+
+
+def test_an_agent_of_another_world_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, network())
+    with pytest.raises(AgentFileError, match="does not fit this environment"):
+        create_learned_agent(gym.make("ClutterTracking-v0"), str(path))
+    flat = write(tmp_path, network(), encoding={"kind": "flat"})
+    with pytest.raises(AgentFileError, match="trained in UncalibServo-v0"):
+        create_learned_agent(gym.make("UncalibServoReach-v0"), str(flat))
+
+
+def test_rows_of_a_batch_act_and_forget_alone(tmp_path: Path) -> None:
+    path = write(tmp_path, network())
+    many = gym.make_vec("UncalibServo-v0", num_envs=3, level=3)
+    agent = create_learned_agent(many, str(path))
+    observation, _ = many.reset(seed=[100_000, 100_001, 100_002])
+    state: Any = None
+    for _ in range(5):
+        action, state = agent.predict(observation, state)
+        observation, *_ = many.step(action)
+    resumed, _ = agent.predict(observation, state, np.array([False, True, False]))
+    going_on, _ = agent.predict(observation, state)
+    anew, _ = agent.predict(observation)
+    assert np.array_equal(resumed[[0, 2]], going_on[[0, 2]]) and np.array_equal(resumed[1], anew[1])
+    assert not np.array_equal(going_on[1], anew[1])
