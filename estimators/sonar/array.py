@@ -299,7 +299,8 @@ def _dirichlet_power(array: LineArray, frequencies: Array, power: Array, offset:
         for value in lags[-2:0:-1]:
             here, above = twice * here - above + value, here
         total += weight * (0.5 * twice * here - above + lags[0])
-    return total / len(frequencies)
+    # In a null the rounding of the sum may fall below zero; a power does not.
+    return np.maximum(total / len(frequencies), 0.0)
 
 
 @lru_cache(maxsize=4)
