@@ -72,15 +72,17 @@ def suite_of(
     for kwargs in worlds:
         # Now, not after minutes of the levels before it: making one says what is wrong with it.
         gym.make(env_id, **kwargs).close()
-    return [
-        Cell(env_id, name, kwargs) for kwargs in worlds for name in names if agents or _can_act(name, env_id, kwargs)
-    ]
+    cells = [Cell(env_id, name, kwargs) for kwargs in worlds for name in names if _has_network(name, env_id, kwargs)]
+    if missing := sorted(set(agents or ()) - {cell.agent for cell in cells}):
+        raise ValueError(f"{', '.join(missing)} was trained in none of {', '.join(map(str, worlds))} of {env_id}")
+    return cells
 
 
-def _can_act(name: str, env_id: str, kwargs: Mapping[str, Any]) -> bool:
-    """Whether an agent that nobody asked for by name has what it needs in an environment."""
-    trained_in = AGENTS[name].trained_in
-    return trained_in is None or describe_environment(env_id, kwargs) in trained_in
+def _has_network(name: str, env_id: str, kwargs: Mapping[str, Any]) -> bool:
+    """Whether an agent can act in an environment: a learned one needs a network that was trained at its level."""
+    trained_in = agent_card(name).trained_in
+    level = {key: kwargs[key] for key in ("level",) if key in kwargs}
+    return trained_in is None or describe_environment(env_id, level) in trained_in
 
 
 def _has_levels(env_id: str) -> bool:

@@ -105,6 +105,33 @@ def paired_difference(
     return PairedDifference(value, low, high, (1 + as_extreme) / (1 + resamples))
 
 
+def crossed_difference(
+    values: ArrayLike, reference: ArrayLike, confidence: float = 0.95, resamples: int = RESAMPLES
+) -> Interval:
+    """Mean of `values - reference` over training runs and episodes; the bootstrap resamples both, crossed.
+
+    An interval over episodes alone says what these trained agents do; this one says what training gives.
+
+    Args:
+        values: One number per training run and episode. Shape (runs, k).
+        reference: The reference agent's numbers on the same seeds in the same order. Shape (k,).
+        confidence: Of the percentile interval.
+        resamples: Of the bootstrap.
+
+    Raises:
+        ValueError: Fewer than two runs, different lengths, empty or not finite.
+    """
+    runs, b = np.asarray(values, dtype=np.float64), _sample(reference, "reference")
+    if runs.ndim != 2 or len(runs) < 2 or runs.shape[1:] != b.shape:
+        raise ValueError(f"values must have shape (runs >= 2, {b.size}), paired by seed, got {runs.shape}")
+    difference = np.array([_sample(run, "values") for run in runs]) - b
+    rng = np.random.default_rng(RESAMPLING_SEED)
+    chosen_runs = rng.integers(len(runs), size=(resamples, len(runs)))
+    chosen_episodes = rng.integers(b.size, size=(resamples, b.size))
+    means = np.array([difference[r][:, e].mean() for r, e in zip(chosen_runs, chosen_episodes, strict=True)])
+    return _percentiles(means, float(difference.mean()), confidence)
+
+
 def holm(p_values: Sequence[float]) -> list[float]:
     """P-values adjusted for several comparisons by Holm's step-down method (S. Holm, 1979), in the order given."""
     p = np.asarray(p_values, dtype=np.float64)

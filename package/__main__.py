@@ -236,6 +236,35 @@ def train(
 
 
 @app.command()
+def compare(
+    runs: Annotated[Path, typer.Argument(help="An environment's folder of training runs, results/train/ENV.")],
+    recipe: Annotated[str, typer.Argument(help="Whose runs: ppo, hybrid, ...")],
+    against: Annotated[str, typer.Argument(help="The agent to compare with.")],
+    episodes: Episodes = 100,
+    split: Split = "test",
+    results: Results = DEFAULT_RESULTS / "compare",
+    into: Annotated[
+        Path | None,
+        typer.Option(help="A document that has the marks <!-- compare:begin --> and <!-- compare:end -->."),
+    ] = None,
+) -> None:
+    """Whether training wins: all runs of a recipe against an agent, runs and episodes resampled, crossed."""
+    from servotrack.baselines.bench import progress_bars
+    from servotrack.baselines.leaderboard.embed import embed
+    from servotrack.baselines.learned.comparison import compare as run
+    from servotrack.baselines.results import ResultsFolder
+
+    with progress_bars() as progress:
+        bar = progress.add_task("agents", total=None)
+        found = run(
+            runs, recipe, against, ResultsFolder(results), episodes, split, lambda: progress.update(bar, advance=1)
+        )
+    _console().print(found.markdown(), soft_wrap=True)
+    if into is not None:
+        embed(f"{found.markdown()}\nWritten by `{_command()}`.", into, "compare")
+
+
+@app.command()
 def track(
     source: Annotated[
         str, typer.Argument(help="Video file, folder of images, MOTChallenge sequence, or a camera's index.")

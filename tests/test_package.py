@@ -29,7 +29,8 @@ ROOMS = {
     "servotrack.baselines": "baselines",
 }
 HEAVY = {
-    "torch", "stable_baselines3", "matplotlib", "pygame", "numba", "cv2", "scipy", "pymunk", "rich", "typer", "onnxruntime",
+    "torch", "stable_baselines3", "matplotlib", "pygame", "numba", "cv2", "scipy", "pymunk", "rich", "typer",
+    "onnxruntime",
 }  # fmt: skip
 OPTIONAL = {"torch", "stable_baselines3", "sb3_contrib", "onnx", "pygame", "mujoco", "pytest"}
 TRAINING = ("command", "course", "encoded_env", "export", "reinforcement", "student", "training")

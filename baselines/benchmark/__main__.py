@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from servotrack.baselines.benchmark import accuracy, clutter, speed, video
+from servotrack.baselines.benchmark import accuracy, clutter, learning, speed, video
 from servotrack.baselines.results import provenance
 
 
@@ -35,6 +35,8 @@ def speed_report(
             f"{table(clutter.subjects(scans, stone_soup_python))}\n",
             "## Video\n\nFrames of 384 x 288 per second, one thread; 300 x 245 for the color trackers.\n\n"
             f"{table(video.subjects())}\n",
+            "## Learning\n\nEnvironment steps of PPO per second with the same policy; then answers of shipped agents per "
+            f"second; one thread.\n\n{table(learning.subjects())}\n",
         ]
         if stone_soup_python is not None:
             found = clutter.errors(scans, stone_soup_python, sys.executable)

@@ -57,7 +57,7 @@ class LearnedAgent:
             )
         if not isinstance(action_space, spaces.Box) or action_space.shape != (network.actions,):
             raise AgentFileError(f"{network.path} gives {network.actions} numbers, the action space is {action_space}")
-        self._network, self._encoding = network, encoding
+        self.network, self._encoding = network, encoding
         self._low, self._high = action_space.low, action_space.high
         self._axes = len(_first(observation_space).shape)
 
@@ -85,15 +85,15 @@ class LearnedAgent:
         count = len(_first(observation))
         state = remembered(state, episode_start, (count,), lambda: self._initial(observation, count))
         memory, rows = self._encoding.step(state.encoding, observation, state.action)
-        action, carried = self._network(rows, state.network)
+        action, carried = self.network(rows, state.network)
         action = np.clip(action + self._encoding.base(memory), self._low, self._high)
         return action[0] if single else action, LearnedState(memory, carried, action)
 
     def _initial(self, observation: Any, count: int) -> LearnedState:
         return LearnedState(
             self._encoding.initial(observation),
-            np.zeros((count, self._network.memory), np.float32),
-            np.zeros((count, self._network.actions), np.float32),
+            np.zeros((count, self.network.memory), np.float32),
+            np.zeros((count, self.network.actions), np.float32),
         )
 
 

@@ -106,3 +106,23 @@ def test_score_puts_its_anchors_at_zero_and_one() -> None:
 def test_bad_input_is_named(call, message: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_crossed_differences_count_the_spread_of_runs() -> None:
+    rng = np.random.default_rng(0)
+    reference = rng.normal(size=200)
+    alike = reference + 1.0 + 0.01 * rng.normal(size=(10, 200))
+    spread = alike + np.linspace(-2.0, 2.0, 10)[:, None]
+    value, low, high = statistics.crossed_difference(alike, reference)
+    assert low < value < high and abs(value - 1.0) < 0.01 and high - low < 0.01
+    wide = statistics.crossed_difference(spread, reference)
+    assert abs(wide.value - value) < 1e-9 and wide.high - wide.low > 1.0
+    # Episodes alone would call this a sure win of 1.
+    assert statistics.paired_difference(spread.mean(axis=0), reference).low > 0.9 > wide.low
+
+
+def test_one_run_is_no_claim_about_training() -> None:
+    with pytest.raises(ValueError, match="runs >= 2"):
+        statistics.crossed_difference(np.ones((1, 3)), np.ones(3))
+    with pytest.raises(ValueError, match="paired by seed"):
+        statistics.crossed_difference(np.ones((2, 3)), np.ones(4))
