@@ -35,8 +35,8 @@ def speed_report(
             f"{table(clutter.subjects(scans, stone_soup_python))}\n",
             "## Video\n\nFrames of 384 x 288 per second, one thread; 300 x 245 for the color trackers.\n\n"
             f"{table(video.subjects())}\n",
-            "## Learning\n\nEnvironment steps of PPO per second with the same policy; then answers of shipped agents per "
-            f"second; one thread.\n\n{table(learning.subjects())}\n",
+            "## Learning\n\nSteps of PPO with the same policy, and answers of shipped agents; one thread.\n\n"
+            f"{table(learning.subjects())}\n",
         ]
         if stone_soup_python is not None:
             found = clutter.errors(scans, stone_soup_python, sys.executable)

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from servotrack.baselines.learned.card import LearnedCard, digest, load_card
 from servotrack.baselines.learned.course import AGENT, Entry, TrainingCurve, TrainingTask
+from servotrack.baselines.learned.curves import draw_curves
 from servotrack.baselines.learned.export import write_card
 from servotrack.baselines.learned.settings import TrainingSettings
 from servotrack.baselines.learned.training import train
@@ -84,8 +85,11 @@ def run_training(request: TrainingRequest, console: Console) -> Path:
         if yardstick.better(curve.entries[-1], curves[best].entries[-1]):
             best = i
     path = _write_chosen(request, best, curves)
+    figure = request.environment / f"{request.settings.recipe}.png"
+    draw_curves(curves, yardstick.beside, f"{request.settings.recipe}, {request.environment.name}", figure)
     console.print(f"best: seed {request.seeds[best]}, {_text(curves[best].entries[-1])}")
-    console.print(str(path), soft_wrap=True)
+    for written in (path, figure):
+        console.print(str(written), soft_wrap=True)
     return path
 
 
