@@ -45,13 +45,19 @@ class Grid(NamedTuple):
 
 
 def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
-    """Agents against tasks: mean score and success rate in every cell, last the interquartile mean over tasks."""
+    """Agents against tasks: mean score and success rate in every cell, last the interquartile mean over tasks.
+
+    Below those that took part in all tasks come those that did in some, such as learned ones, without a mean.
+    """
     scored = [task for task in tasks if any(row.score for row in task.rows)]
     headings = ["agent", "told", *(_short_name(task) for task in scored), "all (IQM)"]
+    complete = overall(tasks)
+    means = {summary.agent: _interval(summary.score, 2) for summary in complete}
+    partial = {row.agent: row for task in scored for row in task.rows if row.score and row.agent not in means}
     rows = []
-    for summary in overall(tasks):
-        cells = [_score_and_success(task.row(summary.agent)) for task in scored]
-        rows.append([_agent(summary), summary.information, *cells, _interval(summary.score, 2)])
+    for agent in (*complete, *(partial[name] for name in sorted(partial))):
+        cells = [_score_and_success(task.row(agent.agent)) for task in scored]
+        rows.append([_agent(agent), agent.information, *cells, means.get(agent.agent, "")])
     return Grid(headings, rows, 2)
 
 

@@ -92,6 +92,12 @@ def test_overall_needs_every_task() -> None:
     assert names == ["oracle", "lifted-kf", "random"]
 
 
+def test_who_took_part_in_some_tasks_is_shown_without_a_mean() -> None:
+    cells = [cell for cell in make_cells() if (cell.agent, cell.env_kwargs["level"]) != ("ukf", 3)]
+    *_, last = overview_grid(summarize(cells)).rows
+    assert last[0] == "ukf" and "" in last[2:-1] and last[-1] == "" and any(last[2:-1])
+
+
 def test_a_world_without_chance_gets_a_caveat() -> None:
     cells = make_cells((0,), spread=0.0)
     assert "one and the same" in caveat(summarize(cells)[0])
