@@ -33,7 +33,17 @@ HEAVY = {
     "onnxruntime",
 }  # fmt: skip
 OPTIONAL = {"torch", "stable_baselines3", "sb3_contrib", "onnx", "pygame", "mujoco", "pytest"}
-TRAINING = ("command", "course", "curves", "encoded_env", "export", "reinforcement", "student", "training")
+TRAINING = (
+    "command",
+    "course",
+    "curves",
+    "encoded_env",
+    "export",
+    "eyes_training",
+    "reinforcement",
+    "student",
+    "training",
+)
 LEARNED = {"servotrack.baselines.sb3", *(f"servotrack.baselines.learned.{name}" for name in TRAINING)}
 FOR_OTHER_ENVIRONMENTS = {"servotrack.baselines.benchmark.stone_soup"}
 CACHES = {"__pycache__", ".mypy_cache", ".ruff_cache"}

@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from servotrack.baselines.learned.card import AgentFileError, load_card
 from servotrack.baselines.learned.encoding import Encoding, create_encoding
+from servotrack.baselines.learned.eyes import OnnxEyes
 from servotrack.baselines.learned.network import OnnxNetwork
 from servotrack.baselines.learned.shipped import shipped_file
 from servotrack.baselines.memory import remembered
+from servotrack.baselines.pixel_servo import PixelServo
+from servotrack.baselines.registry import create_agent
 
 
 class LearnedState(NamedTuple):
@@ -108,7 +111,7 @@ def _with_leading_axis(observation: Any) -> Any:
     return np.asarray(observation)[None]
 
 
-def create_learned_agent(env: Any, path: str | None = None, name: str | None = None) -> LearnedAgent:
+def create_learned_agent(env: Any, path: str | None = None, name: str | None = None) -> LearnedAgent | PixelServo:
     """A learned agent for an environment.
 
     Args:
@@ -121,13 +124,18 @@ def create_learned_agent(env: Any, path: str | None = None, name: str | None = N
     """
     file = shipped_file(name, env) if path is None and name is not None else Path(str(path))
     card = load_card(file)
+    if card.encoding.get("kind") == "marker":
+        servo = create_agent(str(card.encoding.get("servo")), env)
+        if not isinstance(servo, PixelServo):
+            raise AgentFileError(f"{file} sees for a servo where images are observed, which this environment is not")
+        return PixelServo(servo.servo, OnnxEyes(file.parent / card.network, card))
     spec = getattr(env, "spec", None)
     if spec is not None and card.encoding.get("kind") != "servo" and spec.id != card.env_id:
         raise AgentFileError(f"{file} was trained in {card.env_id}, and cannot act in {spec.id}")
     observations = getattr(env, "single_observation_space", env.observation_space)
     actions = getattr(env, "single_action_space", env.action_space)
     try:
-        encoding = create_encoding(card.encoding, env)
+        encoding = create_encoding(card.encoding, env, file.parent)
     except ValueError as error:
         raise AgentFileError(f"{file} does not fit this environment: {error}") from error
     return LearnedAgent(OnnxNetwork(file.parent / card.network, card), encoding, observations, actions)

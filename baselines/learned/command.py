@@ -18,7 +18,7 @@ from servotrack.baselines.learned.export import write_card
 from servotrack.baselines.learned.settings import TrainingSettings
 from servotrack.baselines.learned.training import train
 from servotrack.baselines.learned.yardstick import Yardstick
-from servotrack.baselines.results import ResultsFolder, atomic_path, describe_environment
+from servotrack.baselines.results import ResultsFolder, atomic_path, code_version, describe_environment
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,8 @@ def run_training(request: TrainingRequest, console: Console) -> Path:
 
 
 def _yardstick(request: TrainingRequest) -> Yardstick:
-    folder = ResultsFolder(request.environment / "classical")
+    # Other code may have measured the classical agents for earlier runs; theirs are kept apart.
+    folder = ResultsFolder(request.environment / "classical" / code_version())
     folder.check_writable()
     return Yardstick(request.env_id, request.env_kwargs, folder)
 

@@ -13,7 +13,7 @@ import torch
 from torch import nn
 
 from servotrack.baselines.learned.card import LearnedCard
-from servotrack.baselines.learned.export import write_agent
+from servotrack.baselines.learned.export import Exportable, write_agent
 from servotrack.baselines.learned.settings import TrainingSettings
 from servotrack.baselines.learned.shipped import agent_in_file
 from servotrack.baselines.learned.yardstick import Yardstick
@@ -118,18 +118,34 @@ class Course:
         """Whether all steps are done."""
         return self.curve.steps >= self.task.settings.n_timesteps
 
+    def resume(self, network: nn.Module, optimizer: torch.optim.Optimizer) -> int:
+        """Give a network and its optimizer back what the checkpoint holds of them, and return the steps that were done.
+
+        Raises:
+            ResultsError: The checkpoint is that of another network.
+        """
+        if self.checkpoint is None:
+            return 0
+        try:
+            parameters: Mapping[str, Any] = self.checkpoint["parameters"]
+            network.load_state_dict(parameters["network"])
+            optimizer.load_state_dict(parameters["optimizer"])
+        except Exception as error:
+            raise ResultsError(
+                f"{self.task.folder / CHECKPOINT} does not fit this training ({error}); move its folder away"
+            ) from error
+        return int(self.checkpoint["steps"])
+
     def is_due(self, steps: int) -> bool:
         """Whether it is time to measure and to save."""
         return steps >= self.curve.steps + max(1, self.task.settings.n_timesteps // self.task.settings.measurements)
 
-    def measure(self, steps: int, policy: nn.Module, size: int, memory: int, saved: Mapping[str, Any]) -> Entry:
+    def measure(self, steps: int, policy: Exportable, saved: Mapping[str, Any]) -> Entry:
         """Export, measure and save a policy; what is measured is what would be shipped.
 
         Args:
             steps: Environment steps so far.
-            policy: As `export` takes it.
-            size: Numbers in a row.
-            memory: Numbers that the policy carries.
+            policy: What was learned.
             saved: What it takes to go on: tensors and numbers.
 
         Returns:
@@ -149,7 +165,7 @@ class Course:
             steps=steps,
             training={**task.as_record(), "curve": self.curve.entries, "provenance": self.curve.provenance},
         )
-        write_agent(policy, size, memory, card, folder)
+        write_agent(policy, card, folder)
         entry: Entry = {"steps": steps, "seconds": round(self._seconds, 1)}
         entry |= self._yardstick.measure(agent_in_file(folder / f"{AGENT}.json"))
         self.curve.entries.append(entry)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from servotrack.baselines.learned.eyes import open_eyes
 from servotrack.baselines.learned.servo_encoding import ServoEncoding
+from servotrack.baselines.pixel_servo import PIXEL_KEYS, MarkerFeatures, SeenMemory
 from servotrack.baselines.registry import create_agent
 from servotrack.baselines.servo import JacobianServo, servo_measurement
 
@@ -193,18 +196,79 @@ class Residual:
         return memory.action
 
 
-def create_encoding(settings: Mapping[str, Any], env: Any) -> Encoding:
+class SeenThrough(NamedTuple):
+    """Memory of `ThroughEyes`.
+
+    Attributes:
+        seen: Of the eyes.
+        own: Of the encoding behind them.
+    """
+
+    seen: SeenMemory
+    own: Any
+
+
+@dataclass(frozen=True)
+class ThroughEyes:
+    """An encoding of features where there are images.
+
+    Attributes:
+        eyes: What makes features of images.
+        encoding: Whose rows.
+    """
+
+    eyes: MarkerFeatures
+    encoding: Encoding
+
+    @property
+    def size(self) -> int:
+        """Numbers in a row."""
+        return self.encoding.size
+
+    def initial(self, observation: Any) -> SeenThrough:
+        """As `Encoding.initial`."""
+        seen = self.eyes.initial(observation)
+        # What the first image shows is left to `step`; until then nothing has been seen.
+        blind = {**observation, "features": seen.features, "visible": np.zeros_like(seen.frame_time)}
+        return SeenThrough(seen, self.encoding.initial(blind))
+
+    def step(self, memory: SeenThrough, observation: Any, action: Rows) -> tuple[SeenThrough, Rows]:
+        """As `Encoding.step`."""
+        seen, features = self.eyes.step(memory.seen, observation)
+        own, rows = self.encoding.step(memory.own, features, action)
+        return SeenThrough(seen, own), rows
+
+    def base(self, memory: SeenThrough) -> Rows | float:
+        """As `Encoding.base`."""
+        return self.encoding.base(memory.own)
+
+
+def create_encoding(settings: Mapping[str, Any], env: Any, folder: Path | None = None) -> Encoding:
     """The encoding that a card or a file of hyper-parameters describes.
 
     Args:
         settings: `kind` ("servo" or "flat"), `frames` to stack, 1 for none, `residual`, the name of a classical servo
-            whose action the network corrects, and what the kind takes.
+            whose action the network corrects, `eyes`, those that find the marker where images are observed, and what
+            the kind takes.
         env: A Gymnasium environment or vector environment.
+        folder: Where eyes are looked for before they are among the shipped ones.
 
     Raises:
         ValueError: An unknown kind, keyword or servo, or a space that the kind cannot read.
+        AgentFileError: Eyes that cannot be used.
     """
     space = getattr(env, "single_observation_space", env.observation_space)
+    if "eyes" not in settings:
+        return _of_features(settings, env, space)
+    if not set(PIXEL_KEYS) <= set(getattr(space, "spaces", ())):
+        raise ValueError(f"eyes need the observations {', '.join(PIXEL_KEYS)}, got {space}")
+    parts = {key: part for key, part in space.spaces.items() if key != "image"}
+    seen = spaces.Dict({**parts, "features": parts["goal"], "visible": spaces.Box(0.0, 1.0, (1,))})
+    behind = _of_features({key: value for key, value in settings.items() if key != "eyes"}, env, seen)
+    return ThroughEyes(MarkerFeatures(open_eyes(str(settings["eyes"]), folder)), behind)
+
+
+def _of_features(settings: Mapping[str, Any], env: Any, space: spaces.Space[Any]) -> Encoding:
     given = dict(settings)
     kind, frames, residual = given.pop("kind", "flat"), given.pop("frames", 1), given.pop("residual", None)
     if kind == "servo":

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -68,47 +69,59 @@ class PolicyMode(nn.Module):
         return out[0], torch.stack([hidden, cell]).permute(2, 0, 1, 3).reshape(-1, self.memory)
 
 
-def export(policy: nn.Module, size: int, memory: int, path: Path) -> bytes:
-    """Write a network, at once or not at all.
+class Exportable(NamedTuple):
+    """A module and what its ONNX file is to look like.
 
-    Args:
-        policy: Maps rows (N, size), and memory (N, M) where M > 0, to actions, and the next memory.
-        size: Numbers in a row.
-        memory: M.
-        path: The ONNX file.
-
-    Returns:
-        What was written.
+    Attributes:
+        network: The module; its arguments are the inputs in their order.
+        inputs: Examples of the inputs by their names, the first axis free.
+        outputs: Names.
+        memory: Numbers that it carries from step to step.
     """
-    inputs: list[torch.Tensor] = [torch.zeros(2, size), *([torch.zeros(2, memory)] if memory else [])]
-    names = [OBSERVATION, *([MEMORY] if memory else [])], [ACTION, *([NEXT_MEMORY] if memory else [])]
-    training = policy.training
-    policy.eval()
+
+    network: nn.Module
+    inputs: Mapping[str, torch.Tensor]
+    outputs: tuple[str, ...]
+    memory: int = 0
+
+
+def exportable_policy(network: nn.Module, size: int, memory: int = 0) -> Exportable:
+    """A policy that maps rows (N, size), and memory (N, M) where M > 0, to actions, and the next memory."""
+    if memory == 0:
+        return Exportable(network, {OBSERVATION: torch.zeros(2, size)}, (ACTION,))
+    inputs = {OBSERVATION: torch.zeros(2, size), MEMORY: torch.zeros(2, memory)}
+    return Exportable(network, inputs, (ACTION, NEXT_MEMORY), memory)
+
+
+def export(subject: Exportable, path: Path) -> bytes:
+    """Write a network, at once or not at all, and return what was written."""
+    network, training = subject.network, subject.network.training
+    network.eval()
     with atomic_path(path) as temporary, warnings.catch_warnings():
         # The exporter that replaces this one takes fifteen times as long, and says the same.
         warnings.simplefilter("ignore")
         torch.onnx.export(
-            policy,
-            tuple(inputs),
+            network,
+            tuple(subject.inputs.values()),
             str(temporary),
             dynamo=False,
-            input_names=names[0],
-            output_names=names[1],
-            dynamic_axes={name: {0: "n"} for name in (*names[0], *names[1])},
+            input_names=list(subject.inputs),
+            output_names=list(subject.outputs),
+            dynamic_axes={name: {0: "n"} for name in (*subject.inputs, *subject.outputs)},
         )
         content = temporary.read_bytes()
-    policy.train(training)
+    network.train(training)
     return content
 
 
-def write_agent(policy: nn.Module, size: int, memory: int, card: LearnedCard, folder: Path) -> LearnedCard:
+def write_agent(subject: Exportable, card: LearnedCard, folder: Path) -> LearnedCard:
     """A network and its card, the network first: a card without its network is never seen.
 
     Returns:
         The card with the digest of the network.
     """
-    content = export(policy, size, memory, folder / card.network)
-    card = replace(card, sha256=digest(content), memory=memory)
+    content = export(subject, folder / card.network)
+    card = replace(card, sha256=digest(content), memory=subject.memory)
     write_card(card, folder)
     return card
 

@@ -18,6 +18,37 @@ LARGEST_NETWORK = 20_000_000
 OBSERVATION, MEMORY, ACTION, NEXT_MEMORY = "observation", "memory", "action", "next_memory"
 
 
+def open_session(path: Path, card: LearnedCard) -> onnxruntime.InferenceSession:
+    """A network's file, opened on one thread.
+
+    Args:
+        path: The ONNX file.
+        card: Its card.
+
+    Raises:
+        AgentFileError: The file is missing, too large, not the card's, not ONNX, or uses operators that onnxruntime
+            does not know.
+    """
+    try:
+        size = path.stat().st_size
+        if size > LARGEST_NETWORK:
+            raise AgentFileError(f"{path} has {size} bytes, a network at most {LARGEST_NETWORK}")
+        content = path.read_bytes()
+    except OSError as error:
+        raise AgentFileError(f"{path} cannot be read ({error.strerror}); it belongs beside its card") from error
+    if digest(content) != card.sha256:
+        raise AgentFileError(f"{path} is not the file that its card describes: the card's sha256 is another one")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    try:
+        # From memory: a file that refers to other files is refused.
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's errors have no common base
+        reason = str(error).splitlines()[0]
+        raise AgentFileError(f"{path} cannot be run by onnxruntime: {reason}") from error
+
+
 class OnnxNetwork:
     """A policy: rows of observations (and of memory) in, actions (and the next memory) out.
 
@@ -27,30 +58,12 @@ class OnnxNetwork:
         card: Its card.
 
     Raises:
-        AgentFileError: The file is missing, too large, not the card's, not ONNX, uses operators that onnxruntime does
-            not know, or has other inputs or outputs.
+        AgentFileError: As `open_session`, or for other inputs or outputs.
     """
 
     def __init__(self, path: Path, card: LearnedCard) -> None:
         self.path = path
-        try:
-            size = path.stat().st_size
-            if size > LARGEST_NETWORK:
-                raise AgentFileError(f"{path} has {size} bytes, a network at most {LARGEST_NETWORK}")
-            content = path.read_bytes()
-        except OSError as error:
-            raise AgentFileError(f"{path} cannot be read ({error.strerror}); it belongs beside its card") from error
-        if digest(content) != card.sha256:
-            raise AgentFileError(f"{path} is not the file that its card describes: the card's sha256 is another one")
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1
-        options.log_severity_level = 4
-        try:
-            # From memory: a file that refers to other files is refused.
-            self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime's errors have no common base
-            reason = str(error).splitlines()[0]
-            raise AgentFileError(f"{path} cannot be run by onnxruntime: {reason}") from error
+        self._session = open_session(path, card)
         self.size = self._width(self._session.get_inputs(), OBSERVATION)
         self.actions = self._width(self._session.get_outputs(), ACTION)
         self.memory = card.memory

@@ -20,7 +20,7 @@ from servotrack.baselines import seeds as seed_ranges
 from servotrack.baselines.learned.course import CHECKPOINT, Course, TrainingTask
 from servotrack.baselines.learned.encoded_env import EncodedVecEnv
 from servotrack.baselines.learned.encoding import create_encoding
-from servotrack.baselines.learned.export import PolicyMode
+from servotrack.baselines.learned.export import PolicyMode, exportable_policy
 from servotrack.baselines.learned.settings import schedule
 from servotrack.baselines.results import ResultsError
 from servotrack.baselines.sb3 import StableBaselinesVecEnv
@@ -179,6 +179,7 @@ class _Measuring(BaseCallback):
             saved[name] = tuple(torch.as_tensor(np.asarray(part)) for part in parts)
         policy = policy_mode(self.model)
         size = int(self.model.observation_space.shape[0])  # type: ignore[index]
-        entry = self.course.measure(self.num_timesteps, policy, size, policy.memory, saved)
+        exported = exportable_policy(policy, size, policy.memory)
+        entry = self.course.measure(self.num_timesteps, exported, saved)
         for name, value in entry.items():
             self.logger.record(f"tune/{name}", value)

@@ -11,8 +11,8 @@ from typing import Any
 import yaml
 
 FOLDER = Path(__file__).parent / "hyper_parameters"
-ALGORITHMS = ("ppo", "a2c", "sac", "td3", "recurrent_ppo", "tqc", "student")
-"""Those of Stable-Baselines3 and sb3-contrib, and `servotrack.baselines.learned.student`."""
+ALGORITHMS = ("ppo", "a2c", "sac", "td3", "recurrent_ppo", "tqc", "student", "eyes")
+"""Those of Stable-Baselines3 and sb3-contrib, then `student` and `eyes_training` of this folder."""
 _OWN = ("algorithm", "n_envs", "n_timesteps", "policy", "normalize", "encoding", "measurements", "summary")
 _ZOO_ONLY = ("env_wrapper", "vec_env_wrapper", "frame_stack", "callback", "normalize_kwargs", "env_kwargs")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,10 +12,10 @@ from gymnasium.vector import AutoresetMode
 from torch import nn
 
 from servotrack.baselines import seeds as seed_ranges
-from servotrack.baselines.learned.course import CHECKPOINT, Course, TrainingTask
+from servotrack.baselines.learned.course import Course, TrainingTask
 from servotrack.baselines.learned.encoding import Encoding, create_encoding
+from servotrack.baselines.learned.export import exportable_policy
 from servotrack.baselines.learned.settings import schedule
-from servotrack.baselines.results import ResultsError
 from servotrack.envs.servo.episode import LEAD
 from servotrack.envs.servo.targets import PERIOD
 from servotrack.envs.servo.world import ServoWorld
@@ -148,7 +147,7 @@ def teach(course: Course) -> None:
     encoding = create_encoding(settings.encoding, env)
     network = StudentNetwork(encoding.size, own.hidden, residual="residual" in settings.encoding)
     optimizer = torch.optim.Adam(network.parameters())
-    steps = _restore(course, network, optimizer)
+    steps = course.resume(network, optimizer)
     rate = schedule(own.learning_rate)
     explore = np.random.default_rng([task.seed, steps])
     iteration = 0
@@ -164,24 +163,9 @@ def teach(course: Course) -> None:
             course.on_steps(steps)
             if course.is_due(steps) or steps >= settings.n_timesteps:
                 saved = {"parameters": {"network": network.state_dict(), "optimizer": optimizer.state_dict()}}
-                course.measure(steps, network, encoding.size, own.hidden, saved)
+                course.measure(steps, exportable_policy(network, encoding.size, own.hidden), saved)
     finally:
         env.close()
-
-
-def _restore(course: Course, network: StudentNetwork, optimizer: torch.optim.Optimizer) -> int:
-    """Weights and optimizer as they were saved; the steps that were done."""
-    if course.checkpoint is None:
-        return 0
-    try:
-        parameters: Mapping[str, Any] = course.checkpoint["parameters"]
-        network.load_state_dict(parameters["network"])
-        optimizer.load_state_dict(parameters["optimizer"])
-    except Exception as error:
-        raise ResultsError(
-            f"{course.task.folder / CHECKPOINT} does not fit this training ({error}); move its folder away"
-        ) from error
-    return int(course.checkpoint["steps"])
 
 
 def _seeds(task: TrainingTask, steps: int) -> list[int]:

@@ -1,10 +1,11 @@
-"""Training of one agent, by reinforcement or from a teacher."""
+"""Training of one agent, by reinforcement or from what is known in training."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 from servotrack.baselines.learned.course import Course, Entry, TrainingCurve, TrainingTask
+from servotrack.baselines.learned.eyes_training import teach_eyes
 from servotrack.baselines.learned.reinforcement import reinforce
 from servotrack.baselines.learned.student import teach
 from servotrack.baselines.learned.yardstick import Yardstick
@@ -32,5 +33,5 @@ def train(
     """
     course = Course(task, yardstick, on_steps, on_entry)
     if not course.finished:
-        (teach if task.settings.algorithm == "student" else reinforce)(course)
+        {"student": teach, "eyes": teach_eyes}.get(task.settings.algorithm, reinforce)(course)
     return course.curve

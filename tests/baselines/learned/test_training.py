@@ -23,19 +23,21 @@ pytest.importorskip("sb3_contrib")
 import torch
 
 from servotrack.baselines.evaluate import run_episodes
-from servotrack.baselines.learned.card import LearnedCard, digest, load_card
+from servotrack.baselines.learned.card import AgentFileError, LearnedCard, digest, load_card
 from servotrack.baselines.learned.command import TrainingRequest, run_training
 from servotrack.baselines.learned.course import CHECKPOINT, TrainingTask, load_checkpoint
 from servotrack.baselines.learned.encoded_env import EncodedVecEnv
 from servotrack.baselines.learned.encoding import create_encoding
-from servotrack.baselines.learned.export import export
+from servotrack.baselines.learned.export import export, exportable_policy
+from servotrack.baselines.learned.eyes import open_eyes
 from servotrack.baselines.learned.network import OnnxNetwork
 from servotrack.baselines.learned.reinforcement import create_model, policy_mode, restore
+from servotrack.baselines.learned.servo_encoding import ServoEncoding
 from servotrack.baselines.learned.settings import TrainingSettings, load_settings, schedule
 from servotrack.baselines.learned.student import StudentNetwork
 from servotrack.baselines.learned.training import train
 from servotrack.baselines.learned.yardstick import Yardstick
-from servotrack.baselines.registry import agent_card
+from servotrack.baselines.registry import agent_card, create_agent
 from servotrack.baselines.results import ResultsError, ResultsFolder
 from servotrack.baselines.sb3 import StableBaselinesVecEnv
 
@@ -82,7 +84,7 @@ def test_what_is_exported_acts_as_the_policy_does(settings: TrainingSettings, tm
         "encoding": {},
         "network": "x.onnx",
     }
-    content = export(policy, size, policy.memory, tmp_path / "x.onnx")
+    content = export(exportable_policy(policy, size, policy.memory), tmp_path / "x.onnx")
     network = OnnxNetwork(tmp_path / "x.onnx", LearnedCard(**card_fields, sha256=digest(content), memory=policy.memory))
     rows = np.random.default_rng(0).normal(size=(5, size)).astype(np.float32)
     memory, state = np.zeros((5, policy.memory), np.float32), None
@@ -204,7 +206,8 @@ def test_the_shipped_hyper_parameters_can_be_read() -> None:
             recipe, _, level = name.partition(" level=")
             settings = load_settings(file.stem, recipe, int(level) if level else None)
             assert settings.n_timesteps > 0 and json.dumps(settings.as_record())
-            create_encoding(settings.encoding, gym.make(file.stem))
+            if not {"marker", "eyes"} & {*settings.encoding, settings.encoding["kind"]}:
+                create_encoding(settings.encoding, gym.make(file.stem))
 
 
 @pytest.mark.parametrize(
@@ -287,3 +290,43 @@ def test_a_student_is_refused_where_no_teacher_is(tmp_path: Path) -> None:
     yard = yardstick(tmp_path)
     with pytest.raises(ValueError, match="student learns in servo worlds"):
         train(TrainingTask("PedestrianServo-v0", {"observation": "identity"}, settings, 0, tmp_path / "run"), yard)
+
+
+def test_eyes_learn_and_see_what_they_have_learned(tmp_path: Path) -> None:
+    settings = TrainingSettings(
+        "eyes", "eyes", n_envs=32, n_timesteps=9_600, measurements=1,
+        encoding={"kind": "marker", "image_size": 48, "servo": "kf"}, hyper_parameters={"channels": 12},
+    )  # fmt: skip
+    world: dict[str, Any] = {"level": 2, "horizon": 80, "image_size": 48}
+    task = TrainingTask("UncalibServoPixels-v0", world, settings, 0, tmp_path / "eyes")
+    yard = Yardstick("UncalibServoPixels-v0", world, ResultsFolder(tmp_path / "classical"), episodes=2)
+    curve = train(task, yard)
+    path = tmp_path / "eyes" / "agent.json"
+    eyes = open_eyes(str(path))
+    env = gym.make_vec("UncalibServoPixels-v0", num_envs=16, pixel_noise=0.0, **world)
+    observation, _ = env.reset(seed=list(range(100_000, 100_016)))
+    place, seen = eyes.detect(observation["image"])
+    truth = env.unwrapped.world.features / 10.0  # type: ignore[attr-defined]
+    middle = np.median(np.hypot(*(24.0 - truth).T))
+    assert seen.mean() > 0.8 and np.median(np.hypot(*(place - truth).T)) < 0.25 * middle
+    # Behind the eyes: a classical servo, or a policy that reads their features.
+    assert len(run_episodes("UncalibServoPixels-v0", agent_card(str(path)), [100_000], world)[0]) == 1
+    through = create_encoding({"kind": "servo", "eyes": str(path)}, env)
+    memory = through.initial(observation)
+    memory, rows = through.step(memory, observation, np.zeros((16, 2), np.float32))
+    plain = ServoEncoding()
+    features = {
+        **observation,
+        "features": 10.0 * place,
+        "goal": 10.0 * observation["goal"],
+        "visible": seen[:, None] * 1.0,
+    }
+    _, expected = plain.step(plain.initial(features), features, np.zeros((16, 2), np.float32))
+    assert np.allclose(rows[seen], expected[seen], atol=1e-5)
+    assert curve.steps >= 9_600
+    with pytest.raises(ValueError, match="images must be uint8"):
+        eyes.detect(np.zeros((96, 96, 3), np.uint8))
+    with pytest.raises(AgentFileError, match="images are observed"):
+        create_agent(agent_card(str(path)), gym.make("UncalibServo-v0"))
+    with pytest.raises(ValueError, match="eyes need"):
+        create_encoding({"kind": "servo", "eyes": str(path)}, gym.make("UncalibServo-v0"))
