@@ -1,0 +1,142 @@
+"""The agents that come with the package: what their cards say, that they act as torch does, and what they reach."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import servotrack  # noqa: F401
+from servotrack.baselines import seeds
+from servotrack.baselines.evaluate import run_episodes
+from servotrack.baselines.learned.card import AgentFileError, LearnedCard
+from servotrack.baselines.learned.network import LARGEST_NETWORK, OnnxNetwork
+from servotrack.baselines.learned.shipped import shipped_agents, shipped_cards
+from servotrack.baselines.registry import AGENTS, create_agent
+
+CARDS = shipped_cards()
+TUNE = seeds.take("tune", 60, 70_000)
+
+
+def _steady(agent: str, env_id: str, env_kwargs: dict[str, Any]) -> NDArray[np.float64]:
+    rows, _ = run_episodes(env_id, AGENTS[agent], TUNE, env_kwargs)
+    return np.array([row["steady"] for row in rows])
+
+
+def test_there_are_agents_for_the_levels_that_the_documents_speak_of() -> None:
+    trained = {agent.name: set(agent.trained_in or ()) for agent in shipped_agents()}
+    assert {f"UncalibServo-v0,level={level}" for level in (0, 2, 3, 4)} <= trained["ppo"]
+    assert "UncalibServo-v0,level=6" in trained["hybrid"]
+    assert set(trained) <= set(AGENTS)
+
+
+@pytest.mark.parametrize("path", CARDS, ids=lambda path: path.stem)
+def test_a_card_tells_how_its_agent_came_about(path: Path) -> None:
+    card = CARDS[path]
+    training = card.training
+    assert len(training["runs"]) >= 3 and card.steps >= sum(run["steps"] for run in training["runs"])
+    assert training["seed"] in [run["seed"] for run in training["runs"]]
+    best = max(training["runs"], key=lambda run: run.get("score", run["return"]))
+    assert best["seed"] == training["seed"] and training["curve"][-1] == {k: v for k, v in best.items() if k != "seed"}
+    record = training["provenance"]
+    assert record["command"].split()[1] == "train" and {"numpy", "servotrack"} <= set(record["versions"])
+    assert (path.parent / card.network).stat().st_size < 1_000_000 < LARGEST_NETWORK
+    # Whoever reads a card learns nothing of the folders of the machine that wrote it.
+    assert not [word for word in ("/home", "/root", "/tmp", "/work", "/Users") if word in path.read_text()]
+
+
+@pytest.mark.parametrize("path", CARDS, ids=lambda path: path.stem)
+def test_networks_answer_as_torch_does(path: Path) -> None:
+    onnx, torch = pytest.importorskip("onnx"), pytest.importorskip("torch")
+    card = CARDS[path]
+    network = OnnxNetwork(path.parent / card.network, card)
+    model = onnx.load_model(str(path.parent / card.network))
+    stored = {value.name: torch.tensor(onnx.numpy_helper.to_array(value)) for value in model.graph.initializer}
+    rng = np.random.default_rng(0)
+    rows = rng.normal(size=(7, network.size)).astype(np.float32)
+    memory = rng.normal(size=(7, network.memory)).astype(np.float32)
+    answer, carried = network(rows, memory)
+    with torch.no_grad():
+        if card.memory:
+            expected, following = _student(torch, card, model.graph, stored, torch.tensor(rows), torch.tensor(memory))
+            assert np.abs(carried - following.numpy()).max() < 1e-5
+        else:
+            expected = _multilayer(torch, card, stored, torch.tensor(rows))
+    assert np.abs(answer - expected.numpy()).max() < 1e-5
+
+
+def _multilayer(torch: Any, card: LearnedCard, stored: dict[str, Any], rows: Any) -> Any:
+    """The mode of PPO's policy, rebuilt by Stable-Baselines3 from the hyper-parameters of the card."""
+    pytest.importorskip("stable_baselines3")
+    from servotrack.baselines.learned.course import TrainingTask
+    from servotrack.baselines.learned.reinforcement import create_model, policy_mode
+    from servotrack.baselines.learned.settings import TrainingSettings
+
+    settings = TrainingSettings(**{"recipe": card.name, **card.training["settings"]})
+    task = TrainingTask(card.env_id, card.env_kwargs, settings, 0, Path(), tensorboard=False)
+    mode = policy_mode(create_model(task))
+    weights = mode.state_dict()
+    assert set(stored) <= set(weights)
+    mode.load_state_dict({**weights, **stored})
+    return mode.eval()(rows)
+
+
+def _student(torch: Any, card: LearnedCard, graph: Any, stored: dict[str, Any], rows: Any, memory: Any) -> Any:
+    """The student's network with the weights that the graph's nodes take, in the order in which it was built."""
+    from servotrack.baselines.learned.student import StudentNetwork
+
+    network = StudentNetwork(rows.shape[1], card.memory, residual="residual" in card.encoding)
+    weights = {name: stored.get(name, value) for name, value in network.state_dict().items()}
+    products = [node.input[1] for node in graph.node if node.op_type == "MatMul"]
+    for name, stored_name in zip(("entry.0.weight", "head.0.weight", "head.2.weight"), products, strict=True):
+        weights[name] = stored[stored_name].T
+    (recurrent,) = (node for node in graph.node if node.op_type == "GRU")
+    inputs, hidden, biases = (stored[name][0] for name in recurrent.input[1:4])
+    parts = (inputs, hidden, *biases.chunk(2))
+    for name, part in zip(("weight_ih_l0", "weight_hh_l0", "bias_ih_l0", "bias_hh_l0"), parts, strict=True):
+        weights[f"memory.{name}"] = _in_torch_s_order(torch, part)
+    network.load_state_dict(weights)
+    return network.eval()(rows, memory)
+
+
+def _in_torch_s_order(torch: Any, value: Any) -> Any:
+    """ONNX has a recurrent layer's gates in the order update, reset, new; torch has reset first."""
+    update, reset, new = value.chunk(3)
+    return torch.cat([reset, update, new])
+
+
+@pytest.mark.parametrize("level", [2, 3])
+def test_ppo_is_nearer_than_the_kalman_filter(level: int) -> None:
+    """On tune seeds that neither training nor its measurements saw."""
+    ppo, kf = (_steady(name, "UncalibServo-v0", {"level": level}) for name in ("ppo", "kf"))
+    assert np.median(ppo) < np.median(kf) and (ppo < 0.01).mean() > 0.93
+
+
+def test_the_hybrid_is_better_than_the_bank_that_it_corrects() -> None:
+    hybrid, bank = (
+        np.log(_steady(name, "UncalibServo-v0", {"level": 6})) for name in ("hybrid", "latency-bank-lifted-kf")
+    )
+    assert (hybrid - bank).mean() < -0.05
+
+
+def test_an_agent_acts_only_at_levels_that_it_was_trained_at() -> None:
+    with pytest.raises(AgentFileError, match=r"was trained in .*level=6.*not in UncalibServo-v0 at level 1"):
+        create_agent("hybrid", gym.make("UncalibServo-v0", level=1))
+
+
+def test_a_batch_acts_as_its_rows_do() -> None:
+    many, one = gym.make_vec("UncalibServo-v0", num_envs=4, level=3), gym.make("UncalibServo-v0", level=3)
+    batch, single = create_agent("ppo", many), create_agent("ppo", one)
+    (observations, _), (observation, _) = many.reset(seed=TUNE[:4]), one.reset(seed=TUNE[2])
+    states: Any = None
+    state: Any = None
+    for _ in range(30):
+        actions, states = batch.predict(observations, states)
+        action, state = single.predict(observation, state)
+        assert np.abs(actions[2] - action).max() < 1e-5
+        observations, *_ = many.step(actions)
+        observation, *_ = one.step(actions[2])
