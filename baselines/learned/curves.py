@@ -33,17 +33,19 @@ def draw_curves(
         for i, curve in enumerate(curves):
             steps = 1e-6 * np.array([entry["steps"] for entry in curve.entries])
             values = [entry[measure] for entry in curve.entries]
-            axes.plot(steps, values, color="#1f8a70", linewidth=1.2, alpha=0.8, label="runs" if i == 0 else None)
+            label = f"{len(curves)} runs" if i == 0 else None
+            axes.plot(steps, values, color="#1f8a70", linewidth=1.2, alpha=0.8, label=label)
         shades = ("#222222", "#777777", "#aaaaaa", "#cccccc")
         ranked = sorted(classical.items(), key=lambda item: -item[1][measure])
         for (name, measures), shade in zip(ranked, shades, strict=False):
-            axes.axhline(measures[measure], color=shade, linestyle="--", linewidth=1.0, label=name)
+            label = f"{name} {measures[measure]:.3g}"
+            axes.axhline(measures[measure], color=shade, linestyle="--", linewidth=1.0, label=label)
         axes.set(xlabel="million environment steps", ylabel=f"mean {measure} on tune seeds", title=title)
-        reached = [entry[measure] for curve in curves for entry in curve.entries]
-        lines = [measures[measure] for measures in classical.values()]
-        if measure == "score":
-            # The first steps lie far below; what matters lies near the lines.
-            axes.set_ylim(min(0.5, *lines, max(reached)) - 0.02, max(*reached, *lines) + 0.03)
+        # What matters is where the runs are beside the best line; lines far below are in the legend.
+        seen = [entry[measure] for curve in curves for entry in curve.entries]
+        seen += [measures[measure] for _, measures in ranked[:1]]
+        room = max(max(seen) - min(seen), 1e-3)
+        axes.set_ylim(min(seen) - 0.6 * room, max(seen) + 0.1 * room)
         axes.legend(frameon=False, fontsize=7, loc="lower right")
         with atomic_path(path) as temporary:
             figure.savefig(temporary, format="png")
