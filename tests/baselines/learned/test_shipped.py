@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import servotrack  # noqa: F401
 from servotrack.baselines import seeds
+from servotrack.baselines.bench import suite_of
 from servotrack.baselines.evaluate import run_episodes
 from servotrack.baselines.learned.card import AgentFileError, LearnedCard
 from servotrack.baselines.learned.network import LARGEST_NETWORK, OnnxNetwork
@@ -128,9 +129,10 @@ def test_an_agent_acts_only_at_levels_that_it_was_trained_at() -> None:
         create_agent("hybrid", gym.make("UncalibServo-v0", level=1))
 
 
-def test_a_batch_acts_as_its_rows_do() -> None:
-    many, one = gym.make_vec("UncalibServo-v0", num_envs=4, level=3), gym.make("UncalibServo-v0", level=3)
-    batch, single = create_agent("ppo", many), create_agent("ppo", one)
+@pytest.mark.parametrize(("name", "level"), [("ppo", 3), ("hybrid", 6)])
+def test_a_batch_acts_as_its_rows_do(name: str, level: int) -> None:
+    many, one = gym.make_vec("UncalibServo-v0", num_envs=4, level=level), gym.make("UncalibServo-v0", level=level)
+    batch, single = create_agent(name, many), create_agent(name, one)
     (observations, _), (observation, _) = many.reset(seed=TUNE[:4]), one.reset(seed=TUNE[2])
     states: Any = None
     state: Any = None
@@ -140,3 +142,10 @@ def test_a_batch_acts_as_its_rows_do() -> None:
         assert np.abs(actions[2] - action).max() < 1e-5
         observations, *_ = many.step(actions)
         observation, *_ = one.step(actions[2])
+
+
+def test_the_default_suite_runs_learned_agents_where_they_were_trained() -> None:
+    cells = {(cell.agent, cell.env_kwargs["level"]) for cell in suite_of("UncalibServo-v0", None, [3, 6])}
+    assert {("ppo", 3), ("hybrid", 6), ("kf", 3)} <= cells and ("hybrid", 3) not in cells
+    with pytest.raises(ValueError, match="hybrid was trained in none of"):
+        suite_of("UncalibServo-v0", ["hybrid", "kf"], [3])

@@ -25,6 +25,7 @@ import torch
 from servotrack.baselines.evaluate import run_episodes
 from servotrack.baselines.learned.card import AgentFileError, LearnedCard, digest, load_card
 from servotrack.baselines.learned.command import TrainingRequest, run_training
+from servotrack.baselines.learned.comparison import compare
 from servotrack.baselines.learned.course import CHECKPOINT, TrainingTask, load_checkpoint
 from servotrack.baselines.learned.encoded_env import EncodedVecEnv
 from servotrack.baselines.learned.encoding import create_encoding
@@ -179,6 +180,14 @@ def test_the_best_of_several_runs_gets_a_card_that_tells_of_all(tmp_path: Path) 
     assert card.training["curve"][-1]["score"] == max(scores)
     rows, _ = run_episodes(ENV_ID, agent_card(str(path)), [100_000, 100_001], SHORT)
     assert len(rows) == 2
+
+    found = compare(request.environment, "ppo", "kf", ResultsFolder(tmp_path / "compare"), 3, "tune")
+    assert (found.runs, found.episodes, found.against) == (2, 3, "kf")
+    # Nobody learns to servo in 256 steps.
+    assert found.difference.low > 0.0 and found.score is not None and found.score.high < 0.0
+    assert min(found.of_runs) > found.of_other and "no claim about training" in found.markdown()
+    with pytest.raises(ValueError, match="at least two runs of 'sac'"):
+        compare(request.environment, "sac", "kf", ResultsFolder(tmp_path / "compare"), 3, "tune")
 
 
 def test_what_an_episode_ended_with_is_encoded_too() -> None:
