@@ -225,9 +225,12 @@ def train(
     """Train with Stable-Baselines3 (extra `rl`), measured beside the classical agents; writes ONNX and a card."""
     from dataclasses import replace
 
-    from servotrack.baselines.learned.command import TrainingRequest, run_training
     from servotrack.baselines.learned.settings import load_settings
 
+    try:
+        from servotrack.baselines.learned.command import TrainingRequest, run_training
+    except ModuleNotFoundError as error:
+        raise ImportError(f"training needs {error.name}; install the extra: pip install 'servotrack[rl]'") from error
     chosen = load_settings(env, algo, level, hyper_parameters)
     if steps is not None:
         chosen = replace(chosen, n_timesteps=steps)
