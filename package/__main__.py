@@ -239,6 +239,26 @@ def train(
 
 
 @app.command()
+def agents(
+    world: Annotated[str, typer.Option(help="servo, clutter, video, color, sonar or follow; default: all.")] = "",
+    into: Annotated[
+        Path | None,
+        typer.Option(help="A document for the learned ones, with <!-- agents:begin --> and <!-- agents:end -->."),
+    ] = None,
+) -> None:
+    """All agents by name, and what the learned ones among them cost to train."""
+    from servotrack.baselines.leaderboard.embed import embed
+    from servotrack.baselines.leaderboard.table import as_markdown, as_rich
+    from servotrack.baselines.learned.listing import agents_grid, shipped_grid
+
+    learned = shipped_grid()
+    _console().print(as_rich(agents_grid(world), "Agents"))
+    _console().print(as_rich(learned, "Learned agents"))
+    if into is not None:
+        embed(f"{as_markdown(learned)}\nWritten by `{_command()}`, from the agents' cards.", into, "agents")
+
+
+@app.command()
 def compare(
     runs: Annotated[Path, typer.Argument(help="An environment's folder of training runs, results/train/ENV.")],
     recipe: Annotated[str, typer.Argument(help="Whose runs: ppo, hybrid, ...")],

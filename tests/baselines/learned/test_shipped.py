@@ -15,6 +15,7 @@ from servotrack.baselines import seeds
 from servotrack.baselines.bench import suite_of
 from servotrack.baselines.evaluate import run_episodes
 from servotrack.baselines.learned.card import AgentFileError, LearnedCard
+from servotrack.baselines.learned.listing import agents_grid, shipped_grid
 from servotrack.baselines.learned.network import LARGEST_NETWORK, OnnxNetwork
 from servotrack.baselines.learned.shipped import shipped_agents, shipped_cards
 from servotrack.baselines.registry import AGENTS, create_agent
@@ -149,3 +150,12 @@ def test_the_default_suite_runs_learned_agents_where_they_were_trained() -> None
     assert {("ppo", 3), ("hybrid", 6), ("kf", 3)} <= cells and ("hybrid", 3) not in cells
     with pytest.raises(ValueError, match="hybrid was trained in none of"):
         suite_of("UncalibServo-v0", ["hybrid", "kf"], [3])
+
+
+def test_tables_of_agents_name_all_of_them() -> None:
+    assert {row[0] for row in agents_grid().rows} == set(AGENTS)
+    servos = {row[0] for row in agents_grid("servo").rows}
+    assert {"kf", "ppo", "hybrid"} <= servos and "gm-phd" not in servos
+    assert {(row[0], row[1]) for row in shipped_grid().rows} == {(c.name, c.environment) for c in CARDS.values()}
+    with pytest.raises(ValueError, match="world must be one of"):
+        agents_grid("mars")
