@@ -54,8 +54,9 @@ def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
     complete = overall(tasks)
     means = {summary.agent: _interval(summary.score, 2) for summary in complete}
     partial = {row.agent: row for task in scored for row in task.rows if row.score and row.agent not in means}
+    shown: list[AgentSummary | OverallSummary] = [*complete, *(partial[name] for name in sorted(partial))]
     rows = []
-    for agent in (*complete, *(partial[name] for name in sorted(partial))):
+    for agent in shown:
         cells = [_score_and_success(task.row(agent.agent)) for task in scored]
         rows.append([_agent(agent), agent.information, *cells, means.get(agent.agent, "")])
     return Grid(headings, rows, 2)
