@@ -27,6 +27,9 @@ class PolicyMode(nn.Module):
         clip: Normalized rows are clipped to this.
     """
 
+    mean: torch.Tensor
+    deviation: torch.Tensor
+
     def __init__(self, policy: Any, mean: Any = None, deviation: Any = None, clip: float = 10.0) -> None:
         super().__init__()
         self.policy, self.clip = policy, clip
@@ -41,8 +44,7 @@ class PolicyMode(nn.Module):
     def forward(self, observation: torch.Tensor, memory: torch.Tensor | None = None) -> Any:
         """Actions (N, n), and the next memory (N, M) of a policy that has one."""
         if self.normalized:
-            scaled = torch.div(torch.sub(observation, self.mean), self.deviation)  # type: ignore[arg-type]
-            observation = torch.clamp(scaled, -self.clip, self.clip)
+            observation = torch.clamp((observation - self.mean) / self.deviation, -self.clip, self.clip)
         policy = self.policy
         if self.recurrent:
             latent, carried = self._remembered(

@@ -52,6 +52,9 @@ class EyesNetwork(nn.Module):
         image_size: Width and height of the images, px.
     """
 
+    columns: torch.Tensor
+    rows: torch.Tensor
+
     def __init__(self, channels: int, image_size: int) -> None:
         super().__init__()
         self.body = nn.Sequential(
