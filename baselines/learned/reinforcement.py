@@ -78,13 +78,12 @@ def create_model(task: TrainingTask, steps: int = 0) -> BaseAlgorithm:
     env: Any = EncodedVecEnv(StableBaselinesVecEnv(venv, info_keys=()), encoding)
     if settings.normalize:
         env = VecNormalize(env, gamma=float(settings.hyper_parameters.get("gamma", 0.99)))
-    env.seed(_first_seed(task, steps))
     keywords = {name: schedule(value) if name in ("learning_rate", "clip_range") else value
                 for name, value in settings.hyper_parameters.items()}  # fmt: skip
     if "policy_kwargs" in keywords:
         keywords["policy_kwargs"] = _with_classes(keywords["policy_kwargs"])
     try:
-        return _algorithm(settings.algorithm)(
+        model: BaseAlgorithm = _algorithm(settings.algorithm)(
             settings.policy,
             env,
             seed=task.seed,
@@ -96,6 +95,9 @@ def create_model(task: TrainingTask, steps: int = 0) -> BaseAlgorithm:
     except TypeError as error:
         env.close()
         raise ValueError(f"{settings.algorithm} does not take these hyper-parameters: {error}") from error
+    # After the algorithm, which gives the environments its own seed: runs would share most of their episodes.
+    env.seed(_first_seed(task, steps))
+    return model
 
 
 def _first_seed(task: TrainingTask, steps: int) -> int:

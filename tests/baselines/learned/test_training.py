@@ -22,6 +22,7 @@ pytest.importorskip("sb3_contrib")
 
 import torch
 
+from servotrack.baselines import seeds
 from servotrack.baselines.evaluate import run_episodes
 from servotrack.baselines.learned.card import AgentFileError, LearnedCard, digest, load_card
 from servotrack.baselines.learned.command import TrainingRequest, run_training
@@ -339,3 +340,13 @@ def test_eyes_learn_and_see_what_they_have_learned(tmp_path: Path) -> None:
         create_agent(agent_card(str(path)), gym.make("UncalibServo-v0"))
     with pytest.raises(ValueError, match="eyes need"):
         create_encoding({"kind": "servo", "eyes": str(path)}, gym.make("UncalibServo-v0"))
+
+
+def test_runs_and_their_continuations_take_other_episodes_of_the_train_range() -> None:
+    taken: list[int] = []
+    for seed, steps in ((0, 0), (1, 0), (0, 1024)):
+        model: Any = create_model(TrainingTask(ENV_ID, SHORT, PPO, seed, Path(), tensorboard=False), steps)
+        first = model.get_env().unwrapped._seeds
+        assert all(number in seeds.TRAIN for number in first)
+        taken += first
+    assert len(set(taken)) == len(taken) == 3 * PPO.n_envs
