@@ -15,6 +15,7 @@ from servotrack.baselines import seeds
 from servotrack.baselines.bench import suite_of
 from servotrack.baselines.evaluate import run_episodes
 from servotrack.baselines.learned.card import AgentFileError, LearnedCard
+from servotrack.baselines.learned.eyes import OnnxEyes
 from servotrack.baselines.learned.listing import agents_grid, shipped_grid
 from servotrack.baselines.learned.network import LARGEST_NETWORK, OnnxNetwork
 from servotrack.baselines.learned.shipped import shipped_agents, shipped_cards
@@ -51,7 +52,32 @@ def test_a_card_tells_how_its_agent_came_about(path: Path) -> None:
     assert not [word for word in ("/home", "/root", "/tmp", "/work", "/Users") if word in path.read_text()]
 
 
-@pytest.mark.parametrize("path", CARDS, ids=lambda path: path.stem)
+EYES = [path for path, card in CARDS.items() if card.encoding["kind"] == "marker"]
+
+
+@pytest.mark.parametrize("path", EYES, ids=lambda path: path.stem)
+def test_eyes_see_as_torch_does(path: Path) -> None:
+    onnx, torch = pytest.importorskip("onnx"), pytest.importorskip("torch")
+    from servotrack.baselines.learned.eyes_training import EyesNetwork
+
+    card = CARDS[path]
+    model = onnx.load_model(str(path.parent / card.network))
+    stored = {value.name: torch.tensor(onnx.numpy_helper.to_array(value)) for value in model.graph.initializer}
+    size = card.encoding["image_size"]
+    network = EyesNetwork(card.training["settings"]["hyper_parameters"]["channels"], size)
+    weights = network.state_dict()
+    assert {name for name in weights if name not in ("columns", "rows")} <= set(stored)
+    network.load_state_dict({name: stored.get(name, value) for name, value in weights.items()})
+    images = np.random.default_rng(0).integers(256, size=(3, size, size, 3), dtype=np.uint8)
+    place, seen = OnnxEyes(path.parent / card.network, card).detect(images)
+    with torch.no_grad():
+        expected, logit = network.eval()(torch.tensor(images))
+    # Half a thousandth of a pixel: places are sums of products of up to 96 px in float32.
+    assert np.abs(place - expected.numpy()).max() < 5e-4
+    assert np.array_equal(seen, logit.numpy() > 0.0)
+
+
+@pytest.mark.parametrize("path", [path for path in CARDS if path not in EYES], ids=lambda path: path.stem)
 def test_networks_answer_as_torch_does(path: Path) -> None:
     onnx, torch = pytest.importorskip("onnx"), pytest.importorskip("torch")
     card = CARDS[path]
