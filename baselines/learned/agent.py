@@ -62,7 +62,8 @@ class LearnedAgent:
             raise AgentFileError(f"{network.path} gives {network.actions} numbers, the action space is {action_space}")
         self.network, self._encoding = network, encoding
         self._low, self._high = action_space.low, action_space.high
-        self._axes = len(_first(observation_space).shape)
+        self._key = next(iter(observation_space)) if isinstance(observation_space, spaces.Dict) else None
+        self._axes = len(self._part(observation_space).shape)
 
     def predict(
         self,
@@ -82,15 +83,19 @@ class LearnedAgent:
         Returns:
             Actions with the observation's leading axis, and the new state.
         """
-        single = np.ndim(_first(observation)) == self._axes
+        single = np.ndim(self._part(observation)) == self._axes
         if single:
             observation = _with_leading_axis(observation)
-        count = len(_first(observation))
+        count = len(self._part(observation))
         state = remembered(state, episode_start, (count,), lambda: self._initial(observation, count))
         memory, rows = self._encoding.step(state.encoding, observation, state.action)
         action, carried = self.network(rows, state.network)
         action = np.clip(action + self._encoding.base(memory), self._low, self._high)
         return action[0] if single else action, LearnedState(memory, carried, action)
+
+    def _part(self, whole: Any) -> Any:
+        """One entry of an observation or of its space, always the same one."""
+        return whole if self._key is None else whole[self._key]
 
     def _initial(self, observation: Any, count: int) -> LearnedState:
         return LearnedState(
@@ -98,11 +103,6 @@ class LearnedAgent:
             np.zeros((count, self.network.memory), np.float32),
             np.zeros((count, self.network.actions), np.float32),
         )
-
-
-def _first(observation: Any) -> Any:
-    """An observation, or the first entry of one that is a dictionary; the same of spaces."""
-    return next(iter(observation.values())) if isinstance(observation, (Mapping, spaces.Dict)) else observation
 
 
 def _with_leading_axis(observation: Any) -> Any:

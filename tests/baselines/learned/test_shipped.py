@@ -156,9 +156,10 @@ def test_an_agent_acts_only_at_levels_that_it_was_trained_at() -> None:
         create_agent("hybrid", gym.make("UncalibServo-v0", level=1))
 
 
-@pytest.mark.parametrize(("name", "level"), [("ppo", 3), ("hybrid", 6)])
-def test_a_batch_acts_as_its_rows_do(name: str, level: int) -> None:
-    many, one = gym.make_vec("UncalibServo-v0", num_envs=4, level=level), gym.make("UncalibServo-v0", level=level)
+@pytest.mark.parametrize("path", CARDS, ids=lambda path: path.stem)
+def test_a_batch_acts_as_its_rows_do(path: Path) -> None:
+    name, env_id, kwargs = CARDS[path].name, CARDS[path].env_id, CARDS[path].env_kwargs
+    many, one = gym.make_vec(env_id, num_envs=4, **kwargs), gym.make(env_id, **kwargs)
     batch, single = create_agent(name, many), create_agent(name, one)
     (observations, _), (observation, _) = many.reset(seed=TUNE[:4]), one.reset(seed=TUNE[2])
     states: Any = None
