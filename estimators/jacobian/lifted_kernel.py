@@ -18,6 +18,12 @@ from numba import njit
 
 STATE_SIZE = 5
 """Target A, its velocity V and acceleration G, elbow B, tool minus elbow D; px, px/s, px/s^2, px, px."""
+CANCELED = 1e-11
+"""A measurement that leaves less than this share of a variance has left nothing but rounding."""
+ROUNDED = 1e-7
+"""Below this share, rounding shows in the correlations that are left."""
+ROUNDING = 1e-12
+"""Of a difference, relative to what it was taken from."""
 
 
 @njit(cache=True, nogil=True)
@@ -132,12 +138,23 @@ def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate
         first += branch[k] / density / variance
         second += branch[k] / density / (variance * variance)
     shrink = nu2 * max(second - first * first, 0.0) - first
+    before, trust = np.empty(STATE_SIZE), np.ones(STATE_SIZE)
     for r in range(STATE_SIZE):
         mean[r] += g[r] * innovation * first
+        before[r] = cov[r, r].real
         for c in range(r + 1):
             cov[r, c] += shrink * g[r] * np.conj(g[c])
             cov[c, r] = np.conj(cov[r, c])
-        cov[r, r] = complex(max(cov[r, r].real, 1e-12), 0.0)
+        cov[r, r] = complex(max(cov[r, r].real, CANCELED * before[r], 1e-12), 0.0)
+        share = cov[r, r].real / before[r] if before[r] > 0.0 else 1.0
+        if share < ROUNDED:
+            # What is left of correlations is mixed with the rounding of what was taken off: they are trusted less.
+            trust[r] = math.sqrt(max(1.0 - ROUNDING / share, 0.0))
+    if trust.min() < 1.0:
+        for r in range(STATE_SIZE):
+            for c in range(r):
+                cov[r, c] *= trust[r] * trust[c]
+                cov[c, r] = np.conj(cov[r, c])
     return density, nu2 * first, by_joints * first * innovation
 
 
