@@ -20,9 +20,9 @@ STATE_SIZE = 5
 """Target A, its velocity V and acceleration G, elbow B, tool minus elbow D; px, px/s, px/s^2, px, px."""
 CANCELED = 1e-11
 """A measurement that leaves less than this share of a variance has left nothing but rounding."""
-ROUNDED = 1e-7
+ROUNDED = 1e-6
 """Below this share, rounding shows in the correlations that are left."""
-ROUNDING = 1e-12
+ROUNDING = 4e-12
 """Of a difference, relative to what it was taken from."""
 
 
