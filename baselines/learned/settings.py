@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -57,18 +57,7 @@ class TrainingSettings:
 
     def as_record(self) -> dict[str, Any]:
         """As JSON can hold it."""
-        return {
-            "recipe": self.recipe,
-            "algorithm": self.algorithm,
-            "n_envs": self.n_envs,
-            "n_timesteps": self.n_timesteps,
-            "policy": self.policy,
-            "normalize": self.normalize,
-            "encoding": dict(self.encoding),
-            "measurements": self.measurements,
-            "summary": self.summary,
-            "hyper_parameters": dict(self.hyper_parameters),
-        }
+        return asdict(self)
 
 
 def load_settings(env_id: str, recipe: str, level: int | None = None, path: Path | None = None) -> TrainingSettings:

@@ -37,7 +37,7 @@ class StudentSettings:
         n_epochs: Passes over the episodes of one iteration.
         batch_size: Episodes in a batch.
         exploration: Noise of every other iteration's actions, relative to the action's size.
-        scale: Distance that counts half a nat more than none, m: below it the loss is linear, above logarithmic.
+        scale: Distance that costs ln 2, m: well below it the loss is linear, well above logarithmic.
     """
 
     hidden: int = 64
