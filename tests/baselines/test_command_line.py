@@ -115,9 +115,9 @@ def test_the_command_line_is_quick_to_ask_for_help(tmp_path: Path) -> None:
 
 
 def test_settings_take_true_and_false_as_a_shell_writes_them() -> None:
-    from servotrack.__main__ import _env_kwargs
+    from servotrack.commands.terms import env_kwargs
 
-    assert _env_kwargs(3, ["stamped=false", "latency=2", "target=point"]) == {
+    assert env_kwargs(3, ["stamped=false", "latency=2", "target=point"]) == {
         "level": 3,
         "stamped": False,
         "latency": 2,
