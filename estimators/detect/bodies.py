@@ -306,8 +306,10 @@ def _find_bodies(  # type: ignore[no-untyped-def]
                     out_runs[written, 3] = people + owner
                     written += 1
                     owner, start = other, x
-        out_boxes[people : people + bodies.shape[0]] = bodies
-        people += bodies.shape[0]
+        for b in range(bodies.shape[0]):
+            for side in range(4):
+                out_boxes[people, side] = bodies[b, side]
+            people += 1
     heights = np.empty(people)
     for b in range(people):
         heights[b] = _height(out_boxes[b, 1] + out_boxes[b, 3], intercept, slope)

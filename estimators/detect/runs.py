@@ -107,5 +107,7 @@ def measure_runs(runs, regions):  # type: ignore[no-untyped-def]
         boxes[k, 2] -= boxes[k, 0]
         boxes[k, 3] -= boxes[k, 1]
         if areas[k] > 0.0:
-            centroids[k] /= areas[k]
+            # By name: rows as a whole bring numba's text of what cannot be broadcast, twenty megabytes of it.
+            centroids[k, 0] /= areas[k]
+            centroids[k, 1] /= areas[k]
     return boxes, centroids, areas
