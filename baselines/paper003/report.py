@@ -19,6 +19,9 @@ NOTE = (
     "record of 60 s on this machine, one thread."
 )
 
+COST_RECORDS = 9
+"""Records for each number of targets whose tracking is timed."""
+
 
 def reproduce_sonar(request: Request) -> None:
     """Reproduce paper 003; errors as in `servotrack.baselines.reproduce.reproduce_paper`.
@@ -29,7 +32,7 @@ def reproduce_sonar(request: Request) -> None:
     with progress_bars() as progress:
         found = run_all(plan(request.runs), request.output / "records", progress)
         bar = progress.add_task("timing and pictures", total=3)
-        seconds = growth_of_cost(ROW, seeds.take("tune", 1)[0])
+        seconds = growth_of_cost(ROW, seeds.take("tune", COST_RECORDS))
         progress.advance(bar)
         seed = seeds.take("test", 1)[0]
         figures = {"figures2to4": draw_paper(seed), "offsets": draw_offsets(found)}

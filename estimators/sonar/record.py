@@ -84,12 +84,12 @@ def joined(tracks: Sequence[BearingTrack], gap: int, period: float = 1.0) -> lis
     done: list[BearingTrack] = []
     while left:
         track = left.pop(0)
-        following = [(_misfit(track, other, gap, period, tracks), i) for i, other in enumerate(left)]
-        misfit, at = min(following, default=(np.inf, -1))
-        if misfit <= 1.0:
-            left[at] = _chained(track, left[at])
-        else:
+        # The next one that goes on, in order of starts: a later one that fits better may be its own continuation.
+        at = next((i for i, other in enumerate(left) if _misfit(track, other, gap, period, tracks) <= 1.0), None)
+        if at is None:
             done.append(track)
+        else:
+            left[at] = _chained(track, left[at])
     done.sort(key=lambda track: -track.evidence)
     return [track._replace(label=label) for label, track in enumerate(done, 1)]
 

@@ -36,8 +36,12 @@ MOST_EXCHANGES = 12
 """Of the rests of two chains after a meeting."""
 SAME = 1.0
 """Two paths that are nearer for most of one's rows are one target's, deg."""
-FAILED = 2.0
-"""About a ridge that failed the test of existence the next search does not look, deg."""
+CLOSED = 2.0
+"""About a ridge that failed the test of existence, or on which a chain was started, search does not look, deg."""
+MET = 0.08
+"""Difference of cosines of bearing below which two chains hold each other's power."""
+NEIGHBORS = 2
+"""Chains that are solved again beside a new one."""
 
 
 class Together:
@@ -62,38 +66,73 @@ class Together:
     def search(self, attempts: int) -> None:
         """Start chains on the strongest unexplained ridge until the test of existence fails `attempts` in a row.
 
+        A new chain is settled with few others, so that the solves of a record grow linearly with its targets. When
+        no more are found, all chains are solved again, and the search goes on if that leaves something.
+
         A chain that only takes the place of another one counts as failed: the two would displace each other for ever.
         """
-        failed = 0
-        closed = np.zeros(self.rows.shape, np.bool_)
-        looks = self.tracker.looks
+        failed, settled = 0, True
+        closed, taken = np.zeros(self.rows.shape, np.bool_), np.zeros(self.rows.shape, np.bool_)
         unexplained: Array | None = None
-        while failed < attempts and len(self.chains) < self.tracker.max_targets:
+        while True:
+            if failed >= attempts or len(self.chains) >= self.tracker.max_targets:
+                if settled:
+                    return
+                self.sweep(self.tracker.sweeps)
+                failed, settled, unexplained = attempts - 1, True, None
+                taken[:] = False
+                continue
             chain = Followed(np.ones(len(self.rows)), self.tracker.patterns.flat, period=self.tracker.period)
             if unexplained is None:
                 unexplained = self._likelihood(chain)
-            self._smooth(chain, unexplained, closed)
+            self._smooth(chain, unexplained, closed | taken)
             ridge, before = chain.bearings, len(self.chains)
+            about = np.abs(self.tracker.looks - ridge[:, None]) < CLOSED
             if chain.spans and not self._followed_already(chain):
+                there = chain.presence > SURE
                 self.chains.append(chain)
                 self._explain(chain)
                 chain.power = np.full(len(self.rows), 0.0)
-                self._settle()
+                settled &= self._settle(chain)
                 unexplained = None
+                if not settled:
+                    # What others leave of its ridge until they are solved, too, is not another target.
+                    taken |= about & there[:, None]
             if len(self.chains) > before:
                 failed = 0
             else:
                 failed += 1
-                closed |= np.abs(looks - ridge[:, None]) < FAILED
+                closed |= about
 
     def conclude(self) -> None:
         """Solve all chains of a whole record together, sort out who is who, and look for what is left."""
         if self.untangle():
             self.search(attempts=2)
 
-    def _settle(self) -> None:
-        """Solve all chains again beside a new one; the first one has nobody to wait for."""
-        self.sweep(1 if len(self.chains) == 1 else self.tracker.sweeps)
+    def _settle(self, new: Followed) -> bool:
+        """Solve a new chain and those that it meets most again, in turns; whether these are all.
+
+        The first one has nobody to wait for. One that comes to go where another one is ends.
+        """
+        some = [new, *self._most_met(new)]
+        everything = len(some) == len(self.chains)
+        self.sweep(1 if len(self.chains) == 1 else self.tracker.sweeps, some)
+        if new in self.chains and self._followed_already(new):
+            self.chains.remove(new)
+            self.fit()
+        return everything
+
+    def _most_met(self, new: Followed) -> list[Followed]:
+        """The other chains that are near a new one in most rows, or else the nearest; at most `NEIGHBORS`."""
+
+        def met(chain: Followed) -> tuple[float, float]:
+            both = (chain.presence > SURE) & (new.presence > SURE)
+            bearings = np.radians(chain.bearings[both]), np.radians(new.bearings[both])
+            apart = np.abs(np.cos(bearings[0]) - np.cos(bearings[1]))
+            return float(np.maximum(0.0, 1.0 - apart / MET).sum()), -float(apart.min(initial=2.0))
+
+        others = [chain for chain in self.chains if chain is not new]
+        return sorted(others, key=met)[-NEIGHBORS:]
 
     def _followed_already(self, new: Followed) -> bool:
         """Whether a chain goes where another one is: what that one leaves unexplained is no other target."""
@@ -101,19 +140,20 @@ class Together:
         return any(
             np.mean((np.abs(chain.bearings[rows] - new.bearings[rows]) < SAME) & (chain.presence[rows] > SURE)) > 0.5
             for chain in self.chains
+            if chain is not new
         )
 
-    def sweep(self, times: int) -> None:
-        """Solve all chains in turn, given the others; those that fail the test of existence end."""
+    def sweep(self, times: int, some: Sequence[Followed] | None = None) -> None:
+        """Solve all or some chains in turn, given the others; those that fail the test of existence end."""
         for _ in range(times):
-            self.fit()
-            for chain in list(self.chains):
+            self.fit(some)
+            for chain in [chain for chain in self.chains if some is None or chain in some]:
                 self._smooth(chain, self._likelihood(chain))
                 if chain.spans:
                     self._explain(chain)
                 else:
                     self.chains.remove(chain)
-        self.fit()
+        self.fit(some)
 
     def untangle(self) -> bool:
         """Give chains that changed targets where they met their own back; whether there were any."""
@@ -138,8 +178,8 @@ class Together:
                 add_pattern(mean, chain.presence * chain.power, chain.pattern)
         return mean
 
-    def fit(self) -> None:
-        """Powers of all chains together, what is expected of them, and their spectra."""
+    def fit(self, some: Sequence[Followed] | None = None) -> None:
+        """Powers of all chains together, what is expected of them, and the spectra of all or some."""
         if self.tracker.likelihood == "cell" or not self.chains:
             return
         tracker, chains = self.tracker, self.chains
@@ -163,7 +203,7 @@ class Together:
         cosines = np.cos(np.radians(tracker.looks))
         for i, chain in enumerate(chains):
             use = alone[i]
-            if use.sum() >= FEWEST:
+            if use.sum() >= FEWEST and (some is None or chain in some):
                 excess = (self.rows - self.explained(chain))[use]
                 chain.mixture = tracker.patterns.fit(
                     excess, variance[use], cosines, chain.bearings[use], np.maximum(chain.power[use], least)

@@ -92,7 +92,7 @@ class HMMBearings:
         weakest: Least power that is expected of a target, in standard deviations of the noise (`row`).
         spread_beams: Beams to each side that a target holds (`cell`).
         max_targets: Most chains.
-        sweeps: Turns of all chains after a new one.
+        sweeps: Turns of a new chain and those that it meets most, and of all in the end.
         lag: Rows by which `step` answers later.
         window: Rows that `step` looks at, more than `lag`.
         memory_limit: Bytes above which `track` refuses a record.

@@ -10,7 +10,7 @@ from servotrack.estimators.hmm import smooth
 from servotrack.estimators.online import Online
 from servotrack.estimators.sonar import HMMBearings, PeakKalmanHungarian, PeakNearestNeighbor, ViterbiNulling
 from servotrack.estimators.sonar.likelihood import AMPLITUDES, known_power, unknown_power
-from servotrack.estimators.sonar.together import Together
+from servotrack.estimators.sonar.together import NEIGHBORS, Together
 
 ROW = HMMBearings(**SETTINGS)
 CELL = HMMBearings("cell", **SETTINGS)
@@ -77,13 +77,35 @@ def test_bearings_of_a_mirrored_record_are_mirrored():
 
 
 def test_the_search_ends_though_every_new_chain_displaces_the_one_before(monkeypatch):
-    def displace(self):
-        self.chains[:] = self.chains[-1:]
+    def displace(self, new):
+        self.chains[:] = [new]
+        return True
 
     monkeypatch.setattr(Together, "_settle", displace)
     together = Together(ROW, record(40, CROSSING))
     together.search(attempts=2)
     assert len(together.chains) == 1
+
+
+def solves_of(targets, monkeypatch):
+    """How often chains are solved until all of some targets are found."""
+    solves, smooth_one = [], Together._smooth
+
+    def counted(self, chain, *arguments):
+        solves.append(chain)
+        smooth_one(self, chain, *arguments)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Together, "_smooth", counted)
+        assert len(ROW.track(record(50, targets))) == len(targets)
+    return len(solves)
+
+
+def test_every_further_target_costs_as_many_solves(monkeypatch):
+    targets = [(5, 44, 30.0 + 24.0 * i, 0.0, 100.0 - 8.0 * i, None) for i in range(6)]
+    solves = [solves_of(targets[:count], monkeypatch) for count in range(1, 7)]
+    # Search, turns of the new chain and its neighbors, and the last turns of all: no more beside five than beside four.
+    assert np.diff(solves[3:]).max() <= 1 + (1 + NEIGHBORS) * ROW.sweeps + ROW.sweeps
 
 
 @given(order=st.permutations(range(3)))
