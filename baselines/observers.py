@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from servotrack.baselines.association_oracle import AssociationOracle
 from servotrack.baselines.memory import remembered
 from servotrack.baselines.patience import WaitingRows, allocate_patiently, no_rows
-from servotrack.baselines.track_filters import SMALLEST_CAPACITY, FilterSettings, track_filter
+from servotrack.baselines.track_filters import observer_settings, track_filter
 from servotrack.envs.track.told import SceneModel
 from servotrack.envs.track.told_video import VideoModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
@@ -146,7 +147,7 @@ def create_observer(env: Any, estimator: str, hidden_markov: bool = False, extra
     rows = space.shape[0]
     if estimator == "association-oracle":
         return SetObserver(AssociationOracle(scene.model, scene.birth_covariance), rows, space.low, space.high)
-    settings = FilterSettings(hidden_markov, extraction, max(SMALLEST_CAPACITY, 3 * rows))
+    settings = replace(observer_settings(rows), hidden_markov=hidden_markov, extraction=extraction)
     made = track_filter(estimator, scene, settings)
     if estimator == "raw-measurements":
         return RawObserver(made, space.low, space.high)

@@ -157,6 +157,11 @@ _CARDS = (
     ),
     _observer("gm-phd", "Gaussian-mixture PHD filter, pairwise Markov where the noises depend on each other", **_SETS),
     _observer("gm-phd-hmm", "Gaussian-mixture PHD filter that takes the noises for independent"),
+    _observer(
+        "gm-phd-counting",
+        "the same filter, its detection probability and clutter from what it counts, births anywhere",
+        in_default_suite=False,
+    ),
     _observer("gm-cbmember", "cardinality-balanced multi-Bernoulli filter (paper 004)", **_SETS),
     _observer("gm-cbmember-hmm", "the same with the noises taken for independent"),
     _observer("pmb", "track-oriented Poisson multi-Bernoulli filter with belief propagation", **_SETS),

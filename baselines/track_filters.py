@@ -20,6 +20,7 @@ from servotrack.estimators.rfs import (
     RawMeasurements,
     Reduction,
 )
+from servotrack.estimators.rfs.steered import CountingPHD, SteeredPHD
 
 SMALLEST_CAPACITY = 100
 """Components of a PHD and tracks of a multi-Bernoulli are capped at this, or at five times the most targets."""
@@ -38,6 +39,11 @@ class FilterSettings:
     hidden_markov: bool = False
     extraction: str = "threshold"
     capacity: int = SMALLEST_CAPACITY
+
+
+def observer_settings(rows: int) -> FilterSettings:
+    """Settings of an observer whose answers have so many rows."""
+    return FilterSettings(capacity=max(SMALLEST_CAPACITY, 3 * rows))
 
 
 def track_filter(name: str, scene: SceneModel, settings: FilterSettings | None = None) -> Any:
@@ -77,6 +83,17 @@ def _gaussian(filter_class: Callable[..., Any], reduction: Callable[[int], Reduc
     return make
 
 
+def steered_phd(scene: SceneModel, settings: FilterSettings | None = None) -> SteeredPHD:
+    """A GM-PHD filter as a scene is told, whose parameters are given at every step."""
+    made: GMPHD = track_filter("gm-phd", scene, settings)
+    deviation = np.sqrt(np.diag(scene.birth_covariance))
+    return SteeredPHD(made, MeasurementBirth(1.0, deviation, largest=1.0))
+
+
+def _counting(scene: SceneModel, settings: FilterSettings) -> CountingPHD:
+    return CountingPHD(steered_phd(scene, settings), scene.clutter_rate)
+
+
 def _particle(scene: SceneModel, settings: FilterSettings) -> ParticlePHD:
     birth = _birth(scene)
     if isinstance(birth, MeasurementBirth):
@@ -109,6 +126,7 @@ def _raw(scene: SceneModel, settings: FilterSettings) -> RawMeasurements:
 
 TRACK_FILTERS: Mapping[str, Callable[[SceneModel, FilterSettings], Any]] = {
     "gm-phd": _gaussian(GMPHD, lambda capacity: Reduction(components=capacity)),
+    "gm-phd-counting": _counting,
     "gm-cbmember": _gaussian(GMCBMeMBer, lambda capacity: Reduction(components=10, tracks=capacity)),
     "pmb": _gaussian(PMB, lambda capacity: Reduction(components=5, tracks=capacity)),
     "smc-phd": _particle,

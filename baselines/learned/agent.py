@@ -11,7 +11,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from servotrack.baselines.learned.card import AgentFileError, load_card
-from servotrack.baselines.learned.encoding import Encoding, create_encoding
+from servotrack.baselines.learned.contract import Encoding
+from servotrack.baselines.learned.encoding import create_encoding
 from servotrack.baselines.learned.eyes import OnnxEyes
 from servotrack.baselines.learned.network import OnnxNetwork
 from servotrack.baselines.learned.shipped import shipped_file
@@ -26,12 +27,12 @@ class LearnedState(NamedTuple):
     Attributes:
         encoding: Of the encoding.
         network: Of the network. Shape (N, M).
-        action: What was done last. Shape (N, actions).
+        action: What was done last. Shape (N, *action).
     """
 
     encoding: Any
     network: NDArray[np.float32]
-    action: NDArray[np.float32]
+    action: NDArray[Any]
 
 
 class LearnedAgent:
@@ -41,7 +42,7 @@ class LearnedAgent:
         network: Rows (N, size) and memory (N, M) in, actions and memory out.
         encoding: What it reads.
         observation_space: Of one environment.
-        action_space: Of one environment, a Box of one axis.
+        action_space: Of one environment, a Box.
 
     Raises:
         AgentFileError: Network, encoding and spaces do not fit each other.
@@ -58,8 +59,9 @@ class LearnedAgent:
             raise AgentFileError(
                 f"{network.path} reads rows of {network.size} numbers, its encoding gives {encoding.size} here"
             )
-        if not isinstance(action_space, spaces.Box) or action_space.shape != (network.actions,):
-            raise AgentFileError(f"{network.path} gives {network.actions} numbers, the action space is {action_space}")
+        answers = encoding.answer_space(action_space)
+        if not isinstance(action_space, spaces.Box) or answers.shape != (network.actions,):
+            raise AgentFileError(f"{network.path} gives {network.actions} numbers, it takes an answer in {answers}")
         self.network, self._encoding = network, encoding
         self._low, self._high = action_space.low, action_space.high
         self._key = next(iter(observation_space)) if isinstance(observation_space, spaces.Dict) else None
@@ -71,7 +73,7 @@ class LearnedAgent:
         state: LearnedState | None = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], LearnedState]:
+    ) -> tuple[NDArray[Any], LearnedState]:
         """Choose actions.
 
         Args:
@@ -89,8 +91,9 @@ class LearnedAgent:
         count = len(self._part(observation))
         state = remembered(state, episode_start, (count,), lambda: self._initial(observation, count))
         memory, rows = self._encoding.step(state.encoding, observation, state.action)
-        action, carried = self.network(rows, state.network)
-        action = np.clip(action + self._encoding.base(memory), self._low, self._high)
+        answer, carried = self.network(rows, state.network)
+        memory, action = self._encoding.act(memory, answer)
+        action = np.clip(action, self._low, self._high)
         return action[0] if single else action, LearnedState(memory, carried, action)
 
     def _part(self, whole: Any) -> Any:
@@ -101,7 +104,7 @@ class LearnedAgent:
         return LearnedState(
             self._encoding.initial(observation),
             np.zeros((count, self.network.memory), np.float32),
-            np.zeros((count, self.network.actions), np.float32),
+            np.zeros((count, *self._low.shape), self._low.dtype),
         )
 
 

@@ -36,6 +36,7 @@ class LearnedCard:
         sha256: Of that file.
         memory: Numbers that the network carries from step to step, 0 for none.
         information: What the agent was told.
+        levels: Of the environment, that it was trained in side by side; empty: that of `env_kwargs` only.
         steps: Environment steps of its training, all runs together.
         training: Algorithm, seed, hyper-parameters, command, versions, machine, the curve of the run that was chosen,
             and the last measurement of every run.
@@ -50,6 +51,7 @@ class LearnedCard:
     sha256: str
     memory: int = 0
     information: Information = "prior"
+    levels: list[int] = field(default_factory=list)
     steps: int = 0
     training: dict[str, Any] = field(default_factory=dict)
 
@@ -58,6 +60,13 @@ class LearnedCard:
         """Id and arguments in one line."""
         return describe_environment(self.env_id, self.env_kwargs)
 
+    @property
+    def environments(self) -> list[str]:
+        """As `environment`, of all levels that it was trained in."""
+        return [
+            describe_environment(self.env_id, {**self.env_kwargs, "level": level}) for level in self.levels
+        ] or [self.environment]
+
     def as_json(self) -> str:
         """The card as text."""
         return json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION, **asdict(self)}, indent=1) + "\n"
@@ -65,7 +74,7 @@ class LearnedCard:
 
 _TYPES: Mapping[str, type] = {
     "name": str, "summary": str, "env_id": str, "env_kwargs": dict, "encoding": dict, "network": str, "sha256": str,
-    "memory": int, "information": str, "steps": int, "training": dict,
+    "memory": int, "information": str, "levels": list, "steps": int, "training": dict,
 }  # fmt: skip
 
 
@@ -102,6 +111,8 @@ def load_card(path: Path) -> LearnedCard:
         raise AgentFileError(f"{path}: information must be one of {known}, got {card.information!r}")
     if Path(card.network).name != card.network:
         raise AgentFileError(f"{path}: network must be a file name in the card's own folder, got {card.network!r}")
+    if not all(type(level) is int for level in card.levels):
+        raise AgentFileError(f"{path}: levels must be whole numbers, got {card.levels!r}")
     if card.memory < 0 or card.steps < 0:
         raise AgentFileError(f"{path}: memory and steps must be >= 0, got {card.memory} and {card.steps}")
     return card

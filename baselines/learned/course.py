@@ -49,7 +49,7 @@ class TrainingTask:
         return {
             "env_id": self.env_id,
             "env_kwargs": plain(self.env_kwargs),
-            "settings": self.settings.as_record(),
+            "settings": plain(self.settings.as_record()),
             "seed": self.seed,
         }
 
@@ -162,6 +162,7 @@ class Course:
             encoding=plain(task.settings.encoding),
             network=f"{AGENT}.onnx",
             sha256="",
+            levels=list(task.settings.levels),
             steps=steps,
             training={**task.as_record(), "curve": self.curve.entries, "provenance": self.curve.provenance},
         )

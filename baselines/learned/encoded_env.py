@@ -9,7 +9,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
-from servotrack.baselines.learned.encoding import Encoding
+from servotrack.baselines.learned.contract import Encoding
 from servotrack.estimators.online import select_rows
 
 Memory = TypeVar("Memory")
@@ -24,10 +24,13 @@ class EncodedVecEnv(VecEnvWrapper):
     """
 
     def __init__(self, venv: VecEnv, encoding: Encoding) -> None:
-        super().__init__(venv, spaces.Box(-np.inf, np.inf, (encoding.size,), np.float32))
+        bounds: Any = venv.action_space
+        rows = spaces.Box(-np.inf, np.inf, (encoding.size,), np.float32)
+        super().__init__(venv, rows, encoding.answer_space(bounds))
         self.encoding = encoding
         self._memory: Any = None
-        self._action = np.zeros((venv.num_envs, *(venv.action_space.shape or ())), np.float32)
+        self._bounds = bounds
+        self._action = np.zeros((venv.num_envs, *self._bounds.shape), self._bounds.dtype)
 
     def reset(self) -> NDArray[np.float32]:
         """Reset all rows."""
@@ -39,9 +42,8 @@ class EncodedVecEnv(VecEnvWrapper):
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Keep the actions until `step_wait`."""
-        space: Any = self.action_space
-        actions = actions + self.encoding.base(self._memory)
-        self._action = np.clip(actions, space.low, space.high).astype(np.float32)
+        self._memory, action = self.encoding.act(self._memory, actions)
+        self._action = np.clip(action, self._bounds.low, self._bounds.high).astype(self._bounds.dtype)
         self.venv.step_async(self._action)
 
     def step_wait(self) -> Any:
@@ -56,7 +58,8 @@ class EncodedVecEnv(VecEnvWrapper):
             for row, final in zip(ended, rows, strict=True):
                 infos[row]["terminal_observation"] = final
             memory = select_rows(done, self.encoding.initial(observation), memory)
-            action = np.where(done[:, None], np.float32(0.0), action)
+            action = action.copy()
+            action[done] = 0.0
         self._memory, rows = self.encoding.step(memory, observation, action)
         return rows, reward, done, infos
 

@@ -5,49 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from servotrack.baselines.learned.contract import Encoding, PlainAnswers, Rows
 from servotrack.baselines.learned.eyes import open_eyes
 from servotrack.baselines.learned.servo_encoding import ServoEncoding
+from servotrack.baselines.learned.steering import SteeringEncoding
 from servotrack.baselines.pixel_servo import PIXEL_KEYS, MarkerFeatures, SeenMemory
 from servotrack.baselines.registry import create_agent
 from servotrack.baselines.servo import JacobianServo, servo_measurement
+from servotrack.baselines.track_filters import observer_settings, steered_phd
+from servotrack.envs.track.told import SceneModel
 
-Rows = NDArray[np.float32]
-
-
-class Encoding(Protocol):
-    """A value; all memory is handed around, with a leading axis of N as everywhere."""
-
-    @property
-    def size(self) -> int:
-        """Numbers in a row."""
-
-    def initial(self, observation: Any) -> Any:
-        """Memory before an episode whose first observation this is; `step` takes the same one again."""
-
-    def step(self, memory: Any, observation: Any, action: Rows) -> tuple[Any, Rows]:
-        """Fold one observation in.
-
-        Args:
-            memory: What the last call returned, or `initial`.
-            observation: A batch, as the environment gives it.
-            action: What was done since the last observation, zeros at the first. Shape (N, actions).
-
-        Returns:
-            The new memory, and one row per environment, shape (N, size).
-        """
-
-    def base(self, memory: Any) -> Rows | float:
-        """What is done when the network answers with zeros; its answer is added. Shape (N, actions), or 0."""
 
 
 @dataclass(frozen=True)
-class FlatEncoding:
+class FlatEncoding(PlainAnswers):
     """Everything that a Box, or a dictionary of them, holds, in the order of its keys, scaled to [-1, 1] by its bounds.
 
     Attributes:
@@ -87,10 +64,6 @@ class FlatEncoding:
         row = np.concatenate([np.asarray(part, np.float64).reshape(len(part), -1) for part in parts], axis=1)
         low, high = np.array(self.low), np.array(self.high)
         return (), (2.0 * (row - low) / np.where(high > low, high - low, 1.0) - 1.0).astype(np.float32)
-
-    def base(self, memory: tuple[()]) -> float:
-        """As `Encoding.base`."""
-        return 0.0
 
 
 class StackMemory(NamedTuple):
@@ -143,9 +116,14 @@ class Stacked:
             rows = np.where(memory.fresh[:, None, None], row[:, None], rows)
         return StackMemory(own, rows, np.zeros_like(memory.fresh)), rows.reshape(len(rows), -1)
 
-    def base(self, memory: StackMemory) -> Rows | float:
-        """As `Encoding.base`."""
-        return self.encoding.base(memory.own)
+    def answer_space(self, action_space: spaces.Space[Any]) -> spaces.Space[Any]:
+        """As `Encoding.answer_space`."""
+        return self.encoding.answer_space(action_space)
+
+    def act(self, memory: StackMemory, answer: Rows) -> tuple[StackMemory, NDArray[Any]]:
+        """As `Encoding.act`."""
+        own, action = self.encoding.act(memory.own, answer)
+        return memory._replace(own=own), action
 
 
 class ResidualMemory(NamedTuple):
@@ -163,7 +141,7 @@ class ResidualMemory(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Residual:
+class Residual(PlainAnswers):
     """What a classical servo would do beside another encoding's rows; the network corrects it.
 
     Attributes:
@@ -191,9 +169,9 @@ class Residual:
         classical, servo = self.servo.predict(observation, memory.servo)
         return ResidualMemory(own, servo, classical), np.concatenate([row, classical], axis=1)
 
-    def base(self, memory: ResidualMemory) -> Rows:
-        """As `Encoding.base`."""
-        return memory.action
+    def act(self, memory: ResidualMemory, answer: Rows) -> tuple[ResidualMemory, Rows]:
+        """As `Encoding.act`."""
+        return memory, memory.action + answer
 
 
 class SeenThrough(NamedTuple):
@@ -238,16 +216,21 @@ class ThroughEyes:
         own, rows = self.encoding.step(memory.own, features, action)
         return SeenThrough(seen, own), rows
 
-    def base(self, memory: SeenThrough) -> Rows | float:
-        """As `Encoding.base`."""
-        return self.encoding.base(memory.own)
+    def answer_space(self, action_space: spaces.Space[Any]) -> spaces.Space[Any]:
+        """As `Encoding.answer_space`."""
+        return self.encoding.answer_space(action_space)
+
+    def act(self, memory: SeenThrough, answer: Rows) -> tuple[SeenThrough, NDArray[Any]]:
+        """As `Encoding.act`."""
+        own, action = self.encoding.act(memory.own, answer)
+        return memory._replace(own=own), action
 
 
 def create_encoding(settings: Mapping[str, Any], env: Any, folder: Path | None = None) -> Encoding:
     """The encoding that a card or a file of hyper-parameters describes.
 
     Args:
-        settings: `kind` ("servo" or "flat"), `frames` to stack, 1 for none, `residual`, the name of a classical servo
+        settings: `kind` ("servo", "steering" or "flat"), `frames` to stack, 1 for none, `residual`, the name of a classical servo
             whose action the network corrects, `eyes`, those that find the marker where images are observed, and what
             the kind takes.
         env: A Gymnasium environment or vector environment.
@@ -278,12 +261,16 @@ def _of_features(settings: Mapping[str, Any], env: Any, space: spaces.Space[Any]
             known = ", ".join(asdict(ServoEncoding()))
             raise ValueError(f"encoding servo takes kind, frames, residual, {known}, got {dict(settings)!r}") from error
         ServoEncoding.check(space)
+    elif kind == "steering":
+        if given:
+            raise ValueError(f"encoding steering takes kind and frames, got {dict(settings)!r}")
+        encoding = _steering(env)
     elif kind == "flat":
         if given:
             raise ValueError(f"encoding flat takes kind, frames and residual, got {dict(settings)!r}")
         encoding = FlatEncoding.of(space)
     else:
-        raise ValueError(f"encoding must be of kind servo or flat, got {kind!r}")
+        raise ValueError(f"encoding must be of kind servo, steering or flat, got {kind!r}")
     if frames != 1:
         encoding = Stacked(encoding, int(frames))
     if residual is None:
@@ -292,3 +279,12 @@ def _of_features(settings: Mapping[str, Any], env: Any, space: spaces.Space[Any]
     if not isinstance(servo, JacobianServo):
         raise ValueError(f"residual must name a classical servo of features, got {residual!r}")
     return Residual(encoding, servo)
+
+
+def _steering(env: Any) -> SteeringEncoding:
+    """A steered filter for a world of points in clutter."""
+    scene = getattr(env.unwrapped, "told", None)
+    if not isinstance(scene, SceneModel):
+        raise ValueError(f"encoding steering reads scans of points in clutter, which {env.unwrapped} does not give")
+    rows = getattr(env, "single_action_space", env.action_space).shape[0]
+    return SteeringEncoding(steered_phd(scene, observer_settings(rows)), rows, scene.clutter_rate)

@@ -41,7 +41,7 @@ def _row(card: LearnedCard) -> list[str]:
     minutes = [run["seconds"] / 60.0 for run in runs]
     return [
         card.name,
-        card.environment,
+        ", ".join(card.environments),
         str(len(runs)),
         f"{card.steps / max(len(runs), 1):,.0f}",
         _range(minutes, 1),

@@ -18,6 +18,7 @@ from torch import nn
 
 from servotrack.baselines import seeds as seed_ranges
 from servotrack.baselines.learned.course import CHECKPOINT, Course, TrainingTask
+from servotrack.baselines.learned.curriculum import Curriculum
 from servotrack.baselines.learned.encoded_env import EncodedVecEnv
 from servotrack.baselines.learned.encoding import create_encoding
 from servotrack.baselines.learned.export import PolicyMode, exportable_policy
@@ -67,15 +68,7 @@ def create_model(task: TrainingTask, steps: int = 0) -> BaseAlgorithm:
     """
     settings = task.settings
     torch.set_num_threads(1)
-    venv = gym.make_vec(
-        task.env_id,
-        num_envs=settings.n_envs,
-        vectorization_mode="vector_entry_point",
-        autoreset_mode=AutoresetMode.SAME_STEP,
-        **task.env_kwargs,
-    )
-    encoding = create_encoding(settings.encoding, venv)
-    env: Any = EncodedVecEnv(StableBaselinesVecEnv(venv, info_keys=()), encoding)
+    env: Any = _environments(task, steps)
     if settings.normalize:
         env = VecNormalize(env, gamma=float(settings.hyper_parameters.get("gamma", 0.99)))
     keywords = {name: schedule(value) if name in ("learning_rate", "clip_range") else value
@@ -98,6 +91,29 @@ def create_model(task: TrainingTask, steps: int = 0) -> BaseAlgorithm:
     # After the algorithm, which gives the environments its own seed: runs would share most of their episodes.
     env.seed(_first_seed(task, steps))
     return model
+
+
+def _environments(task: TrainingTask, steps: int) -> Any:
+    """Encoded environments, those of the lessons where there is a curriculum."""
+    settings = task.settings
+
+    def make(level: int | None, count: int) -> EncodedVecEnv:
+        arguments = task.env_kwargs if level is None else {**task.env_kwargs, "level": level}
+        venv = gym.make_vec(
+            task.env_id,
+            num_envs=count,
+            vectorization_mode="vector_entry_point",
+            autoreset_mode=AutoresetMode.SAME_STEP,
+            **arguments,
+        )
+        return EncodedVecEnv(StableBaselinesVecEnv(venv, info_keys=()), create_encoding(settings.encoding, venv))
+
+    if not settings.curriculum:
+        return make(None, settings.n_envs)
+    stage_steps = -(-settings.n_timesteps // len(settings.curriculum))
+    return Curriculum(
+        make, settings.curriculum, settings.n_envs, stage_steps, lambda done: _first_seed(task, done), steps
+    )
 
 
 def _first_seed(task: TrainingTask, steps: int) -> int:

@@ -12,6 +12,7 @@ from gymnasium import spaces
 from numba import njit
 from numpy.typing import NDArray
 
+from servotrack.baselines.learned.contract import PlainAnswers
 from servotrack.baselines.servo import OBSERVATION_KEYS
 
 Array = NDArray[np.float64]
@@ -57,7 +58,7 @@ class ServoMemory(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ServoEncoding:
+class ServoEncoding(PlainAnswers):
     """The image error of a planar arm's camera, turned by arm and mounting, and its recent past.
 
     An eye-in-hand camera turns with the arm. Turned back by the sum of the joint angles at the frame's instant, the
@@ -133,10 +134,6 @@ class ServoEncoding:
             self.lags, self.ages, rows,
         )  # fmt: skip
         return memory, rows
-
-    def base(self, memory: ServoMemory) -> float:
-        """As `Encoding.base`."""
-        return 0.0
 
 
 @njit(cache=True, nogil=True)

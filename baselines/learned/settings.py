@@ -13,7 +13,9 @@ import yaml
 FOLDER = Path(__file__).parent / "hyper_parameters"
 ALGORITHMS = ("ppo", "a2c", "sac", "td3", "recurrent_ppo", "tqc", "student", "eyes")
 """Those of Stable-Baselines3 and sb3-contrib, then `student` and `eyes_training` of this folder."""
-_OWN = ("algorithm", "n_envs", "n_timesteps", "policy", "normalize", "encoding", "measurements", "summary")
+_OWN = (
+    "algorithm", "n_envs", "n_timesteps", "policy", "normalize", "encoding", "curriculum", "measurements", "summary"
+)  # fmt: skip
 _ZOO_ONLY = ("env_wrapper", "vec_env_wrapper", "frame_stack", "callback", "normalize_kwargs", "env_kwargs")
 
 
@@ -29,6 +31,8 @@ class TrainingSettings:
         policy: Name of Stable-Baselines3's policy class.
         normalize: Whether rows are normalized by their running mean and deviation.
         encoding: What `create_encoding` takes.
+        curriculum: Levels that are trained in, one stage of equally many steps after the other, each of one or more
+            levels side by side; empty: the environment's own level.
         measurements: On tune seeds in the course of a run; as often the run is saved.
         summary: Of the agent, one line for people.
         hyper_parameters: Keywords of the algorithm.
@@ -41,6 +45,7 @@ class TrainingSettings:
     policy: str = "MlpPolicy"
     normalize: bool = False
     encoding: Mapping[str, Any] = field(default_factory=lambda: {"kind": "flat"})
+    curriculum: tuple[tuple[int, ...], ...] = ()
     measurements: int = 20
     summary: str = ""
     hyper_parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -54,6 +59,24 @@ class TrainingSettings:
             if isinstance(value, bool) or not isinstance(value, (int, float)) or int(value) != value or value < 1:
                 raise ValueError(f"{name} must be a whole number from 1 on, got {value!r}")
             object.__setattr__(self, name, int(value))
+        self._check_curriculum()
+
+    def _check_curriculum(self) -> None:
+        stages = self.curriculum
+        if not isinstance(stages, (list, tuple)) or not all(
+            isinstance(stage, (list, tuple)) and 0 < len(stage) <= self.n_envs and all(type(n) is int for n in stage)
+            for stage in stages
+        ):
+            raise ValueError(f"curriculum must be a list of stages, each a list of levels, got {stages!r}")
+        if stages and self.algorithm in ("student", "eyes"):
+            raise ValueError(f"curriculum is for reinforcement learning, not for {self.algorithm}")
+        object.__setattr__(self, "curriculum", tuple(tuple(stage) for stage in stages))
+
+    @property
+    def levels(self) -> tuple[int, ...]:
+        """Levels that an agent is trained for, where they are more than one: those of the last stage."""
+        last = self.curriculum[-1] if self.curriculum else ()
+        return last if len(last) > 1 else ()
 
     def as_record(self) -> dict[str, Any]:
         """As JSON can hold it."""

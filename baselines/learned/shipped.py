@@ -32,7 +32,7 @@ def shipped_agents() -> tuple[AgentCard, ...]:
             cards[0].summary,
             parameters={"name": name},
             worlds=frozenset(world_of(card.env_id) for card in cards),
-            trained_in={card.environment: card.steps for card in cards},
+            trained_in={environment: card.steps for card in cards for environment in card.environments},
         )
         for name, cards in sorted(by_name.items())
     )
@@ -65,9 +65,10 @@ def shipped_file(name: str, env: Any) -> Path:
     env_id, level = getattr(env.spec, "id", None), getattr(env.unwrapped, "level", None)
     trained = {path: card for path, card in shipped_cards().items() if card.name == name}
     for path, card in trained.items():
-        if card.env_id == env_id and card.env_kwargs.get("level") == level:
+        if card.env_id == env_id and (level in card.levels if card.levels else level == card.env_kwargs.get("level")):
             return path
     raise AgentFileError(
-        f"agent {name!r} was trained in {', '.join(card.environment for card in trained.values())}, not in {env_id}"
+        f"agent {name!r} was trained in {', '.join(e for card in trained.values() for e in card.environments)}, "
+        f"not in {env_id}"
         + ("" if level is None else f" at level {level}")
     )

@@ -13,7 +13,8 @@ from torch import nn
 
 from servotrack.baselines import seeds as seed_ranges
 from servotrack.baselines.learned.course import Course, TrainingTask
-from servotrack.baselines.learned.encoding import Encoding, create_encoding
+from servotrack.baselines.learned.contract import Encoding
+from servotrack.baselines.learned.encoding import create_encoding
 from servotrack.baselines.learned.export import exportable_policy
 from servotrack.baselines.learned.settings import schedule
 from servotrack.envs.servo.episode import LEAD

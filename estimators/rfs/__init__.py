@@ -29,12 +29,14 @@ from servotrack.estimators.rfs.raw import RawMeasurements
 from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
 from servotrack.estimators.rfs.smc_phd import ParticlePHD
+from servotrack.estimators.rfs.steered import CountingPHD, SteeredPHD, Steering
 
 __all__ = [
     "GMPHD",
     "PMB",
     "STRUCTURES",
     "Birth",
+    "CountingPHD",
     "GMCBMeMBer",
     "GlobalNearestNeighbor",
     "HiddenMarkovModel",
@@ -47,6 +49,8 @@ __all__ = [
     "RowAllocation",
     "SetEstimate",
     "Spawn",
+    "SteeredPHD",
+    "Steering",
     "constant_velocity",
     "definiteness_margin",
     "measurements_to_rows",

@@ -24,7 +24,7 @@ from servotrack.estimators.rfs.mixture import (
     predict_components,
     scratch_mixture,
 )
-from servotrack.estimators.rfs.recursion import GaussianSetFilter, check_sound
+from servotrack.estimators.rfs.recursion import GaussianSetFilter, Probability, check_sound
 from servotrack.estimators.rfs.reduction import reduce_mixture
 from servotrack.estimators.rfs.sets import Extraction, empty_extraction
 
@@ -57,13 +57,25 @@ class GMPHD(GaussianSetFilter):
     def _advance(
         self, state: PHDState, births: BirthMixture, z: Array, number: NDArray[np.int64], clutter: Array
     ) -> tuple[PHDState, Extraction, Array]:
+        return self._advance_detecting(state, births, z, number, clutter, self.detection)
+
+    def _advance_detecting(
+        self,
+        state: PHDState,
+        births: BirthMixture,
+        z: Array,
+        number: NDArray[np.int64],
+        clutter: Array,
+        probability: Probability | Array,
+    ) -> tuple[PHDState, Extraction, Array]:
+        """As `_advance`, with a detection probability of one's own, which may be one per run, shape (B,)."""
         model, rules, batch = self.model.packed, self.reduction, z.shape[0]
         n, m = self._sizes
         room = rules.components * (1 + len(self.spawn)) + births.weight.shape[1]
         predicted = scratch_mixture(batch, room, n + m)
         survival = self._evaluate("survival", self.survival, state.intensity)
         _predict_intensity(model, state.intensity, births, self._spawns, survival, predicted)
-        detection = self._evaluate("detection", self.detection, predicted)
+        detection = self._evaluate("detection", probability, predicted)
         intensity = empty_mixture(batch, rules.components, n + m)
         next_label = state.next_label.copy()
         unexplained = np.zeros(z.shape[:2])

@@ -171,10 +171,12 @@ class GaussianSetFilter(ABC):
         kappa[used] = checked_values("clutter_intensity", self.clutter_intensity(z[used]), int(used.sum()), np.inf)
         return kappa
 
-    def _evaluate(self, name: str, probability: Probability, mixture: Mixture) -> Array:
-        """p_S or p_D at each component's mean. Shape (B, K)."""
+    def _evaluate(self, name: str, probability: Probability | Array, mixture: Mixture) -> Array:
+        """p_S or p_D at each component's mean, from a function, a constant or one constant per run. Shape (B, K)."""
         if not callable(probability):
-            return np.full(mixture.weight.shape, float(probability))
+            values = np.empty(mixture.weight.shape)
+            values.T[:] = probability
+            return values
         used = np.arange(mixture.weight.shape[1]) < mixture.number[:, None]
         values = np.zeros(mixture.weight.shape)
         states = mixture.mean[used][:, : self._sizes[0]]

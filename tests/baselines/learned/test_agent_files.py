@@ -133,7 +133,7 @@ def test_a_network_that_is_not_the_card_s_is_refused(tmp_path: Path, env: Any) -
         ({"network": "../linear.onnx"}, "own folder"),
         ({"surprise": 1}, "surprise"),
         ({"memory": 8}, "memory"),
-        ({"encoding": {"kind": "wavelets"}}, "kind servo or flat"),
+        ({"encoding": {"kind": "wavelets"}}, "kind servo, steering or flat"),
     ],
 )
 def test_cards_that_cannot_be_used_are_refused_with_a_reason(

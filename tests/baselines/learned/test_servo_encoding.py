@@ -111,14 +111,15 @@ def test_a_residual_starts_from_what_the_classical_servo_does() -> None:
         memory, row = encoding.step(memory, observation, np.zeros((3, 2), np.float32))
         action, state = classical.predict(observation, state)
         assert isinstance(memory, ResidualMemory)
-        assert np.array_equal(encoding.base(memory), action) and np.array_equal(row[:, -2:], action)
+        done = encoding.act(memory, np.full((3, 2), 0.25, np.float32))[1]
+        assert np.array_equal(done, action + np.float32(0.25)) and np.array_equal(row[:, -2:], action)
         observation, *_ = env.step(action)
 
 
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"kind": "wavelets"}, "kind servo or flat"),
+        ({"kind": "wavelets"}, "kind servo, steering or flat"),
         ({"kind": "servo", "frame": 3}, "servo takes"),
         ({"kind": "servo", "lags": [3, 1]}, "ascending"),
         ({"kind": "servo", "ages": []}, "at least one"),

@@ -1,0 +1,227 @@
+"""A GM-PHD filter whose parameters are set from outside at every step, and a rule that sets them by what it counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from servotrack.estimators.rfs.birth import Birth, BirthMixture, MeasurementBirth
+from servotrack.estimators.rfs.phd import GMPHD, PHDState
+from servotrack.estimators.rfs.recursion import add_axis, first_row
+from servotrack.estimators.rfs.sets import SetEstimate, check_runs, estimate_from_extraction, read_measurements
+
+Array = NDArray[np.float64]
+
+
+class Steering(NamedTuple):
+    """Parameters of one step, for each run of a batch.
+
+    Attributes:
+        detection: p_D, in [0, 1]. Shape (*batch,).
+        clutter: Factor on the filter's clutter intensity, > 0. Shape (*batch,).
+        births: Expected births where measurements are unexplained, beside those at known places, >= 0. Shape (*batch,).
+    """
+
+    detection: Array
+    clutter: Array
+    births: Array
+
+
+class Account(NamedTuple):
+    """What one step tells about the parameters.
+
+    Attributes:
+        predicted: Expected number of targets before the scan. Shape (*batch,).
+        explained: Expected number of measurements that are targets'. Shape (*batch,).
+        unexplained: Expected number of measurements that are not. Shape (*batch,).
+        number: Expected number of targets after the scan. Shape (*batch,).
+    """
+
+    predicted: Array
+    explained: Array
+    unexplained: Array
+    number: Array
+
+
+class SteeredState(NamedTuple):
+    """State of a `SteeredPHD`.
+
+    Attributes:
+        phd: Of the filter.
+        anywhere: Births of the next step where measurements were unexplained, one expected.
+        account: Of the last step.
+    """
+
+    phd: PHDState
+    anywhere: BirthMixture
+    account: Account
+
+
+@dataclass(frozen=True)
+class SteeredPHD:
+    """A GM-PHD filter whose detection probability, clutter and births are given anew at every step.
+
+    Args:
+        filter: Its model, its births at known places, its clutter intensity, on which steering puts a factor.
+        anywhere: How births are put at unexplained measurements; `expected` must be 1, steering gives the number.
+
+    Raises:
+        ValueError: Another `expected`.
+    """
+
+    filter: GMPHD
+    anywhere: MeasurementBirth = field(default_factory=lambda: MeasurementBirth(expected=1.0, largest=1.0))
+
+    def __post_init__(self) -> None:
+        if self.anywhere.expected != 1.0:
+            raise ValueError(
+                f"anywhere must expect one birth, got {self.anywhere.expected!r}; steering gives the number"
+            )
+
+    def initial(self, measurement: ArrayLike) -> SteeredState:
+        """State before the first scan, which gives the batch axis only."""
+        z, _, single = read_measurements(measurement, self.filter._sizes[1])
+        none = np.zeros(len(z))
+        state = SteeredState(
+            self.filter._empty(len(z)),
+            self.anywhere.empty(len(z), self.filter._sizes[0]),
+            Account(none, none, none, none),
+        )
+        return first_row(state) if single else state
+
+    def step(self, state: SteeredState, measurement: ArrayLike, steering: Steering) -> tuple[SteeredState, SetEstimate]:
+        """Predict to the next instant and fold its measurements in, with these parameters.
+
+        Args:
+            state: As returned by `initial` or `step`.
+            measurement: As `GMPHD.step` takes it.
+            steering: For each run.
+
+        Returns:
+            The new state and the estimate.
+
+        Raises:
+            ValueError: As `GMPHD.step`, or for steering of another shape or out of range.
+        """
+        phd = self.filter
+        z, number, single = read_measurements(measurement, phd._sizes[1])
+        if single:
+            state, steering = add_axis(state), Steering(*(np.reshape(part, 1) for part in steering))
+        check_runs(state.phd.next_label.shape[0], len(z))
+        _check_steering(steering, len(z))
+        births = self._births(state.anywhere, steering.births)
+        clutter = phd._clutter(z, number) * steering.clutter[:, None]
+        survival = phd._evaluate("survival", phd.survival, state.phd.intensity)
+        predicted = (survival * state.phd.intensity.weight).sum(axis=1) + births.weight.sum(axis=1)
+        new, extraction, unexplained = phd._advance_detecting(state.phd, births, z, number, clutter, steering.detection)
+        used = np.arange(z.shape[1]) < number[:, None]
+        left = np.where(used, unexplained, 0.0)
+        account = Account(predicted, number - left.sum(axis=1), left.sum(axis=1), new.intensity.weight.sum(axis=1))
+        following = SteeredState(new, self.anywhere.next(phd.model, z, left), account)
+        return (first_row(following) if single else following), estimate_from_extraction(extraction, single)
+
+    def _births(self, anywhere: BirthMixture, expected: Array) -> BirthMixture:
+        """Births at known places and at unexplained measurements."""
+        shared = anywhere._replace(weight=np.minimum(anywhere.weight * expected[:, None], 1.0))
+        if not isinstance(self.filter.birth, Birth):
+            return shared
+        known = self.filter._static_births
+        return BirthMixture(
+            *(
+                np.concatenate([np.broadcast_to(one, (len(expected), *one.shape[1:])), other], axis=1)
+                for one, other in zip(known, shared, strict=True)
+            )
+        )
+
+
+def _check_steering(steering: Steering, batch: int) -> None:
+    limits = {"detection": (0.0, 1.0), "clutter": (1e-12, np.inf), "births": (0.0, np.inf)}
+    for name, (low, high) in limits.items():
+        values = np.asarray(getattr(steering, name))
+        if values.shape != (batch,):
+            raise ValueError(f"steering {name} must have shape ({batch},), one number per run, got {values.shape}")
+        if not np.all(np.isfinite(values) & (values >= low) & (values <= high)):
+            raise ValueError(f"steering {name} must be finite and in [{low:g}, {high:g}], got {values.tolist()}")
+
+
+class CountingState(NamedTuple):
+    """State of a `CountingPHD`.
+
+    Attributes:
+        steered: Of the filter.
+        predicted, explained, unexplained, scans: Sums that forget. Shape (*batch,).
+    """
+
+    steered: SteeredState
+    predicted: Array
+    explained: Array
+    unexplained: Array
+    scans: Array
+
+
+@dataclass(frozen=True)
+class CountingPHD:
+    """A steered GM-PHD filter that counts: how many of the targets it expected were seen, how much was left over.
+
+    The detection probability is the share of expected targets that measurements show, the clutter rate the mean
+    number of measurements that no target explains, both beginning as the filter was told, as if that had been seen in
+    `trust` scans.
+
+    Args:
+        steered: The filter.
+        clutter_rate: That was told: the mean number of false measurements in a scan.
+        births: Expected number of births per scan where measurements are unexplained.
+        memory: Scans after which a count weighs 1/e.
+        trust: Scans that what was told is worth.
+
+    Raises:
+        ValueError: Naming the argument that is out of range.
+    """
+
+    steered: SteeredPHD
+    clutter_rate: float
+    births: float = 0.1
+    memory: float = 30.0
+    trust: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name in ("clutter_rate", "births", "memory", "trust"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} must be finite and > 0, got {value!r}")
+        if callable(self.steered.filter.detection):
+            raise ValueError("detection must be a number to be counted anew, got a function of the state")
+
+    @property
+    def model(self) -> object:
+        """Motion and measurement of one target."""
+        return self.steered.filter.model
+
+    def initial(self, measurement: ArrayLike) -> CountingState:
+        """State before the first scan, which gives the batch axis only."""
+        steered = self.steered.initial(measurement)
+        none = np.zeros_like(steered.account.number)
+        return CountingState(steered, none, none, none, none)
+
+    def step(self, state: CountingState, measurement: ArrayLike) -> tuple[CountingState, SetEstimate]:
+        """As `GMPHD.step`."""
+        told = float(self.steered.filter.detection)  # type: ignore[arg-type]
+        detection = (self.trust * told + state.explained) / (self.trust + state.predicted)
+        clutter = (self.trust * self.clutter_rate + state.unexplained) / (self.trust + state.scans)
+        steering = Steering(
+            np.clip(detection, 0.05, 0.999),
+            np.maximum(clutter / self.clutter_rate, 1e-3),
+            np.full_like(detection, self.births),
+        )
+        steered, estimate = self.steered.step(state.steered, measurement, steering)
+        account, kept = steered.account, np.exp(-1.0 / self.memory)
+        return CountingState(
+            steered,
+            kept * state.predicted + account.predicted,
+            kept * state.explained + account.explained,
+            kept * state.unexplained + account.unexplained,
+            kept * state.scans + 1.0,
+        ), estimate
