@@ -84,6 +84,22 @@ class FollowServo:
         self.detector = detector or PeopleFromAbove()
         self._alignment = Alignment()
 
+    def initial(self, observation: Mapping[str, Any]) -> FollowServoState:
+        """State before the first observation, which has a leading axis and is to be given to `predict` again.
+
+        Raises:
+            ValueError: A key is missing.
+        """
+        seen, _ = self._seen(observation)
+        return self._initial(seen, self._detections(seen))
+
+    def goal(self, observation: Mapping[str, Any]) -> Array:
+        """Where the person is wanted, in the pixels of `FollowServoState.belief`. Shape (*batch, 2), px."""
+        goal = np.asarray(observation["goal"], np.float64)
+        if "image" in observation:
+            goal = goal * (self.detector.reference_size / np.shape(observation["image"])[-2])
+        return goal
+
     def predict(
         self,
         observation: Mapping[str, Any],
@@ -134,9 +150,9 @@ class FollowServo:
             )
         single = np.ndim(observation["joint_angles"]) == 1
         seen = {key: np.asarray(value)[None] if single else np.asarray(value) for key, value in observation.items()}
+        seen["goal"] = self.goal(seen)
         if "image" in seen:
-            scale = self.detector.reference_size / seen["image"].shape[-2]
-            seen |= {key: scale * seen[key] for key in ("goal", "target_box")}
+            seen["target_box"] = seen["target_box"] * (self.detector.reference_size / seen["image"].shape[-2])
         return seen, single
 
     def _detections(self, seen: Mapping[str, Array]) -> Array:

@@ -10,15 +10,24 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from servotrack.baselines.learned.card import AgentFileError, load_card
+from servotrack.baselines.learned.card import AgentFileError, LearnedCard, load_card
 from servotrack.baselines.learned.contract import Encoding
 from servotrack.baselines.learned.encoding import create_encoding
 from servotrack.baselines.learned.eyes import OnnxEyes
+from servotrack.baselines.learned.jacobian import (
+    ENTRIES,
+    LearnedJacobian,
+    create_learned_servo,
+    jacobian_encoding,
+)
 from servotrack.baselines.learned.network import OnnxNetwork
+from servotrack.baselines.learned.set_prediction import ANSWERS, SetPredictor, SetWindow
 from servotrack.baselines.learned.shipped import shipped_file
 from servotrack.baselines.memory import remembered
 from servotrack.baselines.pixel_servo import PixelServo
 from servotrack.baselines.registry import create_agent
+from servotrack.baselines.servo import JacobianServo
+from servotrack.envs.track.told import SceneModel
 
 
 class LearnedState(NamedTuple):
@@ -114,7 +123,9 @@ def _with_leading_axis(observation: Any) -> Any:
     return np.asarray(observation)[None]
 
 
-def create_learned_agent(env: Any, path: str | None = None, name: str | None = None) -> LearnedAgent | PixelServo:
+def create_learned_agent(
+    env: Any, path: str | None = None, name: str | None = None
+) -> LearnedAgent | PixelServo | JacobianServo | SetPredictor:
     """A learned agent for an environment.
 
     Args:
@@ -132,6 +143,10 @@ def create_learned_agent(env: Any, path: str | None = None, name: str | None = N
         if not isinstance(servo, PixelServo):
             raise AgentFileError(f"{file} sees for a servo where images are observed, which this environment is not")
         return PixelServo(servo.servo, OnnxEyes(file.parent / card.network, card))
+    if card.encoding.get("kind") == "jacobian":
+        return _estimating(file, card, env)
+    if card.encoding.get("kind") == "set":
+        return _predicting_sets(file, card, env)
     spec = getattr(env, "spec", None)
     if spec is not None and card.encoding.get("kind") != "servo" and spec.id != card.env_id:
         raise AgentFileError(f"{file} was trained in {card.env_id}, and cannot act in {spec.id}")
@@ -142,3 +157,40 @@ def create_learned_agent(env: Any, path: str | None = None, name: str | None = N
     except ValueError as error:
         raise AgentFileError(f"{file} does not fit this environment: {error}") from error
     return LearnedAgent(OnnxNetwork(file.parent / card.network, card), encoding, observations, actions)
+
+
+def _estimating(file: Path, card: LearnedCard, env: Any) -> JacobianServo:
+    """A classical servo whose Jacobian a network estimates."""
+    network = OnnxNetwork(file.parent / card.network, card)
+    try:
+        encoding, law = jacobian_encoding(card.encoding)
+        servo = create_learned_servo(LearnedJacobian(network, network.memory, encoding), env, law)
+    except ValueError as error:
+        raise AgentFileError(f"{file} does not fit this environment: {error}") from error
+    if (network.size, network.actions) != (encoding.size, ENTRIES):
+        raise AgentFileError(
+            f"{network.path} maps {network.size} numbers to {network.actions}, a Jacobian needs {encoding.size} to "
+            f"{ENTRIES} here"
+        )
+    return servo
+
+
+def _predicting_sets(file: Path, card: LearnedCard, env: Any) -> SetPredictor:
+    """An observer that asks a network of every measurement."""
+    network, scene = OnnxNetwork(file.parent / card.network, card), getattr(env.unwrapped, "told", None)
+    if not isinstance(scene, SceneModel):
+        raise AgentFileError(f"{file} predicts sets of points in clutter, which this environment does not show")
+    try:
+        window = SetWindow.of(card.encoding)
+    except ValueError as error:
+        raise AgentFileError(f"{file} does not fit this environment: {error}") from error
+    if (network.size, network.actions, network.memory) != (window.size, ANSWERS, 0):
+        raise AgentFileError(
+            f"{network.path} maps {network.size} numbers to {network.actions}, its window needs {window.size} to "
+            f"{ANSWERS}, and no memory"
+        )
+    space = getattr(env, "single_action_space", env.action_space)
+    nothing = np.zeros((0, 0), np.float32)
+    return SetPredictor(
+        lambda rows: network(rows, nothing)[0], window, scene, space.shape[0], space.low, space.high
+    )

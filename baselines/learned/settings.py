@@ -11,8 +11,11 @@ from typing import Any
 import yaml
 
 FOLDER = Path(__file__).parent / "hyper_parameters"
-ALGORITHMS = ("ppo", "a2c", "sac", "td3", "recurrent_ppo", "tqc", "student", "eyes")
-"""Those of Stable-Baselines3 and sb3-contrib, then `student` and `eyes_training` of this folder."""
+SUPERVISED = ("student", "jacobian", "set", "eyes")
+"""Trainings that are none of reinforcement; see the modules of these names in this folder."""
+ALGORITHMS = ("ppo", "a2c", "sac", "td3", "recurrent_ppo", "tqc", *SUPERVISED)
+"""Those of Stable-Baselines3 and sb3-contrib, then those of `student`, `jacobian_training`, `set_training` and
+`eyes_training` of this folder."""
 _OWN = (
     "algorithm", "n_envs", "n_timesteps", "policy", "normalize", "encoding", "curriculum", "measurements", "summary"
 )  # fmt: skip
@@ -68,7 +71,7 @@ class TrainingSettings:
             for stage in stages
         ):
             raise ValueError(f"curriculum must be a list of stages, each a list of levels, got {stages!r}")
-        if stages and self.algorithm in ("student", "eyes"):
+        if stages and self.algorithm in SUPERVISED:
             raise ValueError(f"curriculum is for reinforcement learning, not for {self.algorithm}")
         object.__setattr__(self, "curriculum", tuple(tuple(stage) for stage in stages))
 

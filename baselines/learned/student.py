@@ -155,7 +155,7 @@ def teach(course: Course) -> None:
     try:
         while steps < settings.n_timesteps:
             noise = own.exploration if iteration % 2 else 0.0
-            lessons = _act(env, encoding, network, _seeds(task, steps), noise, explore)
+            lessons = _act(env, encoding, network, lesson_seeds(task, steps), noise, explore)
             remaining = 1.0 - steps / settings.n_timesteps
             for group in optimizer.param_groups:
                 group["lr"] = rate(remaining) if callable(rate) else rate
@@ -169,7 +169,7 @@ def teach(course: Course) -> None:
         env.close()
 
 
-def _seeds(task: TrainingTask, steps: int) -> list[int]:
+def lesson_seeds(task: TrainingTask, steps: int) -> list[int]:
     """Seeds of the train range that this run has not had lately."""
     first = 7919 * task.seed + steps
     return [seed_ranges.TRAIN[(first + i) % len(seed_ranges.TRAIN)] for i in range(task.settings.n_envs)]

@@ -6,7 +6,9 @@ from collections.abc import Callable
 
 from servotrack.baselines.learned.course import Course, Entry, TrainingCurve, TrainingTask
 from servotrack.baselines.learned.eyes_training import teach_eyes
+from servotrack.baselines.learned.jacobian_training import teach_jacobian
 from servotrack.baselines.learned.reinforcement import reinforce
+from servotrack.baselines.learned.set_training import teach_sets
 from servotrack.baselines.learned.student import teach
 from servotrack.baselines.learned.yardstick import Yardstick
 
@@ -33,5 +35,5 @@ def train(
     """
     course = Course(task, yardstick, on_steps, on_entry)
     if not course.finished:
-        {"student": teach, "eyes": teach_eyes}.get(task.settings.algorithm, reinforce)(course)
+        {"student": teach, "jacobian": teach_jacobian, "set": teach_sets, "eyes": teach_eyes}.get(task.settings.algorithm, reinforce)(course)
     return course.curve

@@ -16,7 +16,7 @@ from servotrack.baselines.results import CellResults, ResultsFolder
 EPISODES = 100
 FIRST_SEED = 60_000
 """Offset in the tune range, away from the seeds of tests and of `servotrack tune`."""
-BESIDE = ("kf", "lifted-kf", "latency-bank-lifted-kf", "gm-phd", "phd-servo")
+BESIDE = ("kf", "lifted-kf", "latency-bank-lifted-kf", "gm-phd", "pmb", "phd-servo")
 """Agents whose measures are shown beside the learner's, where they can act."""
 
 
