@@ -114,10 +114,11 @@ class Together:
 
         The first one has nobody to wait for. One that comes to go where another one is ends.
         """
-        some = [new, *self._most_met(new)]
+        # A single cell does not tell whose power it holds: all have to make room.
+        some = list(self.chains) if self.tracker.likelihood == "cell" else [new, *self._most_met(new)]
         everything = len(some) == len(self.chains)
         self.sweep(1 if len(self.chains) == 1 else self.tracker.sweeps, some)
-        if new in self.chains and self._followed_already(new):
+        if not everything and new in self.chains and self._followed_already(new):
             self.chains.remove(new)
             self.fit()
         return everything
