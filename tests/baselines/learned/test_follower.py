@@ -1,0 +1,74 @@
+"""A network behind an agent that knows whom to follow: it starts from what that one does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import servotrack  # noqa: F401
+from servotrack.baselines.learned.encoding import BehindFollower, create_encoding
+from servotrack.baselines.registry import create_agent
+
+SETTINGS: dict[str, Any] = {"kind": "servo", "lags": [1, 2], "follower": "phd-servo"}
+
+
+def environment(count: int = 3, **arguments: Any) -> Any:
+    return gym.make_vec(
+        "PedestrianServo-v0", num_envs=count, vectorization_mode="vector_entry_point", level=2, **arguments
+    )
+
+
+def test_without_a_correction_it_does_what_the_follower_does() -> None:
+    env = environment()
+    encoding = create_encoding(SETTINGS, env)
+    assert isinstance(encoding, BehindFollower)
+    observation, _ = env.reset(seed=[100_000, 100_001, 100_002])
+    memory, action = encoding.initial(observation), np.zeros((3, 2), np.float32)
+    classical, state = create_agent("phd-servo", env), None
+    for _ in range(25):
+        memory, rows = encoding.step(memory, observation, action)
+        expected, state = classical.predict(observation, state)
+        _, action = encoding.act(memory, np.zeros((3, 2), np.float32))
+        assert np.array_equal(action, expected)
+        assert rows.shape == (3, encoding.size) and np.array_equal(rows[:, -3:-1], expected)
+        assert np.array_equal(encoding.act(memory, np.full((3, 2), 0.5, np.float32))[1], expected + np.float32(0.5))
+        observation, *_ = env.step(action)
+    assert np.isfinite(rows).all()
+
+
+def test_what_it_sees_of_the_person_is_what_a_servo_would_see() -> None:
+    env = environment()
+    encoding = create_encoding(SETTINGS, env)
+    assert isinstance(encoding, BehindFollower)
+    observation, _ = env.reset(seed=[100_000, 100_001, 100_002])
+    memory, action = encoding.initial(observation), np.zeros((3, 2), np.float32)
+    for _ in range(10):
+        memory, rows = encoding.step(memory, observation, action)
+        _, action = encoding.act(memory, action)
+        truth = env.unwrapped.world.features.copy()
+        observation, *_ = env.step(action)
+    # Three pixels of noise; one of the three may follow somebody else.
+    assert np.median(np.hypot(*(memory.follow.belief - truth).T)) < 10.0
+    # The error that a row begins with is that of the believed place, turned: its length is the same.
+    error = memory.follow.belief - encoding.follower.goal(observation)
+    visible = rows[:, 6] > 0.5
+    assert visible.any()
+    assert np.allclose(np.hypot(*rows[visible, :2].T), np.hypot(*error[visible].T) / 100.0, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({**SETTINGS, "follower": "kf"}, "choose|PedestrianServo|needs an environment"),
+        ({**SETTINGS, "kind": "flat"}, "a follower goes with kind servo"),
+        ({**SETTINGS, "residual": "kf"}, "a follower goes with kind servo"),
+        ({**SETTINGS, "colors": 3}, "a follower goes with kind servo"),
+        ({**SETTINGS, "follower": "random"}, "follower must name an agent that follows"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        create_encoding(settings, environment(1))
