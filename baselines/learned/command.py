@@ -97,7 +97,7 @@ def _yardstick(request: TrainingRequest) -> Yardstick:
     # Other code may have measured the classical agents for earlier runs; theirs are kept apart.
     folder = ResultsFolder(request.environment / "classical" / code_version())
     folder.check_writable()
-    return Yardstick(request.env_id, request.env_kwargs, folder)
+    return Yardstick(request.env_id, request.env_kwargs, folder, levels=request.settings.levels)
 
 
 def _alone(request: TrainingRequest, seed: int) -> TrainingCurve:

@@ -32,9 +32,11 @@ from servotrack.baselines.learned.encoded_env import EncodedVecEnv
 from servotrack.baselines.learned.encoding import create_encoding
 from servotrack.baselines.learned.export import export, exportable_policy
 from servotrack.baselines.learned.eyes import open_eyes
+from servotrack.baselines.learned.jacobian import jacobian_encoding
 from servotrack.baselines.learned.network import OnnxNetwork
 from servotrack.baselines.learned.reinforcement import create_model, policy_mode, restore
 from servotrack.baselines.learned.servo_encoding import ServoEncoding
+from servotrack.baselines.learned.set_prediction import SetWindow
 from servotrack.baselines.learned.settings import TrainingSettings, load_settings, schedule
 from servotrack.baselines.learned.student import StudentNetwork
 from servotrack.baselines.learned.training import train
@@ -216,7 +218,10 @@ def test_the_shipped_hyper_parameters_can_be_read() -> None:
             recipe, _, level = name.partition(" level=")
             settings = load_settings(file.stem, recipe, int(level) if level else None)
             assert settings.n_timesteps > 0 and json.dumps(settings.as_record())
-            if not {"marker", "eyes"} & {*settings.encoding, settings.encoding["kind"]}:
+            kind = settings.encoding["kind"]
+            if kind in ("jacobian", "set"):
+                {"jacobian": jacobian_encoding, "set": SetWindow.of}[kind](settings.encoding)
+            elif not {"marker", "eyes"} & {*settings.encoding, kind}:
                 create_encoding(settings.encoding, gym.make(file.stem))
 
 
