@@ -17,6 +17,7 @@ from servotrack.baselines.learned.export import Exportable, write_agent
 from servotrack.baselines.learned.settings import TrainingSettings
 from servotrack.baselines.learned.shipped import agent_in_file
 from servotrack.baselines.learned.yardstick import Yardstick
+from servotrack.baselines.protocol import world_of
 from servotrack.baselines.results import ResultsError, atomic_path, describe_environment, plain, provenance
 
 AGENT, CHECKPOINT, TASK = "agent", "checkpoint.pt", "task.json"
@@ -162,6 +163,8 @@ class Course:
             encoding=plain(task.settings.encoding),
             network=f"{AGENT}.onnx",
             sha256="",
+            # Points in clutter come with what their filters are told.
+            information="calibrated" if world_of(task.env_id) == "clutter" else "prior",
             levels=list(task.settings.levels),
             steps=steps,
             training={**task.as_record(), "curve": self.curve.entries, "provenance": self.curve.provenance},
