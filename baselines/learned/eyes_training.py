@@ -17,7 +17,7 @@ from servotrack.baselines import seeds as seed_ranges
 from servotrack.baselines.learned.course import Course, TrainingTask
 from servotrack.baselines.learned.export import Exportable
 from servotrack.baselines.learned.eyes import IMAGE, PLACE, SEEN
-from servotrack.baselines.learned.settings import schedule
+from servotrack.baselines.learned.supervised import descend, own_settings, take_turns
 
 STRIDE = 2
 """Pixels of the image to one of the map."""
@@ -91,43 +91,30 @@ def teach_eyes(course: Course) -> None:
         ResultsError: The checkpoint does not fit the hyper-parameters.
         ValueError: The environment gives no images, or a hyper-parameter is unknown.
     """
+    own = own_settings(EyesSettings, course)
     task, settings = course.task, course.task.settings
-    try:
-        own = EyesSettings(**settings.hyper_parameters)
-    except TypeError as error:
-        raise ValueError(f"eyes do not take these hyper-parameters: {error}") from error
     if task.env_id != "UncalibServoPixels-v0":
         raise ValueError(f"eyes learn in UncalibServoPixels-v0, got {task.env_id}")
-    torch.set_num_threads(1)
-    torch.manual_seed(task.seed + course.curve.steps)
     # Features without noise are where the marker is in the newest image, shutter and all.
     exact = {**task.env_kwargs, "pixel_noise": 0.0, "outlier_rate": 0.0, "dropout": 0.0}
     env: Any = gym.make_vec(task.env_id, num_envs=settings.n_envs, autoreset_mode=AutoresetMode.SAME_STEP, **exact)
     size = env.single_observation_space["image"].shape[0]
     network = EyesNetwork(own.channels, size)
     optimizer = torch.optim.Adam(network.parameters())
-    steps = course.resume(network, optimizer)
-    rate = schedule(own.learning_rate)
-    exported = Exportable(network, {IMAGE: torch.zeros(2, size, size, 3, dtype=torch.uint8)}, (PLACE, SEEN))
-    source = _Images(env, task, steps)
+    source = _Images(env, task, course.resume(network, optimizer))
+
+    def turn(steps: int) -> int:
+        images, places, seen = (torch.from_numpy(part) for part in source.batch(own.batch_size))
+        place, logit = network(images)
+        distance = torch.sqrt(((place - places) ** 2).sum(1) + NEARLY**2)
+        loss = (distance * seen).sum() / seen.sum().clamp(min=1.0)
+        loss = loss + nn.functional.binary_cross_entropy_with_logits(logit, seen)
+        descend(network, optimizer, loss, steepest=5.0)
+        return settings.n_envs
+
     try:
-        while steps < settings.n_timesteps:
-            for group in optimizer.param_groups:
-                group["lr"] = rate(1.0 - steps / settings.n_timesteps) if callable(rate) else rate
-            images, places, seen = (torch.from_numpy(part) for part in source.batch(own.batch_size))
-            place, logit = network(images)
-            distance = torch.sqrt(((place - places) ** 2).sum(1) + NEARLY**2)
-            loss = (distance * seen).sum() / seen.sum().clamp(min=1.0)
-            loss = loss + nn.functional.binary_cross_entropy_with_logits(logit, seen)
-            optimizer.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(network.parameters(), 5.0)
-            optimizer.step()
-            steps += settings.n_envs
-            course.on_steps(steps)
-            if course.is_due(steps) or steps >= settings.n_timesteps:
-                saved = {"parameters": {"network": network.state_dict(), "optimizer": optimizer.state_dict()}}
-                course.measure(steps, exported, saved)
+        exported = Exportable(network, {IMAGE: torch.zeros(2, size, size, 3, dtype=torch.uint8)}, (PLACE, SEEN))
+        take_turns(course, network, optimizer, own.learning_rate, exported, turn)
     finally:
         env.close()
 

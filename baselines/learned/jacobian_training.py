@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import cycle
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -12,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 from torch import nn
 
 from servotrack.baselines.learned.contract import Rows
-from servotrack.baselines.learned.course import Course, TrainingTask
+from servotrack.baselines.learned.course import Course
 from servotrack.baselines.learned.export import exportable_policy
 from servotrack.baselines.learned.jacobian import (
     ENTRIES,
@@ -22,8 +23,8 @@ from servotrack.baselines.learned.jacobian import (
     jacobian_encoding,
     turning,
 )
-from servotrack.baselines.learned.settings import schedule
-from servotrack.baselines.learned.student import lesson_seeds
+from servotrack.baselines.learned.supervised import descend, lesson_seeds, own_settings, take_turns
+from servotrack.baselines.registry import create_agent
 from servotrack.envs.servo.world import ServoWorld
 
 
@@ -37,6 +38,7 @@ class JacobianSettings:
         n_epochs: Passes over the episodes of one iteration.
         batch_size: Episodes in a batch.
         exploration: Noise of every other iteration's actions, relative to the action's size.
+        guided: Share of the episodes in which a Kalman filter servos at first; it falls to none.
         floor: Errors well above this share of the Jacobian count logarithmically.
     """
 
@@ -45,6 +47,7 @@ class JacobianSettings:
     n_epochs: int = 3
     batch_size: int = 64
     exploration: float = 0.3
+    guided: float = 0.5
     floor: float = 0.05
 
 
@@ -99,19 +102,15 @@ def teach_jacobian(course: Course) -> None:
     """Train an estimator, from the beginning or from where the course was saved.
 
     Each iteration lets it servo in new episodes of the train range, and then shows it the analytic Jacobian of every
-    step: DAgger (Ross et al. 2011) with the oracle's answer as the label.
+    step: DAgger (Ross et al. 2011) with the oracle's answer as the label. At first a Kalman filter servos in some of
+    them, for an arm that does not move shows no Jacobian, and who has seen none does not move.
 
     Raises:
         ResultsError: The checkpoint does not fit the hyper-parameters.
         ValueError: The environment is no servo of features, or a hyper-parameter is unknown.
     """
+    own = own_settings(JacobianSettings, course)
     task, settings = course.task, course.task.settings
-    try:
-        own = JacobianSettings(**settings.hyper_parameters)
-    except TypeError as error:
-        raise ValueError(f"jacobian does not take these hyper-parameters: {error}") from error
-    torch.set_num_threads(1)
-    torch.manual_seed(task.seed + course.curve.steps)
     env: Any = gym.make_vec(
         task.env_id,
         num_envs=settings.n_envs,
@@ -124,24 +123,20 @@ def teach_jacobian(course: Course) -> None:
     encoding, law = jacobian_encoding(settings.encoding)
     network = JacobianNetwork(encoding.size, own.hidden)
     optimizer = torch.optim.Adam(network.parameters())
-    steps = course.resume(network, optimizer)
-    rate = schedule(own.learning_rate)
-    explore = np.random.default_rng([task.seed, steps])
+    explore = np.random.default_rng([task.seed, course.resume(network, optimizer)])
     servo = create_learned_servo(LearnedJacobian(_running(network), own.hidden, encoding), env, law)
-    iteration = 0
+    guide = create_agent("kf", env)
+    noises = cycle((0.0, own.exploration))
+
+    def turn(steps: int) -> int:
+        share = own.guided * (1.0 - steps / settings.n_timesteps)
+        records = _servo(env, servo, guide, share, lesson_seeds(task, steps), next(noises), explore)
+        _learn(network, optimizer, records, own)
+        return int(records.counted.sum())
+
     try:
-        while steps < settings.n_timesteps:
-            noise = own.exploration if iteration % 2 else 0.0
-            records = _servo(env, servo, task, steps, noise, explore)
-            remaining = 1.0 - steps / settings.n_timesteps
-            for group in optimizer.param_groups:
-                group["lr"] = rate(remaining) if callable(rate) else rate
-            _learn(network, optimizer, records, own)
-            steps, iteration = steps + int(records.counted.sum()), iteration + 1
-            course.on_steps(steps)
-            if course.is_due(steps) or steps >= settings.n_timesteps:
-                saved = {"parameters": {"network": network.state_dict(), "optimizer": optimizer.state_dict()}}
-                course.measure(steps, exportable_policy(network, encoding.size, own.hidden), saved)
+        exported = exportable_policy(network, encoding.size, own.hidden)
+        take_turns(course, network, optimizer, own.learning_rate, exported, turn)
     finally:
         env.close()
 
@@ -158,19 +153,23 @@ def _running(network: JacobianNetwork) -> Any:
 
 
 def _servo(
-    env: Any, servo: Any, task: TrainingTask, steps: int, noise: float, explore: np.random.Generator
+    env: Any, servo: Any, guide: Any, share: float, seeds: list[int], noise: float, explore: np.random.Generator
 ) -> Records:
-    """One episode per environment, with what the Jacobian was written down beside."""
+    """One episode per seed, the first ones by the guide, with what the Jacobian was written down beside."""
     world: ServoWorld = env.unwrapped.world
-    count, length = task.settings.n_envs, world.config.warmup + world.config.horizon
+    count, length = len(seeds), world.config.warmup + world.config.horizon
     estimator: LearnedJacobian = servo.controller.estimator
-    observation, _ = env.reset(seed=lesson_seeds(task, steps))
+    observation, _ = env.reset(seed=seeds)
     rows = np.zeros((count, length, estimator.encoding.size), np.float32)
     entries, counted = np.zeros((count, length, ENTRIES), np.float32), np.zeros((count, length), np.float32)
-    alive, state, started = np.ones(count, np.bool_), None, np.zeros(count, np.bool_)
+    alive, started = np.ones(count, np.bool_), np.zeros(count, np.bool_)
+    state, guiding, guided = None, None, np.arange(count) < share * count
     for k in range(length):
         true = world.privileged()["true_jacobian"]
         action, state = servo.predict(observation, state, started)
+        if guided.any():
+            better, guiding = guide.predict(observation, guiding, started)
+            action = np.where(guided[:, None], better, action)
         learned = state.estimator
         rows[:, k], counted[:, k] = learned.rows, alive
         turned = turning(learned.encoding, np.asarray(observation["joint_angles"], np.float64)) @ true
@@ -196,7 +195,4 @@ def _learn(network: JacobianNetwork, optimizer: torch.optim.Optimizer, records: 
             by_time = (wrong[..., 2] ** 2).sum(-1) / (true[..., 2] ** 2).sum(-1).clamp(min=0.25)
             loss = torch.log1p(torch.stack([by_joints, by_time], -1) / own.floor**2).sum(-1)
             loss = (loss * part.counted).sum() / part.counted.sum()
-            optimizer.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-            optimizer.step()
+            descend(network, optimizer, loss)

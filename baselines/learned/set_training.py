@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from servotrack.baselines.learned.contract import Rows
-from servotrack.baselines.learned.course import Course, TrainingTask
+from servotrack.baselines.learned.course import Course
 from servotrack.baselines.learned.export import exportable_policy
 from servotrack.baselines.learned.set_prediction import (
     ANCHOR,
@@ -24,8 +24,7 @@ from servotrack.baselines.learned.set_prediction import (
     ask,
     sensor_of,
 )
-from servotrack.baselines.learned.settings import schedule
-from servotrack.baselines.learned.student import lesson_seeds
+from servotrack.baselines.learned.supervised import descend, lesson_seeds, own_settings, take_turns
 from servotrack.envs.track.episode import draw_episode
 from servotrack.envs.track.told import SceneModel
 
@@ -113,34 +112,22 @@ def teach_sets(course: Course) -> None:
         ResultsError: The checkpoint does not fit the hyper-parameters.
         ValueError: The environment shows no points in clutter, or a hyper-parameter is unknown.
     """
+    own = own_settings(SetSettings, course)
     task, settings = course.task, course.task.settings
-    try:
-        own = SetSettings(**settings.hyper_parameters)
-    except TypeError as error:
-        raise ValueError(f"set does not take these hyper-parameters: {error}") from error
-    torch.set_num_threads(1)
-    torch.manual_seed(task.seed + course.curve.steps)
     env: Any = gym.make(task.env_id, **task.env_kwargs).unwrapped
     if not isinstance(getattr(env, "told", None), SceneModel):
         raise ValueError(f"sets are predicted in worlds of points in clutter, got {task.env_id}")
     window = SetWindow.of(settings.encoding)
     network = SetNetwork(window.neighbors, own.hidden)
     optimizer = torch.optim.Adam(network.parameters())
-    steps = course.resume(network, optimizer)
-    rate = schedule(own.learning_rate)
-    chance = np.random.default_rng([task.seed, steps])
-    while steps < settings.n_timesteps:
+    chance = np.random.default_rng([task.seed, course.resume(network, optimizer)])
+
+    def turn(steps: int) -> int:
         scenes = [draw_episode(env.config, seed) for seed in lesson_seeds(task, steps)]
-        examples = _examples(window, scenes, env.told, own.false_share, chance)
-        remaining = 1.0 - steps / settings.n_timesteps
-        for group in optimizer.param_groups:
-            group["lr"] = rate(remaining) if callable(rate) else rate
-        _learn(network, optimizer, examples, own)
-        steps += len(scenes) * env.config.horizon
-        course.on_steps(steps)
-        if course.is_due(steps) or steps >= settings.n_timesteps:
-            saved = {"parameters": {"network": network.state_dict(), "optimizer": optimizer.state_dict()}}
-            course.measure(steps, exportable_policy(network, window.size), saved)
+        _learn(network, optimizer, _examples(window, scenes, env.told, own.false_share, chance), own)
+        return len(scenes) * int(env.config.horizon)
+
+    take_turns(course, network, optimizer, own.learning_rate, exportable_policy(network, window.size), turn)
 
 
 def _examples(
@@ -181,7 +168,4 @@ def _learn(network: SetNetwork, optimizer: torch.optim.Optimizer, examples: Exam
             located = nn.functional.smooth_l1_loss(wrong / LENGTH, torch.zeros_like(wrong), reduction="none").sum(-1)
             moving = nn.functional.smooth_l1_loss(velocity / LENGTH, part.velocities / LENGTH, reduction="none").sum(-1)
             loss = existence + ((located + 0.3 * moving) * part.true).sum() / part.true.sum().clamp(min=1.0)
-            optimizer.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-            optimizer.step()
+            descend(network, optimizer, loss)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import cycle
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -11,12 +12,11 @@ import torch
 from gymnasium.vector import AutoresetMode
 from torch import nn
 
-from servotrack.baselines import seeds as seed_ranges
-from servotrack.baselines.learned.course import Course, TrainingTask
+from servotrack.baselines.learned.course import Course
 from servotrack.baselines.learned.contract import Encoding
 from servotrack.baselines.learned.encoding import create_encoding
 from servotrack.baselines.learned.export import exportable_policy
-from servotrack.baselines.learned.settings import schedule
+from servotrack.baselines.learned.supervised import descend, lesson_seeds, own_settings, take_turns
 from servotrack.envs.servo.episode import LEAD
 from servotrack.envs.servo.targets import PERIOD
 from servotrack.envs.servo.world import ServoWorld
@@ -129,13 +129,8 @@ def teach(course: Course) -> None:
         ResultsError: The checkpoint does not fit the hyper-parameters.
         ValueError: The environment is no servo of features, or a hyper-parameter is unknown.
     """
+    own = own_settings(StudentSettings, course)
     task, settings = course.task, course.task.settings
-    try:
-        own = StudentSettings(**settings.hyper_parameters)
-    except TypeError as error:
-        raise ValueError(f"student does not take these hyper-parameters: {error}") from error
-    torch.set_num_threads(1)
-    torch.manual_seed(task.seed + course.curve.steps)
     env: Any = gym.make_vec(
         task.env_id,
         num_envs=settings.n_envs,
@@ -148,31 +143,19 @@ def teach(course: Course) -> None:
     encoding = create_encoding(settings.encoding, env)
     network = StudentNetwork(encoding.size, own.hidden, residual="residual" in settings.encoding)
     optimizer = torch.optim.Adam(network.parameters())
-    steps = course.resume(network, optimizer)
-    rate = schedule(own.learning_rate)
-    explore = np.random.default_rng([task.seed, steps])
-    iteration = 0
+    explore = np.random.default_rng([task.seed, course.resume(network, optimizer)])
+    noises = cycle((0.0, own.exploration))
+
+    def turn(steps: int) -> int:
+        lessons = _act(env, encoding, network, lesson_seeds(task, steps), next(noises), explore)
+        _learn(network, optimizer, lessons, own, env.unwrapped.config)
+        return int(lessons.counted.sum())
+
     try:
-        while steps < settings.n_timesteps:
-            noise = own.exploration if iteration % 2 else 0.0
-            lessons = _act(env, encoding, network, lesson_seeds(task, steps), noise, explore)
-            remaining = 1.0 - steps / settings.n_timesteps
-            for group in optimizer.param_groups:
-                group["lr"] = rate(remaining) if callable(rate) else rate
-            _learn(network, optimizer, lessons, own, env.unwrapped.config)
-            steps, iteration = steps + int(lessons.counted.sum()), iteration + 1
-            course.on_steps(steps)
-            if course.is_due(steps) or steps >= settings.n_timesteps:
-                saved = {"parameters": {"network": network.state_dict(), "optimizer": optimizer.state_dict()}}
-                course.measure(steps, exportable_policy(network, encoding.size, own.hidden), saved)
+        exported = exportable_policy(network, encoding.size, own.hidden)
+        take_turns(course, network, optimizer, own.learning_rate, exported, turn)
     finally:
         env.close()
-
-
-def lesson_seeds(task: TrainingTask, steps: int) -> list[int]:
-    """Seeds of the train range that this run has not had lately."""
-    first = 7919 * task.seed + steps
-    return [seed_ranges.TRAIN[(first + i) % len(seed_ranges.TRAIN)] for i in range(task.settings.n_envs)]
 
 
 def _act(
@@ -229,10 +212,7 @@ def _learn(
             tool = _tool(part.joints + PERIOD * config.max_joint_rate * rates, part.links)
             distance = torch.sqrt(((tool - part.following) ** 2).sum(-1) + FLOOR**2)
             loss = (torch.log1p(distance / own.scale) * part.counted).sum() / part.counted.sum()
-            optimizer.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-            optimizer.step()
+            descend(network, optimizer, loss)
 
 
 def _tool(joints: torch.Tensor, links: torch.Tensor) -> torch.Tensor:
