@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from servotrack.baselines.learned.card import LearnedCard, load_card
 from servotrack.baselines.learned.shipped import agent_in_file
 from servotrack.baselines.protocol import world_of
 from servotrack.baselines.registry import agent_card
-from servotrack.baselines.results import CellResults, ResultsFolder
+from servotrack.baselines.results import CellResults, ResultsFolder, describe_environment
 from servotrack.baselines.statistics import Interval, crossed_difference, score
 
 ENOUGH = 10
@@ -39,6 +40,7 @@ class Comparison:
         difference: Of the headline, runs less other.
         score: Of the mean score; None where the world has none.
         success: Of the success rate; None where there is none.
+        returned: Of the mean return.
     """
 
     environment: str
@@ -52,6 +54,7 @@ class Comparison:
     difference: Interval
     score: Interval | None
     success: Interval | None
+    returned: Interval
 
     def markdown(self) -> str:
         """The comparison as a table."""
@@ -65,10 +68,13 @@ class Comparison:
             f"{_signed(self.difference, digits, factor)} |",
         ]
         lines += [
-            f"| {name} | | | {_signed(interval, 3)} |"
-            for name, interval in (("score", self.score), ("success", self.success))
+            f"| {name} | | | {_signed(interval, digits)} |"
+            for name, interval, digits in (
+                ("score", self.score, 3), ("success", self.success, 3),
+                ("return", None if self.score is not None else self.returned, 1),
+            )
             if interval is not None
-        ]
+        ]  # fmt: skip
         note = f"{self.episodes} seeds; brackets: 95 % intervals, runs and episodes resampled, crossed." + (
             "" if self.runs >= ENOUGH else f" Fewer than {ENOUGH} runs: no claim about training."
         )
@@ -83,15 +89,15 @@ def compare(
     episodes: int,
     split: str = "test",
     on_run: Callable[[], None] = lambda: None,
-) -> Comparison:
-    """Evaluate all training runs of a recipe and an agent on the same seeds.
+) -> list[Comparison]:
+    """Evaluate all training runs of a recipe and an agent on the same seeds, at each level that it was trained for.
 
     Args:
         folder: Of an environment, as `servotrack train` writes it.
         recipe: Whose runs lie there.
         against: Name of the other agent.
         results: Keeps the episodes, so that an interrupted comparison goes on.
-        episodes: Per run.
+        episodes: Per run and level.
         split: Of the seeds.
         on_run: Called after each.
 
@@ -105,15 +111,30 @@ def compare(
     card: LearnedCard = load_card(cards[0])
     seeds = seed_ranges.take(split, episodes)
 
-    def cell(agent: str) -> CellResults:
-        named = agent_in_file(Path(agent)) if agent.endswith(".json") else agent_card(agent)
-        done = evaluate(card.env_id, named, seeds, card.env_kwargs, folder=results, timing=False)
-        on_run()
-        return done
+    def at(env_kwargs: dict[str, Any]) -> Comparison:
+        def cell(agent: str) -> CellResults:
+            named = agent_in_file(Path(agent)) if agent.endswith(".json") else agent_card(agent)
+            done = evaluate(card.env_id, named, seeds, env_kwargs, folder=results, timing=False)
+            on_run()
+            return done
 
-    runs = [cell(str(path)) for path in cards]
-    other = cell(against)
-    headline = JUDGMENTS[world_of(card.env_id)].headline
+        runs, other = [cell(str(path)) for path in cards], cell(against)
+        anchors = [cell(name) for name in (LOWER_ANCHOR, UPPER_ANCHOR)] if world_of(card.env_id) == "servo" else []
+        return _compared(describe_environment(card.env_id, env_kwargs), recipe, against, seeds, runs, other, anchors)
+
+    return [at({**card.env_kwargs, "level": level}) for level in card.levels] or [at(card.env_kwargs)]
+
+
+def _compared(
+    environment: str,
+    recipe: str,
+    against: str,
+    seeds: Sequence[int],
+    runs: list[CellResults],
+    other: CellResults,
+    anchors: list[CellResults],
+) -> Comparison:
+    headline = JUDGMENTS[world_of(other.env_id)].headline
 
     def column(of: CellResults, name: str) -> list[float]:
         return [float(row[name]) for row in of.select(seeds)]
@@ -122,22 +143,23 @@ def compare(
         return crossed_difference([column(run, name) for run in runs], column(other, name))
 
     scored = None
-    if world_of(card.env_id) == "servo":
-        anchors = [column(cell(name), headline.column) for name in (LOWER_ANCHOR, UPPER_ANCHOR)]
-        scores = [score(column(one, headline.column), *anchors) for one in (*runs, other)]
+    if anchors:
+        ends = [column(anchor, headline.column) for anchor in anchors]
+        scores = [score(column(one, headline.column), *ends) for one in (*runs, other)]
         scored = crossed_difference(scores[:-1], scores[-1])
     return Comparison(
-        card.environment,
+        environment,
         recipe,
         against,
         len(runs),
-        episodes,
+        len(seeds),
         headline,
         tuple(float(np.mean(column(run, headline.column))) for run in runs),
         float(np.mean(column(other, headline.column))),
         difference(headline.column),
         scored,
         difference("success") if "success" in other.rows[0] else None,
+        difference("return"),
     )
 
 

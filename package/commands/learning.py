@@ -99,6 +99,7 @@ def compare(
         found = run(
             runs, recipe, against, ResultsFolder(results), episodes, split, lambda: progress.update(bar, advance=1)
         )
-    console().print(found.markdown(), soft_wrap=True)
+    text = "\n".join(comparison.markdown() for comparison in found)
+    console().print(text, soft_wrap=True)
     if into is not None:
-        embed(f"{found.markdown()}\nWritten by `{command_line()}`.", into, "compare")
+        embed(f"{text}\nWritten by `{command_line()}`.", into, "compare")

@@ -184,7 +184,7 @@ def test_the_best_of_several_runs_gets_a_card_that_tells_of_all(tmp_path: Path) 
     rows, _ = run_episodes(ENV_ID, agent_card(str(path)), [100_000, 100_001], SHORT)
     assert len(rows) == 2
 
-    found = compare(request.environment, "ppo", "kf", ResultsFolder(tmp_path / "compare"), 3, "tune")
+    (found,) = compare(request.environment, "ppo", "kf", ResultsFolder(tmp_path / "compare"), 3, "tune")
     assert (found.runs, found.episodes, found.against) == (2, 3, "kf")
     # Nobody learns to servo in 256 steps.
     assert found.difference.low > 0.0 and found.score is not None and found.score.high < 0.0
