@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -129,7 +129,7 @@ def _compared(
     environment: str,
     recipe: str,
     against: str,
-    seeds: Sequence[int],
+    seeds: list[int],
     runs: list[CellResults],
     other: CellResults,
     anchors: list[CellResults],
