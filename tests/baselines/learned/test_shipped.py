@@ -90,8 +90,12 @@ def test_networks_answer_as_torch_does(path: Path) -> None:
     answer, carried = network(rows, memory)
     with torch.no_grad():
         if card.memory:
-            expected, following = _student(torch, card, model.graph, stored, torch.tensor(rows), torch.tensor(memory))
+            expected, following = _recurrent(torch, card, model.graph, stored, torch.tensor(rows), torch.tensor(memory))
             assert np.abs(carried - following.numpy()).max() < 1e-5
+        elif card.encoding["kind"] == "set":
+            rows = np.abs(rows)
+            answer, _ = network(rows, memory)
+            expected = _set_network(card, model.graph, stored)(torch.tensor(rows))
         else:
             expected = _multilayer(torch, card, stored, torch.tensor(rows))
     assert np.abs(answer - expected.numpy()).max() < 1e-5
@@ -113,15 +117,37 @@ def _multilayer(torch: Any, card: LearnedCard, stored: dict[str, Any], rows: Any
     return mode.eval()(rows)
 
 
-def _student(torch: Any, card: LearnedCard, graph: Any, stored: dict[str, Any], rows: Any, memory: Any) -> Any:
-    """The student's network with the weights that the graph's nodes take, in the order in which it was built."""
+def _with_products(network: Any, graph: Any, stored: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    """Weights that kept their names, and those of matrix products, transposed, in the order of the graph."""
+    weights = {name: stored.get(name, value) for name, value in network.state_dict().items()}
+    products = [node.input[1] for node in graph.node if node.op_type == "MatMul" and node.input[1] in stored]
+    for name, stored_name in zip(names, products, strict=True):
+        weights[name] = stored[stored_name].T
+    return weights
+
+
+def _set_network(card: LearnedCard, graph: Any, stored: dict[str, Any]) -> Any:
+    from servotrack.baselines.learned.set_prediction import SetWindow
+    from servotrack.baselines.learned.set_training import SetNetwork
+
+    hidden = card.training["settings"]["hyper_parameters"]["hidden"]
+    network = SetNetwork(SetWindow.of(card.encoding).neighbors, hidden)
+    names = ("entry.0.weight", "entry.2.weight", "look.weight", "settle.0.weight", "settle.2.weight")
+    network.load_state_dict(_with_products(network, graph, stored, names))
+    return network.eval()
+
+
+def _recurrent(torch: Any, card: LearnedCard, graph: Any, stored: dict[str, Any], rows: Any, memory: Any) -> Any:
+    """The network of a student or of an estimator with the weights that the graph's nodes take."""
+    from servotrack.baselines.learned.jacobian_training import JacobianNetwork
     from servotrack.baselines.learned.student import StudentNetwork
 
-    network = StudentNetwork(rows.shape[1], card.memory, residual="residual" in card.encoding)
-    weights = {name: stored.get(name, value) for name, value in network.state_dict().items()}
-    products = [node.input[1] for node in graph.node if node.op_type == "MatMul"]
-    for name, stored_name in zip(("entry.0.weight", "head.0.weight", "head.2.weight"), products, strict=True):
-        weights[name] = stored[stored_name].T
+    network: Any = (
+        JacobianNetwork(rows.shape[1], card.memory)
+        if card.encoding["kind"] == "jacobian"
+        else StudentNetwork(rows.shape[1], card.memory, residual="residual" in card.encoding)
+    )
+    weights = _with_products(network, graph, stored, ("entry.0.weight", "head.0.weight", "head.2.weight"))
     (recurrent,) = (node for node in graph.node if node.op_type == "GRU")
     inputs, hidden, biases = (stored[name][0] for name in recurrent.input[1:4])
     parts = (inputs, hidden, *biases.chunk(2))
@@ -183,6 +209,8 @@ def test_tables_of_agents_name_all_of_them() -> None:
     assert {row[0] for row in agents_grid().rows} == set(AGENTS)
     servos = {row[0] for row in agents_grid("servo").rows}
     assert {"kf", "ppo", "hybrid"} <= servos and "gm-phd" not in servos
-    assert {(row[0], row[1]) for row in shipped_grid().rows} == {(c.name, c.environment) for c in CARDS.values()}
+    assert {(row[0], row[1]) for row in shipped_grid().rows} == {
+        (c.name, ", ".join(c.environments)) for c in CARDS.values()
+    }
     with pytest.raises(ValueError, match="world must be one of"):
         agents_grid("mars")
