@@ -16,6 +16,7 @@ from servotrack.baselines.learned.agent import create_learned_agent
 from servotrack.baselines.learned.card import AgentFileError, LearnedCard, digest, load_card
 from servotrack.baselines.learned.network import LARGEST_NETWORK
 from servotrack.baselines.learned.servo_encoding import ServoEncoding
+from servotrack.baselines.learned.set_prediction import SetWindow
 from servotrack.baselines.registry import agent_card, create_agent
 
 onnx = pytest.importorskip("onnx")
@@ -134,6 +135,13 @@ def test_a_network_that_is_not_the_card_s_is_refused(tmp_path: Path, env: Any) -
         ({"surprise": 1}, "surprise"),
         ({"memory": 8}, "memory"),
         ({"encoding": {"kind": "wavelets"}}, "kind servo, steering or flat"),
+        ({"encoding": {"kind": "jacobian"}}, "a Jacobian needs"),
+        ({"encoding": {"kind": "jacobian", "law": "bang-bang"}}, "law must be one of"),
+        ({"encoding": {"kind": "set"}}, "sets of points in clutter"),
+        ({"encoding": {"kind": "steering"}}, "reads scans of points in clutter"),
+        ({"encoding": {"kind": "servo", "follower": "phd-servo"}}, "does not fit this environment"),
+        ({"levels": ["all"]}, "levels must be whole numbers"),
+        ({"levels": 3}, "levels must be a list"),
     ],
 )
 def test_cards_that_cannot_be_used_are_refused_with_a_reason(
@@ -170,6 +178,20 @@ def test_an_agent_of_another_world_is_refused(tmp_path: Path) -> None:
     flat = write(tmp_path, network(), encoding={"kind": "flat"})
     with pytest.raises(AgentFileError, match="trained in UncalibServo-v0"):
         create_learned_agent(gym.make("UncalibServoReach-v0"), str(flat))
+
+
+def test_a_set_predictor_s_network_has_to_fit_its_window(tmp_path: Path) -> None:
+    env = gym.make("ClutterTracking-v0", level=2)
+    fields = {"env_id": "ClutterTracking-v0", "env_kwargs": {"level": 2}}
+    fits = write(tmp_path, network(SetWindow().size, 5), encoding={"kind": "set"}, **fields)
+    observation, _ = env.reset(seed=100_000)
+    answer, _ = create_learned_agent(env, str(fits)).predict(observation)
+    assert env.action_space.contains(answer)
+    with pytest.raises(AgentFileError, match="its window needs"):
+        create_learned_agent(env, str(write(tmp_path, network(), encoding={"kind": "set"}, **fields)))
+    with pytest.raises(AgentFileError, match="asked <= scans"):
+        settings = {"kind": "set", "asked": 0}
+        create_learned_agent(env, str(write(tmp_path, network(SetWindow().size, 5), encoding=settings, **fields)))
 
 
 def test_rows_of_a_batch_act_and_forget_alone(tmp_path: Path) -> None:
