@@ -191,6 +191,4 @@ def _predicting_sets(file: Path, card: LearnedCard, env: Any) -> SetPredictor:
         )
     space = getattr(env, "single_action_space", env.action_space)
     nothing = np.zeros((0, 0), np.float32)
-    return SetPredictor(
-        lambda rows: network(rows, nothing)[0], window, scene, space.shape[0], space.low, space.high
-    )
+    return SetPredictor(lambda rows: network(rows, nothing)[0], window, scene, space.shape[0], space.low, space.high)

@@ -63,9 +63,9 @@ class LearnedCard:
     @property
     def environments(self) -> list[str]:
         """As `environment`, of all levels that it was trained in."""
-        return [
-            describe_environment(self.env_id, {**self.env_kwargs, "level": level}) for level in self.levels
-        ] or [self.environment]
+        return [describe_environment(self.env_id, {**self.env_kwargs, "level": level}) for level in self.levels] or [
+            self.environment
+        ]
 
     def as_json(self) -> str:
         """The card as text."""

@@ -108,9 +108,7 @@ class Curriculum(VecEnv):
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
         """Call a method of all environments."""
-        return [
-            value for part in self._parts for value in part.env_method(method_name, *method_args, **method_kwargs)
-        ]
+        return [value for part in self._parts for value in part.env_method(method_name, *method_args, **method_kwargs)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
         """Whether environments have a wrapper."""

@@ -23,7 +23,6 @@ from servotrack.baselines.track_filters import observer_settings, steered_phd
 from servotrack.envs.track.told import SceneModel
 
 
-
 @dataclass(frozen=True)
 class FlatEncoding(PlainAnswers):
     """Everything that a Box, or a dictionary of them, holds, in the order of its keys, scaled to [-1, 1] by its bounds.

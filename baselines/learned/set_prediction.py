@@ -270,9 +270,7 @@ class SetPredictor:
             np.zeros((scenes, rows), np.int64),
             np.ones(scenes, np.int64),
         )
-        return SetState(
-            Recent.none(self._window, scenes, scan.shape[1]), tracks, no_rows(self._allocation, scenes, 4)
-        )
+        return SetState(Recent.none(self._window, scenes, scan.shape[1]), tracks, no_rows(self._allocation, scenes, 4))
 
 
 def sensor_of(scene: SceneModel) -> tuple[Array | None, float]:

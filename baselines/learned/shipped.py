@@ -69,6 +69,5 @@ def shipped_file(name: str, env: Any) -> Path:
             return path
     raise AgentFileError(
         f"agent {name!r} was trained in {', '.join(e for card in trained.values() for e in card.environments)}, "
-        f"not in {env_id}"
-        + ("" if level is None else f" at level {level}")
+        f"not in {env_id}" + ("" if level is None else f" at level {level}")
     )

@@ -35,5 +35,7 @@ def train(
     """
     course = Course(task, yardstick, on_steps, on_entry)
     if not course.finished:
-        {"student": teach, "jacobian": teach_jacobian, "set": teach_sets, "eyes": teach_eyes}.get(task.settings.algorithm, reinforce)(course)
+        {"student": teach, "jacobian": teach_jacobian, "set": teach_sets, "eyes": teach_eyes}.get(
+            task.settings.algorithm, reinforce
+        )(course)
     return course.curve
