@@ -214,3 +214,19 @@ def test_tables_of_agents_name_all_of_them() -> None:
     }
     with pytest.raises(ValueError, match="world must be one of"):
         agents_grid("mars")
+
+
+def test_the_estimator_that_learned_is_nearer_than_the_kalman_filter_under_the_same_law() -> None:
+    learned, kf = (_steady(name, "UncalibServo-v0", {"level": 3}) for name in ("jacobian", "kf"))
+    assert np.median(learned) < np.median(kf) and (learned < 0.01).mean() > 0.93
+
+
+@pytest.mark.parametrize("level", [5, 7])
+def test_steering_a_filter_that_was_told_wrong_helps(level: int) -> None:
+    steered, told = (
+        np.mean(
+            [row["return"] for row in run_episodes("ClutterTracking-v0", AGENTS[name], TUNE[:8], {"level": level})[0]]
+        )
+        for name in ("steering", "gm-phd")
+    )
+    assert steered > told
