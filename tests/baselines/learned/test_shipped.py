@@ -14,11 +14,13 @@ import servotrack  # noqa: F401
 from servotrack.baselines import seeds
 from servotrack.baselines.bench import suite_of
 from servotrack.baselines.evaluate import run_episodes
+from servotrack.baselines.leaderboard.measures import JUDGMENTS
 from servotrack.baselines.learned.card import AgentFileError, LearnedCard
 from servotrack.baselines.learned.eyes import OnnxEyes
 from servotrack.baselines.learned.listing import agents_grid, shipped_grid
 from servotrack.baselines.learned.network import LARGEST_NETWORK, OnnxNetwork
 from servotrack.baselines.learned.shipped import shipped_agents, shipped_cards
+from servotrack.baselines.protocol import world_of
 from servotrack.baselines.registry import AGENTS, create_agent
 
 CARDS = shipped_cards()
@@ -43,7 +45,9 @@ def test_a_card_tells_how_its_agent_came_about(path: Path) -> None:
     training = card.training
     assert len(training["runs"]) >= 3 and card.steps >= sum(run["steps"] for run in training["runs"])
     assert training["seed"] in [run["seed"] for run in training["runs"]]
-    best = max(training["runs"], key=lambda run: run.get("score", run["return"]))
+    headline = JUDGMENTS[world_of(card.env_id)].headline
+    sign = 1.0 if headline.high_is_good else -1.0
+    best = max(training["runs"], key=lambda run: run["score"] if "score" in run else sign * run[headline.column])
     assert best["seed"] == training["seed"] and training["curve"][-1] == {k: v for k, v in best.items() if k != "seed"}
     record = training["provenance"]
     assert record["command"].split()[1] == "train" and {"numpy", "servotrack"} <= set(record["versions"])
