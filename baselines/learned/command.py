@@ -86,7 +86,9 @@ def run_training(request: TrainingRequest, console: Console) -> Path:
             best = i
     path = _write_chosen(request, best, curves)
     figure = request.environment / f"{request.settings.recipe}.png"
-    draw_curves(curves, yardstick.beside, f"{request.settings.recipe}, {request.environment.name}", figure)
+    levels = "".join(f", {level}" for level in request.settings.levels if level != request.env_kwargs.get("level"))
+    title = f"{request.settings.recipe}, {request.environment.name}{levels}"
+    draw_curves(curves, yardstick.beside, title, figure)
     console.print(f"best: seed {request.seeds[best]}, {_text(curves[best].entries[-1])}")
     for written in (path, figure):
         console.print(str(written), soft_wrap=True)
