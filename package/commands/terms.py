@@ -17,7 +17,7 @@ PIPED_WIDTH = 190
 Results = Annotated[Path, typer.Option("--results", "-o", help="Folder of results; an earlier run there is resumed.")]
 Episodes = Annotated[int, typer.Option("--episodes", "-n", min=1, help="Episodes per agent and environment.")]
 Split = Annotated[str, typer.Option(help="Seeds: `test` to report, `tune` while anything is still being chosen.")]
-Level = Annotated[int | None, typer.Option("--level", "-l", help="Level of a servo, 0 to 6.")]
+Level = Annotated[int | None, typer.Option("--level", "-l", help="Level of the environment.")]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", "-s", metavar="KEY=VALUE", help="Argument of the environment; repeatable.")
 ]
