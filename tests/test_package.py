@@ -36,12 +36,16 @@ OPTIONAL = {"torch", "stable_baselines3", "sb3_contrib", "onnx", "pygame", "mujo
 TRAINING = (
     "command",
     "course",
+    "curriculum",
     "curves",
     "encoded_env",
     "export",
     "eyes_training",
+    "jacobian_training",
     "reinforcement",
+    "set_training",
     "student",
+    "supervised",
     "training",
 )
 LEARNED = {"servotrack.baselines.sb3", *(f"servotrack.baselines.learned.{name}" for name in TRAINING)}
