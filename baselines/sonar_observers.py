@@ -12,9 +12,8 @@ from servotrack.baselines.patience import WaitingRows, allocate_patiently, no_ro
 from servotrack.baselines.sonar_trackers import sonar_tracker
 from servotrack.baselines.video_observers import join_scenes, select_scene
 from servotrack.envs.track.sonar.told import SonarModel
-from servotrack.estimators.online import select_rows
+from servotrack.estimators.online import add_axis, select_rows
 from servotrack.estimators.rfs import RowAllocation, SetEstimate
-from servotrack.estimators.rfs.recursion import add_axis
 
 Array = NDArray[np.float64]
 

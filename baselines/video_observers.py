@@ -15,9 +15,8 @@ from servotrack.envs.track.told_video import VideoModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.boxes import DetectThenTrack, RawDetections, set_of_boxes
 from servotrack.estimators.detect import detections_from_boxes
-from servotrack.estimators.online import select_rows
+from servotrack.estimators.online import add_axis, select_rows
 from servotrack.estimators.rfs import RowAllocation, SetEstimate
-from servotrack.estimators.rfs.recursion import add_axis
 
 Array = NDArray[np.float64]
 

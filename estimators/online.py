@@ -28,6 +28,27 @@ def select_rows(mask: NDArray[np.bool_], chosen: State, otherwise: State) -> Sta
     return np.where(mask.reshape(mask.shape + (1,) * (a.ndim - mask.ndim)), a, b)  # type: ignore[return-value]
 
 
+def add_axis(tree: State) -> State:
+    """The same nested NamedTuples with a leading axis of one run."""
+    if isinstance(tree, tuple):
+        return type(tree)(*[add_axis(leaf) for leaf in tree])
+    return np.ascontiguousarray(np.asarray(tree)[None])  # type: ignore[return-value]
+
+
+def first_row(tree: State) -> State:
+    """The same nested NamedTuples of the first run, without the axis."""
+    if isinstance(tree, tuple):
+        return type(tree)(*[first_row(leaf) for leaf in tree])
+    return np.asarray(tree[0])  # type: ignore[index,return-value]
+
+
+def copied(tree: State) -> State:
+    """The same nested NamedTuples with arrays of their own."""
+    if isinstance(tree, tuple):
+        return type(tree)(*[copied(leaf) for leaf in tree])
+    return np.array(tree)  # type: ignore[return-value]
+
+
 class Online:
     """An estimator with its state: `Online(estimator).step(measurement) -> estimate`.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -14,20 +14,15 @@ from servotrack.baselines.learned.card import AgentFileError, LearnedCard, load_
 from servotrack.baselines.learned.contract import Encoding
 from servotrack.baselines.learned.encoding import create_encoding
 from servotrack.baselines.learned.eyes import OnnxEyes
-from servotrack.baselines.learned.jacobian import (
-    ENTRIES,
-    LearnedJacobian,
-    create_learned_servo,
-    jacobian_encoding,
-)
 from servotrack.baselines.learned.network import OnnxNetwork
-from servotrack.baselines.learned.set_prediction import ANSWERS, SetPredictor, SetWindow
 from servotrack.baselines.learned.shipped import shipped_file
 from servotrack.baselines.memory import remembered
 from servotrack.baselines.pixel_servo import PixelServo
 from servotrack.baselines.registry import create_agent
 from servotrack.baselines.servo import JacobianServo
-from servotrack.envs.track.told import SceneModel
+
+if TYPE_CHECKING:
+    from servotrack.baselines.learned.set_prediction import SetPredictor
 
 
 class LearnedState(NamedTuple):
@@ -161,6 +156,13 @@ def create_learned_agent(
 
 def _estimating(file: Path, card: LearnedCard, env: Any) -> JacobianServo:
     """A classical servo whose Jacobian a network estimates."""
+    from servotrack.baselines.learned.jacobian import (
+        ENTRIES,
+        LearnedJacobian,
+        create_learned_servo,
+        jacobian_encoding,
+    )
+
     network = OnnxNetwork(file.parent / card.network, card)
     try:
         encoding, law = jacobian_encoding(card.encoding)
@@ -177,6 +179,10 @@ def _estimating(file: Path, card: LearnedCard, env: Any) -> JacobianServo:
 
 def _predicting_sets(file: Path, card: LearnedCard, env: Any) -> SetPredictor:
     """An observer that asks a network of every measurement."""
+    # The set filters come with it, which servos do not need.
+    from servotrack.baselines.learned.set_prediction import ANSWERS, SetPredictor, SetWindow
+    from servotrack.envs.track.told import SceneModel
+
     network, scene = OnnxNetwork(file.parent / card.network, card), getattr(env.unwrapped, "told", None)
     if not isinstance(scene, SceneModel):
         raise AgentFileError(f"{file} predicts sets of points in clutter, which this environment does not show")

@@ -11,16 +11,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from servotrack.baselines.follow.servo import FollowServo, FollowServoState
 from servotrack.baselines.learned.contract import Encoding, PlainAnswers, Rows
 from servotrack.baselines.learned.eyes import open_eyes
 from servotrack.baselines.learned.servo_encoding import ServoEncoding
-from servotrack.baselines.learned.steering import SteeringEncoding
 from servotrack.baselines.pixel_servo import PIXEL_KEYS, MarkerFeatures, SeenMemory
 from servotrack.baselines.registry import create_agent
 from servotrack.baselines.servo import JacobianServo, servo_measurement
-from servotrack.baselines.track_filters import observer_settings, steered_phd
-from servotrack.envs.track.told import SceneModel
 
 
 @dataclass(frozen=True)
@@ -226,79 +222,14 @@ class ThroughEyes:
         return memory._replace(own=own), action
 
 
-class Following(NamedTuple):
-    """Memory of `BehindFollower`.
-
-    Attributes:
-        follow: Of the classical follower.
-        own: Of the encoding behind it.
-        action: What the classical follower does. Shape (N, actions).
-    """
-
-    follow: FollowServoState
-    own: Any
-    action: Rows
-
-
-@dataclass(frozen=True)
-class BehindFollower:
-    """One person of many: a classical follower decides who it is, the network corrects how it servos on them.
-
-    Attributes:
-        follower: The classical agent.
-        encoding: What is seen of the person.
-    """
-
-    follower: FollowServo
-    encoding: Encoding
-
-    @property
-    def size(self) -> int:
-        """Numbers in a row: those of the encoding, what the follower does, and how long it has seen nobody."""
-        return self.encoding.size + 3
-
-    def answer_space(self, action_space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """As `Encoding.answer_space`."""
-        return self.encoding.answer_space(action_space)
-
-    def initial(self, observation: Any) -> Following:
-        """As `Encoding.initial`."""
-        follow = self.follower.initial(observation)
-        own = self.encoding.initial(self._person(follow, observation))
-        return Following(follow, own, np.zeros(np.shape(observation["joint_angles"]), np.float32))
-
-    def step(self, memory: Following, observation: Any, action: Rows) -> tuple[Following, Rows]:
-        """As `Encoding.step`."""
-        classical, follow = self.follower.predict(observation, memory.follow)
-        own, rows = self.encoding.step(memory.own, self._person(follow, observation), action)
-        unseen = np.log1p(follow.person.unseen)[:, None].astype(np.float32)
-        return Following(follow, own, classical), np.concatenate([rows, classical, unseen], axis=1)
-
-    def act(self, memory: Following, answer: Rows) -> tuple[Following, Rows]:
-        """As `Encoding.act`."""
-        return memory, memory.action + answer
-
-    def _person(self, follow: FollowServoState, observation: Mapping[str, Any]) -> dict[str, Any]:
-        """What a servo would observe of the person, in the camera's pixels."""
-        newest = follow.frame_time >= np.asarray(observation["frame_time"])[:, 0]
-        visible = newest & (follow.person.unseen == 0)
-        return {
-            "joint_angles": observation["joint_angles"],
-            "features": follow.belief,
-            "goal": self.follower.goal(observation),
-            "visible": visible[:, None].astype(np.float64),
-            "frame_time": observation["frame_time"],
-            "time": observation["time"],
-        }
-
-
 def create_encoding(settings: Mapping[str, Any], env: Any, folder: Path | None = None) -> Encoding:
     """The encoding that a card or a file of hyper-parameters describes.
 
     Args:
-        settings: `kind` ("servo", "steering" or "flat"), `frames` to stack, 1 for none, `residual`, the name of a classical servo
-            whose action the network corrects, `eyes`, those that find the marker where images are observed, `follower`,
-            the name of an agent that knows who is to be followed where many are seen, and what the kind takes.
+        settings: `kind` ("servo", "steering" or "flat"), `frames` to stack, 1 for none, `residual`, the name of a
+            classical servo whose action the network corrects, `eyes`, those that find the marker where images are
+            observed, `follower`, the name of an agent that knows who is to be followed where many are seen, and what
+            the kind takes.
         env: A Gymnasium environment or vector environment.
         folder: Where eyes are looked for before they are among the shipped ones.
 
@@ -308,30 +239,19 @@ def create_encoding(settings: Mapping[str, Any], env: Any, folder: Path | None =
     """
     space = getattr(env, "single_observation_space", env.observation_space)
     if "follower" in settings:
-        return _behind_follower(settings, env)
+        # Not before it is wanted: it brings the set filters and OpenCV with it.
+        from servotrack.baselines.learned.following import behind_follower
+
+        behind = {key: value for key, value in settings.items() if key != "follower"}
+        return behind_follower(str(settings["follower"]), env, lambda seen: _of_features(behind, env, seen))
     if "eyes" not in settings:
         return _of_features(settings, env, space)
     if not set(PIXEL_KEYS) <= set(getattr(space, "spaces", ())):
         raise ValueError(f"eyes need the observations {', '.join(PIXEL_KEYS)}, got {space}")
     parts = {key: part for key, part in space.spaces.items() if key != "image"}
     seen = spaces.Dict({**parts, "features": parts["goal"], "visible": spaces.Box(0.0, 1.0, (1,))})
-    behind = _of_features({key: value for key, value in settings.items() if key != "eyes"}, env, seen)
-    return ThroughEyes(MarkerFeatures(open_eyes(str(settings["eyes"]), folder)), behind)
-
-
-def _behind_follower(settings: Mapping[str, Any], env: Any) -> BehindFollower:
-    given = {key: value for key, value in settings.items() if key != "follower"}
-    if given.pop("kind", None) != "servo" or {"eyes", "residual"} & set(given):
-        raise ValueError(f"a follower goes with kind servo, frames, lags and ages, got {dict(settings)!r}")
-    follower = create_agent(str(settings["follower"]), env)
-    if not isinstance(follower, FollowServo):
-        raise ValueError(f"follower must name an agent that follows one person of many, got {settings['follower']!r}")
-    frames = given.pop("frames", 1)
-    try:
-        encoding: Encoding = ServoEncoding(**given)
-    except TypeError as error:
-        raise ValueError(f"a follower goes with kind servo, frames, lags and ages, got {dict(settings)!r}") from error
-    return BehindFollower(follower, encoding if frames == 1 else Stacked(encoding, int(frames)))
+    behind_eyes = _of_features({key: value for key, value in settings.items() if key != "eyes"}, env, seen)
+    return ThroughEyes(MarkerFeatures(open_eyes(str(settings["eyes"]), folder)), behind_eyes)
 
 
 def _of_features(settings: Mapping[str, Any], env: Any, space: spaces.Space[Any]) -> Encoding:
@@ -347,7 +267,9 @@ def _of_features(settings: Mapping[str, Any], env: Any, space: spaces.Space[Any]
     elif kind == "steering":
         if given:
             raise ValueError(f"encoding steering takes kind and frames, got {dict(settings)!r}")
-        encoding = _steering(env)
+        from servotrack.baselines.learned.steering import create_steering
+
+        encoding = create_steering(env)
     elif kind == "flat":
         if given:
             raise ValueError(f"encoding flat takes kind, frames and residual, got {dict(settings)!r}")
@@ -362,12 +284,3 @@ def _of_features(settings: Mapping[str, Any], env: Any, space: spaces.Space[Any]
     if not isinstance(servo, JacobianServo):
         raise ValueError(f"residual must name a classical servo of features, got {residual!r}")
     return Residual(encoding, servo)
-
-
-def _steering(env: Any) -> SteeringEncoding:
-    """A steered filter for a world of points in clutter."""
-    scene = getattr(env.unwrapped, "told", None)
-    if not isinstance(scene, SceneModel):
-        raise ValueError(f"encoding steering reads scans of points in clutter, which {env.unwrapped} does not give")
-    rows = getattr(env, "single_action_space", env.action_space).shape[0]
-    return SteeringEncoding(steered_phd(scene, observer_settings(rows)), rows, scene.clutter_rate)

@@ -17,7 +17,7 @@ from servotrack.baselines import seeds as seed_ranges
 from servotrack.baselines.learned.course import Course, TrainingTask
 from servotrack.baselines.learned.export import Exportable
 from servotrack.baselines.learned.eyes import IMAGE, PLACE, SEEN
-from servotrack.baselines.learned.supervised import descend, own_settings, take_turns
+from servotrack.baselines.learned.supervised import descend, prepare, take_turns
 
 STRIDE = 2
 """Pixels of the image to one of the map."""
@@ -91,7 +91,7 @@ def teach_eyes(course: Course) -> None:
         ResultsError: The checkpoint does not fit the hyper-parameters.
         ValueError: The environment gives no images, or a hyper-parameter is unknown.
     """
-    own = own_settings(EyesSettings, course)
+    own = prepare(EyesSettings, course)
     task, settings = course.task, course.task.settings
     if task.env_id != "UncalibServoPixels-v0":
         raise ValueError(f"eyes learn in UncalibServoPixels-v0, got {task.env_id}")

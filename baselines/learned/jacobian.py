@@ -16,7 +16,7 @@ from servotrack.baselines.servo_agents import LAWS
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState, present_estimate
 from servotrack.estimators.jacobian.contract import Array, LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.controller import ServoController
-from servotrack.estimators.rfs.recursion import add_axis, first_row
+from servotrack.estimators.online import add_axis, first_row
 
 ENTRIES = 6
 """Numbers of the network's answer: two image coordinates, turned, by two joints and time."""

@@ -6,11 +6,8 @@ from dataclasses import dataclass
 from itertools import cycle
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 import torch
-from gymnasium.vector import AutoresetMode
-from torch import nn
 
 from servotrack.baselines.learned.contract import Rows
 from servotrack.baselines.learned.course import Course
@@ -23,7 +20,15 @@ from servotrack.baselines.learned.jacobian import (
     jacobian_encoding,
     turning,
 )
-from servotrack.baselines.learned.supervised import descend, lesson_seeds, own_settings, take_turns
+from servotrack.baselines.learned.supervised import (
+    RecurrentNetwork,
+    descend,
+    explored,
+    lesson_seeds,
+    prepare,
+    servo_lessons,
+    take_turns,
+)
 from servotrack.baselines.registry import create_agent
 from servotrack.envs.servo.world import ServoWorld
 
@@ -51,7 +56,7 @@ class JacobianSettings:
     floor: float = 0.05
 
 
-class JacobianNetwork(nn.Module):
+class JacobianNetwork(RecurrentNetwork):
     """A recurrent network from rows to the entries of a Jacobian.
 
     Args:
@@ -60,27 +65,11 @@ class JacobianNetwork(nn.Module):
     """
 
     def __init__(self, size: int, hidden: int) -> None:
-        super().__init__()
-        self.entry = nn.Sequential(nn.Linear(size, hidden), nn.ReLU())
-        self.memory = nn.GRU(hidden, hidden, batch_first=True)
-        self.head = nn.Sequential(nn.Linear(hidden + size, hidden), nn.ReLU(), nn.Linear(hidden, ENTRIES))
-
-    def entries(self, rows: torch.Tensor, carried: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-        """Of whole sequences.
-
-        Args:
-            rows: Shape (N, T, size).
-            carried: Shape (1, N, hidden); None at the beginning.
-
-        Returns:
-            Shape (N, T, 6), and what is carried on.
-        """
-        remembered, carried = self.memory(self.entry(rows), carried)
-        return self.head(torch.cat([remembered, rows], -1)), carried
+        super().__init__(size, hidden, ENTRIES)
 
     def forward(self, observation: torch.Tensor, memory: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """One step, as it is exported: from rows (N, size) and memory (N, hidden) to entries and memory."""
-        answer, carried = self.entries(observation[:, None], memory[None])
+        answer, carried = self.answers(observation[:, None], memory[None])
         return answer[:, 0], carried[0]
 
 
@@ -109,17 +98,9 @@ def teach_jacobian(course: Course) -> None:
         ResultsError: The checkpoint does not fit the hyper-parameters.
         ValueError: The environment is no servo of features, or a hyper-parameter is unknown.
     """
-    own = own_settings(JacobianSettings, course)
+    own = prepare(JacobianSettings, course)
     task, settings = course.task, course.task.settings
-    env: Any = gym.make_vec(
-        task.env_id,
-        num_envs=settings.n_envs,
-        vectorization_mode="vector_entry_point",
-        autoreset_mode=AutoresetMode.SAME_STEP,
-        **task.env_kwargs,
-    )
-    if type(getattr(env.unwrapped, "world", None)) is not ServoWorld:
-        raise ValueError(f"a Jacobian is learned in servo worlds with features only, got {task.env_id}")
+    env = servo_lessons(task)
     encoding, law = jacobian_encoding(settings.encoding)
     network = JacobianNetwork(encoding.size, own.hidden)
     optimizer = torch.optim.Adam(network.parameters())
@@ -174,10 +155,7 @@ def _servo(
         rows[:, k], counted[:, k] = learned.rows, alive
         turned = turning(learned.encoding, np.asarray(observation["joint_angles"], np.float64)) @ true
         entries[:, k] = (turned / USUAL).reshape(count, ENTRIES)
-        if noise > 0.0:
-            size = 0.1 + np.abs(action).max(axis=1, keepdims=True)
-            action = action + (noise * size * explore.normal(size=action.shape)).astype(np.float32)
-        observation, _, terminated, truncated, _ = env.step(np.clip(action, -1.0, 1.0))
+        observation, _, terminated, truncated, _ = env.step(explored(action, noise, explore))
         started = terminated | truncated
         alive &= ~started
     return Records(*(torch.from_numpy(part) for part in (rows, entries, counted)))
@@ -188,7 +166,7 @@ def _learn(network: JacobianNetwork, optimizer: torch.optim.Optimizer, records: 
     for _ in range(own.n_epochs):
         for batch in torch.randperm(len(records.rows)).split(own.batch_size):
             part = Records(*(tensor[batch] for tensor in records))
-            answer, _ = network.entries(part.rows)
+            answer, _ = network.answers(part.rows)
             # By joints and by time each, relative to how large they are.
             wrong, true = ((x.unflatten(-1, (2, 3))) for x in (answer - part.entries, part.entries))
             by_joints = (wrong[..., :2] ** 2).sum((-2, -1)) / (true[..., :2] ** 2).sum((-2, -1)).clamp(min=0.01)

@@ -1,4 +1,4 @@
-"""An observer without a filter: every recent measurement is asked whether it is a target's, and where that one is now."""
+"""An observer without a filter: each recent measurement is asked whether it is a target's, and where that one is."""
 
 from __future__ import annotations
 

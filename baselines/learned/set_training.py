@@ -24,7 +24,7 @@ from servotrack.baselines.learned.set_prediction import (
     ask,
     sensor_of,
 )
-from servotrack.baselines.learned.supervised import descend, lesson_seeds, own_settings, take_turns
+from servotrack.baselines.learned.supervised import descend, lesson_seeds, prepare, take_turns
 from servotrack.envs.track.episode import draw_episode
 from servotrack.envs.track.told import SceneModel
 
@@ -112,7 +112,7 @@ def teach_sets(course: Course) -> None:
         ResultsError: The checkpoint does not fit the hyper-parameters.
         ValueError: The environment shows no points in clutter, or a hyper-parameter is unknown.
     """
-    own = own_settings(SetSettings, course)
+    own = prepare(SetSettings, course)
     task, settings = course.task, course.task.settings
     env: Any = gym.make(task.env_id, **task.env_kwargs).unwrapped
     if not isinstance(getattr(env, "told", None), SceneModel):

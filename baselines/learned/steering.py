@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from servotrack.baselines.observers import POSITION
 from servotrack.baselines.patience import WaitingRows, allocate_patiently, no_rows
+from servotrack.baselines.track_filters import observer_settings, steered_phd
+from servotrack.envs.track.told import SceneModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.rfs import RowAllocation
 from servotrack.estimators.rfs.steered import SteeredPHD, SteeredState, Steering
@@ -147,3 +149,16 @@ def _log_odds(probability: float) -> float:
 def _scan(observation: Any) -> Array:
     whole = observation[OBSERVATION_KEY] if isinstance(observation, Mapping) else observation
     return np.asarray(whole, np.float64)
+
+
+def create_steering(env: Any) -> SteeringEncoding:
+    """A steered filter for a world of points in clutter.
+
+    Raises:
+        ValueError: The environment is none.
+    """
+    scene = getattr(env.unwrapped, "told", None)
+    if not isinstance(scene, SceneModel):
+        raise ValueError(f"encoding steering reads scans of points in clutter, which {env.unwrapped} does not give")
+    rows = getattr(env, "single_action_space", env.action_space).shape[0]
+    return SteeringEncoding(steered_phd(scene, observer_settings(rows)), rows, scene.clutter_rate)

@@ -6,17 +6,22 @@ from dataclasses import dataclass
 from itertools import cycle
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 import torch
-from gymnasium.vector import AutoresetMode
-from torch import nn
 
-from servotrack.baselines.learned.course import Course
 from servotrack.baselines.learned.contract import Encoding
+from servotrack.baselines.learned.course import Course
 from servotrack.baselines.learned.encoding import create_encoding
 from servotrack.baselines.learned.export import exportable_policy
-from servotrack.baselines.learned.supervised import descend, lesson_seeds, own_settings, take_turns
+from servotrack.baselines.learned.supervised import (
+    RecurrentNetwork,
+    descend,
+    explored,
+    lesson_seeds,
+    prepare,
+    servo_lessons,
+    take_turns,
+)
 from servotrack.envs.servo.episode import LEAD
 from servotrack.envs.servo.targets import PERIOD
 from servotrack.envs.servo.world import ServoWorld
@@ -49,7 +54,7 @@ class StudentSettings:
     scale: float = 0.005
 
 
-class StudentNetwork(nn.Module):
+class StudentNetwork(RecurrentNetwork):
     """A recurrent network whose answer is a matrix times the turned error and a feed-forward.
 
     For small errors it so answers in proportion, with a gain that depends on what it has seen.
@@ -61,11 +66,8 @@ class StudentNetwork(nn.Module):
     """
 
     def __init__(self, size: int, hidden: int, residual: bool) -> None:
-        super().__init__()
+        super().__init__(size, hidden, 2 * ERRORS + 2)
         self.residual = residual
-        self.entry = nn.Sequential(nn.Linear(size, hidden), nn.ReLU())
-        self.memory = nn.GRU(hidden, hidden, batch_first=True)
-        self.head = nn.Sequential(nn.Linear(hidden + size, hidden), nn.ReLU(), nn.Linear(hidden, 2 * ERRORS + 2))
         last: Any = self.head[-1]
         with torch.no_grad():
             last.weight *= 0.01 if residual else 0.1
@@ -81,8 +83,7 @@ class StudentNetwork(nn.Module):
         Returns:
             Shape (N, T, 2), and what is carried on.
         """
-        remembered, carried = self.memory(self.entry(rows), carried)
-        answer = self.head(torch.cat([remembered, rows], -1))
+        answer, carried = self.answers(rows, carried)
         gain = answer[..., : 2 * ERRORS].unflatten(-1, (2, ERRORS))
         action = 2.0 * (gain * rows[..., None, :ERRORS]).sum(-1) + answer[..., 2 * ERRORS :]
         if self.residual:
@@ -129,17 +130,9 @@ def teach(course: Course) -> None:
         ResultsError: The checkpoint does not fit the hyper-parameters.
         ValueError: The environment is no servo of features, or a hyper-parameter is unknown.
     """
-    own = own_settings(StudentSettings, course)
+    own = prepare(StudentSettings, course)
     task, settings = course.task, course.task.settings
-    env: Any = gym.make_vec(
-        task.env_id,
-        num_envs=settings.n_envs,
-        vectorization_mode="vector_entry_point",
-        autoreset_mode=AutoresetMode.SAME_STEP,
-        **task.env_kwargs,
-    )
-    if type(getattr(env.unwrapped, "world", None)) is not ServoWorld:
-        raise ValueError(f"a student learns in servo worlds with features only, got {task.env_id}")
+    env = servo_lessons(task)
     encoding = create_encoding(settings.encoding, env)
     network = StudentNetwork(encoding.size, own.hidden, residual="residual" in settings.encoding)
     optimizer = torch.optim.Adam(network.parameters())
@@ -184,10 +177,7 @@ def _act(
         with torch.no_grad():
             chosen, carried = network.actions(torch.from_numpy(rows[:, k : k + 1]), carried)
         action = chosen[:, 0].numpy()
-        if noise > 0.0:
-            size = 0.1 + np.abs(action).max(axis=1, keepdims=True)
-            action = action + (noise * size * explore.normal(size=action.shape)).astype(np.float32)
-        action = np.clip(action, -1.0, 1.0)
+        action = explored(action, noise, explore)
         observation, _, terminated, truncated, _ = env.step(action)
         ended = terminated | truncated
         if ended.any():

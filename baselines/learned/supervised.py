@@ -5,19 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+import gymnasium as gym
+import numpy as np
 import torch
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
 from torch import nn
 
 from servotrack.baselines import seeds as seed_ranges
 from servotrack.baselines.learned.course import Course, TrainingTask
 from servotrack.baselines.learned.export import Exportable
 from servotrack.baselines.learned.settings import schedule
+from servotrack.envs.servo.world import ServoWorld
 
 Settings = TypeVar("Settings")
 
 
-def own_settings(kind: type[Settings], course: Course) -> Settings:
-    """Hyper-parameters of a training, and torch as it needs it: one thread, random numbers of its own.
+def prepare(kind: type[Settings], course: Course) -> Settings:
+    """Give torch one thread and this run's random numbers, and read the training's own hyper-parameters.
 
     Raises:
         ValueError: A hyper-parameter that this training does not take.
@@ -29,6 +34,62 @@ def own_settings(kind: type[Settings], course: Course) -> Settings:
         return kind(**settings.hyper_parameters)
     except TypeError as error:
         raise ValueError(f"{settings.algorithm} does not take these hyper-parameters: {error}") from error
+
+
+def servo_lessons(task: TrainingTask) -> Any:
+    """The vector environment of a training whose teacher knows a servo's world.
+
+    Raises:
+        ValueError: The environment is no servo of features.
+    """
+    env = gym.make_vec(
+        task.env_id,
+        num_envs=task.settings.n_envs,
+        vectorization_mode="vector_entry_point",
+        autoreset_mode=AutoresetMode.SAME_STEP,
+        **task.env_kwargs,
+    )
+    if type(getattr(env.unwrapped, "world", None)) is not ServoWorld:
+        env.close()
+        raise ValueError(f"{task.settings.algorithm} learns in servo worlds with features only, got {task.env_id}")
+    return env
+
+
+def explored(action: NDArray[np.float32], noise: float, chance: np.random.Generator) -> NDArray[np.float32]:
+    """Actions within [-1, 1] with noise relative to their size. Shape (N, n)."""
+    if noise > 0.0:
+        size = 0.1 + np.abs(action).max(axis=1, keepdims=True)
+        action = action + (noise * size * chance.normal(size=action.shape)).astype(np.float32)
+    return np.clip(action, -1.0, 1.0)
+
+
+class RecurrentNetwork(nn.Module):
+    """A gated recurrent layer, and a head that sees what is remembered beside the newest row.
+
+    Args:
+        size: Numbers in a row.
+        hidden: Numbers that it carries.
+        answers: Numbers in an answer.
+    """
+
+    def __init__(self, size: int, hidden: int, answers: int) -> None:
+        super().__init__()
+        self.entry = nn.Sequential(nn.Linear(size, hidden), nn.ReLU())
+        self.memory = nn.GRU(hidden, hidden, batch_first=True)
+        self.head = nn.Sequential(nn.Linear(hidden + size, hidden), nn.ReLU(), nn.Linear(hidden, answers))
+
+    def answers(self, rows: torch.Tensor, carried: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
+        """Answers to whole sequences.
+
+        Args:
+            rows: Shape (N, T, size).
+            carried: Shape (1, N, hidden); None at the beginning.
+
+        Returns:
+            Shape (N, T, answers), and what is carried on.
+        """
+        remembered, carried = self.memory(self.entry(rows), carried)
+        return self.head(torch.cat([remembered, rows], -1)), carried
 
 
 def lesson_seeds(task: TrainingTask, steps: int) -> list[int]:

@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtri
 
+from servotrack.estimators.online import add_axis, first_row
 from servotrack.estimators.rfs.birth import state_from_measurement
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, predict_components
 from servotrack.estimators.rfs.models import TargetModel
-from servotrack.estimators.rfs.recursion import add_axis, check_sound, first_row
+from servotrack.estimators.rfs.recursion import check_sound
 from servotrack.estimators.rfs.sets import (
     SetEstimate,
     check_runs,

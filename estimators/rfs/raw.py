@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from servotrack.estimators.online import add_axis, first_row
 from servotrack.estimators.rfs.birth import state_from_measurement
 from servotrack.estimators.rfs.models import TargetModel
-from servotrack.estimators.rfs.recursion import add_axis, first_row
 from servotrack.estimators.rfs.sets import (
     Extraction,
     SetEstimate,

@@ -6,12 +6,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
+from servotrack.estimators.online import add_axis, first_row
 from servotrack.estimators.rfs.birth import Birth, BirthMixture, MeasurementBirth, Spawn, pack_spawns
 from servotrack.estimators.rfs.extraction import RULES, Rule
 from servotrack.estimators.rfs.mixture import Mixture
@@ -28,7 +29,6 @@ from servotrack.estimators.rfs.sets import (
 Array = NDArray[np.float64]
 Probability = float | Callable[[Array], Array]
 """A constant in [0, 1], or a function of states (k, n) that returns (k,)."""
-Tree = TypeVar("Tree")
 
 GATE_SHARE = 0.01
 """Share of the missed detections that the default gate may add to them."""
@@ -201,24 +201,3 @@ def check_sound(sound: bool) -> None:
             "a predicted measurement covariance is not positive definite; check the condition of the model's "
             "process_noise, measurement_noise and the birth covariances"
         )
-
-
-def add_axis(tree: Tree) -> Tree:
-    """The same nested NamedTuples with a leading axis of one run."""
-    if isinstance(tree, tuple):
-        return type(tree)(*[add_axis(leaf) for leaf in tree])
-    return np.ascontiguousarray(np.asarray(tree)[None])  # type: ignore[return-value]
-
-
-def first_row(tree: Tree) -> Tree:
-    """The same nested NamedTuples of the first run, without the axis."""
-    if isinstance(tree, tuple):
-        return type(tree)(*[first_row(leaf) for leaf in tree])
-    return np.asarray(tree[0])  # type: ignore[index,return-value]
-
-
-def copied(tree: Tree) -> Tree:
-    """The same nested NamedTuples with arrays of their own."""
-    if isinstance(tree, tuple):
-        return type(tree)(*[copied(leaf) for leaf in tree])
-    return np.array(tree)  # type: ignore[return-value]

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from servotrack.estimators.online import add_axis, copied, first_row
 from servotrack.estimators.rfs.birth import Birth
 from servotrack.estimators.rfs.models import HiddenMarkovModel, RangeBearingModel
 from servotrack.estimators.rfs.particles import (
@@ -19,7 +20,6 @@ from servotrack.estimators.rfs.particles import (
     resample_systematically,
     weigh_particles,
 )
-from servotrack.estimators.rfs.recursion import add_axis, copied, first_row
 from servotrack.estimators.rfs.sets import (
     Extraction,
     SetEstimate,

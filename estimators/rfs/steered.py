@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from servotrack.estimators.online import add_axis, first_row
 from servotrack.estimators.rfs.birth import Birth, BirthMixture, MeasurementBirth
 from servotrack.estimators.rfs.phd import GMPHD, PHDState
-from servotrack.estimators.rfs.recursion import add_axis, first_row
 from servotrack.estimators.rfs.sets import SetEstimate, check_runs, estimate_from_extraction, read_measurements
 
 Array = NDArray[np.float64]

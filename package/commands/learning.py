@@ -23,7 +23,10 @@ from servotrack.commands.terms import (
 def train(
     env: Annotated[str, typer.Argument(help="Gymnasium id with a vector environment of its own.")],
     algo: Annotated[
-        str, typer.Option(help="ppo, a2c, sac, td3, recurrent_ppo, tqc, student, jacobian, set, or a recipe's name in the file.")
+        str,
+        typer.Option(
+            help="ppo, a2c, sac, td3, recurrent_ppo, tqc, student, jacobian, set, or a recipe's name in the file."
+        ),
     ] = "ppo",
     level: Level = None,
     settings: Settings = None,

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.baselines.learned.encoding import BehindFollower, create_encoding
+from servotrack.baselines.learned.encoding import create_encoding
+from servotrack.baselines.learned.following import BehindFollower
 from servotrack.baselines.registry import create_agent
 
 SETTINGS: dict[str, Any] = {"kind": "servo", "lags": [1, 2], "follower": "phd-servo"}
@@ -21,12 +22,17 @@ def environment(count: int = 3, **arguments: Any) -> Any:
     )
 
 
-def test_without_a_correction_it_does_what_the_follower_does() -> None:
+def started() -> tuple[Any, BehindFollower, Any, Any, Any]:
+    """Three episodes before their first step: environment, encoding, observation, memory and no action yet."""
     env = environment()
     encoding = create_encoding(SETTINGS, env)
     assert isinstance(encoding, BehindFollower)
     observation, _ = env.reset(seed=[100_000, 100_001, 100_002])
-    memory, action = encoding.initial(observation), np.zeros((3, 2), np.float32)
+    return env, encoding, observation, encoding.initial(observation), np.zeros((3, 2), np.float32)
+
+
+def test_without_a_correction_it_does_what_the_follower_does() -> None:
+    env, encoding, observation, memory, action = started()
     classical, state = create_agent("phd-servo", env), None
     for _ in range(25):
         memory, rows = encoding.step(memory, observation, action)
@@ -40,11 +46,7 @@ def test_without_a_correction_it_does_what_the_follower_does() -> None:
 
 
 def test_what_it_sees_of_the_person_is_what_a_servo_would_see() -> None:
-    env = environment()
-    encoding = create_encoding(SETTINGS, env)
-    assert isinstance(encoding, BehindFollower)
-    observation, _ = env.reset(seed=[100_000, 100_001, 100_002])
-    memory, action = encoding.initial(observation), np.zeros((3, 2), np.float32)
+    env, encoding, observation, memory, action = started()
     for _ in range(10):
         memory, rows = encoding.step(memory, observation, action)
         _, action = encoding.act(memory, action)
@@ -59,13 +61,23 @@ def test_what_it_sees_of_the_person_is_what_a_servo_would_see() -> None:
     assert np.allclose(np.hypot(*rows[visible, :2].T), np.hypot(*error[visible].T) / 100.0, atol=1e-4)
 
 
+def test_features_of_the_person_may_be_read_flat() -> None:
+    env = environment()
+    encoding = create_encoding({"kind": "flat", "follower": "phd-servo"}, env)
+    observation, _ = env.reset(seed=[100_000, 100_001, 100_002])
+    _, rows = encoding.step(encoding.initial(observation), observation, np.zeros((3, 2), np.float32))
+    # Behind features, frame time and goal: angles from -2 pi to 2 pi, scaled by their own bounds and no others.
+    assert np.allclose(rows[:, 5:7], observation["joint_angles"] / (2.0 * np.pi), atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
         ({**SETTINGS, "follower": "kf"}, "choose|PedestrianServo|needs an environment"),
-        ({**SETTINGS, "kind": "flat"}, "a follower goes with kind servo"),
-        ({**SETTINGS, "residual": "kf"}, "a follower goes with kind servo"),
-        ({**SETTINGS, "colors": 3}, "a follower goes with kind servo"),
+        ({**SETTINGS, "kind": "steering"}, "encoding steering takes"),
+        ({"kind": "steering", "follower": "phd-servo"}, "reads scans of points in clutter"),
+        ({**SETTINGS, "residual": "kf"}, "choose|PedestrianServo|needs an environment"),
+        ({**SETTINGS, "colors": 3}, "encoding servo takes"),
         ({**SETTINGS, "follower": "random"}, "follower must name an agent that follows"),
     ],
 )
