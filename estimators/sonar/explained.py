@@ -130,18 +130,18 @@ class PowerFit(NamedTuple):
     right: Array
 
     @classmethod
-    def of(cls, rows: Array, patterns: Array, presence: Array, variance: Array) -> PowerFit:
+    def of(cls, excess: Array, patterns: Array, presence: Array, variance: Array) -> PowerFit:
         """Weighted least squares.
 
         Args:
-            rows: Normalized beam powers. Shape (T, beams).
+            excess: Normalized beam powers above noise and all other targets. Shape (T, beams).
             patterns: Of each target. Shape (L, T, beams).
             presence: Probability that the target is there. Shape (L, T).
             variance: Of the beam powers. Shape (T, beams).
         """
         L, T = presence.shape
         fit = cls(np.empty((T, L, L)), np.empty((T, L)))
-        _normal_equations(rows, patterns, presence, SHARED * variance, fit.normal, fit.right)
+        _normal_equations(excess, patterns, presence, SHARED * variance, fit.normal, fit.right)
         return fit
 
     def powers(self, expected: Array, spread: Array) -> Array:
@@ -223,18 +223,18 @@ def largest_near(values, reach, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _normal_equations(rows, patterns, presence, variance, normal, right):  # type: ignore[no-untyped-def]
+def _normal_equations(excess, patterns, presence, variance, normal, right):  # type: ignore[no-untyped-def]
     """See `PowerFit.of`."""
     count, length, beams = patterns.shape
     weighted = np.empty(beams)
     for k in range(length):
-        row, spread = rows[k], variance[k]
+        row, spread = excess[k], variance[k]
         for a in range(count):
             one, there = patterns[a, k], presence[a, k]
             total = 0.0
             for i in range(beams):
                 weighted[i] = there * one[i] / spread[i]
-                total += weighted[i] * (row[i] - 1.0)
+                total += weighted[i] * row[i]
             right[k, a] = total
             for b in range(a + 1):
                 other = patterns[b, k]

@@ -162,7 +162,7 @@ class Together:
             return False
         changed = False
         for _ in range(MOST_EXCHANGES):
-            others = [self.explained(chain) for chain in self.chains]
+            others = [self.explained([chain]) for chain in self.chains]
             if not untangle(self.chains, self.tracker.patterns, self.rows, others, self.tracker.looks):
                 break
             changed = True
@@ -171,28 +171,30 @@ class Together:
             self.sweep(1)
         return changed
 
-    def explained(self, but: Followed | None = None) -> Array:
-        """Mean beam powers by noise and all chains but one. Shape (T, beams)."""
+    def explained(self, but: Sequence[Followed] = ()) -> Array:
+        """Mean beam powers by noise and all chains but some. Shape (T, beams)."""
         mean = np.ones_like(self.rows)
         for chain in self.chains:
-            if chain is not but:
+            if chain not in but:
                 add_pattern(mean, chain.presence * chain.power, chain.pattern)
         return mean
 
     def fit(self, some: Sequence[Followed] | None = None) -> None:
-        """Powers of all chains together, what is expected of them, and the spectra of all or some."""
-        if self.tracker.likelihood == "cell" or not self.chains:
+        """Powers, what is expected of them, and spectra, of all chains or of some together; others stay as they are."""
+        chains = [chain for chain in self.chains if some is None or chain in some]
+        if self.tracker.likelihood == "cell" or not chains:
             return
-        tracker, chains = self.tracker, self.chains
+        tracker = self.tracker
         there = np.array([chain.presence for chain in chains])
-        alone = self._alone(there)
+        alone = np.array([self._alone(chain) for chain in chains])
         patterns = np.array([chain.pattern for chain in chains])
         least = tracker.weakest / np.sqrt(tracker.averages)
         unknown = np.zeros_like(there), np.full_like(there, 1e3 * self.rows.max())
+        excess = self.rows - self.explained(chains)
         mean = self.explained()
         for _ in range(2):
             variance = variance_of(mean, tracker.averages, 0.3 * tracker.model_error, tracker.misplaced // 2)
-            powers = PowerFit.of(self.rows, patterns, there, variance)
+            powers = PowerFit.of(excess, patterns, there, variance)
             free = powers.powers(*unknown)
             usual = np.array([_running_median(p, use) for p, use in zip(free, alone, strict=True)])
             usual = np.maximum(usual, least)
@@ -202,22 +204,21 @@ class Together:
                 chain.power = np.where(there[i] > SURE, power[i], usual[i])
             mean = self.explained()
         cosines = np.cos(np.radians(tracker.looks))
-        for i, chain in enumerate(chains):
-            use = alone[i]
-            if use.sum() >= FEWEST and (some is None or chain in some):
-                excess = (self.rows - self.explained(chain))[use]
+        for chain, use in zip(chains, alone, strict=True):
+            if use.sum() >= FEWEST:
+                left = (self.rows - self.explained([chain]))[use]
                 chain.mixture = tracker.patterns.fit(
-                    excess, variance[use], cosines, chain.bearings[use], np.maximum(chain.power[use], least)
+                    left, variance[use], cosines, chain.bearings[use], np.maximum(chain.power[use], least)
                 )
 
-    def _alone(self, there: Array) -> NDArray[np.bool_]:
-        """Rows in which each chain's target is there and no other is too near to be told from it."""
-        cosines = np.cos(np.radians([chain.bearings for chain in self.chains]))
-        alone = there > SURE
-        for i in range(len(self.chains)):
-            for j in range(len(self.chains)):
-                if i != j:
-                    alone[i] &= ~((there[j] > SURE) & (np.abs(cosines[i] - cosines[j]) < APART))
+    def _alone(self, chain: Followed) -> NDArray[np.bool_]:
+        """Rows in which a chain's target is there and no other is too near to be told from it."""
+        cosines = np.cos(np.radians(chain.bearings))
+        alone = chain.presence > SURE
+        for other in self.chains:
+            if other is not chain:
+                apart = np.abs(cosines - np.cos(np.radians(other.bearings)))
+                alone &= ~((other.presence > SURE) & (apart < APART))
         return alone
 
     def _explain(self, chain: Followed) -> None:
@@ -247,7 +248,7 @@ class Together:
 
     def _row(self, chain: Followed) -> Array:
         scores = self.tracker.scores
-        power, variance = scores.evaluate(self.whitened, self.explained(chain), scores.template(chain.mixture))
+        power, variance = scores.evaluate(self.whitened, self.explained([chain]), scores.template(chain.mixture))
         if chain.expected is None:
             return unknown_power(power, variance)
         return known_power(power, variance, chain.expected, self.tracker.power_spread)
