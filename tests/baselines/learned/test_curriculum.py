@@ -82,7 +82,7 @@ def test_curricula_that_nobody_can_use_are_refused(curriculum: Any) -> None:
         TrainingSettings("student", "student", curriculum=((2,),), **fields)
 
 
-def test_a_network_steers_a_filter_as_well_as_the_filter_is_told(tmp_path: Path) -> None:
+def test_even_little_steering_finds_targets_that_appear_where_the_filter_was_not_told(tmp_path: Path) -> None:
     settings = TrainingSettings(
         "steering", "ppo", n_envs=6, n_timesteps=300, measurements=1, encoding={"kind": "steering"},
         curriculum=((5, 6, 7),), hyper_parameters={"n_steps": 25, "batch_size": 50},
