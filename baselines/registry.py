@@ -157,6 +157,7 @@ _CARDS = (
     ),
     _observer("gm-phd", "Gaussian-mixture PHD filter, pairwise Markov where the noises depend on each other", **_SETS),
     _observer("gm-phd-hmm", "Gaussian-mixture PHD filter that takes the noises for independent"),
+    _observer("gm-phd-anywhere", "the same filter, that also expects a few births anywhere", in_default_suite=False),
     _observer(
         "gm-phd-counting",
         "the same filter, its detection probability and clutter from what it counts, births anywhere",

@@ -20,7 +20,7 @@ from servotrack.estimators.rfs import (
     RawMeasurements,
     Reduction,
 )
-from servotrack.estimators.rfs.steered import CountingPHD, SteeredPHD
+from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD
 
 SMALLEST_CAPACITY = 100
 """Components of a PHD and tracks of a multi-Bernoulli are capped at this, or at five times the most targets."""
@@ -90,6 +90,10 @@ def steered_phd(scene: SceneModel, settings: FilterSettings | None = None) -> St
     return SteeredPHD(made, MeasurementBirth(1.0, deviation, largest=1.0))
 
 
+def _anywhere(scene: SceneModel, settings: FilterSettings) -> SteadyPHD:
+    return SteadyPHD(steered_phd(scene, settings))
+
+
 def _counting(scene: SceneModel, settings: FilterSettings) -> CountingPHD:
     return CountingPHD(steered_phd(scene, settings), scene.clutter_rate)
 
@@ -126,6 +130,7 @@ def _raw(scene: SceneModel, settings: FilterSettings) -> RawMeasurements:
 
 TRACK_FILTERS: Mapping[str, Callable[[SceneModel, FilterSettings], Any]] = {
     "gm-phd": _gaussian(GMPHD, lambda capacity: Reduction(components=capacity)),
+    "gm-phd-anywhere": _anywhere,
     "gm-phd-counting": _counting,
     "gm-cbmember": _gaussian(GMCBMeMBer, lambda capacity: Reduction(components=10, tracks=capacity)),
     "pmb": _gaussian(PMB, lambda capacity: Reduction(components=5, tracks=capacity)),

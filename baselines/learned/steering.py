@@ -16,7 +16,7 @@ from servotrack.baselines.track_filters import observer_settings, steered_phd
 from servotrack.envs.track.told import SceneModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.rfs import RowAllocation
-from servotrack.estimators.rfs.steered import SteeredPHD, SteeredState, Steering
+from servotrack.estimators.rfs.steered import SteadyPHD, SteeredPHD, SteeredState, Steering, told_detection
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.float32]
@@ -25,8 +25,8 @@ KNOBS = 3
 """Numbers of the network's answer, each in [-1, 1]."""
 DETECTION_REACH, CLUTTER_REACH, BIRTHS_REACH = 4.0, 2.5, 5.0
 """What an answer of 1 adds to the log odds of p_D, to the logarithm of the clutter and to that of the births."""
-USUAL_BIRTHS = 1e-3
-"""Expected births where measurements are unexplained, for an answer of 0."""
+USUAL_BIRTHS = SteadyPHD.births
+"""Expected births where measurements are unexplained, for an answer of 0: who answers 0 is `SteadyPHD`."""
 MEMORIES = (4.0, 30.0)
 """Scans after which counts weigh 1/e."""
 COUNTS = 4
@@ -109,7 +109,6 @@ class SteeringEncoding:
         means = memory.sums[..., :COUNTS] / np.maximum(seen, 1e-9)
         shares = (memory.sums[..., 1:2] + 1e-3) / (memory.sums[..., 0:1] + 1e-3)
         faded = np.concatenate([np.log1p(means), np.minimum(shares, 2.0)], axis=-1)
-        told = float(self.steered.filter.detection)  # type: ignore[arg-type]
         count = len(scan)
         parts = [
             np.log1p(scan[..., 0].sum(axis=-1))[:, None],
@@ -117,7 +116,7 @@ class SteeringEncoding:
             faded.reshape(count, -1),
             memory.answer,
             np.full((count, 1), np.log(self.clutter_rate)),
-            np.full((count, 1), 0.5 * _log_odds(told)),
+            np.full((count, 1), 0.5 * _log_odds(told_detection(self.steered))),
             np.minimum(memory.scans / PERIODS, 2.0)[:, None],
         ]
         return memory._replace(scan=scan), np.concatenate(parts, axis=1).astype(np.float32)
@@ -134,7 +133,7 @@ class SteeringEncoding:
 
     def steering(self, knobs: Array) -> Steering:
         """Parameters that an answer means, shape (N, 3); 0 is what was told."""
-        odds = _log_odds(float(self.steered.filter.detection)) + DETECTION_REACH * knobs[:, 0]  # type: ignore[arg-type]
+        odds = _log_odds(told_detection(self.steered)) + DETECTION_REACH * knobs[:, 0]
         return Steering(
             np.minimum(1.0 / (1.0 + np.exp(-odds)), 0.9999),
             np.exp(CLUTTER_REACH * knobs[:, 1]),

@@ -29,7 +29,7 @@ from servotrack.estimators.rfs.raw import RawMeasurements
 from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
 from servotrack.estimators.rfs.smc_phd import ParticlePHD
-from servotrack.estimators.rfs.steered import CountingPHD, SteeredPHD, Steering
+from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD, Steering
 
 __all__ = [
     "GMPHD",
@@ -49,6 +49,7 @@ __all__ = [
     "RowAllocation",
     "SetEstimate",
     "Spawn",
+    "SteadyPHD",
     "SteeredPHD",
     "Steering",
     "constant_velocity",

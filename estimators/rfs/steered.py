@@ -147,6 +147,55 @@ def _check_steering(steering: Steering, batch: int) -> None:
             raise ValueError(f"steering {name} must be finite and in [{low:g}, {high:g}], got {values.tolist()}")
 
 
+@dataclass(frozen=True)
+class SteadyPHD:
+    """A steered GM-PHD filter that nobody steers: as it was told, and some births where measurements are unexplained.
+
+    Args:
+        steered: The filter.
+        births: Expected number of births per scan where measurements are unexplained.
+
+    Raises:
+        ValueError: `births` out of range, or a detection probability that is a function of the state.
+    """
+
+    steered: SteeredPHD
+    births: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.births) and self.births >= 0.0):
+            raise ValueError(f"births must be finite and >= 0, got {self.births!r}")
+        told_detection(self.steered)
+
+    @property
+    def model(self) -> object:
+        """Motion and measurement of one target."""
+        return self.steered.filter.model
+
+    def initial(self, measurement: ArrayLike) -> SteeredState:
+        """State before the first scan, which gives the batch axis only."""
+        return self.steered.initial(measurement)
+
+    def step(self, state: SteeredState, measurement: ArrayLike) -> tuple[SteeredState, SetEstimate]:
+        """As `GMPHD.step`."""
+        one = np.ones_like(state.account.number)
+        return self.steered.step(
+            state, measurement, Steering(told_detection(self.steered) * one, one, self.births * one)
+        )
+
+
+def told_detection(steered: SteeredPHD) -> float:
+    """The detection probability that a filter was told.
+
+    Raises:
+        ValueError: It is a function of the state.
+    """
+    detection = steered.filter.detection
+    if callable(detection):
+        raise ValueError("detection must be a number where it is steered, got a function of the state")
+    return float(detection)
+
+
 class CountingState(NamedTuple):
     """State of a `CountingPHD`.
 
@@ -192,8 +241,7 @@ class CountingPHD:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise ValueError(f"{name} must be finite and > 0, got {value!r}")
-        if callable(self.steered.filter.detection):
-            raise ValueError("detection must be a number to be counted anew, got a function of the state")
+        told_detection(self.steered)
 
     @property
     def model(self) -> object:
@@ -208,8 +256,7 @@ class CountingPHD:
 
     def step(self, state: CountingState, measurement: ArrayLike) -> tuple[CountingState, SetEstimate]:
         """As `GMPHD.step`."""
-        told = float(self.steered.filter.detection)  # type: ignore[arg-type]
-        detection = (self.trust * told + state.explained) / (self.trust + state.predicted)
+        detection = (self.trust * told_detection(self.steered) + state.explained) / (self.trust + state.predicted)
         clutter = (self.trust * self.clutter_rate + state.unexplained) / (self.trust + state.scans)
         steering = Steering(
             np.clip(detection, 0.05, 0.999),

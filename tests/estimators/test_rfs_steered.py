@@ -9,7 +9,7 @@ from servotrack.baselines.track_filters import steered_phd, track_filter
 from servotrack.envs.track.episode import draw_episode
 from servotrack.envs.track.levels import clutter_config
 from servotrack.envs.track.told import told
-from servotrack.estimators.rfs import CountingPHD, MeasurementBirth, SteeredPHD, Steering
+from servotrack.estimators.rfs import CountingPHD, MeasurementBirth, SteadyPHD, SteeredPHD, Steering
 
 SEED = 100_000
 
@@ -33,6 +33,18 @@ def test_steered_as_it_was_told_it_is_the_filter_itself():
         other, found = steered.step(other, scan, steering((hint.detection_probability, 1.0, 0.0)))
         assert np.array_equal(wanted.states, found.states) and np.array_equal(wanted.labels, found.labels)
         assert np.allclose(other.account.number, wanted.expected_number)
+
+
+def test_steady_it_is_steered_by_the_same_numbers_at_every_step():
+    hint, scans = scene(7)
+    steady, steered = SteadyPHD(steered_phd(hint), births=0.02), steered_phd(hint)
+    batch = scans[:, None]
+    one, other = steady.initial(batch[0]), steered.initial(batch[0])
+    for scan in batch[:40]:
+        one, found = steady.step(one, scan)
+        other, wanted = steered.step(other, scan, steering((hint.detection_probability, 1.0, 0.02)))
+        assert np.array_equal(found.states, wanted.states) and np.array_equal(found.labels, wanted.labels)
+    assert found.labels.any()
 
 
 def test_every_run_has_parameters_of_its_own():
@@ -113,6 +125,8 @@ def test_arguments_out_of_range_are_refused():
     steered = steered_phd(hint)
     with pytest.raises(ValueError, match="anywhere must expect one birth"):
         SteeredPHD(steered.filter, MeasurementBirth(expected=0.5))
+    with pytest.raises(ValueError, match="births must be finite and >= 0"):
+        SteadyPHD(steered, births=-1.0)
     for name in ("births", "memory", "trust"):
         with pytest.raises(ValueError, match=f"{name} must be finite and > 0"):
             CountingPHD(steered, 20.0, **{name: 0.0})

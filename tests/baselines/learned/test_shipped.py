@@ -225,12 +225,13 @@ def test_the_estimator_that_learned_is_nearer_than_the_kalman_filter_under_the_s
     assert np.median(learned) < np.median(kf) and (learned < 0.01).mean() > 0.93
 
 
-@pytest.mark.parametrize("level", [5, 7])
-def test_steering_a_filter_that_was_told_wrong_helps(level: int) -> None:
-    steered, told = (
-        np.mean(
-            [row["return"] for row in run_episodes("ClutterTracking-v0", AGENTS[name], TUNE[:8], {"level": level})[0]]
+def test_steering_adds_to_a_filter_that_only_expects_births_anywhere() -> None:
+    """At level 5; at levels 6 and 7 it does not, as docs/learned-tracking.md says."""
+    steered, steady = (
+        np.array(
+            [row["return"] for row in run_episodes("ClutterTracking-v0", AGENTS[name], TUNE[:16], {"level": 5})[0]]
         )
-        for name in ("steering", "gm-phd")
+        for name in ("steering", "gm-phd-anywhere")
     )
-    assert steered > told
+    gain = steered - steady
+    assert gain.mean() > 2.0 * gain.std() / np.sqrt(len(gain))
