@@ -12,14 +12,14 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from servotrack.baselines.benchmark import accuracy, clutter, learning, speed, video
+from servotrack.baselines.benchmark import accuracy, bearings, clutter, learning, speed, video
 from servotrack.baselines.results import provenance
 
 
 def speed_report(
     pusht_python: str | None, stone_soup_python: str | None, rounds: int, seconds: float, console: Console
 ) -> str:
-    """The tables of rates: worlds and Jacobian filters, then set filters, then video."""
+    """The tables of rates: worlds and Jacobian filters, set filters, video, bearings, and learning."""
 
     def table(rows: list[speed.Subject]) -> str:
         with Progress(console=console, transient=True) as progress:
@@ -35,6 +35,8 @@ def speed_report(
             f"{table(clutter.subjects(scans, stone_soup_python))}\n",
             "## Video\n\nFrames of 384 x 288 per second, one thread; 300 x 245 for the color trackers.\n\n"
             f"{table(video.subjects())}\n",
+            "## Bearings\n\nTargets followed per second through a minute of record, one thread; where that does not fall, "
+            f"cost is linear in the targets.\n\n{table(bearings.subjects())}\n",
             "## Learning\n\nSteps of PPO with the same policy, and answers of shipped agents; one thread.\n\n"
             f"{table(learning.subjects())}\n",
         ]

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from servotrack.baselines.benchmark import accuracy, speed, stepping
+from servotrack.baselines.benchmark import accuracy, bearings, speed, stepping
 from servotrack.baselines.benchmark.speed import Rate, Subject
 from servotrack.baselines.results import CellResults
 
@@ -21,6 +21,10 @@ def _silent(name: str) -> None:
 def test_vectors_and_frames_have_rates(num_envs: int, kwargs: dict[str, str]) -> None:
     _, job = speed.environment("UncalibServo-v0", num_envs, level=0, **kwargs)
     assert stepping.stepper(json.loads(job))(0.02) > 0
+
+
+def test_targets_that_stand_apart_are_all_followed() -> None:
+    assert bearings.tracking(4)(0.02) > 0
 
 
 def test_rates_come_from_processes_and_a_peer_that_is_not_there_is_named() -> None:
