@@ -35,8 +35,8 @@ def speed_report(
             f"{table(clutter.subjects(scans, stone_soup_python))}\n",
             "## Video\n\nFrames of 384 x 288 per second, one thread; 300 x 245 for the color trackers.\n\n"
             f"{table(video.subjects())}\n",
-            "## Bearings\n\nTargets followed per second through a minute of record, one thread; where that does not fall, "
-            f"cost is linear in the targets.\n\n{table(bearings.subjects())}\n",
+            "## Bearings\n\nTargets followed per second through a minute of record, one thread; "
+            f"where that does not fall, cost is linear in the targets.\n\n{table(bearings.subjects())}\n",
             "## Learning\n\nSteps of PPO with the same policy, and answers of shipped agents; one thread.\n\n"
             f"{table(learning.subjects())}\n",
         ]
