@@ -39,6 +39,7 @@ def training(adapter: bool) -> Callable[[float], float]:
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.env_util import make_vec_env
+    from stable_baselines3.common.logger import Logger
 
     from servotrack.baselines.sb3 import StableBaselinesVecEnv
 
@@ -49,6 +50,7 @@ def training(adapter: bool) -> Callable[[float], float]:
     else:
         env = make_vec_env(ENV_ID, NUM_ENVS)
     model = PPO("MultiInputPolicy", env, n_steps=64, batch_size=2048, n_epochs=5, seed=0, device="cpu")
+    model.set_logger(Logger(None, []))  # Its own makes a folder among the temporary files for each call of learn.
 
     def run(duration: float) -> float:
         steps, start = model.num_timesteps, time.perf_counter()

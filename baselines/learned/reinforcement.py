@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3 import A2C, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
@@ -88,6 +89,9 @@ def create_model(task: TrainingTask, steps: int = 0) -> BaseAlgorithm:
     except TypeError as error:
         env.close()
         raise ValueError(f"{settings.algorithm} does not take these hyper-parameters: {error}") from error
+    if not task.tensorboard:
+        # The algorithm would make a folder among the temporary files to write nothing into.
+        model.set_logger(Logger(None, []))
     # After the algorithm, which gives the environments its own seed: runs would share most of their episodes.
     env.seed(_first_seed(task, steps))
     return model

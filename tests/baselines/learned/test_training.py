@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -74,10 +75,14 @@ def yardstick(folder: Path) -> Yardstick:
     ],
     ids=lambda s: s.algorithm + "-normalized" * s.normalize,
 )
-def test_what_is_exported_acts_as_the_policy_does(settings: TrainingSettings, tmp_path: Path) -> None:
+def test_what_is_exported_acts_as_the_policy_does(
+    settings: TrainingSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     task = TrainingTask(ENV_ID, SHORT, settings, 0, tmp_path, tensorboard=False)
     model: Any = create_model(task)
     model.learn(256)
+    assert not list(tmp_path.glob("SB3-*")), "a folder that nobody asked for"
     policy = policy_mode(model)
     size = model.observation_space.shape[0]
     card_fields = {
