@@ -63,7 +63,10 @@ def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
 
 
 def headline_grid(tasks: Sequence[TaskSummary]) -> Grid:
-    """Agents against the levels of one world that has no score: the mean of what ranks them in every cell."""
+    """Agents against the levels of one world that has no score: the mean of what ranks them in every cell.
+
+    Below those that took part in all levels come those that did in some.
+    """
     headline = tasks[0].judgment.headline
     means: dict[str, list[Interval | None]] = {}
     told: dict[str, AgentSummary] = {}
@@ -71,12 +74,12 @@ def headline_grid(tasks: Sequence[TaskSummary]) -> Grid:
         for row in task.rows:
             told[row.agent] = row
             means.setdefault(row.agent, [None] * len(tasks))[column] = row.measures.get(headline.column)
-    complete = {agent: [m.value for m in row if m is not None] for agent, row in means.items() if None not in row}
-    order = sorted(complete, key=lambda agent: sum(complete[agent]), reverse=headline.high_is_good)
+    total = {agent: sum(m.value for m in row if m is not None) for agent, row in means.items() if None not in row}
+    order = sorted(total, key=lambda agent: total[agent], reverse=headline.high_is_good)
     rows = [
         [_agent(told[agent]), told[agent].information]
-        + [f"{value * headline.factor:.{headline.digits}f}" for value in complete[agent]]
-        for agent in order
+        + ["" if m is None else f"{m.value * headline.factor:.{headline.digits}f}" for m in means[agent]]
+        for agent in [*order, *sorted(means.keys() - total)]
     ]
     return Grid(["agent", "told", *(_short_name(task) for task in tasks)], rows, 2)
 
