@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from html import escape
 
@@ -23,6 +24,11 @@ img, video { max-width: 100%; display: block; margin: 16px 0; }
 """.strip()
 
 
+def _code(text: str) -> str:
+    """Markdown's code in HTML: what stands between backticks."""
+    return re.sub("`(.*?)`", r"<code>\1</code>", escape(text))
+
+
 def html_page(tasks: Sequence[TaskSummary], command: str, figure: str | None, video: str | None) -> str:
     """The page's text.
 
@@ -37,7 +43,7 @@ def html_page(tasks: Sequence[TaskSummary], command: str, figure: str | None, vi
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>servotrack leaderboard</title>\n<style>\n{_STYLE}\n</style>",
         "<h1>servotrack leaderboard</h1>",
-        f"<p>Written by <code>{escape(command)}</code>. {escape(NOTE)}</p>",
+        f"<p>Written by <code>{escape(command)}</code>. {_code(NOTE)}</p>",
     ]
     if figure:
         parts.append(f'<img src="{escape(figure)}" alt="Score and success against level, one line per agent">')

@@ -164,6 +164,7 @@ def test_the_report_is_written_whole(tmp_path: Path) -> None:
     assert all(path.stat().st_size > 500 for path in written)
     page = (tmp_path / "leaderboard.html").read_text()
     assert "servotrack bench &lt;all&gt;" in page and 'src="best.webm"' in page and "<td>lifted-kf</td>" in page
+    assert "<code>servotrack tune</code>" in page and "`" not in page
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in written}
 
 
