@@ -42,8 +42,8 @@ def standing_apart(count: int) -> tuple[SonarConfig, SonarScene]:
     paper = draw_scene(sonar_config(variant="rates"), 0)
     config = sonar_config(variant="random", targets=count, max_targets=count, horizon=ROWS)
     records = config.horizon + config.lag + 1
-    bearings = np.broadcast_to(np.linspace(*ENDS, count), (records, count)).copy()
-    exists = np.arange(records)[:, None] >= np.full(count, FIRST)
+    bearings = np.tile(np.linspace(*ENDS, count), (records, 1))
+    exists = np.tile(np.arange(records)[:, None] >= FIRST, count)
     power = np.repeat(paper.power[~paper.tonal][:1], count, axis=0)
     return config, SonarScene(bearings, np.zeros_like(bearings), exists, power, np.zeros(count, np.bool_))
 

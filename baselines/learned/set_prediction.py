@@ -18,6 +18,7 @@ from servotrack.baselines.patience import PATIENCE, WaitingRows, allocate_patien
 from servotrack.envs.track.told import SceneModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.rfs import RangeBearingModel, RowAllocation, SetEstimate
+from servotrack.estimators.rfs.sets import read_measurements
 
 Array = NDArray[np.float64]
 
@@ -102,9 +103,14 @@ class Recent(NamedTuple):
         )
 
     def with_scan(self, scan: Array, sensor: Array | None) -> Recent:
-        """One scan later; `scan` (N, M, 3) as it is observed, used rows first."""
+        """One scan later; `scan` (N, M, 3) as it is observed.
+
+        Raises:
+            ValueError: A wrong shape, an existence other than 0 or 1, or a used row that is not finite.
+        """
+        measurements, count, _ = read_measurements(scan, 2)
         places, number = np.roll(self.places, 1, axis=1), np.roll(self.number, 1, axis=1)
-        places[:, 0], number[:, 0] = in_plane(scan[..., 1:], sensor), scan[..., 0].sum(axis=-1).astype(np.int64)
+        places[:, 0], number[:, 0] = in_plane(measurements, sensor), count
         return Recent(places, number, self.seen + 1)
 
 
@@ -241,10 +247,12 @@ class SetPredictor:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[Array, SetState]:
-        """Answer a scan; arguments and results as in `SetObserver.predict`."""
+        """Answer a scan; arguments, results and errors as in `SetObserver.predict`."""
         scan = np.asarray(observation[OBSERVATION_KEY] if isinstance(observation, Mapping) else observation, np.float64)
         single = scan.ndim == 2
         scan = scan[None] if single else scan
+        if scan.ndim != 3:
+            raise ValueError(f"a scan must have shape (rows, 3) or (batch, rows, 3), got {scan.shape}")
         state = remembered(state, episode_start, (len(scan),), lambda: self._initial(scan))
         recent = state.recent.with_scan(scan, self._sensor)
         asked = ask(self._window, recent, self._sensor, self._bearing_noise)

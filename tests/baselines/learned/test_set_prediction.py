@@ -165,3 +165,30 @@ def test_answers_that_are_near_each_other_are_one_target() -> None:
 def test_windows_that_nobody_can_use_are_refused(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         SetWindow.of({"kind": "set", **fields})
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda scan: scan[:, :2], "must have shape"),
+        (lambda scan: scan[0], "must have shape"),
+        (lambda scan: np.where(scan == 1.0, 0.5, scan), "existence 0 or 1"),
+        (lambda scan: np.where(np.arange(3) == 1, np.nan, scan), "must be finite"),
+    ],
+    ids=["columns", "one row", "half a measurement", "not a number"],
+)
+def test_scans_that_nobody_can_read_are_refused(change: Any, message: str) -> None:
+    env = gym.make("ClutterTracking-v0", **CLEAN)
+    scan, _ = env.reset(seed=100_000)
+    with pytest.raises(ValueError, match=message):
+        predictor(env).predict(change(scan))
+
+
+def test_measurements_may_stand_in_any_row() -> None:
+    env = gym.make("ClutterTracking-v0", **CLEAN)
+    scan, _ = env.reset(seed=100_000)
+    wanted, _ = predictor(env).predict(scan)
+    found, _ = predictor(env).predict(scan[::-1])
+    order = [np.lexsort(answer.T) for answer in (wanted, found)]
+    assert wanted[:, 0].sum() >= 2
+    np.testing.assert_allclose(found[order[1]], wanted[order[0]])
