@@ -57,9 +57,7 @@ class MarkerFeatures:
         Raises:
             ValueError: A key is missing.
         """
-        missing = [key for key in PIXEL_KEYS if key not in observation]
-        if missing:
-            raise ValueError(f"observation must have {', '.join(PIXEL_KEYS)}; {', '.join(missing)} missing")
+        _check_keys(observation)
         return SeenMemory(_scaled_goal(observation), np.full(np.shape(observation["frame_time"]), -np.inf))
 
     def step(self, memory: SeenMemory, observation: Mapping[str, Any]) -> tuple[SeenMemory, dict[str, Any]]:
@@ -71,7 +69,11 @@ class MarkerFeatures:
 
         Returns:
             The new memory, and an observation with features in place of the image.
+
+        Raises:
+            ValueError: A key is missing.
         """
+        _check_keys(observation)
         found, seen = self.eyes.detect(observation["image"])
         stamp = np.asarray(observation["frame_time"], dtype=np.float64)
         # A lost frame leaves the old image with its old stamp.
@@ -85,6 +87,11 @@ class MarkerFeatures:
             "visible": new.astype(np.float64),
             "frame_time": np.where(np.isfinite(memory.frame_time), memory.frame_time, stamp),
         }
+
+
+def _check_keys(observation: Mapping[str, Any]) -> None:
+    if missing := [key for key in PIXEL_KEYS if key not in observation]:
+        raise ValueError(f"observation must have {', '.join(PIXEL_KEYS)}; {', '.join(missing)} missing")
 
 
 def _scaled_goal(observation: Mapping[str, Any]) -> Array:

@@ -68,8 +68,9 @@ class LearnedAgent:
             raise AgentFileError(f"{network.path} gives {network.actions} numbers, it takes an answer in {answers}")
         self.network, self._encoding = network, encoding
         self._low, self._high = action_space.low, action_space.high
-        self._key = next(iter(observation_space)) if isinstance(observation_space, spaces.Dict) else None
-        self._axes = len(self._part(observation_space).shape)
+        space: Any = observation_space
+        parts = space.items() if isinstance(space, spaces.Dict) else [(None, space)]
+        self._shapes: dict[str | None, tuple[int, ...]] = {key: part.shape or () for key, part in parts}
 
     def predict(
         self,
@@ -88,21 +89,37 @@ class LearnedAgent:
 
         Returns:
             Actions with the observation's leading axis, and the new state.
+
+        Raises:
+            ValueError: An entry of the observation is missing, has another shape, or is not finite where that matters.
         """
-        single = np.ndim(self._part(observation)) == self._axes
+        lead = self._leading_axis(observation)
+        single, count = not lead, lead[0] if lead else 1
         if single:
             observation = _with_leading_axis(observation)
-        count = len(self._part(observation))
         state = remembered(state, episode_start, (count,), lambda: self._initial(observation, count))
         memory, rows = self._encoding.step(state.encoding, observation, state.action)
+        if not np.isfinite(rows).all():
+            raise ValueError(_what_is_not_finite(observation))
         answer, carried = self.network(rows, state.network)
         memory, action = self._encoding.act(memory, answer)
         action = np.clip(action, self._low, self._high)
         return action[0] if single else action, LearnedState(memory, carried, action)
 
-    def _part(self, whole: Any) -> Any:
-        """One entry of an observation or of its space, always the same one."""
-        return whole if self._key is None else whole[self._key]
+    def _leading_axis(self, observation: Any) -> tuple[int, ...]:
+        """() for a single observation, (N,) for N, whose entries all have the shapes of the space."""
+        lead: tuple[int, ...] | None = None
+        for key, shape in self._shapes.items():
+            if key is not None and (not isinstance(observation, Mapping) or key not in observation):
+                raise ValueError(f"observation must have {', '.join(map(str, self._shapes))}; {key} missing")
+            given = np.shape(observation if key is None else observation[key])
+            found = given[: len(given) - len(shape)]
+            if given != found + shape or len(found) > 1 or lead not in (None, found):
+                raise ValueError(
+                    f"{_named(key)} must have shape {shape}, or one axis more that all entries share, got {given}"
+                )
+            lead = found
+        return lead or ()
 
     def _initial(self, observation: Any, count: int) -> LearnedState:
         return LearnedState(
@@ -110,6 +127,19 @@ class LearnedAgent:
             np.zeros((count, self.network.memory), np.float32),
             np.zeros((count, *self._low.shape), self._low.dtype),
         )
+
+
+def _named(key: str | None) -> str:
+    return "observation" if key is None else f"observation {key}"
+
+
+def _what_is_not_finite(observation: Any) -> str:
+    """Which entry of an observation makes the rows of a network NaN or infinite."""
+    for key, part in observation.items() if isinstance(observation, Mapping) else [(None, observation)]:
+        if len(bad := np.argwhere(~np.isfinite(part))):
+            at = tuple(bad[0].tolist())
+            return f"{_named(key)} must be finite, got {part[at]} at index {at}; repeat the last good one instead"
+    return "state must come from the last call, got one that is not finite; begin with None"
 
 
 def _with_leading_axis(observation: Any) -> Any:

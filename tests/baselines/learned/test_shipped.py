@@ -235,3 +235,33 @@ def test_steering_adds_to_a_filter_that_only_expects_births_anywhere() -> None:
     )
     gain = steered - steady
     assert gain.mean() > 2.0 * gain.std() / np.sqrt(len(gain))
+
+
+@pytest.mark.parametrize(
+    ("name", "env_id", "level"),
+    [("ppo", "UncalibServo-v0", 3), ("student", "UncalibServo-v0", 3), ("hybrid", "UncalibServo-v0", 6),
+     ("jacobian", "UncalibServo-v0", 3), ("eyes", "UncalibServoPixels-v0", 3), ("ppo", "UncalibServoPixels-v0", 2),
+     ("follower", "PedestrianServo-v0", 2), ("steering", "ClutterTracking-v0", 5), ("set", "ClutterTracking-v0", 2)],
+)  # fmt: skip
+def test_observations_that_nobody_can_read_are_refused(name: str, env_id: str, level: int) -> None:
+    env: Any = gym.make(env_id, level=level)
+    agent: Any = create_agent(name, env)
+    observation, _ = env.reset(seed=100_000)
+    action, state = agent.predict(observation)
+    observation = env.step(action)[0]
+    if isinstance(observation, dict):
+        for key in ("joint_angles", "goal"):
+            with pytest.raises(ValueError, match=f"{key} must be finite"):
+                agent.predict({**observation, key: np.full(2, np.nan)}, state)
+        for key in observation.keys() - {"target_box", "target_patch"}:
+            with pytest.raises(ValueError, match=f"{key}.* missing"):
+                agent.predict({other: part for other, part in observation.items() if other != key}, state)
+        with pytest.raises(ValueError, match=r"joint_angles must have .*shape"):
+            agent.predict({**observation, "joint_angles": np.zeros(3)}, state)
+    else:
+        broken = observation.copy()
+        broken[0, 1] = np.nan
+        with pytest.raises(ValueError, match="must be finite"):
+            agent.predict(broken, state)
+        with pytest.raises(ValueError, match="must have shape"):
+            agent.predict(observation[:, :2], state)
