@@ -1,5 +1,5 @@
 """Agents made of estimators or networks, and what trains, evaluates and ranks them."""
 
-from servotrack.baselines.registry import agent_card, create_agent
+from servotrack.baselines.agents.registry import agent_card, create_agent
 
 __all__ = ["agent_card", "create_agent"]

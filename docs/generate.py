@@ -20,7 +20,7 @@ import cv2
 import gymnasium as gym
 
 from servotrack.baselines import create_agent
-from servotrack.baselines.evaluate import show_belief
+from servotrack.baselines.evaluation.evaluate import show_belief
 from servotrack.envs.registration import ENVIRONMENTS
 
 FOLDER = Path(__file__).parent / "environments"

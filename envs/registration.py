@@ -24,8 +24,8 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
         "vector_entry_point": "servotrack.envs.follow.vector:PedestrianServoVectorEnv",
     },
     "ClutterTracking-v0": {
-        "entry_point": "servotrack.envs.track.clutter:ClutterTrackingEnv",
-        "vector_entry_point": "servotrack.envs.track.clutter:ClutterTrackingVectorEnv",
+        "entry_point": "servotrack.envs.track.clutter.env:ClutterTrackingEnv",
+        "vector_entry_point": "servotrack.envs.track.clutter.env:ClutterTrackingVectorEnv",
     },
     "PedestrianTracking-v0": {
         "entry_point": "servotrack.envs.track.pedestrians.env:PedestrianTrackingEnv",
@@ -40,8 +40,8 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
         "vector_entry_point": "servotrack.envs.track.sonar.env:SonarTrackingVectorEnv",
     },
     "VideoTracking-v0": {
-        "entry_point": "servotrack.envs.track.video:VideoTrackingEnv",
-        "vector_entry_point": "servotrack.envs.track.video:VideoTrackingVectorEnv",
+        "entry_point": "servotrack.envs.track.video.env:VideoTrackingEnv",
+        "vector_entry_point": "servotrack.envs.track.video.env:VideoTrackingVectorEnv",
     },
 }
 

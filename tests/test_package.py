@@ -48,8 +48,8 @@ TRAINING = (
     "supervised",
     "training",
 )
-LEARNED = {"servotrack.baselines.sb3", *(f"servotrack.baselines.learned.{name}" for name in TRAINING)}
-FOR_OTHER_ENVIRONMENTS = {"servotrack.baselines.benchmark.stone_soup"}
+LEARNED = {"servotrack.baselines.training.sb3", *(f"servotrack.baselines.agents.learned.{name}" for name in TRAINING)}
+FOR_OTHER_ENVIRONMENTS = {"servotrack.baselines.speed.stone_soup"}
 CACHES = {"__pycache__", ".mypy_cache", ".ruff_cache"}
 SECTIONS = [
     "Description",

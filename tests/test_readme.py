@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from servotrack.baselines.leaderboard.embed import embed
-from servotrack.baselines.results import ResultsError
+from servotrack.baselines.evaluation.results import ResultsError
+from servotrack.baselines.reporting.embed import embed
 
 README = Path(__file__).parents[1] / "README.md"
 EXAMPLES = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servotrack.baselines.evaluation.results import atomic_path
 from servotrack.baselines.leaderboard.summary import LOWER_ANCHOR, UPPER_ANCHOR, TaskSummary
-from servotrack.baselines.results import atomic_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

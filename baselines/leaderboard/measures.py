@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from servotrack.baselines.protocol import World
+from servotrack.baselines.agents.protocol import World
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from servotrack.baselines.evaluation.results import atomic_path
 from servotrack.baselines.leaderboard.figure import draw_levels, level_tasks, save_figure
 from servotrack.baselines.leaderboard.page import html_page
 from servotrack.baselines.leaderboard.summary import TaskSummary
 from servotrack.baselines.leaderboard.table import markdown_report
-from servotrack.baselines.results import atomic_path
 
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.baselines import statistics
+from servotrack.baselines.agents.protocol import world_of
+from servotrack.baselines.evaluation import statistics
+from servotrack.baselines.evaluation.results import CellResults
+from servotrack.baselines.evaluation.statistics import Interval, PairedDifference
 from servotrack.baselines.leaderboard.measures import JUDGMENTS, Judgment
-from servotrack.baselines.protocol import world_of
-from servotrack.baselines.results import CellResults
-from servotrack.baselines.statistics import Interval, PairedDifference
 
 LOWER_ANCHOR, UPPER_ANCHOR = "random", "oracle"
 BOUND = "informed-bound"

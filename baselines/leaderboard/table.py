@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from rich.table import Table
 
+from servotrack.baselines.evaluation.statistics import Interval
 from servotrack.baselines.leaderboard.measures import Measure
 from servotrack.baselines.leaderboard.summary import (
     BOUND,
@@ -15,7 +16,6 @@ from servotrack.baselines.leaderboard.summary import (
     TaskSummary,
     overall,
 )
-from servotrack.baselines.statistics import Interval
 
 SIGNIFICANCE = 0.05
 PRIVILEGED_MARK = "†"

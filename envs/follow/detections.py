@@ -13,7 +13,7 @@ from servotrack.envs.servo.arrivals import Arrivals
 from servotrack.envs.servo.episode import samples
 from servotrack.envs.servo.world import capture
 from servotrack.envs.streams import Streams
-from servotrack.envs.track.levels import poisson_quantile
+from servotrack.envs.track.clutter.config import poisson_quantile
 from servotrack.estimators.camera import project_ground
 
 Array = NDArray[np.float64]

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.envs.drawing.glyphs import put_text
 from servotrack.envs.follow.looks import Looks
 from servotrack.envs.follow.painting import paint_panel
-from servotrack.envs.glyphs import put_text
 from servotrack.envs.servo import backdrop as still
 from servotrack.envs.servo.backdrop import Color, Image, fixed_point, mix
 from servotrack.envs.servo.exposure import trace_rays

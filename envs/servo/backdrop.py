@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.envs.glyphs import put_text
+from servotrack.envs.drawing.glyphs import put_text
 from servotrack.envs.servo.footprint import GRID_SPACING
 
 Image = NDArray[np.uint8]

@@ -18,8 +18,8 @@ from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld, check_acti
 from servotrack.envs.streams import episode_seed
 
 if TYPE_CHECKING:
+    from servotrack.envs.drawing.viewer import Viewer
     from servotrack.envs.servo.recorder import Recorder
-    from servotrack.envs.viewer import Viewer
 
 Observation = dict[str, NDArray[Any]]
 
@@ -164,7 +164,7 @@ class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
             return None, None
         viewer = None
         if self.render_mode == "human":
-            from servotrack.envs.viewer import Viewer
+            from servotrack.envs.drawing.viewer import Viewer
 
             viewer = Viewer(type(self).__name__, METADATA["render_fps"])
         return self._make_recorder(), viewer

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.envs.glyphs import put_text
+from servotrack.envs.drawing.glyphs import put_text
 from servotrack.envs.servo import backdrop as still
 from servotrack.envs.servo.backdrop import Color, Image, fixed_point, mix
 

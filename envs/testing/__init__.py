@@ -18,7 +18,7 @@ import gymnasium as gym
 from gymnasium.vector import AutoresetMode
 
 from servotrack.envs.testing import behavior, form
-from servotrack.envs.testing.story import single_story, story_difference, vector_stories
+from servotrack.envs.testing.event_trace import single_story, story_difference, vector_stories
 from servotrack.envs.testing.subject import MakeVectorEnv, Subject
 
 __all__ = ["ALL_MODES", "CHECKS", "MakeVectorEnv", "VectorEnvFaults", "check_vector_env", "check_vector_matches_single"]

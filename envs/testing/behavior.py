@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import iterate
 
-from servotrack.envs.testing.story import FINAL_KEYS, batch_actions, story_difference, vector_stories
+from servotrack.envs.testing.event_trace import FINAL_KEYS, batch_actions, story_difference, vector_stories
 from servotrack.envs.testing.subject import Subject, VectorEnv, assert_refused, assert_same
 
 

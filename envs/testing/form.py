@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.vector.utils import batch_space, create_empty_array
 
 from servotrack.envs.testing.bits import first_difference
-from servotrack.envs.testing.story import batch_actions
+from servotrack.envs.testing.event_trace import batch_actions
 from servotrack.envs.testing.subject import Subject, VectorEnv, assert_refused, assert_same
 
 

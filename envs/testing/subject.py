@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from servotrack.envs.testing.bits import first_difference
-from servotrack.envs.testing.story import Script, Story, batch_actions, vector_stories, write_script
+from servotrack.envs.testing.event_trace import Script, Story, batch_actions, vector_stories, write_script
 
 VectorEnv = gym.vector.VectorEnv[Any, Any, Any]
 _REFUSALS = (ValueError, TypeError, AssertionError, gym.error.Error)

@@ -89,7 +89,7 @@ class TrackEnv(gym.Env[Any, Array]):
         self._recorder = self._make_recorder() if render_mode is not None else None
         self._viewer: Any = None
         if render_mode == "human":
-            from servotrack.envs.viewer import Viewer
+            from servotrack.envs.drawing.viewer import Viewer
 
             self._viewer = Viewer(title, self.metadata["render_fps"])
 

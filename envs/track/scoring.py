@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from servotrack.envs.track.forgiving import forgiven
+from servotrack.envs.track.ignored import forgiven
 from servotrack.estimators.metrics import (
     SetScores,
     Track,

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.hmm.existence import Span
 from servotrack.estimators.sonar.array import normalize
-from servotrack.estimators.sonar.followed import Followed
+from servotrack.estimators.sonar.chain_estimate import Followed
 
 Array = NDArray[np.float64]
 

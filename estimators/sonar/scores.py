@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from servotrack.estimators.sonar.array import beam_correlation
-from servotrack.estimators.sonar.explained import Patterns, largest_near
+from servotrack.estimators.sonar.beam_patterns import Patterns, largest_near
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from servotrack.estimators.hmm.chain import GridChain, grid_chain
 from servotrack.estimators.hmm.smoothing import advance
 from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.sonar.array import Band, LineArray, Shading, bearings
-from servotrack.estimators.sonar.explained import Patterns
-from servotrack.estimators.sonar.followed import Followed
+from servotrack.estimators.sonar.beam_patterns import Patterns
+from servotrack.estimators.sonar.chain_estimate import Followed
+from servotrack.estimators.sonar.joint_smoothing import Together
 from servotrack.estimators.sonar.record import BearingTrack, checked_record, checked_row, joined
 from servotrack.estimators.sonar.scores import RowScores
-from servotrack.estimators.sonar.together import Together
 
 Array = NDArray[np.float64]
 Likelihood = Literal["row", "cell"]

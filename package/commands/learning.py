@@ -45,10 +45,10 @@ def train(
     """Train with Stable-Baselines3 (extra `rl`), measured beside the classical agents; writes ONNX and a card."""
     from dataclasses import replace
 
-    from servotrack.baselines.learned.settings import load_settings
+    from servotrack.baselines.training.settings import load_settings
 
     try:
-        from servotrack.baselines.learned.command import TrainingRequest, run_training
+        from servotrack.baselines.training.command import TrainingRequest, run_training
     except ModuleNotFoundError as error:
         raise ImportError(f"training needs {error.name}; install the extra: pip install 'servotrack[rl]'") from error
     chosen = load_settings(env, algo, level, hyper_parameters)
@@ -66,10 +66,10 @@ def agents(
     ] = None,
 ) -> None:
     """All agents by name, and what the learned ones among them cost to train."""
-    from servotrack.baselines.leaderboard.embed import embed
+    from servotrack.baselines.leaderboard.agents_table import agents_grid, shipped_grid
     from servotrack.baselines.leaderboard.table import as_markdown, as_rich
-    from servotrack.baselines.learned.listing import agents_grid, shipped_grid
-    from servotrack.baselines.reproduce import command_line
+    from servotrack.baselines.papers.reproduce import command_line
+    from servotrack.baselines.reporting.embed import embed
 
     learned = shipped_grid()
     console().print(as_rich(agents_grid(world), "Agents"))
@@ -91,11 +91,11 @@ def compare(
     ] = None,
 ) -> None:
     """Whether training wins: all runs of a recipe against an agent, runs and episodes resampled, crossed."""
-    from servotrack.baselines.bench import progress_bars
-    from servotrack.baselines.leaderboard.embed import embed
-    from servotrack.baselines.learned.comparison import compare as run
-    from servotrack.baselines.reproduce import command_line
-    from servotrack.baselines.results import ResultsFolder
+    from servotrack.baselines.evaluation.bench import progress_bars
+    from servotrack.baselines.evaluation.results import ResultsFolder
+    from servotrack.baselines.papers.reproduce import command_line
+    from servotrack.baselines.reporting.embed import embed
+    from servotrack.baselines.training.comparison import compare as run
 
     with progress_bars() as progress:
         bar = progress.add_task("agents", total=None)

@@ -42,7 +42,7 @@ def reproduce(
     ] = None,
 ) -> None:
     """A paper's tables and figures, ours beside the paper's, and its claims with a verdict each."""
-    from servotrack.baselines.reproduce import Recording, reproduce_paper
+    from servotrack.baselines.papers.reproduce import Recording, reproduce_paper
 
     sources = source or []
     truths: list[str | None] = [*truth] if truth else [None] * len(sources)

@@ -53,7 +53,7 @@ def track(
     show_truth: Annotated[bool, typer.Option("--show-truth", help="Draw true boxes, too.")] = False,
 ) -> None:
     """Real data in; MOTChallenge tracks, an annotated film and, where there is truth, scores out."""
-    from servotrack.baselines.tracking.command import TrackRequest, run_command
+    from servotrack.baselines.track_command.command import TrackRequest, run_command
 
     request = TrackRequest(
         source,
@@ -83,8 +83,8 @@ def render(
     seed: Annotated[int, typer.Option(min=0, help="Of the episode.")] = 0,
 ) -> None:
     """A rendered crowd as a MOTChallenge sequence: images and exact truth, for `track` and any other tracker."""
-    from servotrack.baselines.bench import progress_bars
-    from servotrack.baselines.tracking.rendered import render_sequence
+    from servotrack.baselines.evaluation.bench import progress_bars
+    from servotrack.baselines.track_command.rendered import render_sequence
 
     with progress_bars() as progress:
         bar = progress.add_task(out.name)
@@ -107,11 +107,11 @@ def play(
     ] = None,
 ) -> None:
     """Watch an agent, or drive the arm by keyboard (arrow keys; escape ends)."""
-    from servotrack.baselines.play import drive, watch
+    from servotrack.baselines.evaluation.watch import drive, watch
 
     kwargs = env_kwargs(level, settings)
     if video is not None:
-        from servotrack.baselines.leaderboard.video import film_episode
+        from servotrack.baselines.reporting.film import film_episode
 
         if agent is None:
             raise ValueError("--video needs an agent to film; add --agent lifted-kf")

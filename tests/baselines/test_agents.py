@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.baselines.evaluate import make_single, make_vector
-from servotrack.baselines.protocol import Agent
-from servotrack.baselines.random_agent import RandomAgent
-from servotrack.baselines.registry import AGENTS, LAWS, agent_card, create_agent
-from servotrack.baselines.servo_agents import ESTIMATORS
-from servotrack.baselines.servo_agents import LAWS as LAW_CLASSES
+from servotrack.baselines.agents.protocol import Agent
+from servotrack.baselines.agents.random import RandomAgent
+from servotrack.baselines.agents.registry import AGENTS, LAWS, agent_card, create_agent
+from servotrack.baselines.agents.servo.catalog import ESTIMATORS
+from servotrack.baselines.agents.servo.catalog import LAWS as LAW_CLASSES
+from servotrack.baselines.evaluation.evaluate import make_single, make_vector
 from servotrack.estimators.jacobian import ParticleJacobian
 
 SERVO = "UncalibServo-v0"
@@ -95,7 +95,7 @@ def test_every_law_follows_the_target(law: str) -> None:
         ("kf+pid", "no control law is called 'pid'; did you mean 'pi'?"),
         ("random+pi", "has no control law"),
         ("no_such_module:Agent", "cannot be imported"),
-        ("servotrack.baselines.seeds:TEST", "must be callable"),
+        ("servotrack.baselines.evaluation.seeds:TEST", "must be callable"),
     ],
 )
 def test_a_wrong_name_gets_a_suggestion(name: str, message: str) -> None:
@@ -170,7 +170,7 @@ def test_stable_baselines_evaluates_the_agents_unmodified() -> None:
     pytest.importorskip("stable_baselines3")
     from stable_baselines3.common.evaluation import evaluate_policy
 
-    from servotrack.baselines.sb3 import StableBaselinesVecEnv
+    from servotrack.baselines.training.sb3 import StableBaselinesVecEnv
 
     single = gym.make(SERVO, level=1)
     rewards, lengths = evaluate_policy(

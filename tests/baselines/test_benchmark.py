@@ -8,9 +8,9 @@ import sys
 import numpy as np
 import pytest
 
-from servotrack.baselines.benchmark import accuracy, bearings, speed, stepping
-from servotrack.baselines.benchmark.speed import Rate, Subject
-from servotrack.baselines.results import CellResults
+from servotrack.baselines.evaluation.results import CellResults
+from servotrack.baselines.speed import accuracy, bearings, speed, stepping
+from servotrack.baselines.speed.speed import Rate, Subject
 
 
 def _silent(name: str) -> None:

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from servotrack.baselines.benchmark import clutter, set_filtering, speed
+from servotrack.baselines.speed import clutter, set_filtering, speed
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.baselines.color.films import film, track
-from servotrack.baselines.color.observers import create_color_observer
-from servotrack.baselines.color.trackers import COLOR_TRACKERS, color_tracker
-from servotrack.baselines.evaluate import make_vector, run_episodes
-from servotrack.baselines.registry import AGENTS, agent_card, create_agent
+from servotrack.baselines.agents.color.catalog import COLOR_TRACKERS, color_tracker
+from servotrack.baselines.agents.color.observers import create_color_observer
+from servotrack.baselines.agents.registry import AGENTS, agent_card, create_agent
+from servotrack.baselines.evaluation.evaluate import make_vector, run_episodes
+from servotrack.baselines.tuning.color_films import film, track
 
 ENV_ID = "ColorTracking-v0"
 AGENT_NAMES = tuple(name for name, card in AGENTS.items() if card.factory.endswith("create_color_observer"))

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from servotrack.baselines.color.trackers import COLOR_TRACKERS
+from servotrack.baselines.agents.color.catalog import COLOR_TRACKERS
 
 PAGE = Path(__file__).parents[2] / "docs" / "color.md"
 

@@ -8,12 +8,12 @@ from rich.console import Console
 from rich.progress import Progress
 
 import servotrack  # noqa: F401
-from servotrack.baselines.claims import read_claims
-from servotrack.baselines.color.grids import EPISODES, GRIDS, tuning_steps
-from servotrack.baselines.color.trackers import color_tracker
-from servotrack.baselines.color.tuning import mean_auc, search
-from servotrack.baselines.paper001 import experiment, report
-from servotrack.baselines.paper001.experiment import (
+from servotrack.baselines.agents.color.catalog import color_tracker
+from servotrack.baselines.agents.color.tuning_grid import EPISODES, GRIDS, tuning_steps
+from servotrack.baselines.evaluation.results import ResultsError
+from servotrack.baselines.papers.claims import read_claims
+from servotrack.baselines.papers.monte_carlo_color import experiment, report
+from servotrack.baselines.papers.monte_carlo_color.experiment import (
     MEAN_SHIFT,
     METHODS,
     PAPER,
@@ -23,9 +23,15 @@ from servotrack.baselines.paper001.experiment import (
     plan,
     run_all,
 )
-from servotrack.baselines.paper001.findings import COMMAND, auc_grid, findings, quality_grid, sensitivity_grid
-from servotrack.baselines.reproduce import reproduce_paper
-from servotrack.baselines.results import ResultsError
+from servotrack.baselines.papers.monte_carlo_color.findings import (
+    COMMAND,
+    auc_grid,
+    findings,
+    quality_grid,
+    sensitivity_grid,
+)
+from servotrack.baselines.papers.reproduce import reproduce_paper
+from servotrack.baselines.tuning.color_search import mean_auc, search
 from servotrack.envs.track.color.config import LEVEL_NAMES
 
 SMALL = {"horizon": 5, "width": 160, "height": 120, "head_height": 30.0}
@@ -100,7 +106,7 @@ def test_the_claims_are_on_the_list() -> None:
 
 def test_figures_draw() -> None:
     pytest.importorskip("matplotlib")
-    from servotrack.baselines.paper001.figures import draw_sensitivity, draw_success
+    from servotrack.baselines.papers.monte_carlo_color.figures import draw_sensitivity, draw_success
 
     found = invented({PLUS: 0.8})
     assert len(draw_success(found).axes) == 6
@@ -114,7 +120,7 @@ def test_tuning_tries_every_value_on_the_same_tune_films(monkeypatch) -> None:
         seen.append(seed)
         return [float(setting["scale_mixing"]) for setting in settings]
 
-    monkeypatch.setattr("servotrack.baselines.color.tuning._on_film", on_film)
+    monkeypatch.setattr("servotrack.baselines.tuning.color_search._on_film", on_film)
     scores = mean_auc("kernel-mean-shift", [{"scale_mixing": v} for v in (0.1, 0.3)], 2, jobs=1)
     assert scores.shape == (2, 6)
     assert (scores[1] > scores[0]).all()

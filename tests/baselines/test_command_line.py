@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servotrack.baselines.play import key_action
+from servotrack.baselines.evaluation.watch import key_action
 
 MISTAKES = [
     (["evaluate", "UncalibServo-v0", "kff"], "did you mean 'kf'"),

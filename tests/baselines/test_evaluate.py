@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.baselines import seeds
-from servotrack.baselines.bench import Cell, run_suite, suite_of
-from servotrack.baselines.episodes import EpisodeRecorder, servo_errors
-from servotrack.baselines.evaluate import evaluate
-from servotrack.baselines.results import ResultsFolder
+from servotrack.baselines.evaluation import seeds
+from servotrack.baselines.evaluation.bench import Cell, run_suite, suite_of
+from servotrack.baselines.evaluation.episodes import EpisodeRecorder, servo_errors
+from servotrack.baselines.evaluation.evaluate import evaluate
+from servotrack.baselines.evaluation.results import ResultsFolder
 
 SERVO = "UncalibServo-v0"
 TUNE = seeds.take("tune", 6)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.baselines.evaluate import evaluate, make_single, show_belief
-from servotrack.baselines.registry import AGENTS, agent_card, create_agent
-from servotrack.baselines.seeds import take
+from servotrack.baselines.agents.registry import AGENTS, agent_card, create_agent
+from servotrack.baselines.evaluation.evaluate import evaluate, make_single, show_belief
+from servotrack.baselines.evaluation.seeds import take
 
 ENV_ID = "PedestrianServo-v0"
 SHORT = {"horizon": 100}

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from servotrack.baselines.evaluation.results import CellResults, ResultsError, atomic_path
 from servotrack.baselines.leaderboard.figure import draw_levels, level_tasks
 from servotrack.baselines.leaderboard.report import write_report
 from servotrack.baselines.leaderboard.summary import overall, summarize
@@ -19,8 +20,7 @@ from servotrack.baselines.leaderboard.table import (
     overview_grid,
     task_grid,
 )
-from servotrack.baselines.leaderboard.video import film_episode, write_film
-from servotrack.baselines.results import CellResults, ResultsError, atomic_path
+from servotrack.baselines.reporting.film import film_episode, write_film
 
 ERRORS = {"random": 0.5, "ukf": 0.005, "lifted-kf": 0.002, "oracle": 0.001}
 

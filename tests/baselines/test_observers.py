@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.baselines.evaluate import make_vector
-from servotrack.baselines.registry import AGENTS, agent_card, create_agent
+from servotrack.baselines.agents.registry import AGENTS, agent_card, create_agent
+from servotrack.baselines.evaluation.evaluate import make_vector
 
 ENV_ID = "ClutterTracking-v0"
 OBSERVERS = tuple(name for name, card in AGENTS.items() if card.factory.endswith("create_observer"))

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from servotrack.baselines import reproduce, seeds
-from servotrack.baselines.paper000 import experiment, report, sequences, transfer
-from servotrack.baselines.paper000.experiment import Method, Outcome, count_right, run_methods
-from servotrack.baselines.paper000.figures import draw_counts
+from servotrack.baselines.evaluation import seeds
+from servotrack.baselines.papers import reproduce, sequences, transfer
+from servotrack.baselines.papers.gm_phd_video import experiment, report
+from servotrack.baselines.papers.gm_phd_video.experiment import Method, Outcome, count_right, run_methods
+from servotrack.baselines.papers.gm_phd_video.figures import draw_counts
 from servotrack.estimators.metrics import Track
 
 

@@ -8,12 +8,18 @@ import pytest
 from rich.progress import Progress
 
 import servotrack  # noqa: F401
-from servotrack.baselines.claims import read_claims
-from servotrack.baselines.paper004.experiment import METHODS, Condition, draw_runs, run_condition, time_steps
-from servotrack.baselines.paper004.findings import COMMAND
-from servotrack.baselines.paper004.plan import all_conditions, excess, run_means, shares
-from servotrack.baselines.paper004.runs import run_all
-from servotrack.baselines.results import ResultsError
+from servotrack.baselines.evaluation.results import ResultsError
+from servotrack.baselines.papers.claims import read_claims
+from servotrack.baselines.papers.pairwise_markov.experiment import (
+    METHODS,
+    Condition,
+    draw_runs,
+    run_condition,
+    time_steps,
+)
+from servotrack.baselines.papers.pairwise_markov.findings import COMMAND
+from servotrack.baselines.papers.pairwise_markov.plan import all_conditions, excess, run_means, shares
+from servotrack.baselines.papers.pairwise_markov.runs import run_all
 from servotrack.estimators.metrics import ospa
 
 SHORT = {"horizon": 30}
@@ -45,7 +51,7 @@ def test_a_second_call_reads_what_the_first_one_kept(tmp_path, monkeypatch) -> N
     condition = Condition("x", ("PHD-HMM",), SHORT)
     with Progress(disable=True) as progress:
         first = run_all([(condition, SEEDS)], tmp_path, progress, jobs=1)
-        monkeypatch.setattr("servotrack.baselines.paper004.runs._run_chunk", None)
+        monkeypatch.setattr("servotrack.baselines.papers.pairwise_markov.runs._run_chunk", None)
         second = run_all([(condition, SEEDS)], tmp_path, progress, jobs=1)
     assert np.array_equal(first["x"]["PHD-HMM"].ospa, second["x"]["PHD-HMM"].ospa)
     other = Condition("x", ("PHD-HMM",), {**SHORT, "clutter_rate": 3.0})

@@ -8,11 +8,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from servotrack.baselines.results import ResultsError
-from servotrack.baselines.tracking.rendered import ENVIRONMENT, render_sequence
-from servotrack.envs.track.frames import open_frames
-from servotrack.envs.track.mot_files import find_mot_folder
-from servotrack.envs.track.recorded import read_tracks
+from servotrack.baselines.evaluation.results import ResultsError
+from servotrack.baselines.track_command.rendered import ENVIRONMENT, render_sequence
+from servotrack.envs.track.files.frames import open_frames
+from servotrack.envs.track.files.mot_files import find_mot_folder
+from servotrack.envs.track.files.recorded import read_tracks
 
 AXES = {"level": 1, "width": 160, "height": 120, "horizon": 12, "empty_frames": 4}
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from servotrack.baselines import reproduce
-from servotrack.baselines.claims import Claim, fill, judge_smaller, read_claims, write_claims
-from servotrack.baselines.paper002 import experiment as paper002
-from servotrack.baselines.paper002 import report
-from servotrack.baselines.results import ResultsError
-from servotrack.baselines.statistics import PairedDifference
+from servotrack.baselines.evaluation.results import ResultsError
+from servotrack.baselines.evaluation.statistics import PairedDifference
+from servotrack.baselines.papers import reproduce
+from servotrack.baselines.papers.claims import Claim, fill, judge_smaller, read_claims, write_claims
+from servotrack.baselines.papers.unscented_jacobian import experiment as paper002
+from servotrack.baselines.papers.unscented_jacobian import report
 
 SEED = 100_000
 

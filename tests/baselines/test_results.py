@@ -10,7 +10,14 @@ from typing import Any
 
 import pytest
 
-from servotrack.baselines.results import CellResults, ResultsError, ResultsFolder, atomic_path, provenance, read_cell
+from servotrack.baselines.evaluation.results import (
+    CellResults,
+    ResultsError,
+    ResultsFolder,
+    atomic_path,
+    provenance,
+    read_cell,
+)
 
 ENV, KWARGS, AGENT = "UncalibServo-v0", {"level": 3}, "kf"
 
@@ -148,7 +155,7 @@ def test_arguments_that_json_changes_stay_one_environment(tmp_path: Path) -> Non
 
 
 def test_the_version_follows_the_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import servotrack.baselines.results as results
+    import servotrack.baselines.evaluation.results as results
 
     room = tmp_path / "room"
     room.mkdir()

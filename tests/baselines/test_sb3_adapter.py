@@ -12,7 +12,7 @@ import servotrack  # noqa: F401
 
 pytest.importorskip("stable_baselines3")
 
-from servotrack.baselines.sb3 import StableBaselinesVecEnv
+from servotrack.baselines.training.sb3 import StableBaselinesVecEnv
 
 SAME_STEP = gym.vector.AutoresetMode.SAME_STEP
 SHORT = {"level": 2, "horizon": 5}

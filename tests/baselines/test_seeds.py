@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from servotrack.baselines import seeds
+from servotrack.baselines.evaluation import seeds
 
 
 def test_splits_are_disjoint() -> None:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.baselines.evaluate import evaluate, make_single, make_vector
-from servotrack.baselines.registry import AGENTS, agent_card, create_agent
-from servotrack.baselines.sonar_observers import SonarObserver
+from servotrack.baselines.agents.registry import AGENTS, agent_card, create_agent
+from servotrack.baselines.agents.sonar.observers import SonarObserver
+from servotrack.baselines.evaluation.evaluate import evaluate, make_single, make_vector
 from servotrack.estimators.rfs import SetEstimate
 
 ENV_ID = "SonarTracking-v0"

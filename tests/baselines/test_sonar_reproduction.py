@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servotrack.baselines.bench import progress_bars
-from servotrack.baselines.claims import read_claims
-from servotrack.baselines.paper003 import experiment
-from servotrack.baselines.paper003.figures import draw_offsets
-from servotrack.baselines.paper003.findings import (
+from servotrack.baselines.agents.sonar.catalog import sonar_tracker
+from servotrack.baselines.evaluation.bench import progress_bars
+from servotrack.baselines.evaluation.results import ResultsError
+from servotrack.baselines.papers.claims import read_claims
+from servotrack.baselines.papers.hmm_sonar import experiment
+from servotrack.baselines.papers.hmm_sonar.figures import draw_offsets
+from servotrack.baselines.papers.hmm_sonar.findings import (
     COMMAND,
     CONTRADICTIONS,
     bearing_error,
@@ -20,9 +22,7 @@ from servotrack.baselines.paper003.findings import (
     simulation_grid,
     trial_grid,
 )
-from servotrack.baselines.paper003.scores import score_tracks
-from servotrack.baselines.results import ResultsError
-from servotrack.baselines.sonar_trackers import sonar_tracker
+from servotrack.baselines.papers.hmm_sonar.scores import score_tracks
 from servotrack.estimators.metrics import Track
 
 

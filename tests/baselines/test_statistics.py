@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servotrack.baselines import statistics
+from servotrack.baselines.evaluation import statistics
 
 
 def test_wilson_interval_agrees_with_the_published_formula() -> None:

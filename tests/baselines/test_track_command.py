@@ -16,14 +16,14 @@ import cv2
 import numpy as np
 import pytest
 
-from servotrack.baselines.results import ResultsError
-from servotrack.baselines.tracking import stopping
-from servotrack.baselines.tracking.inputs import FileInput, PixelInput
-from servotrack.baselines.tracking.painter import BoxPainter
-from servotrack.baselines.tracking.run import track
-from servotrack.baselines.tracking.scores import score_tracks
-from servotrack.baselines.tracking.tracks_file import TracksFile
-from servotrack.envs.track.recorded import RecordedTracks, SequenceError, read_tracks
+from servotrack.baselines.evaluation.results import ResultsError
+from servotrack.baselines.track_command import stopping
+from servotrack.baselines.track_command.inputs import FileInput, PixelInput
+from servotrack.baselines.track_command.painter import BoxPainter
+from servotrack.baselines.track_command.run import track
+from servotrack.baselines.track_command.scores import score_tracks
+from servotrack.baselines.track_command.tracks_file import TracksFile
+from servotrack.envs.track.files.recorded import RecordedTracks, SequenceError, read_tracks
 from servotrack.estimators.detect.detections import Detections, detections_from_boxes
 from servotrack.estimators.metrics import Track
 from servotrack.estimators.rfs.sets import SetEstimate
@@ -199,7 +199,7 @@ def test_run_ends_before_the_disk_is_full(tmp_path, monkeypatch):
 def test_film_that_does_not_play_is_removed_with_a_warning(tmp_path, monkeypatch):
     source = PixelInput(write_video(tmp_path / "v.avi"), Brightness())
     film = tmp_path / "out" / "tracks.mp4"
-    from servotrack.baselines.tracking import run as module
+    from servotrack.baselines.track_command import run as module
 
     keep = module._keep_film
     monkeypatch.setattr(module, "_keep_film", lambda f, r: (film.write_bytes(b"half a film"), keep(f, r)))

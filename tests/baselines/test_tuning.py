@@ -10,17 +10,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from servotrack.baselines import tuning
-from servotrack.baselines.evaluate import run_episodes
-from servotrack.baselines.hyper_parameters import value_at, with_values
-from servotrack.baselines.leaderboard.tuning_table import markdown_tuning
-from servotrack.baselines.registry import AGENTS, agent_card
-from servotrack.baselines.results import ResultsError
-from servotrack.baselines.seeds import TUNE
-from servotrack.baselines.servo_agents import ESTIMATORS
-from servotrack.baselines.tuning import Measured, TuningProtocol, coordinate_search, default_values, measure, tune
-from servotrack.baselines.tuning_grids import BORROWED, GRIDS, UNTUNED
-from servotrack.baselines.tuning_record import SHIPPED, TunedAgent, read_record
+from servotrack.baselines.agents.registry import AGENTS, agent_card
+from servotrack.baselines.agents.servo.catalog import ESTIMATORS
+from servotrack.baselines.agents.servo.hyper_parameters import value_at, with_values
+from servotrack.baselines.agents.servo.tuning_grid import BORROWED, GRIDS, UNTUNED
+from servotrack.baselines.agents.tuning_record import SHIPPED, TunedAgent, read_record
+from servotrack.baselines.evaluation.evaluate import run_episodes
+from servotrack.baselines.evaluation.results import ResultsError
+from servotrack.baselines.evaluation.seeds import TUNE
+from servotrack.baselines.tuning import search as tuning
+from servotrack.baselines.tuning.search import (
+    Measured,
+    TuningProtocol,
+    coordinate_search,
+    default_values,
+    measure,
+    tune,
+)
+from servotrack.baselines.tuning.table import markdown_tuning
 
 TOY = {"x": (0.0, 1.0, 2.0, 3.0), "y": (-1.0, 0.0, 1.0)}
 SHORT = TuningProtocol(levels=(0, 1), seeds=(100_500, 100_501))
@@ -296,5 +303,5 @@ def test_every_borrower_is_compared_with_its_lender() -> None:
 
 def test_the_page_shows_the_shipped_record() -> None:
     page = (Path(__file__).parents[2] / "docs" / "tuning.md").read_text(encoding="utf-8")
-    remedy = "run `servotrack tune --output baselines/tuning.json --into docs/tuning.md`"
+    remedy = "run `servotrack tune --output baselines/agents/tuning.json --into docs/tuning.md`"
     assert markdown_tuning(read_record(SHIPPED)).strip() in page, remedy

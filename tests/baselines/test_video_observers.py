@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.baselines.evaluate import make_vector
-from servotrack.baselines.peers_trackers import PEERS
-from servotrack.baselines.registry import AGENTS, agent_card, create_agent
+from servotrack.baselines.agents.people.trackers_package import PEERS
+from servotrack.baselines.agents.registry import AGENTS, agent_card, create_agent
+from servotrack.baselines.evaluation.evaluate import make_vector
 from servotrack.envs.wrappers import PrivilegedObservation
 
 ENV_ID = "PedestrianTracking-v0"

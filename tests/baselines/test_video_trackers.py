@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from servotrack.baselines.peers_trackers import PEERS, PeerTracker
-from servotrack.baselines.video_trackers import (
+from servotrack.baselines.agents.people.catalog import (
     BODY_WIDTH,
     DETECTORS,
     TRACKERS,
@@ -18,6 +17,7 @@ from servotrack.baselines.video_trackers import (
     create_tracker,
     phd_as_printed,
 )
+from servotrack.baselines.agents.people.trackers_package import PEERS, PeerTracker
 from servotrack.estimators.detect import detections_from_boxes
 
 OURS = [name for name in TRACKERS if name not in PEERS]

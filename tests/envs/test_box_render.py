@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from servotrack.envs.glyphs import put_text
-from servotrack.envs.track.box_paint import BoxTrail, annotate, printable
-from servotrack.envs.track.box_recorder import BoxRecorder
-from servotrack.envs.track.box_render import BoxScene, draw
-from servotrack.envs.track.render import TRAIL_LENGTH, identity_color
+from servotrack.envs.drawing.glyphs import put_text
+from servotrack.envs.track.clutter.render import TRAIL_LENGTH, identity_color
+from servotrack.envs.track.people.box_paint import BoxTrail, annotate, printable
+from servotrack.envs.track.people.box_recorder import BoxRecorder
+from servotrack.envs.track.people.box_render import BoxScene, draw
 
 GRAY = 120
 

@@ -8,10 +8,10 @@ import pytest
 from scipy import stats
 
 import servotrack  # noqa: F401
-from servotrack.envs.track.episode import draw_episode
-from servotrack.envs.track.levels import LEVEL_NAMES, clutter_config, poisson_quantile
+from servotrack.envs.track.clutter.config import LEVEL_NAMES, clutter_config, poisson_quantile
+from servotrack.envs.track.clutter.episode import draw_episode
+from servotrack.envs.track.clutter.scene_model import told
 from servotrack.envs.track.scoring import SetScorer
-from servotrack.envs.track.told import told
 from servotrack.estimators.rfs.models import STRUCTURES
 
 LEVELS = range(len(LEVEL_NAMES))

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from servotrack.envs.track import decoders
-from servotrack.envs.track.frames import open_frames
-from servotrack.envs.track.recorded import SequenceError
+from servotrack.envs.track.files import decoders
+from servotrack.envs.track.files.frames import open_frames
+from servotrack.envs.track.files.recorded import SequenceError
 
 SIZE = (64, 48)
 

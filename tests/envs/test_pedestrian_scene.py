@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from servotrack.envs.track.files.recorded import SequenceError
 from servotrack.envs.track.pedestrians.config import LEVEL_NAMES, PedestrianConfig, pedestrian_config
 from servotrack.envs.track.pedestrians.draw import Stage, occluder_places
 from servotrack.envs.track.pedestrians.episode import draw_movement
 from servotrack.envs.track.pedestrians.floor import lobby_camera
 from servotrack.envs.track.pedestrians.paper_script import MERGE, NUMBERS, SPLIT
 from servotrack.envs.track.pedestrians.replay import read_recording
-from servotrack.envs.track.recorded import SequenceError
 
 FRAMES = 2500
 """Of the movements whose statistics are taken: lives fit in."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.envs.track.forgiving import forgiven
+from servotrack.envs.track.ignored import forgiven
 from servotrack.envs.track.scoring import SetScorer
 from servotrack.estimators.detect import BlobFinder, MaskedBackground
 from servotrack.estimators.metrics import box_distances, mot_scores, ospa2, point_distances

@@ -9,11 +9,11 @@ import pytest
 from gymnasium.error import DependencyNotInstalled, ResetNeeded
 
 import servotrack  # noqa: F401
-from servotrack.envs.glyphs import put_text, text_width
+from servotrack.envs.drawing.glyphs import put_text, text_width
+from servotrack.envs.drawing.viewer import Viewer
 from servotrack.envs.servo import backdrop as still
 from servotrack.envs.servo.footprint import camera_footprint, floor_lines
 from servotrack.envs.servo.render import ServoScene, draw
-from servotrack.envs.viewer import Viewer
 from servotrack.estimators.camera import pack_camera, project_points
 
 SHAPE = (416, 720, 3)

@@ -10,10 +10,10 @@ import pytest
 
 import servotrack  # noqa: F401
 from servotrack.envs.streams import Streams
+from servotrack.envs.track.sonar.array_model import sonar_told
 from servotrack.envs.track.sonar.config import LEVEL_NAMES, sonar_config
 from servotrack.envs.track.sonar.records import draw_powers, draw_record, draw_snapshots, power_moments
 from servotrack.envs.track.sonar.scene import CLOSE, LONGEST_MEETING, crossings, draw_scene
-from servotrack.envs.track.sonar.told import sonar_told
 from servotrack.estimators.sonar.array import beam_pattern, beamform
 
 ENV_ID = "SonarTracking-v0"

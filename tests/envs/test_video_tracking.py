@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import check_env
 
 import servotrack  # noqa: F401
 from servotrack.envs.testing import check_vector_env, check_vector_matches_single
-from servotrack.envs.track.recorded import SequenceError
+from servotrack.envs.track.files.recorded import SequenceError
 
 ENV_ID = "VideoTracking-v0"
 FRAMES = 6

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servotrack.envs.track.episode import draw_episode
-from servotrack.envs.track.levels import clutter_config
+from servotrack.envs.track.clutter.config import clutter_config
+from servotrack.envs.track.clutter.episode import draw_episode
 from servotrack.estimators.online import Online
 from servotrack.estimators.rfs import (
     GMPHD,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servotrack.envs.track.episode import draw_episode
-from servotrack.envs.track.levels import clutter_config
-from servotrack.envs.track.told import told
+from servotrack.envs.track.clutter.config import clutter_config
+from servotrack.envs.track.clutter.episode import draw_episode
+from servotrack.envs.track.clutter.scene_model import told
 from servotrack.estimators.metrics import score_points
 from servotrack.estimators.online import Online, select_rows
 from servotrack.estimators.rfs import (

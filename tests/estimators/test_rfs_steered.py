@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servotrack.baselines.track_filters import steered_phd, track_filter
-from servotrack.envs.track.episode import draw_episode
-from servotrack.envs.track.levels import clutter_config
-from servotrack.envs.track.told import told
+from servotrack.baselines.agents.clutter.catalog import steered_phd, track_filter
+from servotrack.envs.track.clutter.config import clutter_config
+from servotrack.envs.track.clutter.episode import draw_episode
+from servotrack.envs.track.clutter.scene_model import told
 from servotrack.estimators.rfs import CountingPHD, MeasurementBirth, SteadyPHD, SteeredPHD, Steering
 
 SEED = 100_000

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from servotrack.estimators.hmm import smooth
 from servotrack.estimators.online import Online
 from servotrack.estimators.sonar import HMMBearings, PeakKalmanHungarian, PeakNearestNeighbor, ViterbiNulling
+from servotrack.estimators.sonar.joint_smoothing import NEIGHBORS, Together
 from servotrack.estimators.sonar.likelihood import AMPLITUDES, known_power, unknown_power
-from servotrack.estimators.sonar.together import NEIGHBORS, Together
 
 ROW = HMMBearings(**SETTINGS)
 CELL = HMMBearings("cell", **SETTINGS)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.envs.glyphs import put_text
+from servotrack.envs.drawing.glyphs import put_text
 from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, PAPER, SOFT_INK, Color, Image, Panel, mix
 from servotrack.envs.track.color.world import ColorWorld
 

@@ -17,7 +17,7 @@ from servotrack.envs.track.pedestrians.config import (
     pedestrian_config,
 )
 from servotrack.envs.track.pedestrians.world import PedestrianWorld
-from servotrack.envs.track.told_video import VideoModel
+from servotrack.envs.track.people.camera_model import VideoModel
 
 _METADATA = METADATA | {"render_fps": 25}
 
@@ -44,7 +44,7 @@ class PedestrianTrackingEnv(TrackEnv):
     `meet_split_third_guy` (the 922 frames of paper 000's sequence: two meet, become one region at about frame 450 and
     part at about 468, a third comes by), or `replay` with `source`, recorded tracks that people of our own walk again.
 
-    The public attribute `told` is what agents are told: see `servotrack.envs.track.told_video.VideoModel`.
+    The public attribute `told` is what agents are told: see `servotrack.envs.track.people.camera_model.VideoModel`.
 
     ## Action Space
 
@@ -122,7 +122,7 @@ class PedestrianTrackingEnv(TrackEnv):
         super().__init__(world, *_spaces(self.config), render_mode, "PedestrianTracking-v0")
 
     def _make_recorder(self) -> Any:
-        from servotrack.envs.track.people_recorder import PeopleRecorder
+        from servotrack.envs.track.people.recorder import PeopleRecorder
 
         return PeopleRecorder(self.world, 0, self._show_truth)
 
@@ -164,7 +164,7 @@ class PedestrianTrackingVectorEnv(TrackVectorEnv):
         super().__init__(world, num_envs, *_spaces(self.config), render_mode, autoreset_mode, max_episode_steps)
 
     def _recorder(self, row: int) -> Any:
-        from servotrack.envs.track.people_recorder import PeopleRecorder
+        from servotrack.envs.track.people.recorder import PeopleRecorder
 
         return PeopleRecorder(self.world, row, self._show_truth)
 

@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from servotrack.envs.streams import Streams
+from servotrack.envs.track.files.recorded import RecordedTracks
 from servotrack.envs.track.pedestrians.config import POPULATED, PedestrianConfig
 from servotrack.envs.track.pedestrians.floor import Camera, lobby_camera
 from servotrack.envs.track.pedestrians.movement import ImagePath, Movement, assemble, gait
 from servotrack.envs.track.pedestrians.replay import replay
 from servotrack.envs.track.pedestrians.scene import Walk, walk
 from servotrack.envs.track.pedestrians.scripts import draw_parties
-from servotrack.envs.track.recorded import RecordedTracks
 
 
 def draw_movement(

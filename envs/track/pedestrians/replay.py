@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
-from servotrack.envs.track.mot_files import read_seqinfo
+from servotrack.envs.track.files.mot_files import read_seqinfo
+from servotrack.envs.track.files.recorded import RecordedTracks, SequenceError, read_tracks
 from servotrack.envs.track.pedestrians.config import PedestrianConfig
 from servotrack.envs.track.pedestrians.floor import Camera
 from servotrack.envs.track.pedestrians.movement import ImagePath, gait
 from servotrack.envs.track.pedestrians.scene import Stream
-from servotrack.envs.track.recorded import RecordedTracks, SequenceError, read_tracks
 
 Array = NDArray[np.float64]
 

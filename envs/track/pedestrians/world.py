@@ -16,7 +16,7 @@ from servotrack.envs.track.pedestrians.motion_sensor import MotionSensor
 from servotrack.envs.track.pedestrians.movement import Movement
 from servotrack.envs.track.pedestrians.replay import read_recording
 from servotrack.envs.track.pedestrians.scene import Stream
-from servotrack.envs.track.people_world import PeopleWorld
+from servotrack.envs.track.people.world import PeopleWorld
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -10,8 +10,8 @@ from gymnasium.vector import AutoresetMode
 
 from servotrack.envs.arguments import check_count
 from servotrack.envs.track.env import TrackEnv, TrackVectorEnv, set_space
+from servotrack.envs.track.sonar.array_model import SonarModel, sonar_told
 from servotrack.envs.track.sonar.config import LEVEL_NAMES, SonarConfig, sonar_config
-from servotrack.envs.track.sonar.told import SonarModel, sonar_told
 from servotrack.envs.track.sonar.world import SonarWorld
 
 
@@ -39,7 +39,7 @@ class SonarTrackingEnv(TrackEnv):
     SNRs are of one target in one element, over all its noise up to 6 kHz. `snr_offset` makes any level harder.
 
     The public attribute `told` is what agents are told: their own receiver and the lag, see
-    `servotrack.envs.track.sonar.told.SonarModel`.
+    `servotrack.envs.track.sonar.array_model.SonarModel`.
 
     ## Action Space
 

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.envs.glyphs import put_text
+from servotrack.envs.drawing.glyphs import put_text
 from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, IVORY, PAPER, SOFT_INK, Color, Image, Panel, mix
-from servotrack.envs.track.render import draw_curve, identity_color, write_value
+from servotrack.envs.track.clutter.render import draw_curve, identity_color, write_value
 from servotrack.estimators.metrics import Track
 
 Array = NDArray[np.float64]

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.baselines.learned.agent import create_learned_agent
-from servotrack.baselines.learned.card import AgentFileError, LearnedCard, digest, load_card
-from servotrack.baselines.learned.network import LARGEST_NETWORK
-from servotrack.baselines.learned.servo_encoding import ServoEncoding
-from servotrack.baselines.learned.set_prediction import SetWindow
-from servotrack.baselines.registry import agent_card, create_agent
+from servotrack.baselines.agents.learned.agent import create_learned_agent
+from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard, digest, load_card
+from servotrack.baselines.agents.learned.network import LARGEST_NETWORK
+from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
+from servotrack.baselines.agents.learned.set_prediction import SetWindow
+from servotrack.baselines.agents.registry import agent_card, create_agent
 
 onnx = pytest.importorskip("onnx")
 

@@ -10,14 +10,14 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from servotrack.baselines.learned.card import load_card
-from servotrack.baselines.learned.course import TrainingTask
-from servotrack.baselines.learned.curriculum import Curriculum
-from servotrack.baselines.learned.reinforcement import create_model
-from servotrack.baselines.learned.settings import TrainingSettings
-from servotrack.baselines.learned.training import train
-from servotrack.baselines.learned.yardstick import Yardstick
-from servotrack.baselines.results import ResultsFolder
+from servotrack.baselines.agents.learned.card import load_card
+from servotrack.baselines.evaluation.results import ResultsFolder
+from servotrack.baselines.training.curriculum import Curriculum
+from servotrack.baselines.training.dispatch import train
+from servotrack.baselines.training.progress import Yardstick
+from servotrack.baselines.training.reinforcement import create_model
+from servotrack.baselines.training.run import TrainingTask
+from servotrack.baselines.training.settings import TrainingSettings
 
 SERVO = TrainingSettings(
     "ppo",

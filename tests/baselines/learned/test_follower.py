@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.baselines.learned.encoding import create_encoding
-from servotrack.baselines.learned.following import BehindFollower
-from servotrack.baselines.registry import create_agent
+from servotrack.baselines.agents.learned.encoding import create_encoding
+from servotrack.baselines.agents.learned.follow_corrector import BehindFollower
+from servotrack.baselines.agents.registry import create_agent
 
 SETTINGS: dict[str, Any] = {"kind": "servo", "lags": [1, 2], "follower": "phd-servo"}
 

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.baselines.evaluate import run_episodes
-from servotrack.baselines.learned.card import load_card
-from servotrack.baselines.learned.contract import Rows
-from servotrack.baselines.learned.jacobian import (
+from servotrack.baselines.agents.learned.card import load_card
+from servotrack.baselines.agents.learned.contract import Rows
+from servotrack.baselines.agents.learned.jacobian import (
     ENTRIES,
     USUAL,
     LearnedJacobian,
@@ -22,9 +21,10 @@ from servotrack.baselines.learned.jacobian import (
     jacobian_encoding,
     turning,
 )
-from servotrack.baselines.learned.servo_encoding import ServoEncoding
-from servotrack.baselines.registry import agent_card, create_agent
-from servotrack.baselines.servo import servo_measurement
+from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
+from servotrack.baselines.agents.registry import agent_card, create_agent
+from servotrack.baselines.agents.servo.jacobian_servo import servo_measurement
+from servotrack.baselines.evaluation.evaluate import run_episodes
 from servotrack.estimators.jacobian import Excitation, ServoController
 
 SHORT: dict[str, Any] = {"level": 3, "horizon": 80}
@@ -120,11 +120,11 @@ def test_encodings_that_nobody_can_use_are_refused(settings: dict[str, Any], mes
 
 def test_an_estimator_is_taught_and_goes_on_after_a_kill(tmp_path: Path) -> None:
     pytest.importorskip("torch")
-    from servotrack.baselines.learned.course import TrainingTask
-    from servotrack.baselines.learned.settings import TrainingSettings
-    from servotrack.baselines.learned.training import train
-    from servotrack.baselines.learned.yardstick import Yardstick
-    from servotrack.baselines.results import ResultsFolder
+    from servotrack.baselines.evaluation.results import ResultsFolder
+    from servotrack.baselines.training.dispatch import train
+    from servotrack.baselines.training.progress import Yardstick
+    from servotrack.baselines.training.run import TrainingTask
+    from servotrack.baselines.training.settings import TrainingSettings
 
     class Killed(BaseException):
         pass

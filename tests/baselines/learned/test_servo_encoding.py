@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 import servotrack  # noqa: F401
-from servotrack.baselines.learned.encoding import FlatEncoding, ResidualMemory, Stacked, create_encoding
-from servotrack.baselines.learned.servo_encoding import ServoEncoding
-from servotrack.baselines.registry import create_agent
+from servotrack.baselines.agents.learned.encoding import FlatEncoding, ResidualMemory, Stacked, create_encoding
+from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
+from servotrack.baselines.agents.registry import create_agent
 
 CLEAN = {
     "distortion": 0.0, "tilt": 0.0, "aspect": 0.0, "principal_offset": 0.0, "pixel_noise": 0.0, "camera_size": 4096,

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 import servotrack  # noqa: F401
-from servotrack.baselines.learned.contract import Rows
-from servotrack.baselines.learned.set_prediction import (
+from servotrack.baselines.agents.learned.contract import Rows
+from servotrack.baselines.agents.learned.set_prediction import (
     ANCHOR,
     FARTHEST,
     LENGTH,

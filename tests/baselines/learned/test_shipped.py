@@ -11,17 +11,17 @@ import pytest
 from numpy.typing import NDArray
 
 import servotrack  # noqa: F401
-from servotrack.baselines import seeds
-from servotrack.baselines.bench import suite_of
-from servotrack.baselines.evaluate import run_episodes
+from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard
+from servotrack.baselines.agents.learned.marker_network import OnnxEyes
+from servotrack.baselines.agents.learned.network import LARGEST_NETWORK, OnnxNetwork
+from servotrack.baselines.agents.learned.shipped import shipped_agents, shipped_cards
+from servotrack.baselines.agents.protocol import world_of
+from servotrack.baselines.agents.registry import AGENTS, create_agent
+from servotrack.baselines.evaluation import seeds
+from servotrack.baselines.evaluation.bench import suite_of
+from servotrack.baselines.evaluation.evaluate import run_episodes
+from servotrack.baselines.leaderboard.agents_table import agents_grid, shipped_grid
 from servotrack.baselines.leaderboard.measures import JUDGMENTS
-from servotrack.baselines.learned.card import AgentFileError, LearnedCard
-from servotrack.baselines.learned.eyes import OnnxEyes
-from servotrack.baselines.learned.listing import agents_grid, shipped_grid
-from servotrack.baselines.learned.network import LARGEST_NETWORK, OnnxNetwork
-from servotrack.baselines.learned.shipped import shipped_agents, shipped_cards
-from servotrack.baselines.protocol import world_of
-from servotrack.baselines.registry import AGENTS, create_agent
 
 CARDS = shipped_cards()
 TUNE = seeds.take("tune", 60, 70_000)
@@ -62,7 +62,7 @@ EYES = [path for path, card in CARDS.items() if card.encoding["kind"] == "marker
 @pytest.mark.parametrize("path", EYES, ids=lambda path: path.stem)
 def test_eyes_see_as_torch_does(path: Path) -> None:
     onnx, torch = pytest.importorskip("onnx"), pytest.importorskip("torch")
-    from servotrack.baselines.learned.eyes_training import EyesNetwork
+    from servotrack.baselines.training.marker import EyesNetwork
 
     card = CARDS[path]
     model = onnx.load_model(str(path.parent / card.network))
@@ -108,9 +108,9 @@ def test_networks_answer_as_torch_does(path: Path) -> None:
 def _multilayer(torch: Any, card: LearnedCard, stored: dict[str, Any], rows: Any) -> Any:
     """The mode of PPO's policy, rebuilt by Stable-Baselines3 from the hyper-parameters of the card."""
     pytest.importorskip("stable_baselines3")
-    from servotrack.baselines.learned.course import TrainingTask
-    from servotrack.baselines.learned.reinforcement import create_model, policy_mode
-    from servotrack.baselines.learned.settings import TrainingSettings
+    from servotrack.baselines.training.reinforcement import create_model, policy_mode
+    from servotrack.baselines.training.run import TrainingTask
+    from servotrack.baselines.training.settings import TrainingSettings
 
     settings = TrainingSettings(**{"recipe": card.name, **card.training["settings"]})
     task = TrainingTask(card.env_id, card.env_kwargs, settings, 0, Path(), tensorboard=False)
@@ -131,8 +131,8 @@ def _with_products(network: Any, graph: Any, stored: dict[str, Any], names: tupl
 
 
 def _set_network(card: LearnedCard, graph: Any, stored: dict[str, Any]) -> Any:
-    from servotrack.baselines.learned.set_prediction import SetWindow
-    from servotrack.baselines.learned.set_training import SetNetwork
+    from servotrack.baselines.agents.learned.set_prediction import SetWindow
+    from servotrack.baselines.training.set_prediction import SetNetwork
 
     hidden = card.training["settings"]["hyper_parameters"]["hidden"]
     network = SetNetwork(SetWindow.of(card.encoding).neighbors, hidden)
@@ -143,8 +143,8 @@ def _set_network(card: LearnedCard, graph: Any, stored: dict[str, Any]) -> Any:
 
 def _recurrent(torch: Any, card: LearnedCard, graph: Any, stored: dict[str, Any], rows: Any, memory: Any) -> Any:
     """The network of a student or of an estimator with the weights that the graph's nodes take."""
-    from servotrack.baselines.learned.jacobian_training import JacobianNetwork
-    from servotrack.baselines.learned.student import StudentNetwork
+    from servotrack.baselines.training.jacobian import JacobianNetwork
+    from servotrack.baselines.training.student import StudentNetwork
 
     network: Any = (
         JacobianNetwork(rows.shape[1], card.memory)

@@ -23,28 +23,28 @@ pytest.importorskip("sb3_contrib")
 
 import torch
 
-from servotrack.baselines import seeds
-from servotrack.baselines.evaluate import run_episodes
-from servotrack.baselines.learned.card import AgentFileError, LearnedCard, digest, load_card
-from servotrack.baselines.learned.command import TrainingRequest, run_training
-from servotrack.baselines.learned.comparison import compare
-from servotrack.baselines.learned.course import CHECKPOINT, TrainingTask, load_checkpoint
-from servotrack.baselines.learned.encoded_env import EncodedVecEnv
-from servotrack.baselines.learned.encoding import create_encoding
-from servotrack.baselines.learned.export import export, exportable_policy
-from servotrack.baselines.learned.eyes import open_eyes
-from servotrack.baselines.learned.jacobian import jacobian_encoding
-from servotrack.baselines.learned.network import OnnxNetwork
-from servotrack.baselines.learned.reinforcement import create_model, policy_mode, restore
-from servotrack.baselines.learned.servo_encoding import ServoEncoding
-from servotrack.baselines.learned.set_prediction import SetWindow
-from servotrack.baselines.learned.settings import TrainingSettings, load_settings, schedule
-from servotrack.baselines.learned.student import StudentNetwork
-from servotrack.baselines.learned.training import train
-from servotrack.baselines.learned.yardstick import Yardstick
-from servotrack.baselines.registry import agent_card, create_agent
-from servotrack.baselines.results import ResultsError, ResultsFolder
-from servotrack.baselines.sb3 import StableBaselinesVecEnv
+from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard, digest, load_card
+from servotrack.baselines.agents.learned.encoding import create_encoding
+from servotrack.baselines.agents.learned.jacobian import jacobian_encoding
+from servotrack.baselines.agents.learned.marker_network import open_eyes
+from servotrack.baselines.agents.learned.network import OnnxNetwork
+from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
+from servotrack.baselines.agents.learned.set_prediction import SetWindow
+from servotrack.baselines.agents.registry import agent_card, create_agent
+from servotrack.baselines.evaluation import seeds
+from servotrack.baselines.evaluation.evaluate import run_episodes
+from servotrack.baselines.evaluation.results import ResultsError, ResultsFolder
+from servotrack.baselines.training.command import TrainingRequest, run_training
+from servotrack.baselines.training.comparison import compare
+from servotrack.baselines.training.dispatch import train
+from servotrack.baselines.training.encoded_env import EncodedVecEnv
+from servotrack.baselines.training.export import export, exportable_policy
+from servotrack.baselines.training.progress import Yardstick
+from servotrack.baselines.training.reinforcement import create_model, policy_mode, restore
+from servotrack.baselines.training.run import CHECKPOINT, TrainingTask, load_checkpoint
+from servotrack.baselines.training.sb3 import StableBaselinesVecEnv
+from servotrack.baselines.training.settings import TrainingSettings, load_settings, schedule
+from servotrack.baselines.training.student import StudentNetwork
 
 ENV_ID = "UncalibServo-v0"
 SHORT: dict[str, Any] = {"level": 2, "horizon": 80}
@@ -215,7 +215,7 @@ def test_what_an_episode_ended_with_is_encoded_too() -> None:
 
 
 def test_the_shipped_hyper_parameters_can_be_read() -> None:
-    folder = Path(servotrack.baselines.__file__).parent / "learned" / "hyper_parameters"  # type: ignore[attr-defined]
+    folder = Path(servotrack.baselines.__file__).parent / "training" / "hyper_parameters"  # type: ignore[attr-defined]
     files = sorted(folder.glob("*.yml"))
     assert files
     for file in files:

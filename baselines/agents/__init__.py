@@ -1,0 +1,1 @@
+"""Agents: policies and observers made of estimators or networks, one folder per kind of world."""

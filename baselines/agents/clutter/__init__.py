@@ -1,0 +1,1 @@
+"""Observers of points in clutter: random-finite-set filters behind `predict`."""

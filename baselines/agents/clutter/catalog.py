@@ -1,0 +1,141 @@
+"""The set estimators behind the observers' names, made of what a world tells its agents."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from servotrack.envs.track.clutter.scene_model import SceneModel
+from servotrack.estimators.rfs import (
+    GMPHD,
+    PMB,
+    Birth,
+    GlobalNearestNeighbor,
+    GMCBMeMBer,
+    MeasurementBirth,
+    ParticlePHD,
+    RawMeasurements,
+    Reduction,
+)
+from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD
+
+SMALLEST_CAPACITY = 100
+"""Components of a PHD and tracks of a multi-Bernoulli are capped at this, or at five times the most targets."""
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """What does not follow from the scene.
+
+    Attributes:
+        hidden_markov: Ignore the dependence of the noises, where there is one.
+        extraction: "threshold", "sum" or "map".
+        capacity: Most components of a PHD, most tracks of a multi-Bernoulli.
+    """
+
+    hidden_markov: bool = False
+    extraction: str = "threshold"
+    capacity: int = SMALLEST_CAPACITY
+
+
+def observer_settings(rows: int) -> FilterSettings:
+    """Settings of an observer whose answers have so many rows."""
+    return FilterSettings(capacity=max(SMALLEST_CAPACITY, 3 * rows))
+
+
+def track_filter(name: str, scene: SceneModel, settings: FilterSettings | None = None) -> Any:
+    """A set estimator for a scene.
+
+    Args:
+        name: One of `TRACK_FILTERS`.
+        scene: What agents are told.
+        settings: The rest.
+
+    Raises:
+        ValueError: An unknown name.
+    """
+    if name not in TRACK_FILTERS:
+        raise ValueError(f"no tracking filter is called {name!r}; known are {', '.join(TRACK_FILTERS)}")
+    return TRACK_FILTERS[name](scene, settings or FilterSettings())
+
+
+def _birth(scene: SceneModel) -> Birth | MeasurementBirth:
+    if scene.birth_means is None:
+        return MeasurementBirth(float(scene.birth_weights.sum()), np.sqrt(np.diag(scene.birth_covariance)))
+    return Birth(scene.birth_weights, scene.birth_means, scene.birth_covariance)
+
+
+def _gaussian(filter_class: Callable[..., Any], reduction: Callable[[int], Reduction]) -> Callable[..., Any]:
+    def make(scene: SceneModel, settings: FilterSettings) -> Any:
+        return filter_class(
+            scene.hidden_markov if settings.hidden_markov else scene.model,
+            _birth(scene),
+            clutter_intensity=scene.clutter_intensity,
+            survival=scene.survival_probability,
+            detection=scene.detection_probability,
+            extraction=settings.extraction,
+            reduction=reduction(settings.capacity),
+        )
+
+    return make
+
+
+def steered_phd(scene: SceneModel, settings: FilterSettings | None = None) -> SteeredPHD:
+    """A GM-PHD filter as a scene is told, whose parameters are given at every step."""
+    made: GMPHD = track_filter("gm-phd", scene, settings)
+    deviation = np.sqrt(np.diag(scene.birth_covariance))
+    return SteeredPHD(made, MeasurementBirth(1.0, deviation, largest=1.0))
+
+
+def _anywhere(scene: SceneModel, settings: FilterSettings) -> SteadyPHD:
+    return SteadyPHD(steered_phd(scene, settings))
+
+
+def _counting(scene: SceneModel, settings: FilterSettings) -> CountingPHD:
+    return CountingPHD(steered_phd(scene, settings), scene.clutter_rate)
+
+
+def _particle(scene: SceneModel, settings: FilterSettings) -> ParticlePHD:
+    birth = _birth(scene)
+    if isinstance(birth, MeasurementBirth):
+        # Particles need places to be drawn from: one Gaussian with the variance of the uniform region.
+        covariance = scene.birth_covariance.copy()
+        covariance[[0, 2], [0, 2]] = scene.half_width**2 / 3.0
+        birth = Birth(scene.birth_weights, np.zeros((1, 4)), covariance)
+    return ParticlePHD(
+        scene.hidden_markov,
+        birth,
+        clutter_intensity=scene.clutter_intensity,
+        survival=scene.survival_probability,
+        detection=scene.detection_probability,
+    )
+
+
+def _velocity_deviation(scene: SceneModel) -> float:
+    return float(np.sqrt(scene.birth_covariance[1, 1]))
+
+
+def _nearest(scene: SceneModel, settings: FilterSettings) -> GlobalNearestNeighbor:
+    return GlobalNearestNeighbor(
+        scene.hidden_markov if settings.hidden_markov else scene.model, hidden_deviation=_velocity_deviation(scene)
+    )
+
+
+def _raw(scene: SceneModel, settings: FilterSettings) -> RawMeasurements:
+    return RawMeasurements(scene.model)
+
+
+TRACK_FILTERS: Mapping[str, Callable[[SceneModel, FilterSettings], Any]] = {
+    "gm-phd": _gaussian(GMPHD, lambda capacity: Reduction(components=capacity)),
+    "gm-phd-anywhere": _anywhere,
+    "gm-phd-counting": _counting,
+    "gm-cbmember": _gaussian(GMCBMeMBer, lambda capacity: Reduction(components=10, tracks=capacity)),
+    "pmb": _gaussian(PMB, lambda capacity: Reduction(components=5, tracks=capacity)),
+    "smc-phd": _particle,
+    "gnn": _nearest,
+    "raw-measurements": _raw,
+}
+"""From an observer's name to what makes its estimator."""

@@ -1,0 +1,230 @@
+"""Learned agents behind `predict`: an encoding and a network, no torch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard, load_card
+from servotrack.baselines.agents.learned.contract import Encoding
+from servotrack.baselines.agents.learned.encoding import create_encoding
+from servotrack.baselines.agents.learned.marker_network import OnnxEyes
+from servotrack.baselines.agents.learned.network import OnnxNetwork
+from servotrack.baselines.agents.learned.shipped import shipped_file
+from servotrack.baselines.agents.memory import remembered
+from servotrack.baselines.agents.registry import create_agent
+from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo
+from servotrack.baselines.agents.servo.pixel_servo import PixelServo
+
+if TYPE_CHECKING:
+    from servotrack.baselines.agents.learned.set_prediction import SetPredictor
+
+
+class LearnedState(NamedTuple):
+    """Memory of a `LearnedAgent`, with a leading axis of N.
+
+    Attributes:
+        encoding: Of the encoding.
+        network: Of the network. Shape (N, M).
+        action: What was done last. Shape (N, *action).
+    """
+
+    encoding: Any
+    network: NDArray[np.float32]
+    action: NDArray[Any]
+
+
+class LearnedAgent:
+    """A network that reads encoded observations.
+
+    Args:
+        network: Rows (N, size) and memory (N, M) in, actions and memory out.
+        encoding: What it reads.
+        observation_space: Of one environment.
+        action_space: Of one environment, a Box.
+
+    Raises:
+        AgentFileError: Network, encoding and spaces do not fit each other.
+    """
+
+    def __init__(
+        self,
+        network: OnnxNetwork,
+        encoding: Encoding,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Space[Any],
+    ) -> None:
+        if network.size != encoding.size:
+            raise AgentFileError(
+                f"{network.path} reads rows of {network.size} numbers, its encoding gives {encoding.size} here"
+            )
+        answers = encoding.answer_space(action_space)
+        if not isinstance(action_space, spaces.Box) or answers.shape != (network.actions,):
+            raise AgentFileError(f"{network.path} gives {network.actions} numbers, it takes an answer in {answers}")
+        self.network, self._encoding = network, encoding
+        self._low, self._high = action_space.low, action_space.high
+        space: Any = observation_space
+        parts = space.items() if isinstance(space, spaces.Dict) else [(None, space)]
+        self._shapes: dict[str | None, tuple[int, ...]] = {key: part.shape or () for key, part in parts}
+
+    def predict(
+        self,
+        observation: Any,
+        state: LearnedState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[Any], LearnedState]:
+        """Choose actions.
+
+        Args:
+            observation: As the environment gives it, single or with a leading axis.
+            state: What the last call returned; None starts anew.
+            episode_start: Rows that start anew. Shape (N,), or a scalar for a single observation.
+            deterministic: These agents always are: they return the policy's mode.
+
+        Returns:
+            Actions with the observation's leading axis, and the new state.
+
+        Raises:
+            ValueError: An entry of the observation is missing, has another shape, or is not finite where that matters.
+        """
+        lead = self._leading_axis(observation)
+        single, count = not lead, lead[0] if lead else 1
+        if single:
+            observation = _with_leading_axis(observation)
+        state = remembered(state, episode_start, (count,), lambda: self._initial(observation, count))
+        memory, rows = self._encoding.step(state.encoding, observation, state.action)
+        if not np.isfinite(rows).all():
+            raise ValueError(_what_is_not_finite(observation))
+        answer, carried = self.network(rows, state.network)
+        memory, action = self._encoding.act(memory, answer)
+        action = np.clip(action, self._low, self._high)
+        return action[0] if single else action, LearnedState(memory, carried, action)
+
+    def _leading_axis(self, observation: Any) -> tuple[int, ...]:
+        """() for a single observation, (N,) for N, whose entries all have the shapes of the space."""
+        lead: tuple[int, ...] | None = None
+        for key, shape in self._shapes.items():
+            if key is not None and (not isinstance(observation, Mapping) or key not in observation):
+                raise ValueError(f"observation must have {', '.join(map(str, self._shapes))}; {key} missing")
+            given = np.shape(observation if key is None else observation[key])
+            found = given[: len(given) - len(shape)]
+            if given != found + shape or len(found) > 1 or lead not in (None, found):
+                raise ValueError(
+                    f"{_named(key)} must have shape {shape}, or one axis more that all entries share, got {given}"
+                )
+            lead = found
+        return lead or ()
+
+    def _initial(self, observation: Any, count: int) -> LearnedState:
+        return LearnedState(
+            self._encoding.initial(observation),
+            np.zeros((count, self.network.memory), np.float32),
+            np.zeros((count, *self._low.shape), self._low.dtype),
+        )
+
+
+def _named(key: str | None) -> str:
+    return "observation" if key is None else f"observation {key}"
+
+
+def _what_is_not_finite(observation: Any) -> str:
+    """Which entry of an observation makes the rows of a network NaN or infinite."""
+    for key, part in observation.items() if isinstance(observation, Mapping) else [(None, observation)]:
+        if len(bad := np.argwhere(~np.isfinite(part))):
+            at = tuple(bad[0].tolist())
+            return f"{_named(key)} must be finite, got {part[at]} at index {at}; repeat the last good one instead"
+    return "state must come from the last call, got one that is not finite; begin with None"
+
+
+def _with_leading_axis(observation: Any) -> Any:
+    if isinstance(observation, Mapping):
+        return {key: np.asarray(value)[None] for key, value in observation.items()}
+    return np.asarray(observation)[None]
+
+
+def create_learned_agent(
+    env: Any, path: str | None = None, name: str | None = None
+) -> LearnedAgent | PixelServo | JacobianServo | SetPredictor:
+    """A learned agent for an environment.
+
+    Args:
+        env: A Gymnasium environment or vector environment.
+        path: Of a card or network.
+        name: Of a shipped agent instead: that of its networks is taken which was trained in this environment.
+
+    Raises:
+        AgentFileError: Files that cannot be used, or that do not fit the environment.
+    """
+    file = shipped_file(name, env) if path is None and name is not None else Path(str(path))
+    card = load_card(file)
+    if card.encoding.get("kind") == "marker":
+        servo = create_agent(str(card.encoding.get("servo")), env)
+        if not isinstance(servo, PixelServo):
+            raise AgentFileError(f"{file} sees for a servo where images are observed, which this environment is not")
+        return PixelServo(servo.servo, OnnxEyes(file.parent / card.network, card))
+    if card.encoding.get("kind") == "jacobian":
+        return _estimating(file, card, env)
+    if card.encoding.get("kind") == "set":
+        return _predicting_sets(file, card, env)
+    spec = getattr(env, "spec", None)
+    if spec is not None and card.encoding.get("kind") != "servo" and spec.id != card.env_id:
+        raise AgentFileError(f"{file} was trained in {card.env_id}, and cannot act in {spec.id}")
+    observations = getattr(env, "single_observation_space", env.observation_space)
+    actions = getattr(env, "single_action_space", env.action_space)
+    try:
+        encoding = create_encoding(card.encoding, env, file.parent)
+    except ValueError as error:
+        raise AgentFileError(f"{file} does not fit this environment: {error}") from error
+    return LearnedAgent(OnnxNetwork(file.parent / card.network, card), encoding, observations, actions)
+
+
+def _estimating(file: Path, card: LearnedCard, env: Any) -> JacobianServo:
+    """A classical servo whose Jacobian a network estimates."""
+    from servotrack.baselines.agents.learned.jacobian import (
+        ENTRIES,
+        LearnedJacobian,
+        create_learned_servo,
+        jacobian_encoding,
+    )
+
+    network = OnnxNetwork(file.parent / card.network, card)
+    try:
+        encoding, law = jacobian_encoding(card.encoding)
+        servo = create_learned_servo(LearnedJacobian(network, network.memory, encoding), env, law)
+    except ValueError as error:
+        raise AgentFileError(f"{file} does not fit this environment: {error}") from error
+    if (network.size, network.actions) != (encoding.size, ENTRIES):
+        raise AgentFileError(
+            f"{network.path} maps {network.size} numbers to {network.actions}, a Jacobian needs {encoding.size} to "
+            f"{ENTRIES} here"
+        )
+    return servo
+
+
+def _predicting_sets(file: Path, card: LearnedCard, env: Any) -> SetPredictor:
+    """An observer that asks a network of every measurement."""
+    # The set filters come with it, which servos do not need.
+    from servotrack.baselines.agents.learned.set_prediction import ANSWERS, SetPredictor, SetWindow
+    from servotrack.envs.track.clutter.scene_model import SceneModel
+
+    network, scene = OnnxNetwork(file.parent / card.network, card), getattr(env.unwrapped, "told", None)
+    if not isinstance(scene, SceneModel):
+        raise AgentFileError(f"{file} predicts sets of points in clutter, which this environment does not show")
+    try:
+        window = SetWindow.of(card.encoding)
+    except ValueError as error:
+        raise AgentFileError(f"{file} does not fit this environment: {error}") from error
+    if (network.size, network.actions, network.memory) != (window.size, ANSWERS, 0):
+        raise AgentFileError(
+            f"{network.path} maps {network.size} numbers to {network.actions}, its window needs {window.size} to "
+            f"{ANSWERS}, and no memory"
+        )
+    space = getattr(env, "single_action_space", env.action_space)
+    nothing = np.zeros((0, 0), np.float32)
+    return SetPredictor(lambda rows: network(rows, nothing)[0], window, scene, space.shape[0], space.low, space.high)

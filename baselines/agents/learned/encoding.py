@@ -1,0 +1,286 @@
+"""What a learned agent sees: each observation as one flat row of float32, with a memory of what came before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from servotrack.baselines.agents.learned.contract import Encoding, PlainAnswers, Rows
+from servotrack.baselines.agents.learned.marker_network import open_eyes
+from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
+from servotrack.baselines.agents.registry import create_agent
+from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo, servo_measurement
+from servotrack.baselines.agents.servo.pixel_servo import PIXEL_KEYS, MarkerFeatures, SeenMemory
+
+
+@dataclass(frozen=True)
+class FlatEncoding(PlainAnswers):
+    """Everything that a Box, or a dictionary of them, holds, in the order of its keys, scaled to [-1, 1] by its bounds.
+
+    Attributes:
+        low: Least values, in the order of the row.
+        high: Largest values.
+    """
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    @classmethod
+    def of(cls, space: spaces.Space[Any]) -> FlatEncoding:
+        """The encoding of a space.
+
+        Raises:
+            ValueError: The space is no Box and no Dict of Boxes, or is not bounded.
+        """
+        boxes = list(space.spaces.values()) if isinstance(space, spaces.Dict) else [space]
+        for box in boxes:
+            if not isinstance(box, spaces.Box) or not box.is_bounded():
+                raise ValueError(f"observation_space must be a bounded Box, or a Dict of such, got {space}")
+        low, high = (np.concatenate([np.ravel(getattr(box, side)) for box in boxes]) for side in ("low", "high"))
+        return cls(tuple(low.tolist()), tuple(high.tolist()))
+
+    @property
+    def size(self) -> int:
+        """Numbers in a row."""
+        return len(self.low)
+
+    def initial(self, observation: Any) -> tuple[()]:
+        """Nothing is remembered."""
+        return ()
+
+    def step(self, memory: tuple[()], observation: Any, action: Rows) -> tuple[tuple[()], Rows]:
+        """As `Encoding.step`."""
+        parts = list(observation.values()) if isinstance(observation, Mapping) else [observation]
+        row = np.concatenate([np.asarray(part, np.float64).reshape(len(part), -1) for part in parts], axis=1)
+        low, high = np.array(self.low), np.array(self.high)
+        return (), (2.0 * (row - low) / np.where(high > low, high - low, 1.0) - 1.0).astype(np.float32)
+
+
+class StackMemory(NamedTuple):
+    """Memory of `Stacked`.
+
+    Attributes:
+        own: Of the encoding that is stacked.
+        rows: The newest rows, the last one the newest. Shape (N, frames, size).
+        fresh: Whether no row was seen yet. Shape (N,).
+    """
+
+    own: Any
+    rows: Rows
+    fresh: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Stacked:
+    """The last few rows of another encoding side by side, the newest last; before the first one it repeats itself.
+
+    Attributes:
+        encoding: Whose rows.
+        frames: How many.
+    """
+
+    encoding: Encoding
+    frames: int
+
+    def __post_init__(self) -> None:
+        """Check the number of frames."""
+        if self.frames < 2:
+            raise ValueError(f"frames must be at least 2 to be stacked, got {self.frames!r}")
+
+    @property
+    def size(self) -> int:
+        """Numbers in a row."""
+        return self.frames * self.encoding.size
+
+    def initial(self, observation: Any) -> StackMemory:
+        """As `Encoding.initial`."""
+        count = len(next(iter(observation.values())) if isinstance(observation, Mapping) else observation)
+        rows = np.zeros((count, self.frames, self.encoding.size), np.float32)
+        return StackMemory(self.encoding.initial(observation), rows, np.ones(count, np.bool_))
+
+    def step(self, memory: StackMemory, observation: Any, action: Rows) -> tuple[StackMemory, Rows]:
+        """As `Encoding.step`."""
+        own, row = self.encoding.step(memory.own, observation, action)
+        rows = np.concatenate([memory.rows[:, 1:], row[:, None]], axis=1)
+        if memory.fresh.any():
+            rows = np.where(memory.fresh[:, None, None], row[:, None], rows)
+        return StackMemory(own, rows, np.zeros_like(memory.fresh)), rows.reshape(len(rows), -1)
+
+    def answer_space(self, action_space: spaces.Space[Any]) -> spaces.Space[Any]:
+        """As `Encoding.answer_space`."""
+        return self.encoding.answer_space(action_space)
+
+    def act(self, memory: StackMemory, answer: Rows) -> tuple[StackMemory, NDArray[Any]]:
+        """As `Encoding.act`."""
+        own, action = self.encoding.act(memory.own, answer)
+        return memory._replace(own=own), action
+
+
+class ResidualMemory(NamedTuple):
+    """Memory of `Residual`.
+
+    Attributes:
+        own: Of the encoding.
+        servo: Of the classical servo.
+        action: What that one does. Shape (N, actions).
+    """
+
+    own: Any
+    servo: Any
+    action: Rows
+
+
+@dataclass(frozen=True)
+class Residual(PlainAnswers):
+    """What a classical servo would do beside another encoding's rows; the network corrects it.
+
+    Attributes:
+        encoding: Whose rows.
+        servo: The classical agent.
+    """
+
+    encoding: Encoding
+    servo: JacobianServo
+
+    @property
+    def size(self) -> int:
+        """Numbers in a row: the action has as many as a planar arm has joints."""
+        return self.encoding.size + 2
+
+    def initial(self, observation: Any) -> ResidualMemory:
+        """As `Encoding.initial`."""
+        measurement: Any = servo_measurement(observation)
+        action = np.zeros(measurement.joint_angles.shape, np.float32)
+        return ResidualMemory(self.encoding.initial(observation), self.servo.controller.initial(measurement), action)
+
+    def step(self, memory: ResidualMemory, observation: Any, action: Rows) -> tuple[ResidualMemory, Rows]:
+        """As `Encoding.step`."""
+        own, row = self.encoding.step(memory.own, observation, action)
+        classical, servo = self.servo.predict(observation, memory.servo)
+        return ResidualMemory(own, servo, classical), np.concatenate([row, classical], axis=1)
+
+    def act(self, memory: ResidualMemory, answer: Rows) -> tuple[ResidualMemory, Rows]:
+        """As `Encoding.act`."""
+        return memory, memory.action + answer
+
+
+class SeenThrough(NamedTuple):
+    """Memory of `ThroughEyes`.
+
+    Attributes:
+        seen: Of the eyes.
+        own: Of the encoding behind them.
+    """
+
+    seen: SeenMemory
+    own: Any
+
+
+@dataclass(frozen=True)
+class ThroughEyes:
+    """An encoding of features where there are images.
+
+    Attributes:
+        eyes: What makes features of images.
+        encoding: Whose rows.
+    """
+
+    eyes: MarkerFeatures
+    encoding: Encoding
+
+    @property
+    def size(self) -> int:
+        """Numbers in a row."""
+        return self.encoding.size
+
+    def initial(self, observation: Any) -> SeenThrough:
+        """As `Encoding.initial`."""
+        seen = self.eyes.initial(observation)
+        # What the first image shows is left to `step`; until then nothing has been seen.
+        blind = {**observation, "features": seen.features, "visible": np.zeros_like(seen.frame_time)}
+        return SeenThrough(seen, self.encoding.initial(blind))
+
+    def step(self, memory: SeenThrough, observation: Any, action: Rows) -> tuple[SeenThrough, Rows]:
+        """As `Encoding.step`."""
+        seen, features = self.eyes.step(memory.seen, observation)
+        own, rows = self.encoding.step(memory.own, features, action)
+        return SeenThrough(seen, own), rows
+
+    def answer_space(self, action_space: spaces.Space[Any]) -> spaces.Space[Any]:
+        """As `Encoding.answer_space`."""
+        return self.encoding.answer_space(action_space)
+
+    def act(self, memory: SeenThrough, answer: Rows) -> tuple[SeenThrough, NDArray[Any]]:
+        """As `Encoding.act`."""
+        own, action = self.encoding.act(memory.own, answer)
+        return memory._replace(own=own), action
+
+
+def create_encoding(settings: Mapping[str, Any], env: Any, folder: Path | None = None) -> Encoding:
+    """The encoding that a card or a file of hyper-parameters describes.
+
+    Args:
+        settings: `kind` ("servo", "steering" or "flat"), `frames` to stack, 1 for none, `residual`, the name of a
+            classical servo whose action the network corrects, `eyes`, those that find the marker where images are
+            observed, `follower`, the name of an agent that knows who is to be followed where many are seen, and what
+            the kind takes.
+        env: A Gymnasium environment or vector environment.
+        folder: Where eyes are looked for before they are among the shipped ones.
+
+    Raises:
+        ValueError: An unknown kind, keyword or servo, or a space that the kind cannot read.
+        AgentFileError: Eyes that cannot be used.
+    """
+    space = getattr(env, "single_observation_space", env.observation_space)
+    if "follower" in settings:
+        # Not before it is wanted: it brings the set filters and OpenCV with it.
+        from servotrack.baselines.agents.learned.follow_corrector import behind_follower
+
+        behind = {key: value for key, value in settings.items() if key != "follower"}
+        return behind_follower(str(settings["follower"]), env, lambda seen: _of_features(behind, env, seen))
+    if "eyes" not in settings:
+        return _of_features(settings, env, space)
+    if not set(PIXEL_KEYS) <= set(getattr(space, "spaces", ())):
+        raise ValueError(f"eyes need the observations {', '.join(PIXEL_KEYS)}, got {space}")
+    parts = {key: part for key, part in space.spaces.items() if key != "image"}
+    seen = spaces.Dict({**parts, "features": parts["goal"], "visible": spaces.Box(0.0, 1.0, (1,))})
+    behind_eyes = _of_features({key: value for key, value in settings.items() if key != "eyes"}, env, seen)
+    return ThroughEyes(MarkerFeatures(open_eyes(str(settings["eyes"]), folder)), behind_eyes)
+
+
+def _of_features(settings: Mapping[str, Any], env: Any, space: spaces.Space[Any]) -> Encoding:
+    given = dict(settings)
+    kind, frames, residual = given.pop("kind", "flat"), given.pop("frames", 1), given.pop("residual", None)
+    if kind == "servo":
+        try:
+            encoding: Encoding = ServoEncoding(**given)
+        except TypeError as error:
+            known = ", ".join(asdict(ServoEncoding()))
+            raise ValueError(f"encoding servo takes kind, frames, residual, {known}, got {dict(settings)!r}") from error
+        ServoEncoding.check(space)
+    elif kind == "steering":
+        if given:
+            raise ValueError(f"encoding steering takes kind and frames, got {dict(settings)!r}")
+        from servotrack.baselines.agents.learned.filter_steering import create_steering
+
+        encoding = create_steering(env)
+    elif kind == "flat":
+        if given:
+            raise ValueError(f"encoding flat takes kind, frames and residual, got {dict(settings)!r}")
+        encoding = FlatEncoding.of(space)
+    else:
+        raise ValueError(f"encoding must be of kind servo, steering or flat, got {kind!r}")
+    if frames != 1:
+        encoding = Stacked(encoding, int(frames))
+    if residual is None:
+        return encoding
+    servo = create_agent(str(residual), env)
+    if not isinstance(servo, JacobianServo):
+        raise ValueError(f"residual must name a classical servo of features, got {residual!r}")
+    return Residual(encoding, servo)

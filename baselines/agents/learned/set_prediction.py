@@ -1,0 +1,366 @@
+"""An observer without a filter: each recent measurement is asked whether it is a target's, and where that one is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from servotrack.baselines.agents.clutter.observers import POSITION
+from servotrack.baselines.agents.learned.contract import Rows
+from servotrack.baselines.agents.memory import remembered
+from servotrack.baselines.agents.row_patience import PATIENCE, WaitingRows, allocate_patiently, no_rows
+from servotrack.envs.track.clutter.scene_model import SceneModel
+from servotrack.envs.wrappers import OBSERVATION_KEY
+from servotrack.estimators.rfs import RangeBearingModel, RowAllocation, SetEstimate
+from servotrack.estimators.rfs.sets import read_measurements
+
+Array = NDArray[np.float64]
+
+NEIGHBOR, ANCHOR = 8, 7
+"""Numbers of a neighbor, and of a measurement itself."""
+ANSWERS = 5
+"""Of the network: log odds, velocity (2), correction of the position (2)."""
+LENGTH = 10.0
+"""Unit of the last four, m and m/s."""
+NEAR, SPEED = 30.0, 40.0
+"""Distances are measured in these, m, and as much more for each scan between, m."""
+FARTHEST = 2.5
+"""Beyond so many of these units no measurement is a neighbor."""
+SAME = 60.0
+"""Farther from where an identity should be nothing is taken for it, m."""
+REGION, CROWD, POLAR = 2000.0, 4.0, 25.0
+"""Units of places, m, of the logarithm of the number of measurements, and of the sensor's error across, m."""
+
+
+@dataclass(frozen=True)
+class SetWindow:
+    """Which measurements are asked, and what they know.
+
+    Attributes:
+        scans: Scans in which neighbors are looked for.
+        asked: Scans whose measurements are asked, the newest ones.
+        neighbors: Most neighbors of a measurement.
+        merge: Answers nearer than this are the same target's, m.
+        report: Least probability of a target that is reported.
+    """
+
+    scans: int = 12
+    asked: int = 4
+    neighbors: int = 20
+    merge: float = 30.0
+    report: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Check the fields; raises ValueError that names the wrong one."""
+        if not 1 <= self.asked <= self.scans or self.neighbors < 1:
+            raise ValueError(
+                f"scans, asked and neighbors must be whole numbers with 1 <= asked <= scans, got {asdict(self)}"
+            )
+        if not (self.merge > 0.0 and 0.0 < self.report < 1.0):
+            raise ValueError(f"merge must be > 0 m and report in (0, 1), got {asdict(self)}")
+
+    @property
+    def size(self) -> int:
+        """Numbers that a measurement's row holds."""
+        return self.neighbors * NEIGHBOR + ANCHOR
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> SetWindow:
+        """The window that a card or a file of hyper-parameters describes."""
+        given = {key: value for key, value in settings.items() if key != "kind"}
+        try:
+            return cls(**given)
+        except TypeError as error:
+            raise ValueError(f"encoding set takes {', '.join(asdict(cls()))}, got {given!r}") from error
+
+
+class Recent(NamedTuple):
+    """The last scans of N scenes, the newest first.
+
+    Attributes:
+        places: Measurements in the plane. Shape (N, scans, M, 2), m.
+        number: How many there are in each scan. Shape (N, scans).
+        seen: Scans so far. Shape (N,).
+    """
+
+    places: Array
+    number: NDArray[np.int64]
+    seen: NDArray[np.int64]
+
+    @classmethod
+    def none(cls, window: SetWindow, scenes: int, rows: int) -> Recent:
+        """Before the first scan."""
+        return cls(
+            np.zeros((scenes, window.scans, rows, 2)),
+            np.zeros((scenes, window.scans), np.int64),
+            np.zeros(scenes, np.int64),
+        )
+
+    def with_scan(self, scan: Array, sensor: Array | None) -> Recent:
+        """One scan later; `scan` (N, M, 3) as it is observed.
+
+        Raises:
+            ValueError: A wrong shape, an existence other than 0 or 1, or a used row that is not finite.
+        """
+        measurements, count, _ = read_measurements(scan, 2)
+        places, number = np.roll(self.places, 1, axis=1), np.roll(self.number, 1, axis=1)
+        places[:, 0], number[:, 0] = in_plane(measurements, sensor), count
+        return Recent(places, number, self.seen + 1)
+
+
+class Asked(NamedTuple):
+    """Measurements that are asked, of all scenes, A of them.
+
+    Attributes:
+        rows: What the network sees. Shape (A, size).
+        scene, age, row: Where each stands in `Recent`. Shape (A,).
+        places: Shape (A, 2), m.
+    """
+
+    rows: Rows
+    scene: NDArray[np.int64]
+    age: NDArray[np.int64]
+    row: NDArray[np.int64]
+    places: Array
+
+
+def in_plane(measurements: Array, sensor: Array | None) -> Array:
+    """Positions of measurements, which are ranges and bearings where there is a sensor. Shape (*, 2), m."""
+    if sensor is None:
+        return measurements
+    distance, bearing = measurements[..., 0], measurements[..., 1]
+    return sensor + np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=-1)
+
+
+def ask(window: SetWindow, recent: Recent, sensor: Array | None, bearing_noise: float) -> Asked:
+    """The rows of all measurements that are asked.
+
+    Args:
+        window: Which those are.
+        recent: The last scans.
+        sensor: Where it stands, m; None for one that measures positions. Shape (2,).
+        bearing_noise: Of that sensor, rad.
+    """
+    number = recent.number[:, : window.asked]
+    scene, age = np.nonzero(number)
+    counts = number[scene, age]
+    scene, age = np.repeat(scene, counts), np.repeat(age, counts)
+    row = np.concatenate([np.arange(count) for count in counts]) if len(counts) else np.zeros(0, np.int64)
+    rows = np.zeros((len(scene), window.size), np.float32)
+    _gather(recent.places, recent.number, scene, age, row, window.neighbors, rows)
+    places = recent.places[scene, age, row]
+    own = rows[:, window.neighbors * NEIGHBOR :]
+    own[:, 0] = age / window.asked
+    own[:, 1] = np.log1p(recent.number[scene, 0]) / CROWD
+    own[:, 2:4] = places / REGION
+    if sensor is not None:
+        own[:, 4:6] = bearing_noise * (places - sensor) / POLAR
+    own[:, 6] = np.minimum(recent.seen[scene] / window.scans, 1.0)
+    return Asked(rows, scene, age, row, places)
+
+
+def place_now(asked: Asked, answers: Array) -> tuple[Array, Array]:
+    """Where the targets of the measurements are now, and how they move; each of shape (A, 2), m and m/s."""
+    velocity = LENGTH * answers[:, 1:3]
+    return asked.places + asked.age[:, None] * velocity + LENGTH * answers[:, 3:5], velocity
+
+
+class Tracks(NamedTuple):
+    """Identities of N scenes.
+
+    Attributes:
+        labels: 0 where there is none. Shape (N, R).
+        states: x, vx, y, vy. Shape (N, R, 4), m and m/s.
+        existence: Probability of each in the newest scan, 0 where it was not predicted. Shape (N, R).
+        absent: Scans since each was last predicted. Shape (N, R).
+        next_label: Shape (N,).
+    """
+
+    labels: NDArray[np.int64]
+    states: Array
+    existence: Array
+    absent: NDArray[np.int64]
+    next_label: NDArray[np.int64]
+
+    def estimate(self) -> SetEstimate:
+        """Those that are predicted in the newest scan."""
+        shown = (self.labels > 0) & (self.absent == 0)
+        nobody = np.zeros((len(self.labels), 0))
+        return SetEstimate(
+            self.states,
+            np.where(shown, self.labels, 0),
+            self.existence,
+            np.zeros((*self.states.shape, 4)),
+            self.existence.sum(axis=1),
+            nobody.astype(np.int64),
+            nobody[..., None] * np.zeros(4),
+            nobody,
+        )
+
+
+class SetState(NamedTuple):
+    """Memory of a `SetPredictor`.
+
+    Attributes:
+        recent: The last scans.
+        tracks: Who was predicted in them.
+        rows: Which identity owns which row of the answer.
+    """
+
+    recent: Recent
+    tracks: Tracks
+    rows: WaitingRows
+
+
+class SetPredictor:
+    """A network behind `predict`: the newest scans in, the set of targets out.
+
+    Identities go to what is predicted nearest to where they should be; that is no part of what was learned.
+
+    Args:
+        network: Rows (A, size) in, answers (A, 5) out.
+        window: What it was trained with.
+        scene: What the environment tells.
+        rows: Of an answer.
+        low: Lowest answer, shape (rows, 3).
+        high: Highest answer, shape (rows, 3).
+    """
+
+    def __init__(
+        self, network: Callable[[Rows], Rows], window: SetWindow, scene: SceneModel, rows: int, low: Array, high: Array
+    ) -> None:
+        self._network, self._window = network, window
+        self._sensor, self._bearing_noise = sensor_of(scene)
+        self._rows, self._low, self._high = rows, low, high
+        self._allocation = RowAllocation(rows, POSITION)
+
+    def predict(
+        self,
+        observation: Any,
+        state: SetState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, SetState]:
+        """Answer a scan; arguments, results and errors as in `SetObserver.predict`."""
+        scan = np.asarray(observation[OBSERVATION_KEY] if isinstance(observation, Mapping) else observation, np.float64)
+        single = scan.ndim == 2
+        scan = scan[None] if single else scan
+        if scan.ndim != 3:
+            raise ValueError(f"a scan must have shape (rows, 3) or (batch, rows, 3), got {scan.shape}")
+        state = remembered(state, episode_start, (len(scan),), lambda: self._initial(scan))
+        recent = state.recent.with_scan(scan, self._sensor)
+        asked = ask(self._window, recent, self._sensor, self._bearing_noise)
+        answers = self._network(asked.rows).astype(np.float64)
+        probability = 1.0 / (1.0 + np.exp(-answers[:, 0]))
+        places, velocities = place_now(asked, answers)
+        found = np.concatenate([places, velocities], axis=1)[:, [0, 2, 1, 3]]
+        tracks = _advanced(state.tracks)
+        for scene in range(len(scan)):
+            mine = np.flatnonzero((asked.scene == scene) & (probability >= self._window.report))
+            chosen = _distinct(places[mine], probability[mine], self._window.merge)[: self._rows]
+            _identify(tracks, scene, found[mine[chosen]], probability[mine[chosen]])
+        rows, answer = allocate_patiently(self._allocation, state.rows, tracks.estimate())
+        answer = np.clip(answer, self._low, self._high)
+        return (answer[0] if single else answer), SetState(recent, tracks, rows)
+
+    def _initial(self, scan: Array) -> SetState:
+        scenes, rows = len(scan), self._rows
+        tracks = Tracks(
+            np.zeros((scenes, rows), np.int64),
+            np.zeros((scenes, rows, 4)),
+            np.zeros((scenes, rows)),
+            np.zeros((scenes, rows), np.int64),
+            np.ones(scenes, np.int64),
+        )
+        return SetState(Recent.none(self._window, scenes, scan.shape[1]), tracks, no_rows(self._allocation, scenes, 4))
+
+
+def sensor_of(scene: SceneModel) -> tuple[Array | None, float]:
+    """Where a sensor of range and bearing stands, m, and the noise of its bearings, rad; None and 0 for positions."""
+    if not isinstance(scene.model, RangeBearingModel):
+        return None, 0.0
+    return np.asarray(scene.model.sensor, np.float64), float(np.sqrt(scene.model.measurement_noise[1, 1]))
+
+
+def _advanced(tracks: Tracks) -> Tracks:
+    """A scan later, with arrays of their own; nobody has been seen yet."""
+    states = tracks.states.copy()
+    states[..., [0, 2]] += states[..., [1, 3]]
+    return tracks._replace(
+        labels=tracks.labels.copy(), states=states, existence=np.zeros_like(tracks.existence),
+        absent=tracks.absent + 1, next_label=tracks.next_label.copy(),
+    )  # fmt: skip
+
+
+def _distinct(places: Array, probability: Array, merge: float) -> NDArray[np.int64]:
+    """The most probable places that are not near a more probable one, in that order."""
+    order = np.argsort(-probability, kind="stable")
+    chosen: list[int] = []
+    for i in order.tolist():
+        if all(np.hypot(*(places[i] - places[j])) >= merge for j in chosen):
+            chosen.append(i)
+    return np.array(chosen, np.int64)
+
+
+def _identify(tracks: Tracks, scene: int, found: Array, probability: Array) -> None:
+    """Write what was found over the tracks that it belongs to, or into free rows, with new labels."""
+    labels, states = tracks.labels[scene], tracks.states[scene]
+    labels[tracks.absent[scene] > PATIENCE] = 0
+    known = np.flatnonzero(labels > 0)
+    apart = np.hypot(*(states[known][:, None, [0, 2]] - found[None, :, [0, 2]]).transpose(2, 0, 1))
+    cost = np.where(apart < SAME, apart, 1e6)
+    taken = {int(j): int(known[i]) for i, j in zip(*linear_sum_assignment(cost), strict=True) if cost[i, j] < SAME}
+    free = [row for row in range(len(labels)) if labels[row] == 0]
+    for j in range(len(found)):
+        row = taken.get(j)
+        if row is None:
+            if not free:
+                continue
+            row = free.pop(0)
+            labels[row] = tracks.next_label[scene]
+            tracks.next_label[scene] += 1
+        states[row], tracks.existence[scene, row], tracks.absent[scene, row] = found[j], probability[j], 0
+
+
+@njit(cache=True, nogil=True)
+def _gather(places, number, scene, age, index, most, rows):  # type: ignore[no-untyped-def]
+    """The nearest measurements of other scans, in distances that grow with the time between."""
+    near = np.empty(most)
+    which = np.empty((most, 2), np.int64)
+    for row in range(len(scene)):
+        b, a = scene[row], age[row]
+        x, y = places[b, a, index[row], 0], places[b, a, index[row], 1]
+        count = 0
+        for other in range(places.shape[1]):
+            if other == a:
+                continue
+            scale = NEAR + SPEED * abs(other - a)
+            for j in range(number[b, other]):
+                dx, dy = places[b, other, j, 0] - x, places[b, other, j, 1] - y
+                distance = np.sqrt(dx * dx + dy * dy) / scale
+                if distance > FARTHEST or (count == most and distance >= near[most - 1]):
+                    continue
+                at = min(count, most - 1)
+                while at > 0 and near[at - 1] > distance:
+                    near[at] = near[at - 1]
+                    which[at] = which[at - 1]
+                    at -= 1
+                near[at] = distance
+                which[at, 0], which[at, 1] = other, j
+                count = min(count + 1, most)
+        for k in range(count):
+            other, j = which[k]
+            dx, dy = places[b, other, j, 0] - x, places[b, other, j, 1] - y
+            steps = a - other
+            scale = NEAR + SPEED * abs(steps)
+            out = rows[row, k * NEIGHBOR : (k + 1) * NEIGHBOR]
+            out[0], out[1] = dx / scale, dy / scale
+            out[2], out[3] = dx / steps / NEAR, dy / steps / NEAR
+            out[4], out[5] = min(max(dx / NEAR, -3.0), 3.0), min(max(dy / NEAR, -3.0), 3.0)
+            out[6], out[7] = steps / 6.0, 1.0

@@ -1,0 +1,73 @@
+"""Learned agents in the table of agents: those that come with the package, and those in files of one's own."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard, load_card
+from servotrack.baselines.agents.protocol import AgentCard, world_of
+
+SHIPPED = Path(__file__).parent / "networks"
+FACTORY = "servotrack.baselines.agents.learned.agent:create_learned_agent"
+
+
+@lru_cache(maxsize=1)
+def shipped_cards() -> dict[Path, LearnedCard]:
+    """Cards of the agents that come with the package, by their files."""
+    return {path: load_card(path) for path in sorted(SHIPPED.glob("*.json"))}
+
+
+def shipped_agents() -> tuple[AgentCard, ...]:
+    """One row per name, however many environments it was trained in, a network for each."""
+    by_name: dict[str, list[LearnedCard]] = {}
+    for card in shipped_cards().values():
+        by_name.setdefault(card.name, []).append(card)
+    return tuple(
+        AgentCard(
+            name,
+            FACTORY,
+            cards[0].information,
+            cards[0].summary,
+            parameters={"name": name},
+            worlds=frozenset(world_of(card.env_id) for card in cards),
+            trained_in={environment: card.steps for card in cards for environment in card.environments},
+        )
+        for name, cards in sorted(by_name.items())
+    )
+
+
+def agent_in_file(path: Path) -> AgentCard:
+    """The row of a learned agent in a file; its name is the path.
+
+    Raises:
+        AgentFileError: No card that can be used.
+    """
+    card = load_card(path)
+    return AgentCard(
+        str(path),
+        FACTORY,
+        card.information,
+        card.summary,
+        parameters={"path": str(path)},
+        tuning_steps=card.steps,
+        worlds=frozenset({world_of(card.env_id)}),
+    )
+
+
+def shipped_file(name: str, env: Any) -> Path:
+    """The card of a shipped agent that was trained in an environment.
+
+    Raises:
+        AgentFileError: It was trained in others only; the message lists them.
+    """
+    env_id, level = getattr(env.spec, "id", None), getattr(env.unwrapped, "level", None)
+    trained = {path: card for path, card in shipped_cards().items() if card.name == name}
+    for path, card in trained.items():
+        if card.env_id == env_id and (level in card.levels if card.levels else level == card.env_kwargs.get("level")):
+            return path
+    raise AgentFileError(
+        f"agent {name!r} was trained in {', '.join(e for card in trained.values() for e in card.environments)}, "
+        f"not in {env_id}" + ("" if level is None else f" at level {level}")
+    )

@@ -1,0 +1,1 @@
+"""Observers of people on video: detectors and box trackers behind `predict`."""

@@ -1,0 +1,127 @@
+"""The servo agents by name: which estimator and which law, one setting for all levels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from servotrack.baselines.agents.servo.anchors import FixedJacobian, OracleJacobian
+from servotrack.baselines.agents.servo.hyper_parameters import with_values
+from servotrack.baselines.agents.servo.jacobian_servo import OBSERVATION_KEYS, JacobianServo
+from servotrack.baselines.agents.servo.pixel_servo import PIXEL_KEYS, PixelServo
+from servotrack.estimators.jacobian import (
+    BroydenJacobian,
+    CorrentropyNoise,
+    DampedLeastSquares,
+    Excitation,
+    KalmanJacobian,
+    LevelKalmanJacobian,
+    OneStepExact,
+    ParticleJacobian,
+    Proportional,
+    ProportionalIntegral,
+    RandomWalk,
+    RecursiveLeastSquares,
+    ServoController,
+    StudentTNoise,
+    Supervisor,
+    UnscentedJacobian,
+)
+from servotrack.estimators.jacobian.bank import HypothesisBank, Latencies, Mountings
+from servotrack.estimators.jacobian.informed import InformedKalman
+from servotrack.estimators.jacobian.lifted import SWINGING_MODELS, LiftedKalman
+from servotrack.estimators.jacobian.parametric import ParametricKalman
+
+
+def unscented_as_printed() -> UnscentedJacobian:
+    """The noise blocks of paper 002, eq. (21), as printed, at the variances that our reproduction of it assumes."""
+    process = math.sqrt(31.6)
+    return UnscentedJacobian(walk=RandomWalk(process, process), measurement_noise=10.0, as_printed=True)
+
+
+ESTIMATORS: Mapping[str, Callable[[], Any]] = {
+    "fixed-jacobian": FixedJacobian,
+    "broyden": BroydenJacobian,
+    "rls": RecursiveLeastSquares,
+    "kf": KalmanJacobian,
+    "ukf": UnscentedJacobian,
+    "ukf-as-printed": unscented_as_printed,
+    "pf": ParticleJacobian,
+    "level-kf": LevelKalmanJacobian,
+    "student-t-kf": lambda: KalmanJacobian(outliers=StudentTNoise()),
+    "correntropy-kf": lambda: KalmanJacobian(outliers=CorrentropyNoise()),
+    "parametric-ekf": lambda: HypothesisBank(ParametricKalman(), Mountings()),
+    "parametric-ukf": lambda: HypothesisBank(ParametricKalman(unscented=True), Mountings()),
+    "lifted-kf": LiftedKalman,
+    "lifted-kf-swinging": lambda: LiftedKalman(models=SWINGING_MODELS),
+    "latency-bank-kf": lambda: HypothesisBank(KalmanJacobian(), Latencies()),
+    "latency-bank-lifted-kf": lambda: HypothesisBank(LiftedKalman(), Latencies()),
+    "oracle": OracleJacobian,
+    "informed-bound": InformedKalman,
+}
+
+LAWS: Mapping[str, Callable[[], Any]] = {
+    "proportional": Proportional,
+    "pi": ProportionalIntegral,
+    "damped": DampedLeastSquares,
+    "one-step": OneStepExact,
+}
+
+_NO_PROBING = frozenset({"oracle", "informed-bound"})
+"""Agents that are told what probing would show."""
+_NO_SUPERVISOR = frozenset({"fixed-jacobian"})
+"""Agents for which learning anew would defeat their purpose."""
+
+
+def servo_controller(
+    estimator: str, law: str, max_joint_rate: float, values: Mapping[str, float] | None = None
+) -> ServoController:
+    """The controller of an agent.
+
+    Args:
+        estimator: A key of `ESTIMATORS`.
+        law: A key of `LAWS`.
+        max_joint_rate: rad/s.
+        values: Numbers of the estimator that are not to be its defaults; see `with_values`.
+
+    Raises:
+        ValueError: `values` lead nowhere, or the estimator refuses one.
+    """
+    return ServoController(
+        estimator=with_values(ESTIMATORS[estimator](), values or {}),
+        law=LAWS[law](),
+        excitation=Excitation(steps=0) if estimator in _NO_PROBING else Excitation(),
+        supervisor=None if estimator in _NO_SUPERVISOR else Supervisor(),
+        max_joint_rate=max_joint_rate,
+    )
+
+
+def create_servo_agent(
+    env: Any, estimator: str, law: str, values: Mapping[str, float] | None = None
+) -> JacobianServo | PixelServo:
+    """A servo agent for an environment, of which only `max_joint_rate` and the observation space are read.
+
+    Where images are observed instead of features, a marker detector sits in front.
+
+    Args:
+        env: A servo environment or vector environment.
+        estimator: A key of `ESTIMATORS`.
+        law: A key of `LAWS`.
+        values: Numbers of the estimator that are not to be its defaults; see `with_values`.
+
+    Raises:
+        ValueError: The environment is no servo; `values` do not fit the estimator.
+    """
+    space = getattr(env, "single_observation_space", env.observation_space)
+    max_joint_rate = getattr(env.unwrapped, "max_joint_rate", None)
+    keys = set(getattr(space, "spaces", ()))
+    sees_pixels = keys.issuperset(PIXEL_KEYS)
+    if max_joint_rate is None or not (sees_pixels or keys.issuperset(OBSERVATION_KEYS)):
+        name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
+        raise ValueError(
+            f"agent {estimator!r} needs an environment with max_joint_rate and the observations "
+            f"{', '.join(OBSERVATION_KEYS)} (or image); {name} is none: choose UncalibServo-v0, or another agent"
+        )
+    servo = JacobianServo(servo_controller(estimator, law, float(max_joint_rate), values))
+    return PixelServo(servo) if sees_pixels else servo

@@ -1,0 +1,99 @@
+"""Agents that servo by an online estimate of the image Jacobian."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.baselines.agents.memory import remembered
+from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
+from servotrack.estimators.jacobian.controller import ControllerState, ServoController
+from servotrack.estimators.jacobian.informed import Geometry
+
+OBSERVATION_KEYS = ("joint_angles", "features", "goal", "visible", "frame_time", "time")
+
+
+class PrivilegedMeasurement(NamedTuple):
+    """A `ServoMeasurement` with the truth beside it, for anchors.
+
+    Attributes:
+        joint_angles, features, goal, visible, frame_time, time: As in `ServoMeasurement`.
+        geometry: Who took it.
+        true_jacobian: Analytic total Jacobian of the present. Shape (*batch, m, n + 1), px/rad and px/s.
+    """
+
+    joint_angles: Array
+    features: Array
+    goal: Array
+    visible: NDArray[np.bool_]
+    frame_time: Array
+    time: Array
+    geometry: Geometry
+    true_jacobian: Array
+
+
+def servo_measurement(observation: Mapping[str, Any]) -> ServoMeasurement | PrivilegedMeasurement:
+    """The measurement in a servo observation, single or batched; with the truth where the observation holds it.
+
+    Raises:
+        ValueError: A key is missing.
+    """
+    missing = [key for key in OBSERVATION_KEYS if not isinstance(observation, Mapping) or key not in observation]
+    if missing:
+        raise ValueError(
+            f"observation must be a servo's dictionary with {', '.join(OBSERVATION_KEYS)}; {', '.join(missing)} missing"
+        )
+    fields: dict[str, Any] = {key: observation[key] for key in OBSERVATION_KEYS}
+    for key in ("frame_time", "time"):
+        fields[key] = np.asarray(fields[key])[..., 0]
+    fields["visible"] = np.asarray(fields["visible"])[..., 0] > 0.5
+    if "true_jacobian" not in observation:
+        return ServoMeasurement(**fields)
+    geometry = Geometry(
+        camera=observation["true_camera"],
+        links=observation["true_links"],
+        latency=observation["true_latency"][..., 0],
+        readout=observation["true_readout"][..., 0],
+    )
+    return PrivilegedMeasurement(**fields, geometry=geometry, true_jacobian=observation["true_jacobian"])
+
+
+class JacobianServo:
+    """A `ServoController` behind `predict`: observation in, fractions of the joint rate limit out.
+
+    Args:
+        controller: Estimator, law, exploratory moves and supervisor.
+    """
+
+    def __init__(self, controller: ServoController) -> None:
+        self.controller = controller
+
+    def predict(
+        self,
+        observation: Mapping[str, Any],
+        state: ControllerState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], ControllerState]:
+        """Choose joint rates; `state` is the controller's.
+
+        Args:
+            observation: As `UncalibServo-v0` gives it, single or with a leading axis.
+            state: What the last call returned; None starts anew.
+            episode_start: Rows that start anew. Shape (N,), or a scalar for a single observation.
+            deterministic: These agents always are.
+
+        Returns:
+            Shape (*batch, n), in [-1, 1]; and the new state.
+
+        Raises:
+            ValueError: A key is missing or a measurement is bad.
+        """
+        measurement: Any = servo_measurement(observation)
+        batch = np.shape(measurement.time)
+        state = remembered(state, episode_start, batch, lambda: self.controller.initial(measurement))
+        state, rate = self.controller.step(state, measurement)
+        return (rate / self.controller.max_joint_rate).astype(np.float32), state

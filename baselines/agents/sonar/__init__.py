@@ -1,0 +1,1 @@
+"""Observers of bearing-time records: HMM and peak trackers behind `predict`."""

@@ -1,0 +1,145 @@
+"""Agents of the sonar world: a tracker of bearings behind `predict`, one scene after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.baselines.agents.people.observers import join_scenes, select_scene
+from servotrack.baselines.agents.row_patience import WaitingRows, allocate_patiently, no_rows
+from servotrack.baselines.agents.sonar.catalog import sonar_tracker
+from servotrack.envs.track.sonar.array_model import SonarModel
+from servotrack.estimators.online import add_axis, select_rows
+from servotrack.estimators.rfs import RowAllocation, SetEstimate
+
+Array = NDArray[np.float64]
+
+BEARING = (0,)
+"""Where a state holds the bearing."""
+
+
+class SonarObserverState(NamedTuple):
+    """Memory of a `SonarObserver`.
+
+    Attributes:
+        beliefs: The tracker's state of each of N scenes.
+        rows: Which identity owns which row of the answers.
+    """
+
+    beliefs: tuple[Any, ...]
+    rows: WaitingRows
+
+
+class SonarObserver:
+    """A tracker of bearings behind `predict`: records in, sets of bearings out.
+
+    Args:
+        tracker: With `initial(record)` and `step(state, record)`, which returns the new state and a `SetEstimate` whose
+            states begin with the bearing in deg, of the record `lag` before the newest.
+        low: Lowest answer, shape (rows, 2); answers are clipped to the action space.
+        high: Highest answer, shape (rows, 2).
+    """
+
+    def __init__(self, tracker: Any, low: Array, high: Array) -> None:
+        self.tracker = tracker
+        self._low, self._high = low, high
+        self._allocation = RowAllocation(len(low), BEARING)
+
+    def predict(
+        self,
+        observation: Any,
+        state: SonarObserverState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, SonarObserverState]:
+        """Answer a record.
+
+        Args:
+            observation: Beam powers over their noise level, shape (beams,), or (N, beams) for N scenes.
+            state: What the last call returned; None starts anew.
+            episode_start: Scenes that start anew. Shape (N,), or a scalar for a single observation.
+            deterministic: These agents always are.
+
+        Returns:
+            Shape (rows, 2) or (N, rows, 2); and the new state.
+
+        Raises:
+            ValueError: As the tracker does.
+        """
+        records = np.asarray(observation, dtype=np.float64)
+        single = records.ndim == 1
+        records = records[None] if single else records
+        count = len(records)
+        starts = np.zeros(count, np.bool_) if episode_start is None else np.broadcast_to(episode_start, (count,))
+        fresh = no_rows(self._allocation, count, 1)
+        if state is None:
+            state, starts = SonarObserverState((None,) * count, fresh), np.ones(count, np.bool_)
+        rows = select_rows(starts, fresh, state.rows)
+        beliefs, memories, answers = [], [], []
+        for k, record in enumerate(records):
+            belief = self.tracker.initial(record) if starts[k] else state.beliefs[k]
+            belief, estimate = self.tracker.step(belief, record)
+            memory, answer = allocate_patiently(self._allocation, select_scene(rows, k), _of_one(estimate))
+            beliefs.append(belief)
+            memories.append(memory)
+            answers.append(answer)
+        joined = np.clip(np.concatenate(answers), self._low, self._high)
+        return (joined[0] if single else joined), SonarObserverState(tuple(beliefs), join_scenes(memories))
+
+
+class BearingOracle:
+    """Reports the true bearings, target i in row i; privileged, and without memory.
+
+    Args:
+        rows: Rows of an answer.
+    """
+
+    def __init__(self, rows: int) -> None:
+        self._rows = rows
+
+    def predict(
+        self,
+        observation: Mapping[str, Array],
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, None]:
+        """Answer a record; arguments as in `SonarObserver.predict`, with the truth in the observation."""
+        exists, bearings = np.asarray(observation["true_existence"]), np.asarray(observation["true_bearings"])
+        answer = np.zeros((*exists.shape[:-1], self._rows, 2))
+        kept = min(exists.shape[-1], self._rows)
+        answer[..., :kept, 0], answer[..., :kept, 1] = exists[..., :kept], bearings[..., :kept]
+        return answer, None
+
+
+def create_sonar_observer(env: Any, tracker: str) -> Any:
+    """An observer for the sonar world, of which only the spaces and what it tells its agents (`told`) are read.
+
+    Args:
+        env: A `SonarTracking-v0` environment or vector environment.
+        tracker: A name of `servotrack.baselines.agents.sonar.catalog`, or "bearing-oracle".
+
+    Raises:
+        ValueError: The environment is no sonar world, or the tracker is unknown.
+    """
+    told = getattr(env.unwrapped, "told", None)
+    if not isinstance(told, SonarModel):
+        name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
+        raise ValueError(
+            f"agent {tracker!r} needs a sonar world; {name} is none: choose SonarTracking-v0, or another agent"
+        )
+    space = getattr(env, "single_action_space", env.action_space)
+    if tracker == "bearing-oracle":
+        return BearingOracle(space.shape[0])
+    return SonarObserver(sonar_tracker(tracker, told), space.low, space.high)
+
+
+def _of_one(estimate: SetEstimate) -> SetEstimate:
+    """The bearings of an estimate, with an axis of one scene."""
+    values = {name: np.asarray(getattr(estimate, name)) for name in SetEstimate.__dataclass_fields__}
+    values |= {name: values[name][:, :1] for name in ("states", "held_states")}
+    values["covariances"] = values["covariances"][:, :1, :1]
+    return SetEstimate(**{name: add_axis(value) for name, value in values.items()})

@@ -1,0 +1,1 @@
+"""Evaluation: episodes, seeds, results on disk, statistics, and the suite runner."""

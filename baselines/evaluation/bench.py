@@ -1,0 +1,178 @@
+"""The main job: agents x environments x seeds, in parallel, resumable, and then the leaderboard."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium as gym
+from joblib import Parallel, delayed
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from servotrack.baselines.agents.protocol import world_of
+from servotrack.baselines.agents.registry import AGENTS, agent_card
+from servotrack.baselines.evaluation import seeds as seed_ranges
+from servotrack.baselines.evaluation.evaluate import evaluate
+from servotrack.baselines.evaluation.results import CellResults, ResultsFolder, describe_environment, provenance
+
+DEFAULT_LEVELS = (0, 1, 2, 3, 4, 5)
+DEFAULT_EPISODES = 100
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One agent in one environment.
+
+    Attributes:
+        env_id: Gymnasium id.
+        agent: Name of the agent.
+        env_kwargs: Arguments of the environment.
+    """
+
+    env_id: str
+    agent: str
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+
+
+def default_agents(env_id: str = "UncalibServo-v0") -> list[str]:
+    """Every registered agent that is measured in a world by default, in the table's order."""
+    world = world_of(env_id)
+    return [name for name, card in AGENTS.items() if card.in_default_suite and world in card.worlds]
+
+
+def suite_of(
+    env_id: str,
+    agents: Sequence[str] | None = None,
+    levels: Sequence[int] | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> list[Cell]:
+    """Agents against levels of one world.
+
+    Args:
+        env_id: Gymnasium id.
+        agents: Names; None for all that are measured in this world by default.
+        levels: None for `DEFAULT_LEVELS`, or for the world as it is where it has no levels.
+        settings: Arguments of the environment besides its level.
+
+    Raises:
+        ValueError: An unknown agent, a level that the environment does not have, or nothing to do.
+    """
+    names = list(agents) if agents else default_agents(env_id)
+    for name in names:
+        agent_card(name)
+    given = dict(settings or {})
+    if levels is None:
+        levels = DEFAULT_LEVELS if _has_levels(env_id) else ()
+    elif not levels:
+        raise ValueError("levels must hold at least one level, got none")
+    worlds = [{"level": level, **given} for level in levels] or [given]
+    for kwargs in worlds:
+        # Now, not after minutes of the levels before it: making one says what is wrong with it.
+        gym.make(env_id, **kwargs).close()
+    cells = [Cell(env_id, name, kwargs) for kwargs in worlds for name in names if _has_network(name, env_id, kwargs)]
+    if missing := sorted(set(agents or ()) - {cell.agent for cell in cells}):
+        raise ValueError(f"{', '.join(missing)} was trained in none of {', '.join(map(str, worlds))} of {env_id}")
+    return cells
+
+
+def _has_network(name: str, env_id: str, kwargs: Mapping[str, Any]) -> bool:
+    """Whether an agent can act in an environment: a learned one needs a network that was trained at its level."""
+    trained_in = agent_card(name).trained_in
+    level = {key: kwargs[key] for key in ("level",) if key in kwargs}
+    return trained_in is None or describe_environment(env_id, level) in trained_in
+
+
+def _has_levels(env_id: str) -> bool:
+    entry = gym.spec(env_id).entry_point
+    creator = gym.envs.registration.load_env_creator(entry) if isinstance(entry, str) else entry
+    return creator is not None and "level" in inspect.signature(creator).parameters
+
+
+def run_suite(
+    cells: Sequence[Cell],
+    folder: ResultsFolder,
+    *,
+    episodes: int = DEFAULT_EPISODES,
+    split: str = "test",
+    jobs: int = -1,
+    progress: Progress | None = None,
+) -> list[CellResults]:
+    """Evaluate every cell on the same seeds; what the folder holds already is not done again.
+
+    Compute time per step is measured afterwards, one agent at a time, when the processors are free.
+
+    Args:
+        cells: What to evaluate.
+        folder: Where results are resumed from and saved to.
+        episodes: Per cell.
+        split: Seeds to take: "test", or "tune" while anything is still being chosen.
+        jobs: Processes, as in joblib; -1 for all processors.
+        progress: Where to show bars.
+
+    Raises:
+        ValueError: Bad arguments.
+        ResultsError: The folder cannot be used.
+    """
+    chosen = seed_ranges.take(split, episodes)
+    folder.check_writable()
+    record = provenance()
+    # A damaged or foreign file has to be refused before hours of work, not in the middle of them.
+    done = sum(_is_complete(folder.load(cell.env_id, cell.env_kwargs, cell.agent), chosen) for cell in cells)
+    bar = progress.add_task("evaluating", total=len(cells), completed=done) if progress else None
+    todo = [cell for cell in cells if not _is_complete(folder.load(cell.env_id, cell.env_kwargs, cell.agent), chosen)]
+    for _ in _evaluated(todo, folder, chosen, jobs, record):
+        if progress and bar is not None:
+            progress.advance(bar)
+    _measure_times(cells, folder, chosen, progress)
+    loaded = [folder.load(cell.env_id, cell.env_kwargs, cell.agent) for cell in cells]
+    return [result for result in loaded if result is not None]
+
+
+def progress_bars() -> Progress:
+    """Bars for the terminal, with counts and times."""
+    return Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    )
+
+
+def _evaluated(
+    cells: Sequence[Cell], folder: ResultsFolder, seeds: list[int], jobs: int, record: dict[str, Any]
+) -> Iterator[None]:
+    if not cells:
+        return
+    workers = min((os.cpu_count() or 1) + 1 + jobs if jobs < 0 else jobs, len(cells))
+    if workers <= 1:
+        for cell in cells:
+            _evaluate_cell(cell, folder, seeds, record)
+            yield
+        return
+    yield from Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)(
+        delayed(_evaluate_cell)(cell, folder, seeds, record) for cell in cells
+    )
+
+
+def _evaluate_cell(cell: Cell, folder: ResultsFolder, seeds: list[int], record: dict[str, Any]) -> None:
+    """Runs in a worker process, which has to register the ids first and whose own command line says nothing."""
+    import servotrack  # noqa: F401
+
+    evaluate(cell.env_id, cell.agent, seeds, cell.env_kwargs, folder=folder, timing=False, record=record)
+
+
+def _measure_times(cells: Sequence[Cell], folder: ResultsFolder, seeds: list[int], progress: Progress | None) -> None:
+    """Once per agent and id, in the cell in the middle of the suite: the time does not depend on the level."""
+    by_agent: dict[tuple[str, str], list[Cell]] = {}
+    for cell in cells:
+        by_agent.setdefault((cell.env_id, cell.agent), []).append(cell)
+    bar = progress.add_task("timing", total=len(by_agent)) if progress else None
+    for group in by_agent.values():
+        cell = group[len(group) // 2]
+        evaluate(cell.env_id, cell.agent, seeds, cell.env_kwargs, folder=folder, timing=True)
+        if progress and bar is not None:
+            progress.advance(bar)
+
+
+def _is_complete(result: CellResults | None, seeds: Sequence[int]) -> bool:
+    return result is not None and set(seeds) <= set(result.seeds)

@@ -1,0 +1,304 @@
+"""Results on disk: one JSON file per (environment with its arguments, agent), with provenance, and never an aggregate.
+
+A file is written under a temporary name in the same folder and then renamed, so that a reader or a killed writer never
+leaves half a file. Rows are episodes; whoever wants a mean computes it (`servotrack.baselines.evaluation.statistics`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import platform
+import re
+import shlex
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import datetime, timezone
+from functools import lru_cache
+from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+FORMAT = "servotrack-results"
+FORMAT_VERSION = 1
+RECORDED_PACKAGES = ("gymnasium", "numpy", "scipy", "numba", "pymunk", "opencv-python-headless")
+
+Row = dict[str, Any]
+
+
+class ResultsError(Exception):
+    """A results folder or file that cannot be used; the message names the path and the remedy."""
+
+
+@dataclass
+class CellResults:
+    """All episodes of one agent in one environment.
+
+    Attributes:
+        env_id: Gymnasium id.
+        env_kwargs: Arguments of the environment.
+        agent: Name of the agent.
+        card: What the agent was told: `information`, `requires`, `tuning_steps`, `summary`.
+        max_steps: Steps of a full episode.
+        rows: One dictionary per episode; `seed` is the key.
+        step_seconds: Durations of single `predict` calls from a pass of its own, unbatched; empty if not measured.
+        provenance: Versions, machine, command, creation time (UTC).
+    """
+
+    env_id: str
+    env_kwargs: dict[str, Any]
+    agent: str
+    card: dict[str, Any]
+    max_steps: int | None = None
+    rows: list[Row] = field(default_factory=list)
+    step_seconds: list[float] = field(default_factory=list)
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def seeds(self) -> list[int]:
+        """Seeds of the finished episodes."""
+        return [row["seed"] for row in self.rows]
+
+    @property
+    def environment(self) -> str:
+        """Id and arguments in one line."""
+        return describe_environment(self.env_id, self.env_kwargs)
+
+    def select(self, seeds: list[int]) -> list[Row]:
+        """Rows of these seeds, in their order; seeds without a row are left out."""
+        by_seed = {row["seed"]: row for row in self.rows}
+        return [by_seed[seed] for seed in seeds if seed in by_seed]
+
+
+def plain(env_kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments as a results file gives them back, tuples as lists.
+
+    Raises:
+        ValueError: An argument that JSON cannot hold.
+    """
+    try:
+        return json.loads(json.dumps(dict(env_kwargs)))
+    except TypeError as error:
+        raise ValueError(
+            f"env_kwargs must be numbers, texts, and lists of them, got {env_kwargs!r} ({error})"
+        ) from error
+
+
+def describe_environment(env_id: str, env_kwargs: Mapping[str, Any]) -> str:
+    """Id and arguments in one line, for titles and folder names."""
+    arguments = plain(env_kwargs)
+    return ",".join([env_id, *(f"{key}={arguments[key]}" for key in sorted(arguments))])
+
+
+@lru_cache(maxsize=1)
+def code_version() -> str:
+    """The package's version and a digest of the sources that decide what an episode's row holds."""
+    digest = hashlib.sha256()
+    for room in ("envs", "estimators", "baselines"):
+        folder = Path(str(find_spec(f"servotrack.{room}").origin)).parent  # type: ignore[union-attr]
+        # Tables and figures may change without making the rows stale.
+        for source in sorted(p for p in folder.rglob("*.py") if "leaderboard" not in p.parts):
+            digest.update(source.relative_to(folder).as_posix().encode())
+            digest.update(source.read_bytes())
+    return f"{metadata.version('servotrack')}+{digest.hexdigest()[:12]}"
+
+
+def provenance() -> dict[str, Any]:
+    """Versions, machine, command and time of the present process."""
+    versions = {"python": platform.python_version()}
+    for package in RECORDED_PACKAGES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[package] = metadata.version(package)
+    versions["servotrack"] = code_version()
+    return {
+        "versions": versions,
+        "machine": {
+            "system": platform.platform(),
+            "processor": platform.processor() or platform.machine(),
+            "cores": os.cpu_count(),
+        },
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+    }
+
+
+def _file_name(text: str) -> str:
+    readable = re.sub(r"[^A-Za-z0-9=,.+_-]+", "_", text)
+    if readable == text and len(text) <= 100:
+        return text
+    return f"{readable[:80]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+
+
+def _temporary_in(folder: Path, suffix: str) -> Path:
+    """A new empty file in `folder`, which is made where it is missing; ResultsError when that cannot be."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=".unfinished-", suffix=suffix, dir=folder)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise ResultsError(f"{folder} cannot be a folder: a file has that name; choose another folder") from error
+    except OSError as error:
+        raise ResultsError(
+            f"{folder} is not writable ({error.strerror}); change its permissions or choose another folder"
+        ) from error
+    os.close(handle)
+    return Path(name)
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path` that takes its place when the block succeeds and vanishes when it fails.
+
+    Raises:
+        ResultsError: The folder is a file, read-only, or otherwise not writable.
+    """
+    temporary = _temporary_in(path.parent, path.suffix)
+    try:
+        yield temporary
+        umask = os.umask(0)
+        os.umask(umask)
+        # mkstemp makes files that only their owner can read.
+        temporary.chmod(0o666 & ~umask)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+class ResultsFolder:
+    """A folder of results.
+
+    Args:
+        path: The folder; made when the first result is saved.
+
+    Raises:
+        ResultsError: `path` is a file.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        if self.path.exists() and not self.path.is_dir():
+            raise ResultsError(f"{self.path} is a file, not a results folder; choose another path")
+
+    def check_writable(self) -> None:
+        """Make the folder and try a write, before hours of work depend on it.
+
+        Raises:
+            ResultsError: The folder cannot be made or written.
+        """
+        _temporary_in(self.path, "").unlink()
+
+    def file_of(self, env_id: str, env_kwargs: Mapping[str, Any], agent: str) -> Path:
+        """Where a cell lies."""
+        return self.path / _file_name(describe_environment(env_id, env_kwargs)) / f"{_file_name(agent)}.json"
+
+    def save(self, cell: CellResults) -> Path:
+        """Write a cell; an earlier file is replaced only once the new one is complete."""
+        path = self.file_of(cell.env_id, cell.env_kwargs, cell.agent)
+        document = {"format": FORMAT, "format_version": FORMAT_VERSION, **asdict(cell)}
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        return path
+
+    def load(self, env_id: str, env_kwargs: Mapping[str, Any], agent: str) -> CellResults | None:
+        """The stored cell, or None if there is none yet.
+
+        Raises:
+            ResultsError: The file is corrupt, foreign, of another format, package version, environment or agent.
+        """
+        path = self.file_of(env_id, env_kwargs, agent)
+        if not path.exists():
+            return None
+        cell = read_cell(path)
+        wanted = (env_id, plain(env_kwargs), agent)
+        if (cell.env_id, cell.env_kwargs, cell.agent) != wanted:
+            raise ResultsError(
+                f"{path} holds {cell.agent!r} in {cell.environment}, not {agent!r} in {env_id}; move it away"
+            )
+        check_version(path, cell)
+        return cell
+
+    def load_all(self) -> list[CellResults]:
+        """Every cell of the folder, in the order of their paths.
+
+        Raises:
+            ResultsError: The folder does not exist or is empty, or a file in it is no result.
+        """
+        paths = sorted(p for p in self.path.glob("*/*.json") if not p.name.startswith("."))
+        if not paths:
+            raise ResultsError(f"{self.path} holds no results; run `servotrack bench` or `servotrack evaluate` first")
+        cells = [read_cell(path) for path in paths]
+        versions = {
+            cell.provenance["versions"].get("servotrack"): path for cell, path in zip(cells, paths, strict=True)
+        }
+        if len(versions) > 1:
+            found = ", ".join(f"{version} ({path})" for version, path in versions.items())
+            raise ResultsError(
+                f"{self.path} mixes results of several servotrack versions: {found}; keep one per folder"
+            )
+        return cells
+
+
+def check_version(path: Path, cell: CellResults) -> None:
+    """Refuse to extend a file that other code wrote: its rows would not be comparable.
+
+    Raises:
+        ResultsError: The versions differ.
+    """
+    written, present = cell.provenance["versions"].get("servotrack"), code_version()
+    if written != present:
+        raise ResultsError(
+            f"{path} was written by servotrack {written}, this is {present} (after the + a digest of the sources); "
+            "choose another folder, or return to that version to extend it"
+        )
+
+
+def read_document(path: Path, kind: str, version: int, otherwise: str, remedy: str) -> dict[str, Any]:
+    """Read a JSON file that says of itself what it is.
+
+    Args:
+        path: The file.
+        kind: What its `format` has to be.
+        version: What its `format_version` has to be.
+        otherwise: What it is where `format` is another.
+        remedy: What to do about a file that is not usable.
+
+    Raises:
+        ResultsError: The file is unreadable, corrupt, foreign or of another format version.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ResultsError(f"{path} cannot be read ({error.strerror}); check its permissions") from error
+    except ValueError as error:
+        raise ResultsError(f"{path} is corrupt ({error}); {remedy}") from error
+    if not isinstance(document, dict) or document.get("format") != kind:
+        raise ResultsError(f"{path} is {otherwise}; {remedy}")
+    if document.get("format_version") != version:
+        raise ResultsError(
+            f"{path} has format version {document.get('format_version')}, this servotrack reads {version}; "
+            f"use the servotrack that wrote it, or {remedy}"
+        )
+    return document
+
+
+def read_cell(path: Path) -> CellResults:
+    """Read one file.
+
+    Raises:
+        ResultsError: The file is unreadable, corrupt, foreign or of another format version.
+    """
+    remedy = "move it away or restore it; it has been left as it is"
+    document = read_document(path, FORMAT, FORMAT_VERSION, "not a servotrack result", remedy)
+    names = ("env_id", "env_kwargs", "agent", "card", "max_steps", "rows", "step_seconds", "provenance")
+    missing = [name for name in names if name not in document]
+    if missing:
+        raise ResultsError(f"{path} is corrupt (no {', '.join(missing)}); {remedy}")
+    cell = CellResults(**{name: document[name] for name in names})
+    seeds = [row.get("seed") if isinstance(row, dict) else None for row in cell.rows]
+    if None in seeds or len(set(seeds)) != len(seeds) or "versions" not in cell.provenance:
+        raise ResultsError(f"{path} is corrupt (rows without a seed of their own, or no versions); {remedy}")
+    return cell

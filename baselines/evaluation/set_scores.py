@@ -1,0 +1,63 @@
+"""What the benchmark keeps of an episode in a tracking world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.baselines.evaluation.results import Row
+
+Array = NDArray[np.float64]
+
+_MEANS = ("ospa", "gospa")
+_WHOLE = ("ospa2", "mota", "idf1", "hota")
+"""Told once, at an episode's end; the last three where answers are boxes."""
+
+
+class SetScoreRecorder:
+    """Collects the scores that a tracking world's infos tell, step by step.
+
+    Args:
+        rows: Number of episodes side by side.
+    """
+
+    def __init__(self, rows: int) -> None:
+        self._steps: dict[str, list[Array]] = {name: [] for name in (*_MEANS, "cardinality_error")}
+        self._scored: list[NDArray[np.bool_]] = []
+        self._whole: list[Row] = [{} for _ in range(rows)]
+
+    def record(self, info: Mapping[str, Any], ending: NDArray[np.bool_]) -> None:
+        """Take one step's infos in.
+
+        Args:
+            info: Of the vector environment.
+            ending: Rows whose episode ends with this step, shape (N,).
+
+        Raises:
+            ValueError: The world has no truth to score by.
+        """
+        for name, values in self._steps.items():
+            if name not in info:
+                raise ValueError(
+                    "truth is missing: without it a sequence cannot be scored; give the environment its truth"
+                )
+            values.append(np.array(info[name], dtype=np.float64))
+        self._scored.append(np.array(info.get("scored", np.ones(len(ending), np.bool_))))
+        for name in _WHOLE:
+            told = np.asarray(info.get(f"_{name}", np.zeros(len(ending), np.bool_)))
+            for row in np.flatnonzero(ending & told).tolist():
+                self._whole[row][name] = float(info[name][row])
+
+    def columns(self, row: int, length: int) -> Row:
+        """One episode's columns: means over its scored steps, and what its end told of the whole."""
+        scored = np.array([told[row] for told in self._scored[:length]])
+        if not scored.any():
+            raise ValueError("no step was scored: an episode has to be longer than the lag of its answers")
+        steps = {name: np.array([v[row] for v in values[:length]])[scored] for name, values in self._steps.items()}
+        found: Row = {name: float(np.mean(steps[name])) for name in _MEANS}
+        errors = steps["cardinality_error"]
+        found["count_error"], found["count_right"] = float(np.mean(np.abs(errors))), float(np.mean(errors == 0.0))
+        return found | self._whole[row]

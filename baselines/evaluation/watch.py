@@ -1,0 +1,79 @@
+"""Watch an agent in a window, or drive an arm by keyboard."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.baselines.agents.registry import agent_card, create_agent
+from servotrack.baselines.evaluation.evaluate import make_single, show_belief
+
+KEYS = {"right": (0, 1.0), "left": (0, -1.0), "up": (1, 1.0), "down": (1, -1.0)}
+"""Arrow keys: which joint, which way."""
+KEY_RATE = 0.5
+"""Fraction of the joint rate limit that a held key commands."""
+
+
+def watch(env_id: str, agent: str, env_kwargs: Mapping[str, Any], seed: int | None = None) -> None:
+    """Show one episode of an agent in a window.
+
+    Raises:
+        gymnasium.error.DependencyNotInstalled: The extra `human` is missing.
+    """
+    card = agent_card(agent)
+    env = make_single(env_id, {**env_kwargs, "render_mode": "human"}, privileged=card.privileged)
+    try:
+        player = create_agent(card, env)
+        observation, _ = env.reset(seed=seed)
+        state: Any = None
+        over = False
+        while not over:
+            start = np.asarray(state is None)
+            action, state = player.predict(observation, state=state, episode_start=start, deterministic=True)
+            show_belief(env, state)
+            observation, _, terminated, truncated, _ = env.step(action)
+            over = terminated or truncated
+    finally:
+        env.close()
+
+
+def drive(env_id: str, env_kwargs: Mapping[str, Any], seed: int | None = None) -> None:
+    """Let the user drive: left and right turn the first joint, up and down the second, escape or a closed window ends.
+
+    Raises:
+        ValueError: Actions are not the joint rates of at least two joints.
+        gymnasium.error.DependencyNotInstalled: The extra `human` is missing.
+    """
+    from servotrack.envs.drawing.viewer import Viewer
+
+    env = make_single(env_id, {**env_kwargs, "render_mode": "rgb_array"})
+    try:
+        space = env.action_space
+        if not isinstance(space, gym.spaces.Box) or len(space.shape) != 1 or space.shape[0] < 2:
+            raise ValueError(
+                f"{env_id} cannot be driven by arrow keys: its actions are {space}; name an --agent to watch"
+            )
+        viewer = Viewer(f"{env_id}: arrow keys drive, escape ends", float(env.metadata.get("render_fps", 20)))
+        env.reset(seed=seed)
+        viewer.show(env.render())
+        while not viewer.closed and "escape" not in (held := viewer.held_keys()):
+            _, _, terminated, truncated, _ = env.step(key_action(held, space.shape[0]))
+            if terminated or truncated:
+                env.reset()
+            viewer.show(env.render())
+        viewer.close()
+    finally:
+        env.close()
+
+
+def key_action(held: frozenset[str], joints: int) -> NDArray[np.float32]:
+    """Joint rates that the held keys ask for, fractions of the limit. Shape (joints,)."""
+    action = np.zeros(joints, dtype=np.float32)
+    for key, (joint, way) in KEYS.items():
+        if key in held:
+            action[joint] += way * KEY_RATE
+    return action

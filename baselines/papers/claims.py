@@ -1,0 +1,103 @@
+"""The claims audit: a row per claim of a paper, with a verdict, an effect with its interval, and what shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import yaml
+
+from servotrack.baselines.evaluation.results import ResultsError, atomic_path
+from servotrack.baselines.evaluation.statistics import PairedDifference
+
+Verdict = Literal["holds", "does not hold", "no difference", "open"]
+SHIPPED = Path(__file__).with_name("claims.yaml")
+NEGLIGIBLE = 1e-6
+"""Differences of tracking errors below this are rounding, m."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One row.
+
+    Attributes:
+        id: Unique.
+        paper: Number of the paper.
+        source: Where the paper says it.
+        claim: What it says.
+        verdict: What we find.
+        effect: Its size: `value`, `low`, `high` (95 % interval), `unit` and what was `measured`; None without one.
+        finding: Why, in a sentence: structure, information or tuning.
+        command: What shows it.
+    """
+
+    id: str
+    paper: str
+    source: str
+    claim: str
+    verdict: Verdict = "open"
+    effect: dict[str, Any] | None = None
+    finding: str | None = None
+    command: str | None = None
+
+
+def read_claims(path: Path = SHIPPED) -> list[Claim]:
+    """Rows of a claims file.
+
+    Raises:
+        ResultsError: The file is missing or is no claims file.
+    """
+    try:
+        rows = yaml.safe_load(path.read_text(encoding="utf-8"))
+        claims = [Claim(**row) for row in rows]
+    except OSError as error:
+        raise ResultsError(f"{path} cannot be read ({error.strerror}); give the path of a claims file") from error
+    except (yaml.YAMLError, TypeError) as error:
+        raise ResultsError(f"{path} is no claims file ({error}); restore it") from error
+    wrong = [claim.id for claim in claims if claim.verdict not in get_args(Verdict)]
+    if wrong:
+        raise ResultsError(f"{path}: verdict of {', '.join(wrong)} must be one of {', '.join(get_args(Verdict))}")
+    return claims
+
+
+def write_claims(claims: Sequence[Claim], path: Path) -> None:
+    """Write a claims file, whole or not at all; comments at the head of an earlier one stay."""
+    head = ""
+    if path.exists():
+        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+        for line in lines:
+            if not line.startswith("#"):
+                break
+            head += line
+    rows = [{key: value for key, value in asdict(claim).items() if value is not None} for claim in claims]
+    with atomic_path(path) as temporary:
+        text = yaml.safe_dump(rows, sort_keys=False, allow_unicode=True, width=110)
+        temporary.write_text(head + text, encoding="utf-8")
+
+
+def fill(claims: Sequence[Claim], findings: Sequence[Claim]) -> list[Claim]:
+    """Claims with the verdicts, effects, findings and commands of `findings` of the same id.
+
+    Raises:
+        ValueError: A finding about no known claim.
+    """
+    known = {claim.id for claim in claims}
+    new = {finding.id: finding for finding in findings}
+    strangers = [name for name in new if name not in known]
+    if strangers:
+        raise ValueError(f"findings must be about known claims, got {', '.join(strangers)}; add them to {SHIPPED.name}")
+    return [
+        replace(claim, verdict=f.verdict, effect=f.effect, finding=f.finding, command=f.command)
+        if (f := new.get(claim.id))
+        else claim
+        for claim in claims
+    ]
+
+
+def judge_smaller(difference: PairedDifference) -> Verdict:
+    """Whether "the first error is smaller than the second" holds, from their paired difference."""
+    if max(abs(difference.low), abs(difference.high)) < NEGLIGIBLE or difference.low <= 0.0 <= difference.high:
+        return "no difference"
+    return "holds" if difference.high < 0.0 else "does not hold"

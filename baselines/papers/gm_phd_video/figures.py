@@ -1,0 +1,72 @@
+"""Figures of paper 000: frames with detections and tracks, and the number of people over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.baselines.leaderboard.figure import STYLE
+from servotrack.baselines.papers.gm_phd_video.experiment import Frame, Outcome
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_GRID = {"color": "#e9e9e6", "lw": 0.5}
+_FILTERED, _UNFILTERED = "#b5121b", "#2f7ebc"
+
+
+def draw_counts(numbers: NDArray[np.int64], outcomes: Mapping[str, Outcome], frame_rate: float) -> Figure:
+    """Figure 3: the real and the estimated number over time, one panel per method.
+
+    Args:
+        numbers: Real number of people in each frame, shape (T,).
+        outcomes: By method.
+        frame_rate: Frames per second.
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 0.55 + 0.95 * len(outcomes)), layout="constrained")
+        panels: NDArray[np.object_] = figure.subplots(len(outcomes), 1, sharex=True, squeeze=False)[:, 0]
+        time = np.arange(len(numbers)) / frame_rate
+        top = max([int(numbers.max(initial=0)), *(int(o.counts.max(initial=0)) for o in outcomes.values())]) + 0.6
+        for axes, (name, outcome) in zip(panels.tolist(), outcomes.items(), strict=True):
+            axes.grid(**_GRID)
+            axes.set_axisbelow(True)
+            color = _UNFILTERED if name.startswith("no filter") else _FILTERED
+            axes.step(time, outcome.counts, where="post", color=color, lw=0.9, label="estimated")
+            axes.step(time, numbers, where="post", color="#222222", lw=1.1, ls=(0, (4, 2)), label="real")
+            axes.set(ylim=(-0.3, top), xlim=(0.0, float(time[-1]) if len(time) else 1.0), ylabel="people")
+            axes.set_title(name)
+        panels[-1].set_xlabel("time, s")
+        panels[0].legend(loc="upper left", frameon=False, ncols=2, fontsize=7.0)
+    return figure
+
+
+def draw_frames(pictures: Sequence[tuple[str, Frame, Frame]]) -> Figure:
+    """Figure 2: detections on the left, tracks on the right, at the frames that the paper shows.
+
+    Args:
+        pictures: Title, frame with detections, frame with tracks.
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 2.75 * len(pictures)), layout="constrained")
+        panels = figure.subplots(len(pictures), 2, squeeze=False)
+        for row, (title, detected, tracked) in zip(panels, pictures, strict=True):
+            _show(row[0], detected, f"{title}: detections")
+            _show(row[1], tracked, "tracks")
+    return figure
+
+
+def _show(axes: Axes, image: Frame, title: str) -> None:
+    axes.imshow(image)
+    axes.set_title(title)
+    axes.set_axis_off()

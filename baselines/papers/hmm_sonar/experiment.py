@@ -1,0 +1,269 @@
+"""Paper 003's experiment: its simulation at falling signal-to-noise ratios, a sea trial, and an hour of noise."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+from rich.progress import Progress
+
+from servotrack.baselines.agents.sonar.catalog import sonar_tracker
+from servotrack.baselines.evaluation import seeds
+from servotrack.baselines.evaluation.results import ResultsError, atomic_path, code_version
+from servotrack.baselines.papers.hmm_sonar.scores import RecordScores, score_tracks
+from servotrack.envs.track.sonar.array_model import SonarModel, sonar_told
+from servotrack.envs.track.sonar.config import SonarConfig, sonar_config
+from servotrack.envs.track.sonar.records import draw_record
+from servotrack.envs.track.sonar.scene import SonarScene, draw_scene
+from servotrack.estimators.metrics import Track, tracks_from_rows
+
+Array = NDArray[np.float64]
+
+ROW, CELL, LATE = "HMM, row", "HMM, cell (paper)", "HMM, row, 5 s late"
+VITERBI, NEAREST, HUNGARIAN = "Viterbi", "peaks, nearest neighbor", "peaks, Kalman + Hungarian"
+METHODS: dict[str, str] = {
+    ROW: "hmm-row",
+    LATE: "hmm-row",
+    CELL: "hmm-cell",
+    VITERBI: "viterbi",
+    NEAREST: "peak-nearest-neighbor",
+    HUNGARIAN: "peak-kalman-hungarian",
+}
+"""What is compared, by name: trackers of `servotrack.baselines.agents.sonar.catalog`. `LATE` is given row after row."""
+LAG = 5
+"""Records by which `LATE` answers later."""
+SLOW, FEW = (LATE, CELL), 5
+"""Methods that get one record in so many: they do much work again for every row or every false track."""
+OFFSETS = (0, -4, -8, -12, -16, -20, -22, -24)
+"""Below the paper's signal-to-noise ratios, dB."""
+SIMULATIONS = ("rates", "cross30")
+TRIAL, NOISE = "trial", "noise"
+NOISE_LENGTH, NOISE_RUNS = 600, 6
+"""Records of 1 s in a run of noise, and its runs: an hour together."""
+
+
+class Condition(NamedTuple):
+    """One world and how often it is drawn.
+
+    Attributes:
+        name: For tables and files.
+        config: The world, beamformed from snapshots.
+        runs: Records, on as many seeds.
+    """
+
+    name: str
+    config: SonarConfig
+    runs: int
+
+
+class Measures(NamedTuple):
+    """What is measured of a method in a condition, one row for each run; n columns of targets.
+
+    Attributes:
+        squared_error, tracked, present, start, end: As in `RecordScores`, shape (runs, n).
+        crossings, kept, swapped, false_tracks, count_right: As there, shape (runs,).
+        seconds: Duration of tracking a record, shape (runs,), s.
+    """
+
+    squared_error: Array
+    tracked: Array
+    present: Array
+    start: Array
+    end: Array
+    crossings: Array
+    kept: Array
+    swapped: Array
+    false_tracks: Array
+    count_right: Array
+    seconds: Array
+
+
+def simulation(variant: str, offset: int) -> str:
+    """Name of a simulation at an offset."""
+    return f"{variant}{offset:+d}dB" if offset else f"{variant}-0dB"
+
+
+def plan(runs: int) -> list[Condition]:
+    """All conditions.
+
+    Args:
+        runs: Records of each but the noise.
+    """
+    simulations = [
+        Condition(
+            simulation(variant, offset),
+            sonar_config(variant=variant, snr_offset=float(offset), fidelity="snapshots", lag=LAG),
+            runs,
+        )
+        for variant in SIMULATIONS
+        for offset in OFFSETS
+    ]
+    return [
+        *simulations,
+        Condition(TRIAL, sonar_config(variant="trial", fidelity="snapshots", lag=LAG), runs),
+        Condition(
+            NOISE,
+            sonar_config(variant="random", targets=0, horizon=NOISE_LENGTH, fidelity="snapshots", lag=LAG),
+            NOISE_RUNS,
+        ),
+    ]
+
+
+def draw_rows(config: SonarConfig, scene: SonarScene, seed: int) -> Array:
+    """A whole record and the `lag` rows after it, shape (horizon + lag, beams)."""
+    return np.array([draw_record(config, scene, seed, k) for k in range(config.horizon + config.lag)])
+
+
+def follow(tracker: Any, told: SonarModel, rows: Array, late: bool = False) -> list[Track]:
+    """What a tracker makes of a record.
+
+    Args:
+        tracker: As `sonar_tracker` makes it.
+        told: What agents are told.
+        rows: As `draw_rows` makes them.
+        late: Whether it gets row after row, the `lag` ones after the record's end too, instead of all at once.
+    """
+    if late:
+        return _follow_late(tracker, told, rows)
+    return [
+        Track(np.arange(found.first, found.last + 1), np.asarray(found.bearings)[:, None])
+        for found in tracker.track(rows[: len(rows) - told.lag])
+    ]
+
+
+def _follow_late(tracker: Any, told: SonarModel, rows: Array) -> list[Track]:
+    state = tracker.initial(rows[0])
+    estimates = []
+    for row in rows:
+        state, estimate = tracker.step(state, row)
+        estimates.append(estimate)
+    estimates = estimates[told.lag :]
+    most = max((len(estimate.labels) for estimate in estimates), default=0)
+    labels, bearings = np.full((len(estimates), most), -1), np.zeros((len(estimates), most, 1))
+    for k, estimate in enumerate(estimates):
+        labels[k, : len(estimate.labels)] = estimate.labels
+        bearings[k, : len(estimate.labels), 0] = estimate.states[:, 0]
+    return tracks_from_rows(labels, bearings)
+
+
+def run_all(
+    conditions: Sequence[Condition], folder: Path, progress: Progress, jobs: int = -1
+) -> dict[str, dict[str, Measures]]:
+    """All methods in all conditions; what `folder` holds already is read.
+
+    Args:
+        conditions: As `plan` makes them.
+        folder: One file for each condition.
+        progress: Shows a bar.
+        jobs: Processes; -1 for all processors.
+
+    Returns:
+        Measures by condition and method.
+
+    Raises:
+        ResultsError: A file of another setting or version, or a folder that cannot be written.
+    """
+    paths = [folder / f"{condition.name}.npz" for condition in conditions]
+    todo = [(c, path) for c, path in zip(conditions, paths, strict=True) if not path.exists()]
+    bar = progress.add_task("records", total=len(conditions), completed=len(conditions) - len(todo))
+    # The longest first, so that none of them is left to run alone.
+    todo.sort(key=lambda entry: -entry[0].runs * entry[0].config.horizon)
+    for _ in Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(_run)(c, path) for c, path in todo):
+        progress.advance(bar)
+    return {c.name: _read(path, c) for c, path in zip(conditions, paths, strict=True)}
+
+
+def measure(condition: Condition) -> dict[str, Measures]:
+    """All methods on all records of a condition."""
+    config = condition.config
+    told = sonar_told(config)
+    trackers = {name: sonar_tracker(tracker, told) for name, tracker in METHODS.items()}
+    found: dict[str, list[tuple[RecordScores, float]]] = {name: [] for name in METHODS}
+    for number, seed in enumerate(seeds.take("test", condition.runs)):
+        scene = draw_scene(config, seed)
+        rows = draw_rows(config, scene, seed)
+        for name in METHODS:
+            if name in SLOW and number % FEW:
+                continue
+            if number == 0:
+                # The first run compiles and fills tables; its time would tell nothing.
+                follow(trackers[name], told, rows[:20], name == LATE)
+            begin = time.thread_time()
+            tracks = follow(trackers[name], told, rows, name == LATE)
+            seconds = time.thread_time() - begin
+            scores = score_tracks(scene.bearings[: config.horizon], scene.exists[: config.horizon], tracks)
+            found[name].append((scores, seconds))
+    return {name: _measures(runs) for name, runs in found.items()}
+
+
+def _measures(runs: Sequence[tuple[RecordScores, float]]) -> Measures:
+    columns = {
+        name: np.array([getattr(scores, name) for scores, _ in runs], np.float64) for name in RecordScores._fields
+    }
+    return Measures(**columns, seconds=np.array([seconds for _, seconds in runs]))
+
+
+def _run(condition: Condition, path: Path) -> None:
+    arrays: dict[str, Any] = {
+        f"{name}/{field}": values
+        for name, measures in measure(condition).items()
+        for field, values in measures._asdict().items()
+    }
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, setting=np.array(_setting(condition)), **arrays)
+
+
+def _read(path: Path, condition: Condition) -> dict[str, Measures]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            stored: Mapping[str, Any] = {name: file[name] for name in file.files}
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{path} cannot be read ({error}); delete it, and the next call makes it anew") from error
+    if str(stored.get("setting")) != _setting(condition):
+        raise ResultsError(f"{path} holds runs of another setting or version; choose another --output, or delete it")
+    return {name: Measures(*(stored[f"{name}/{field}"] for field in Measures._fields)) for name in METHODS}
+
+
+def _setting(condition: Condition) -> str:
+    """All that a condition's numbers depend on, in one line."""
+    setting = {"version": code_version(), "world": asdict(condition.config), "runs": condition.runs, "methods": METHODS}
+    return json.dumps(setting, sort_keys=True)
+
+
+def growth_of_cost(
+    method: str, seeds: Sequence[int], numbers: Sequence[int] = (1, 2, 3, 4, 5, 6), repetitions: int = 2
+) -> dict[int, float]:
+    """Processor time of tracking 60 s of record by the number of targets, s: the median of records, the least of each.
+
+    Args:
+        method: One of `METHODS`.
+        seeds: One record for each and each number.
+        numbers: Of targets.
+        repetitions: Passes over each record.
+    """
+    found = {}
+    for number in numbers:
+        config = sonar_config(
+            variant="random", targets=number, horizon=60, shortest_life=50, rate_noise=0.0, max_rate=0.5, lag=LAG
+        )
+        told = sonar_told(config)
+        tracker = sonar_tracker(METHODS[method], told)
+        least = []
+        for seed in seeds:
+            rows = draw_rows(config, draw_scene(config, seed), seed)
+            follow(tracker, told, rows[:20])
+            times = []
+            for _ in range(repetitions):
+                begin = time.thread_time()
+                follow(tracker, told, rows)
+                times.append(time.thread_time() - begin)
+            least.append(min(times))
+        found[number] = float(np.median(least))
+    return found

@@ -1,0 +1,271 @@
+"""What the runs of paper 003's experiment say: tables, and verdicts on its claims."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.baselines.evaluation.statistics import (
+    Interval,
+    PairedDifference,
+    bootstrap_mean,
+    paired_difference,
+    wilson_interval,
+)
+from servotrack.baselines.leaderboard.table import Grid
+from servotrack.baselines.papers.claims import Claim, Verdict
+from servotrack.baselines.papers.hmm_sonar.experiment import (
+    CELL,
+    FEW,
+    HUNGARIAN,
+    METHODS,
+    NOISE,
+    NOISE_RUNS,
+    OFFSETS,
+    ROW,
+    SIMULATIONS,
+    TRIAL,
+    VITERBI,
+    Measures,
+    simulation,
+)
+
+Array = NDArray[np.float64]
+Found = Mapping[str, Mapping[str, Measures]]
+
+COMMAND = "servotrack reproduce sonar"
+TONE, BROADBAND = 0, 1
+"""Columns of the paper's targets."""
+IN_TIME = 1.0
+"""A start or an end is found if it is this near, records of 1 s."""
+MOST = 0.9
+"""A claim about records or crossings holds if at least this share of them is right."""
+FAINT = -20
+
+CONTRADICTIONS = Grid(
+    ["what the paper says", "what follows", "what was chosen"],
+    [
+        [
+            "Target 1 moves from 45 to 85 deg at 1 deg/s from 10 to 48 s.",
+            "38 s at 1 deg/s end at 83 deg.",
+            "Start, rate and times as stated.",
+        ],
+        [
+            "Target 2 moves from 105 to 65 deg at 1 deg/s from 10 to 45 s.",
+            "35 s at 1 deg/s end at 70 deg.",
+            "Start, rate and times as stated.",
+        ],
+        [
+            "The tracks cross at 30 s (figure 2).",
+            "At those rates they meet at 75 deg after 40 s.",
+            "Two variants: `rates` crosses at 40 s; `cross30` moves at 1.5 deg/s and crosses at 30 s.",
+        ],
+        [
+            "Target 1 ends at 48 s (set-up), and at 45 s (figure 3).",
+            "45 s is the end of target 2.",
+            "48 s; starts and ends are measured for both.",
+        ],
+        [
+            "SNRs of -15 and -10 dB.",
+            "Not said: of what, per what, in which band.",
+            "Target 1 and target 2, per element, over 0 to 6 kHz. They stand 270 and 860 standard deviations out of "
+            "the noise of a record, so that offsets down to -24 dB are run, too.",
+        ],
+        [
+            "A broadband target of 1000 Hz bandwidth.",
+            "Not said: which band, and which band the receiver sums over.",
+            "Target: 500 to 1500 Hz; receiver: 500 to 1600 Hz in bins of 10 Hz, 10 snapshots in a record of 1 s.",
+        ],
+        [
+            "L chains run in parallel.",
+            "Not said: how L is known.",
+            "Chains are started until new ones fail the sequential test twice.",
+        ],
+        [
+            "State grid, transition probabilities, threshold of the test.",
+            "Not given.",
+            "0.25 deg and 0.5 deg/s; all else chosen on scenes of our own and on tune seeds.",
+        ],
+    ],
+    3,
+)
+
+
+def coverage(measures: Measures, target: int | None = None) -> Array:
+    """Share of the records of each run in which the targets there, or one of them, were tracked."""
+    columns = slice(None) if target is None else slice(target, target + 1)
+    present = measures.present[:, columns].sum(axis=1)
+    return measures.tracked[:, columns].sum(axis=1) / np.maximum(present, 1)
+
+
+def bearing_error(measures: Measures, target: int | None = None) -> float:
+    """Root mean square bearing error while tracked, over all runs, deg; NaN if nothing was."""
+    columns = slice(None) if target is None else slice(target, target + 1)
+    tracked = measures.tracked[:, columns].sum()
+    return float(np.sqrt(measures.squared_error[:, columns].sum() / tracked)) if tracked else float("nan")
+
+
+def in_time(measures: Measures) -> Array:
+    """Share of starts and ends of each run that are found within `IN_TIME`."""
+    there = measures.present > 0
+    found = (np.abs(measures.start) <= IN_TIME).astype(np.float64) + (np.abs(measures.end) <= IN_TIME)
+    return (np.where(there, found, 0.0) / 2.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
+
+
+def simulation_grid(found: Found, variant: str) -> Grid:
+    """All methods on one variant of the simulation, by offset."""
+    headings = [
+        "offset dB", "method", "tone tracked %", "band tracked %", "tone error deg", "band error deg",
+        "starts and ends within 1 s %", "swaps", "through crossing %", "false tracks", "ms",
+    ]  # fmt: skip
+    rows = []
+    for offset in OFFSETS:
+        for name in METHODS:
+            m = found[simulation(variant, offset)][name]
+            rows.append([
+                f"{offset}", name, _percent(coverage(m, TONE).mean()), _percent(coverage(m, BROADBAND).mean()),
+                _number(bearing_error(m, TONE)), _number(bearing_error(m, BROADBAND)), _percent(in_time(m).mean()),
+                f"{m.swapped.mean():.2f}", _percent(_share(m.kept, m.crossings)), f"{m.false_tracks.mean():.2f}",
+                f"{1e3 * np.median(m.seconds):.0f}",
+            ])  # fmt: skip
+    return Grid(headings, rows, 2)
+
+
+def trial_grid(found: Found) -> Grid:
+    """All methods on the stand-in for the sea trial and on the hour of noise."""
+    headings = [
+        "method", "count right %", "tracked %", "error deg", "crossings", "kept %", "swapped %", "false tracks", "ms",
+        "false tracks per hour of noise",
+    ]  # fmt: skip
+    rows = []
+    for name in METHODS:
+        m, noise = found[TRIAL][name], found[NOISE][name]
+        rows.append([
+            name, _percent(m.count_right.mean()), _percent(coverage(m).mean()), _number(bearing_error(m)),
+            f"{m.crossings.sum():.0f}", _percent(_share(m.kept, m.crossings)),
+            _percent(_share(m.swapped, m.crossings)), f"{m.false_tracks.mean():.2f}",
+            f"{1e3 * np.median(m.seconds):.0f}", f"{NOISE_RUNS * noise.false_tracks.mean():.0f}",
+        ])  # fmt: skip
+    return Grid(headings, rows, 1)
+
+
+def findings(found: Found, seconds: Mapping[int, float]) -> list[Claim]:
+    """Verdicts on the claims.
+
+    Args:
+        found: Measures by condition and method.
+        seconds: Duration of tracking 60 s of record with so many targets, s.
+    """
+    clear = [found[simulation(variant, 0)] for variant in SIMULATIONS]
+    faint = [found[simulation(variant, FAINT)] for variant in SIMULATIONS]
+
+    def of_both(conditions: Sequence[Mapping[str, Measures]], method: str, value: Any) -> Array:
+        return np.concatenate([value(condition[method]) for condition in conditions])
+
+    def through(method: str) -> Interval:
+        kept, crossings = (of_both(clear, method, lambda m, a=a: getattr(m, a)).sum() for a in ("kept", "crossings"))
+        return wilson_interval(int(kept), max(int(crossings), 1))
+
+    def clean(method: str, conditions: Sequence[Mapping[str, Measures]]) -> Interval:
+        false = of_both(conditions, method, lambda m: m.false_tracks)
+        return wilson_interval(int((false == 0).sum()), len(false))
+
+    crossing, timely = through(CELL), bootstrap_mean(of_both(clear, CELL, in_time))
+    automatic = clean(CELL, clear)
+    trial = {name: found[TRIAL][name] for name in (CELL, ROW)}
+    trial_kept = {name: wilson_interval(int(m.kept.sum()), max(int(m.crossings.sum()), 1)) for name, m in trial.items()}
+    weak = {name: bootstrap_mean(of_both(faint, name, lambda m: coverage(m, TONE))) for name in METHODS}
+    viterbi = through(VITERBI)
+    before = paired_difference(of_both(faint, ROW, coverage), of_both(faint, HUNGARIAN, coverage))
+    better = paired_difference(
+        np.concatenate([condition[ROW].count_right[::FEW] for condition in clear]),
+        of_both(clear, CELL, lambda m: m.count_right),
+    )
+    numbers = sorted(seconds)
+    growth = (seconds[numbers[-1]] - seconds[numbers[0]]) / (numbers[-1] - numbers[0]) / seconds[numbers[0]]
+    at_faint = f"offset {FAINT} dB"
+    return [
+        _claim(
+            "sonar-crossing", _verdict(crossing), crossing, "of runs", f"both tracks kept, {CELL}, offset 0 dB",
+            f"With the row's likelihood {_percent(through(ROW).value)} %. Structure: a cell cannot tell a target from "
+            "another one's skirt.",
+        ),
+        _claim(
+            "sonar-start-end", _verdict(timely), timely, "of starts and ends",
+            f"within {IN_TIME:g} s, {CELL}, offset 0 dB",
+            f"With the row's likelihood {_percent(of_both(clear, ROW, in_time).mean())} %.",
+        ),
+        _claim(
+            "sonar-automatic", _verdict(automatic), automatic, "of runs", f"without a false track, {CELL}, offset 0 dB",
+            f"With the row's likelihood {_percent(clean(ROW, clear).value)} %; in an hour of noise "
+            f"{NOISE_RUNS * found[NOISE][CELL].false_tracks.mean():.0f} false tracks, with the row's "
+            f"{NOISE_RUNS * found[NOISE][ROW].false_tracks.mean():.0f}.",
+        ),
+        _claim(
+            "sonar-many-targets", _verdict(trial_kept[CELL]), trial_kept[CELL], "of crossings",
+            f"both tracks kept, {CELL}, sea trial's stand-in",
+            f"With the row's likelihood {_percent(trial_kept[ROW].value)} %, and the number of targets is right in "
+            f"{_percent(trial[ROW].count_right.mean())} % of the records instead of "
+            f"{_percent(trial[CELL].count_right.mean())} %.",
+        ),
+        _claim(
+            "sonar-low-snr", _verdict(weak[CELL]), weak[CELL], "of rows",
+            f"tone tracked, {CELL}, {at_faint}",
+            f"With {of_both(faint, CELL, lambda m: m.false_tracks).mean():.1f} false tracks a run. Others: "
+            + ", ".join(f"{name} {weak[name].value:.2f}" for name in METHODS if name != CELL) + ".",
+        ),
+        _claim(
+            "sonar-integration", _verdict(viterbi), viterbi, "of runs", f"both tracks kept, {VITERBI}, offset 0 dB",
+            f"At {at_faint} it tracks the tone in {_percent(weak[VITERBI].value)} % of the records: integration finds "
+            "what is there. Structure: the path of most power past a crossing is as good with the other target.",
+        ),
+        _claim(
+            "sonar-track-before-detect", _better(before), before, "of rows",
+            f"targets tracked, {ROW} - {HUNGARIAN}, {at_faint}",
+            "Information: a ridge that no single record shows is plain over ten of them.",
+        ),
+        _claim(
+            "sonar-cost", "holds" if growth > 0.1 else "does not hold", None, "", "",
+            "60 s of record: " + ", ".join(f"{n} targets {1e3 * seconds[n]:.0f} ms" for n in numbers) + ".",
+        ),
+        _claim(
+            "sonar-row-beats-cell", _better(better), better, "of rows",
+            f"number of targets right, {ROW} - {CELL}, offset 0 dB",
+            f"False tracks a run {of_both(clear, ROW, lambda m: m.false_tracks).mean():.2f} against "
+            f"{of_both(clear, CELL, lambda m: m.false_tracks).mean():.2f}.",
+        ),
+    ]  # fmt: skip
+
+
+def _verdict(share: Interval) -> Verdict:
+    """Whether a share is at least `MOST`: decided if its whole interval says so, open if it does not."""
+    return "holds" if share.low >= MOST else "does not hold" if share.high < MOST else "open"
+
+
+def _better(difference: PairedDifference) -> Verdict:
+    return "holds" if difference.low > 0.0 else "does not hold" if difference.high < 0.0 else "no difference"
+
+
+def _share(part: Array, whole: Array) -> float:
+    return float(part.sum() / whole.sum()) if whole.sum() else float("nan")
+
+
+def _percent(share: float) -> str:
+    return "" if np.isnan(share) else f"{100.0 * share:.0f}"
+
+
+def _number(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.2f}"
+
+
+def _claim(
+    claim: str, verdict: Verdict, effect: Interval | PairedDifference | None, unit: str, measured: str, finding: str
+) -> Claim:
+    shown: dict[str, Any] | None = None
+    if effect is not None:
+        value, low, high = (float(f"{end:.3g}") + 0.0 for end in effect[:3])
+        shown = {"value": value, "low": low, "high": high, "unit": unit, "measured": measured}
+    return Claim(claim, "003", "", "", verdict, shown, finding, COMMAND)

@@ -1,0 +1,82 @@
+"""The conditions of paper 004's experiment, and what is read off their runs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.baselines.papers.pairwise_markov.experiment import (
+    EXTRACTION_METHODS,
+    OUR_METHODS,
+    PAPER_METHODS,
+    Condition,
+    Measures,
+)
+
+Array = NDArray[np.float64]
+
+CLUTTER_RATES = (10.0, 20.0, 30.0, 40.0)
+DETECTION_PROBABILITIES = (0.90, 0.94, 0.98, 1.0)
+PAPER_RATE, PAPER_DETECTION = 20.0, 0.98
+STRUCTURES: dict[str, dict[str, Any]] = {
+    "S1": {"structure": "S1", "acceleration_noise": 5.0, "position_noise": 1.5},
+    "S2": {"structure": "S2", "acceleration_noise": 5.0, "position_noise": 2.5},
+    "S3": {"structure": "S3", "acceleration_noise": 5.0, "position_noise": 1.5},
+    "S4": {"structure": "S4", "acceleration_noise": 5.0, "position_noise": 10.0},
+    "S5": {"structure": "S5", "acceleration_noise": 5.0, "position_noise": 10.0},
+    "S6": {"structure": "S6", "acceleration_noise": 5.0, "position_noise": 10.0},
+}
+CROWDED = slice(80, 100)
+"""The last scans, with ten targets: the most that there are."""
+METHODS = (*PAPER_METHODS, *OUR_METHODS)
+
+
+def clutter_name(rate: float) -> str:
+    """Name of the condition at a clutter rate."""
+    return f"clutter-{rate:g}"
+
+
+def detection_name(probability: float) -> str:
+    """Name of the condition at a detection probability."""
+    return f"detection-{probability:g}"
+
+
+def shares(runs: int) -> dict[str, int]:
+    """How many runs each part gets: `runs` where the paper has its table, fewer where a difference is plain sooner."""
+    return {"all": runs, "part": max(2, runs // 5), "few": max(2, runs // 10)}
+
+
+def all_conditions() -> list[tuple[str, Condition]]:
+    """All conditions, each with its share of the runs."""
+    rates = [
+        (
+            "all",
+            Condition(clutter_name(rate), METHODS, {"clutter_rate": rate, "detection_probability": PAPER_DETECTION}),
+        )
+        for rate in CLUTTER_RATES
+    ]
+    sweep = [
+        ("part", Condition(detection_name(p), METHODS, {"clutter_rate": PAPER_RATE, "detection_probability": p}))
+        for p in DETECTION_PROBABILITIES
+    ]
+    structures = [("few", Condition(f"structure-{name}", METHODS, world)) for name, world in STRUCTURES.items()]
+    return [
+        *rates,
+        *sweep,
+        ("part", Condition("extraction", (*PAPER_METHODS, *EXTRACTION_METHODS))),
+        *structures,
+        ("part", Condition("identity", (*METHODS, "GNN-PMM"), {}, trajectories=True)),
+        ("few", Condition("particles", ("PHD-HMM", "SMC-PHD"))),
+    ]
+
+
+def run_means(measures: Measures) -> Array:
+    """Mean OSPA of each run, shape (R,), m."""
+    return measures.ospa.mean(axis=1)
+
+
+def excess(measures: Measures, which: str = "number") -> Array:
+    """Targets counted too many in the crowded scans, mean of each run, shape (R,)."""
+    return getattr(measures, which)[:, CROWDED].mean(axis=1) - 10.0

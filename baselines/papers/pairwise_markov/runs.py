@@ -1,0 +1,102 @@
+"""Runs of paper 004's experiment: in parallel, in chunks that are kept on disk, so that a second call goes on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+from rich.progress import Progress
+
+from servotrack.baselines.evaluation.results import ResultsError, atomic_path, code_version
+from servotrack.baselines.papers.pairwise_markov.experiment import METHODS, Condition, Measures, run_condition
+
+CHUNK = 25
+"""Runs that are filtered as one batch and kept as one file."""
+
+
+def run_all(
+    conditions: Mapping[Condition, Sequence[int]] | Sequence[tuple[Condition, Sequence[int]]],
+    folder: Path,
+    progress: Progress,
+    jobs: int = -1,
+) -> dict[str, dict[str, Measures]]:
+    """All runs of all conditions; those that `folder` holds already are read.
+
+    Args:
+        conditions: Each with its seeds.
+        folder: One folder per condition, one file per chunk.
+        progress: Shows a bar.
+        jobs: Processes; -1 for all processors.
+
+    Returns:
+        Measures by condition and method, in the order of the seeds.
+
+    Raises:
+        ResultsError: A file of another setting or version, or a folder that cannot be written.
+    """
+    pairs = list(conditions.items()) if isinstance(conditions, Mapping) else list(conditions)
+    chunks = [
+        (condition, list(seeds[first : first + CHUNK]))
+        for condition, seeds in pairs
+        for first in range(0, len(seeds), CHUNK)
+    ]
+    paths = [_path(folder, condition, seeds) for condition, seeds in chunks]
+    bar = progress.add_task("runs", total=sum(len(seeds) for _, seeds in chunks))
+    missing = []
+    for (condition, seeds), path in zip(chunks, paths, strict=True):
+        if path.exists():
+            progress.advance(bar, len(seeds))
+        else:
+            missing.append((condition, seeds, path))
+    tasks = (delayed(_run_chunk)(condition, seeds, path) for condition, seeds, path in missing)
+    for count in Parallel(n_jobs=jobs, return_as="generator_unordered")(tasks):
+        progress.advance(bar, count)
+    found: dict[str, dict[str, list[Measures]]] = {}
+    for (condition, seeds), path in zip(chunks, paths, strict=True):
+        for method, measures in _read(path, condition, seeds).items():
+            found.setdefault(condition.name, {}).setdefault(method, []).append(measures)
+    return {
+        name: {method: Measures(*map(np.concatenate, zip(*parts, strict=True))) for method, parts in methods.items()}
+        for name, methods in found.items()
+    }
+
+
+def _path(folder: Path, condition: Condition, seeds: Sequence[int]) -> Path:
+    return folder / condition.name / f"{seeds[0]}-{len(seeds)}.npz"
+
+
+def _run_chunk(condition: Condition, seeds: list[int], path: Path) -> int:
+    measures = run_condition(condition, seeds)
+    arrays = {f"{method}/{key}": values for method, m in measures.items() for key, values in m._asdict().items()}
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, setting=np.array(_setting(condition, seeds)), **arrays)
+    return len(seeds)
+
+
+def _read(path: Path, condition: Condition, seeds: list[int]) -> dict[str, Measures]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            stored = {name: file[name] for name in file.files}
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{path} cannot be read ({error}); delete it, and the next call makes it anew") from error
+    if str(stored.get("setting")) != _setting(condition, seeds):
+        raise ResultsError(f"{path} holds runs of another setting or version; choose another --output, or delete it")
+    return {method: Measures(*(stored[f"{method}/{key}"] for key in Measures._fields)) for method in condition.methods}
+
+
+def _setting(condition: Condition, seeds: Sequence[int]) -> str:
+    """All that a chunk's numbers depend on, in one line."""
+    methods: dict[str, Any] = {name: [METHODS[name][0], asdict(METHODS[name][1])] for name in condition.methods}
+    setting = {
+        "version": code_version(),
+        "world": asdict(condition.config),
+        "methods": methods,
+        "trajectories": condition.trajectories,
+        "seeds": list(seeds),
+    }
+    return json.dumps(setting, sort_keys=True)

@@ -1,0 +1,118 @@
+"""The sequences that paper 000 is run on: the rendered one, and the user's own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.baselines.papers.gm_phd_video.experiment import Frame
+from servotrack.baselines.papers.reproduce import Recording
+from servotrack.envs.track.files.frames import open_frames
+from servotrack.envs.track.files.recorded import read_tracks
+from servotrack.estimators.metrics import Track, tracks_from_rows
+
+SCRIPT = "meet_split_third_guy"
+ENVIRONMENT = "PedestrianTracking-v0"
+BACKGROUND_FRAMES = 40
+WIDTH, HEIGHT = 384, 288
+"""The paper's frames; others are brought to this height."""
+
+
+@dataclass
+class Sequence:
+    """Frames in one pass, and what is true of them once they have passed.
+
+    Attributes:
+        name: For tables.
+        frames: RGB, uint8, in one pass.
+        size: Width and height, px.
+        frame_rate: Frames per second.
+        background: Spaced frames to start a background from; None where the first frame is empty.
+        truth: Tracks of the people who count; complete only after the last frame.
+        numbers: How many people are there in each frame, hidden ones included, likewise. Shape (T,).
+    """
+
+    name: str
+    frames: Iterator[Frame]
+    size: tuple[int, int]
+    frame_rate: float
+    background: list[Frame] | None
+    truth: list[Track]
+    numbers: NDArray[np.int64]
+
+
+def rendered(seed: int, **axes: Any) -> Sequence:
+    """An episode of the pedestrian scene.
+
+    Args:
+        seed: Of the environment.
+        **axes: Keywords of `PedestrianTracking-v0`.
+    """
+    env = gym.make(ENVIRONMENT, **axes)
+    made = Sequence(f"seed {seed}", iter(()), (WIDTH, HEIGHT), 0.0, None, [], np.zeros(0, np.int64))
+    told: Any = env.get_wrapper_attr("told")
+    made.size, made.frame_rate = (told.width, told.height), told.frame_rate
+
+    def run() -> Iterator[Frame]:
+        observation, info = env.reset(seed=seed)
+        nothing = np.zeros(env.action_space.shape or (), np.float64)
+        labels, boxes, numbers = [], [], []
+        over = False
+        while not over:
+            truth = info["truth"]
+            labels.append(np.where(truth["exists"], truth["ids"], -1))
+            boxes.append(truth["boxes"])
+            numbers.append(int((truth["ids"] > 0).sum()))
+            yield observation
+            observation, _, terminated, truncated, info = env.step(nothing)
+            over = terminated or truncated
+        env.close()
+        made.truth[:] = tracks_from_rows(np.array(labels), np.array(boxes))
+        made.numbers = np.array(numbers)
+
+    made.frames = run()
+    return made
+
+
+def recorded(recording: Recording) -> Sequence:
+    """A sequence of the user's, brought to the paper's height.
+
+    Raises:
+        SequenceError: Files that cannot be used.
+        ValueError: A sequence without truth.
+    """
+    tracks = read_tracks(recording.truth or recording.source)
+    frames = open_frames(recording.source, height=HEIGHT)
+    scale = np.array([frames.size[0] / frames.source_size[0], frames.size[1] / frames.source_size[1]] * 2)
+    truth = [Track(track.steps, track.states * scale) for track in tracks.tracks]
+    stride = max((frames.length or BACKGROUND_FRAMES) // BACKGROUND_FRAMES, 1)
+    spaced = open_frames(recording.source, height=HEIGHT, stride=stride, count=BACKGROUND_FRAMES)
+    made = Sequence(
+        str(recording.source), iter(()), frames.size, frames.frame_rate or 25.0, list(spaced), truth,
+        np.zeros(0, np.int64),
+    )  # fmt: skip
+
+    def run() -> Iterator[Frame]:
+        shown = 0
+        for frame in frames:
+            shown += 1
+            yield frame
+        counts = np.zeros(shown, np.int64)
+        made.truth[:] = [_until(track, shown) for track in truth]
+        for track in made.truth:
+            counts[track.steps] += 1
+        made.numbers = counts
+
+    made.frames = run()
+    return made
+
+
+def _until(track: Track, frames: int) -> Track:
+    """What of a track lies in the frames that could be decoded."""
+    kept = track.steps < frames
+    return Track(track.steps[kept], track.states[kept])

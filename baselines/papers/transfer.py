@@ -1,0 +1,104 @@
+"""Do rankings of trackers on rendered people predict their rankings on real sequences?"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import spearmanr
+
+from servotrack.baselines.evaluation import seeds
+from servotrack.baselines.evaluation.bench import progress_bars
+from servotrack.baselines.evaluation.results import atomic_path
+from servotrack.baselines.evaluation.statistics import RESAMPLES, RESAMPLING_SEED
+from servotrack.baselines.leaderboard.table import Grid, as_rich, as_sections
+from servotrack.baselines.papers import sequences
+from servotrack.baselines.papers.gm_phd_video.experiment import Method, run_methods, scores
+from servotrack.baselines.papers.reproduce import Request, command_line
+from servotrack.baselines.reporting.embed import embed
+
+Array = NDArray[np.float64]
+
+DETECTORS = ("masked", "masked-paper", "mog2", "knn")
+TRACKERS = ("no-filter", "kalman-hungarian", "gm-phd", "gm-phd-paper", "gm-cbmember", "pmb")
+CONFIGURATIONS: Mapping[str, Method] = {
+    f"{detector} + {tracker}": Method(detector, tracker) for detector, tracker in itertools.product(DETECTORS, TRACKERS)
+}
+SCENES: Mapping[str, dict[str, int]] = {"plain": {"level": 0}, "crowd": {"level": 2}, "light": {"level": 4}}
+"""Rendered scenes to predict from."""
+FRAMES = 300
+NOTE = (
+    "Spearman's rank correlation of MOTA over all pairs of detector and tracker; a match is a center within 0.6 of the "
+    "true height. Brackets: 95 % intervals, configurations resampled."
+)
+
+
+def reproduce_transfer(request: Request) -> None:
+    """Rank all configurations on rendered scenes and on the user's sequences, and correlate the rankings."""
+    output, console = request.output, request.console
+    ranked: dict[str, Array] = {}
+    with progress_bars() as progress:
+        bar = progress.add_task("sequences", total=len(SCENES) * request.runs + len(request.recordings))
+        for name, axes in SCENES.items():
+            found = []
+            for seed in seeds.take("test", request.runs):
+                sequence = sequences.rendered(seed, horizon=FRAMES, **axes)
+                found.append(_mota(sequence))
+                progress.advance(bar)
+            ranked[f"rendered: {name}"] = np.mean(found, axis=0)
+        for recording in request.recordings:
+            sequence = sequences.recorded(recording)
+            ranked[f"yours: {sequence.name}"] = _mota(sequence)
+            progress.advance(bar)
+    tables = {"Rank correlation of MOTA": _correlations(ranked), "MOTA of all configurations": _ranking(ranked)}
+    for title, grid in tables.items():
+        console.print(as_rich(grid, title))
+    hint = "" if request.recordings else (
+        " Without --source this only says how rendered scenes predict each other: give --source VIDEO --truth FILE, "
+        "as often as you have sequences."
+    )  # fmt: skip
+    console.print(NOTE + hint, style="dim")
+    with atomic_path(output / "transfer.md") as temporary:
+        temporary.write_text(f"# Transfer\n\n{_document(tables, request.runs, '##')}", encoding="utf-8")
+    console.print(str(output / "transfer.md"), soft_wrap=True)
+    if request.into is not None:
+        embed(_document(tables, request.runs, "###"), request.into, "transfer")
+        console.print(str(request.into), soft_wrap=True)
+
+
+def _document(tables: Mapping[str, Grid], runs: int, heading: str) -> str:
+    """All tables as Markdown, with the command that wrote them; `heading` is what begins their titles."""
+    return f"Written by `{command_line()}`, {runs} runs per scene. {NOTE}\n\n{as_sections(tables, heading)}"
+
+
+def _mota(sequence: sequences.Sequence) -> Array:
+    """MOTA of every configuration, in their order."""
+    outcomes = run_methods(sequence.frames, sequence.size, sequence.frame_rate, CONFIGURATIONS, sequence.background)
+    return np.array([scores(outcomes[name], sequence.truth).mota for name in CONFIGURATIONS])
+
+
+def _correlations(ranked: Mapping[str, Array]) -> Grid:
+    names = list(ranked)
+    rows = [
+        [first, *("" if first == second else rank_correlation(ranked[first], ranked[second]) for second in names)]
+        for first in names
+    ]
+    return Grid(["", *names], rows, 1)
+
+
+def rank_correlation(first: Array, second: Array) -> str:
+    """Spearman's correlation with a bootstrap interval over configurations."""
+    value = float(spearmanr(first, second).statistic)
+    chosen = np.random.default_rng(RESAMPLING_SEED).integers(0, len(first), (RESAMPLES, len(first)))
+    resampled = [float(spearmanr(first[rows], second[rows]).statistic) for rows in chosen]
+    low, high = np.nanpercentile(resampled, [2.5, 97.5])
+    return f"{value:+.2f} [{low:+.2f}, {high:+.2f}]"
+
+
+def _ranking(ranked: Mapping[str, Array]) -> Grid:
+    order = np.argsort(-np.mean([values for values in ranked.values()], axis=0), kind="stable")
+    names = list(CONFIGURATIONS)
+    rows = [[names[i], *(f"{values[i]:.3f}" for values in ranked.values())] for i in order.tolist()]
+    return Grid(["configuration", *ranked], rows, 1)

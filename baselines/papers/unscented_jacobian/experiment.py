@@ -1,0 +1,231 @@
+"""The experiments of paper 002: positioning, tracking, and why its unscented filter cannot differ from a Kalman filter.
+
+The paper names no filter parameter. Ours are `assumed`: process variance 31.6, measurement variance 100, P0 = 100 I,
+gain 0.7 and a joint rate limit of 5 rad/s for all algorithms alike; J_theta(0) comes from small moves made beforehand,
+as in the paper.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.baselines.agents.servo.anchors import FixedJacobian
+from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo, servo_measurement
+from servotrack.baselines.evaluation.episodes import servo_errors
+from servotrack.estimators.jacobian import (
+    Excitation,
+    JacobianPrior,
+    KalmanJacobian,
+    ParticleJacobian,
+    Proportional,
+    RandomWalk,
+    ServoController,
+    ServoMeasurement,
+    UnscentedJacobian,
+)
+
+Array = NDArray[np.float64]
+
+TRACKING, POSITIONING = "UncalibServo-v0", "UncalibServoReach-v0"
+PROCESS_VARIANCE, MEASUREMENT_VARIANCE, INITIAL_VARIANCE = 31.6, 100.0, 100.0
+GAIN = 0.7
+WORLD: Mapping[str, Any] = {"level": 0, "max_joint_rate": 5.0}
+PROBE = 0.05
+"""Exploratory moves before the episode, rad."""
+ARRIVED = 0.010
+"""Positioning counts as done from here on, m."""
+
+PAPER_POSITIONING_SECONDS = {"KF": 0.19, "PF": 0.68, "UKF": 0.38}
+"""Table 1."""
+PAPER_TRACKING_ERROR = {"KF": 0.0186, "PF": 0.0170, "UKF": 0.0117}
+PAPER_TRACKING_SECONDS = {"KF": 0.279, "PF": 1.964, "UKF": 0.632}
+"""Table 2."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One episode.
+
+    Attributes:
+        tool: Tool positions at the samples, the first at the reset. Shape (length + 1, 2), m.
+        target: Target positions. Shape (length + 1, 2), m.
+        error: Tracking errors after each step. Shape (length,), m.
+        transient: Mean error of the first 126 samples, m.
+        steady: Mean error for t > 3 s, m.
+        seconds: Processor time of the agent over the episode, s.
+    """
+
+    tool: Array
+    target: Array
+    error: Array
+    transient: float
+    steady: float
+    seconds: float
+
+    @property
+    def arrival(self) -> float:
+        """Time from which on the error stays below `ARRIVED`, s; infinite where it does not."""
+        above = np.flatnonzero(self.error >= ARRIVED)
+        if above.size and above[-1] == self.error.size - 1:
+            return math.inf
+        return 0.05 * (1 + (int(above[-1]) + 1 if above.size else 0))
+
+
+def estimator(algorithm: str, process_scale: float = 1.0, seed: int = 0) -> Any:
+    """An algorithm of the paper with the assumed parameters.
+
+    Args:
+        algorithm: "KF", "PF", "UKF", "UKF as printed", or "fixed" for J_theta(0) that is never updated.
+        process_scale: Factor on the process variance.
+        seed: Of the particles.
+
+    Raises:
+        ValueError: Another algorithm.
+    """
+    deviation = math.sqrt(PROCESS_VARIANCE * process_scale)
+    common: dict[str, Any] = {
+        "walk": RandomWalk(deviation, deviation),
+        "measurement_noise": math.sqrt(MEASUREMENT_VARIANCE),
+        "prior": JacobianPrior(math.sqrt(INITIAL_VARIANCE), math.sqrt(INITIAL_VARIANCE)),
+    }
+    if algorithm == "KF":
+        return KalmanJacobian(**common)
+    if algorithm == "PF":
+        return ParticleJacobian(**common, seed=seed)
+    if algorithm in ("UKF", "UKF as printed"):
+        return UnscentedJacobian(**common, as_printed=algorithm != "UKF")
+    if algorithm == "fixed":
+        return FixedJacobian(KalmanJacobian(**common), learning_steps=0)
+    raise ValueError(f"algorithm must be fixed, KF, PF, UKF or 'UKF as printed', got {algorithm!r}")
+
+
+def initial_jacobian(env_id: str, world: Mapping[str, Any], seed: int) -> tuple[tuple[float, ...], ...]:
+    """J_theta(0) from four small moves in front of the target at rest, J_t(0) = 0; as nested tuples (m, n + 1)."""
+    env = gym.make(env_id, **{**world, "warmup": 8})
+    try:
+        observation, _ = env.reset(seed=seed)
+        limit = env.unwrapped.max_joint_rate  # type: ignore[attr-defined]
+        joints = observation["joint_angles"].size
+        turns, changes = [], []
+        for move in PROBE / 0.05 / limit * np.repeat(np.eye(joints), 2, axis=0) * np.tile([[1.0], [-1.0]], (joints, 1)):
+            moved, *_ = env.step(move.astype(np.float32))
+            turns.append(moved["joint_angles"] - observation["joint_angles"])
+            changes.append(moved["features"] - observation["features"])
+            observation = moved
+    finally:
+        env.close()
+    # A motor stops a moment after it is told to, so no move turns one joint alone: least squares sort them out.
+    by_joints = np.linalg.lstsq(np.array(turns), np.array(changes), rcond=None)[0].T
+    jacobian = np.column_stack([by_joints, np.zeros(len(by_joints))])
+    return tuple(tuple(row) for row in jacobian.tolist())
+
+
+def servo(algorithm: Any, jacobian: tuple[tuple[float, ...], ...]) -> JacobianServo:
+    """The paper's servo: proportional law, no probing in the episode, nobody watching."""
+    limit = float(WORLD["max_joint_rate"])
+    return JacobianServo(
+        ServoController(_starting_from(algorithm, jacobian), Proportional(GAIN), Excitation(steps=0), None, limit)
+    )
+
+
+def _starting_from(algorithm: Any, jacobian: tuple[tuple[float, ...], ...]) -> Any:
+    if isinstance(algorithm, FixedJacobian):
+        return replace(algorithm, learner=_starting_from(algorithm.learner, jacobian))
+    return replace(algorithm, prior=replace(algorithm.prior, mean=jacobian))
+
+
+def run(env_id: str, algorithm: Any, seed: int, world: Mapping[str, Any] = WORLD) -> Run:
+    """One episode of an algorithm, unbatched.
+
+    Args:
+        env_id: `TRACKING` or `POSITIONING`.
+        algorithm: From `estimator`.
+        seed: Of the environment.
+        world: Its arguments.
+    """
+    agent = servo(algorithm, initial_jacobian(env_id, world, seed))
+    env = gym.make(env_id, **{**world, "warmup": 0})
+    try:
+        observation, info = env.reset(seed=seed)
+        max_steps = env.unwrapped.config.horizon  # type: ignore[attr-defined]
+        tool, target = [info["truth"]["tool"]], [info["truth"]["target"]]
+        times, errors, seconds = [], [], 0.0
+        state: Any = None
+        over = False
+        while not over:
+            begin = time.process_time()
+            action, state = agent.predict(observation, state)
+            seconds += time.process_time() - begin
+            observation, _, terminated, truncated, info = env.step(action)
+            tool.append(info["truth"]["tool"])
+            target.append(info["truth"]["target"])
+            times.append(float(observation["time"][0]))
+            errors.append(info["tracking_error"])
+            over = terminated or truncated
+    finally:
+        env.close()
+    error = np.array(errors)
+    summary = servo_errors(np.array(times), error, 0.0, max_steps)
+    return Run(np.array(tool), np.array(target), error, summary["transient"], summary["steady"], seconds)
+
+
+def open_loop_difference(kappas: Sequence[float], seed: int, steps: int = 1000) -> dict[float, float]:
+    """Largest difference between the Jacobians of UKF and KF over one recorded stream of measurements, per kappa.
+
+    Returns:
+        For each kappa max |J_UKF - J_KF| over max |J_KF|, over all steps and entries.
+    """
+    world = {**WORLD, "horizon": steps}
+    kalman = estimator("KF")
+    jacobian = initial_jacobian(TRACKING, world, seed)
+    stream = _record(servo(kalman, jacobian), seed, world)
+    reference = _jacobians(_starting_from(kalman, jacobian), stream)
+    differences = {}
+    for kappa in kappas:
+        unscented = _starting_from(replace(estimator("UKF"), kappa=kappa), jacobian)
+        found = _jacobians(unscented, stream)
+        differences[kappa] = float(np.abs(found - reference).max() / np.abs(reference).max())
+    return differences
+
+
+def closed_loop_difference(seed: int, steps: int = 1000) -> float:
+    """Largest distance between the tool paths of UKF and KF, each closing its own loop, m."""
+    world = {**WORLD, "horizon": steps}
+    paths = [run(TRACKING, estimator(name), seed, world).tool for name in ("KF", "UKF")]
+    return float(np.abs(paths[0] - paths[1]).max())
+
+
+def _record(agent: JacobianServo, seed: int, world: Mapping[str, Any]) -> list[ServoMeasurement]:
+    env = gym.make(TRACKING, **{**world, "warmup": 0})
+    try:
+        observation, _ = env.reset(seed=seed)
+        stream: list[ServoMeasurement] = []
+        state: Any = None
+        over = False
+        while not over:
+            measurement = servo_measurement(observation)
+            assert isinstance(measurement, ServoMeasurement)
+            stream.append(measurement)
+            action, state = agent.predict(observation, state)
+            observation, _, terminated, truncated, _ = env.step(action)
+            over = terminated or truncated
+    finally:
+        env.close()
+    return stream
+
+
+def _jacobians(method: Any, stream: Sequence[ServoMeasurement]) -> Array:
+    state = method.initial(stream[0])
+    found = []
+    for measurement in stream:
+        state, estimate = method.step(state, measurement)
+        found.append(estimate.jacobian)
+    return np.array(found)

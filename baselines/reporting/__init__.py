@@ -1,0 +1,1 @@
+"""Building blocks of tables, pages and films. No result depends on this room."""

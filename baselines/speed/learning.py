@@ -1,0 +1,110 @@
+"""Steps of PPO through our adapter and through Stable-Baselines3's own, and answers of shipped agents per second.
+
+`python learning.py adapter|dummy` trains; `python learning.py session|predict AGENT LEVEL` answers one observation at a
+time. Both are asked on demand, as `stepping` is for environments.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+from servotrack.baselines.speed.speed import Subject
+from servotrack.baselines.speed.stepping import WARM_UP, serve
+
+ENV_ID = "UncalibServo-v0"
+NUM_ENVS = 64
+BLOCK = 100
+
+
+def subjects() -> list[Subject]:
+    """The table's rows."""
+    dummy = f"PPO training, {NUM_ENVS} environments, DummyVecEnv"
+    remedy = "install the extra: pip install 'servotrack[rl]'"
+    return [
+        Subject(dummy.replace("DummyVecEnv", "our adapter"), (__file__, "adapter"), peers={dummy: 1.8}, remedy=remedy),
+        Subject(dummy, (__file__, "dummy"), remedy=remedy),
+        Subject("`ppo`, one observation, network alone", (__file__, "session", "ppo", "3"), 20_000.0),
+        Subject("`ppo`, one observation, predict", (__file__, "predict", "ppo", "3"), 10_000.0),
+        Subject("`hybrid` at level 6, one observation, network alone", (__file__, "session", "hybrid", "6"), 20_000.0),
+        Subject("`hybrid` at level 6, one observation, predict", (__file__, "predict", "hybrid", "6")),
+    ]
+
+
+def training(adapter: bool) -> Callable[[float], float]:
+    """Environment steps per second of PPO with the same policy in either kind of vector environment."""
+    import gymnasium as gym
+    import torch
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.env_util import make_vec_env
+    from stable_baselines3.common.logger import Logger
+
+    from servotrack.baselines.training.sb3 import StableBaselinesVecEnv
+
+    torch.set_num_threads(1)
+    if adapter:
+        mode = gym.vector.AutoresetMode.SAME_STEP
+        env: Any = StableBaselinesVecEnv(gym.make_vec(ENV_ID, num_envs=NUM_ENVS, autoreset_mode=mode), info_keys=())
+    else:
+        env = make_vec_env(ENV_ID, NUM_ENVS)
+    model = PPO("MultiInputPolicy", env, n_steps=64, batch_size=2048, n_epochs=5, seed=0, device="cpu")
+    model.set_logger(Logger(None, []))  # Its own makes a folder among the temporary files for each call of learn.
+
+    def run(duration: float) -> float:
+        steps, start = model.num_timesteps, time.perf_counter()
+        while (elapsed := time.perf_counter() - start) < duration:
+            model.learn(64 * NUM_ENVS, reset_num_timesteps=False)
+        return (model.num_timesteps - steps) / elapsed
+
+    return run
+
+
+def answering(name: str, level: int, alone: bool) -> Callable[[float], float]:
+    """Answers of a shipped agent per second, of its network alone or of `predict`."""
+    import gymnasium as gym
+    import numpy as np
+
+    import servotrack  # noqa: F401
+    from servotrack.baselines.agents.registry import create_agent
+
+    env = gym.make(ENV_ID, level=level)
+    agent: Any = create_agent(name, env)
+    observation, _ = env.reset(seed=0)
+    _, state = agent.predict(observation)
+    network = agent.network
+    rows, memory = np.zeros((1, network.size), np.float32), np.zeros((1, network.memory), np.float32)
+
+    def run(duration: float) -> float:
+        nonlocal observation, state
+        answers, spent, state = 0, 0.0, None
+        observation, _ = env.reset()
+        while spent < duration:
+            start = time.perf_counter()
+            if alone:
+                for _ in range(BLOCK):
+                    network(rows, memory)
+                answers += BLOCK
+            else:
+                action, state = agent.predict(observation, state)
+                answers += 1
+            spent += time.perf_counter() - start
+            if not alone:
+                observation, _, terminated, truncated, _ = env.step(action)
+                if terminated or truncated:
+                    (observation, _), state = env.reset(), None
+        return answers / spent
+
+    return run
+
+
+if __name__ == "__main__":
+    kind, *rest = sys.argv[1:]
+    measure = (
+        training(kind == "adapter")
+        if kind in ("adapter", "dummy")
+        else answering(rest[0], int(rest[1]), alone=kind == "session")
+    )
+    measure(WARM_UP)
+    serve(measure)

@@ -1,0 +1,236 @@
+"""What `servotrack track` does: opens the sequence, makes detector and tracker by name, runs, scores, reports."""
+
+from __future__ import annotations
+
+import json
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.text import Text
+
+from servotrack.baselines.agents.people.catalog import DETECTORS, create_detector, create_tracker
+from servotrack.baselines.evaluation.results import ResultsFolder, atomic_path, provenance
+from servotrack.baselines.leaderboard.table import Grid, as_markdown, as_rich
+from servotrack.baselines.track_command.inputs import FileInput, Input, PixelInput
+from servotrack.baselines.track_command.offline import OFFLINE_TRACKS, write_offline
+from servotrack.baselines.track_command.painter import BoxPainter
+from servotrack.baselines.track_command.run import FILM, TRACKS, TrackRun, track
+from servotrack.baselines.track_command.scores import MATCH_RULES, TrackScores, score_grid, score_tracks
+from servotrack.envs.track.files.frames import SIDES
+from servotrack.envs.track.files.mot_files import find_mot_folder
+from servotrack.envs.track.files.recorded import RecordedTracks, read_tracks
+
+FILE_DETECTOR = "file"
+"""Name for the detections that come with a MOTChallenge sequence."""
+SCORES = "scores"
+"""Name of the files of scores, before .json and .md."""
+_FORMAT, _FORMAT_VERSION = "servotrack-track-scores", 1
+
+
+@dataclass(frozen=True)
+class TrackRequest:
+    """What is asked for.
+
+    Attributes:
+        source: Video file, folder of images, MOTChallenge folder, or a camera's index.
+        out: Folder for what is written; None for results/track/ and the source's name.
+        detector: Name, `file` for a MOTChallenge sequence's own detections, or `auto`: those where there are any.
+        tracker: Name.
+        size: Frames are brought to this for the detector: `WxH`, `source`, or `fit` into 384 by 288 px.
+        truth: File of truth; None for the one in a MOTChallenge folder.
+        match: Rule of `MATCH_RULES`.
+        start: First frame, from 0.
+        frames: Most frames.
+        stride: Every so manieth frame.
+        background: Frames of a first pass that make the background; 0 for none.
+        offline: Whether to improve the tracks after the fact, too.
+        video: Whether to write the film.
+        show_truth: Whether the film shows true boxes.
+    """
+
+    source: str
+    out: Path | None = None
+    detector: str = "auto"
+    tracker: str = "pmb"
+    size: str = "fit"
+    truth: Path | None = None
+    match: str = "iou"
+    start: int = 0
+    frames: int | None = None
+    stride: int = 1
+    background: int = 40
+    offline: bool = False
+    video: bool = True
+    show_truth: bool = False
+
+
+def run_command(request: TrackRequest, console: Console) -> int:
+    """Track, write, score, report.
+
+    Args:
+        request: What is asked for.
+        console: Where is reported.
+
+    Returns:
+        The exit code: 0; 1 where something broke on the way and what was tracked until then is kept; 128 and the
+        signal's number where one ended it.
+
+    Raises:
+        ValueError: A name or number that is not known, or a source or truth that cannot be used.
+        ResultsError: The folder cannot be written.
+    """
+    if request.match not in MATCH_RULES:
+        raise ValueError(f"match must be one of {', '.join(MATCH_RULES)}, got {request.match!r}")
+    truth = _truth(request)
+    source, detector = _open(request, 0 if truth is None else truth.length)
+    width, height = source.source_size or (0, 0)
+    working = (round(width / source.scale[0]), round(height / source.scale[1])) if width else None
+    tracker = create_tracker(request.tracker, working, source.frame_rate)
+    out = request.out or Path("results") / "track" / (Path(request.source).stem or source.name)
+    ResultsFolder(out).check_writable()
+    painter = None
+    if request.video and source.source_size is not None:
+        painter = BoxPainter(source.source_size, truth, request.show_truth)
+    with _progress(console) as progress:
+        bar = progress.add_task(f"{detector} + {request.tracker}", total=source.length)
+        run = track(source, tracker, out, painter, on_frame=lambda: progress.advance(bar))
+        progress.update(bar, total=len(run.frames), completed=len(run.frames))
+    # Scoring an hour takes memory, which these need no more.
+    frame_rate = source.frame_rate
+    del painter, tracker, source
+    found = {request.tracker: out / TRACKS}
+    if request.offline:
+        found[f"{request.tracker}, offline"] = write_offline(out / TRACKS, run.frames, frame_rate)
+        run.files.append(out / OFFLINE_TRACKS)
+    if truth is not None:
+        if not len(truth.ids):
+            run.warnings.append("the truth holds no boxes: whatever was reported counts as false")
+        _score(request, detector, truth, run, found, out, console)
+    for name in (OFFLINE_TRACKS, FILM, SCORES + ".json", SCORES + ".md"):
+        # What an earlier run left would be taken for this one's.
+        if out / name not in run.files:
+            (out / name).unlink(missing_ok=True)
+    return _report(run, console)
+
+
+class _RateColumn(ProgressColumn):
+    """Frames per second."""
+
+    def render(self, task: Task) -> Text:
+        """Of the last seconds while it runs, of all at the end."""
+        rate = task.finished_speed or task.speed
+        return Text("" if rate is None else f"{rate:.0f} frames/s", style="cyan")
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f} frames"),
+        _RateColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
+def _truth(request: TrackRequest) -> RecordedTracks | None:
+    if request.truth is not None:
+        return read_tracks(request.truth)
+    sequence = find_mot_folder(request.source) if Path(request.source).is_dir() else None
+    return None if sequence is None or sequence.truth is None else read_tracks(sequence.truth)
+
+
+def _open(request: TrackRequest, length: int) -> tuple[Input, str]:
+    """The sequence with its detector, and the detector's name."""
+    name = request.detector
+    if name == "auto":
+        sequence = find_mot_folder(request.source) if Path(request.source).is_dir() else None
+        name = FILE_DETECTOR if sequence is not None and sequence.detections is not None else next(iter(DETECTORS))
+    if name == FILE_DETECTOR:
+        return FileInput(
+            request.source,
+            pictures=request.video,
+            length=length,
+            start=request.start,
+            count=request.frames,
+            stride=request.stride,
+        ), name
+    return PixelInput(
+        request.source,
+        create_detector(name),
+        _size(request.size),
+        start=request.start,
+        count=request.frames,
+        stride=request.stride,
+        background=request.background,
+    ), name
+
+
+def _size(text: str) -> tuple[int, int] | str:
+    if text in ("fit", "source"):
+        return text
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal() and text.isascii()):
+        raise ValueError(f"size must be WxH such as 384x288, `fit` or `source`, got {text!r}")
+    sides = (int(width), int(height))
+    if not all(SIDES[0] <= side <= SIDES[1] for side in sides):
+        raise ValueError(f"size must have sides from {SIDES[0]} to {SIDES[1]} px, got {text!r}")
+    return sides
+
+
+def _score(
+    request: TrackRequest,
+    detector: str,
+    truth: RecordedTracks,
+    run: TrackRun,
+    found: dict[str, Path],
+    out: Path,
+    console: Console,
+) -> None:
+    """Score what was written, print the table and write it as Markdown and JSON."""
+    scores: dict[str, TrackScores] = {
+        name: score_tracks(truth, read_tracks(path), run.frames, request.match) for name, path in found.items()
+    }
+    grids = [score_grid(one, name) for name, one in scores.items()]
+    grid = Grid(grids[0].headings, [row for one in grids for row in one.rows], grids[0].words)
+    note = f"A match: {MATCH_RULES[request.match].summary}. Ratios in percent; all true boxes count, hidden ones too."
+    console.print(as_rich(grid, f"{Path(request.source).name}: {detector}"))
+    console.print(note, style="dim", highlight=False)
+    record = {
+        "format": _FORMAT,
+        "version": _FORMAT_VERSION,
+        "source": request.source,
+        "detector": detector,
+        "match": request.match,
+        "first_frame": run.frames[0],
+        "stopped": run.stopped,
+        "frames_per_second": round(run.rate, 1),
+        "scores": {name: one._asdict() for name, one in scores.items()},
+        "provenance": provenance(),
+    }
+    for suffix, text in ((".json", json.dumps(record, indent=1) + "\n"), (".md", f"{as_markdown(grid)}\n{note}\n")):
+        path = out / (SCORES + suffix)
+        with atomic_path(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        run.files.append(path)
+
+
+def _report(run: TrackRun, console: Console) -> int:
+    """Say what was kept, what stopped it and what is to be known; the exit code."""
+    for path in run.files:
+        console.print(str(path), soft_wrap=True)
+    for warning in run.warnings:
+        console.print(f"warning: {warning}", style="yellow", soft_wrap=True)
+    console.print(f"{len(run.frames)} frames, {run.rows} boxes, {run.rate:.0f} frames/s")
+    if not run.stopped:
+        return 0
+    kept = f"{len(run.frames)} frames are kept, up to frame {run.frames[-1]}"
+    if run.signal:
+        console.print(f"{signal.Signals(run.signal).name}: {kept}", style="yellow")
+        return 128 + run.signal
+    console.print(f"stopped: {run.stopped}; {kept}", style="red", soft_wrap=True)
+    return 1

@@ -1,0 +1,213 @@
+"""What is tracked: frames with a detector of motion, or a MOTChallenge sequence's own detections, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from servotrack.envs.track.files.decoders import Frame
+from servotrack.envs.track.files.frames import SIDES, FrameSource, open_frames, resize, resized
+from servotrack.envs.track.files.mot_files import SequenceInfo, find_mot_folder, read_mot_detections
+from servotrack.envs.track.files.recorded import SequenceError
+from servotrack.estimators.detect.detections import Detections, detections_from_boxes
+
+_BACKGROUND_SPACING = 25
+"""Frames between two of the first pass, at most: an hour's light is not one background."""
+_FITTED = (384, 288)
+NOMINAL_RATE = 25.0
+"""Frames per second where the source does not tell."""
+
+
+class Step(NamedTuple):
+    """One frame and what was found in it.
+
+    Attributes:
+        number: The source's frame, from 0.
+        picture: As decoded, RGB; None where there are only detections.
+        detections: In working px.
+    """
+
+    number: int
+    picture: Frame | None
+    detections: Detections
+
+
+class Input(Protocol):
+    """A sequence, ready to be tracked.
+
+    Attributes:
+        name: For titles.
+        frame_rate: Of the steps, per second.
+        length: Expected number of steps; None where unknown. It may be wrong.
+        source_size: Width and height of the source's pictures, px; None where unknown.
+        scale: Source px per working px, horizontally and vertically.
+        warning: Why the steps ended early; empty where they did not.
+    """
+
+    name: str
+    frame_rate: float
+    length: int | None
+    source_size: tuple[int, int] | None
+    scale: tuple[float, float]
+
+    @property
+    def warning(self) -> str:
+        """See above."""
+
+    def __iter__(self) -> Iterator[Step]:
+        """The steps."""
+
+
+class PixelInput:
+    """Frames that a detector searches.
+
+    Args:
+        source: As `open_frames` takes it.
+        detector: With `initial(frames)` and `step(state, frame)`.
+        size: Width and height that the detector works at, px; "source" for the source's own; "fit" for the largest of
+            its shape that fits into 384 by 288 px, where the detectors' parameters were chosen.
+        start: First frame.
+        count: Most frames.
+        stride: Every so manieth frame.
+        background: Frames, spaced over the first minute, of which a first pass makes the detector's background; 0 to
+            start from the first frame. A camera has no first pass.
+
+    Raises:
+        SequenceError: As `open_frames`.
+    """
+
+    def __init__(
+        self,
+        source: str | Path,
+        detector: Any,
+        size: tuple[int, int] | str = "fit",
+        *,
+        start: int = 0,
+        count: int | None = None,
+        stride: int = 1,
+        background: int = 0,
+    ) -> None:
+        self._frames = open_frames(source, start=start, count=count, stride=stride)
+        self._source, self._detector = source, detector
+        self._start, self._stride = start, stride
+        self._background = 0 if self._frames.live else background
+        width, height = self._frames.source_size
+        self._size = _working_size(size, (width, height))
+        self.name = self._frames.name
+        self.frame_rate = (self._frames.frame_rate or NOMINAL_RATE) / stride
+        self.length: int | None = _steps(self._frames, start, count, stride)
+        self.source_size: tuple[int, int] | None = (width, height)
+        self.scale = (width / self._size[0], height / self._size[1])
+
+    @property
+    def warning(self) -> str:
+        """Why the frames ended early; empty where they did not."""
+        return self._frames.warning
+
+    def __iter__(self) -> Iterator[Step]:
+        """Decode, resize, detect."""
+        state: Any = self._detector.initial(self._first_pass()) if self._background else None
+        try:
+            for k, picture in enumerate(self._frames):
+                frame = resize(picture, self._size)
+                if state is None:
+                    state = self._detector.initial(frame)
+                state, found = self._detector.step(state, frame)
+                yield Step(self._start + k * self._stride, picture, found)
+        finally:
+            self._frames.close()
+
+    def _first_pass(self) -> list[Frame]:
+        known = self._frames.length or self._background * _BACKGROUND_SPACING
+        spacing = min(max((known - self._start) // self._background, 1), _BACKGROUND_SPACING)
+        spaced = open_frames(self._source, start=self._start, count=self._background, stride=spacing)
+        found: list[Frame] = []
+        try:
+            found.extend(resize(picture, self._size) for picture in spaced)
+        except SequenceError:
+            # Tracking comes to the same place, and keeps what lies before it.
+            if not found:
+                raise
+        return found
+
+
+class FileInput:
+    """The detections that come with a MOTChallenge sequence; its images, where there are any, are for the film.
+
+    Args:
+        folder: Of the sequence.
+        pictures: Whether images are wanted.
+        length: Steps at least, such as those of the truth: detections do not tell where a sequence ends.
+        start: First frame.
+        count: Most frames.
+        stride: Every so manieth frame.
+
+    Raises:
+        SequenceError: No detections there, or bad ones.
+    """
+
+    scale = (1.0, 1.0)
+
+    def __init__(
+        self,
+        folder: str | Path,
+        *,
+        pictures: bool = True,
+        length: int = 0,
+        start: int = 0,
+        count: int | None = None,
+        stride: int = 1,
+    ) -> None:
+        sequence = find_mot_folder(folder)
+        if sequence is None or sequence.detections is None:
+            raise SequenceError(f"{folder} holds no det/det.txt; give a MOTChallenge sequence or another detector")
+        self._found = read_mot_detections(sequence.detections)
+        self._numbers = range(start, max([length, *(step + 1 for step in self._found)]), stride)[:count]
+        if not len(self._numbers):
+            raise SequenceError(f"{sequence.detections} holds nothing from frame {start} on")
+        self._frames: FrameSource | None = None
+        if pictures and sequence.images is not None:
+            self._frames = open_frames(folder, start=start, count=len(self._numbers), stride=stride)
+        self.name = sequence.info.name
+        self.frame_rate = (sequence.info.frame_rate or NOMINAL_RATE) / stride
+        self.length: int | None = len(self._numbers)
+        self.source_size = _picture_size(self._frames, sequence.info)
+
+    @property
+    def warning(self) -> str:
+        """Why the images ended early; empty where they did not."""
+        return "" if self._frames is None else self._frames.warning
+
+    def __iter__(self) -> Iterator[Step]:
+        """Detections, with the images as far as there are any."""
+        nothing = detections_from_boxes(np.zeros((0, 4)))
+        pictures = iter(()) if self._frames is None else iter(self._frames)
+        for number in self._numbers:
+            yield Step(number, next(pictures, None), self._found.get(number, nothing))
+
+
+def _working_size(size: tuple[int, int] | str, source: tuple[int, int]) -> tuple[int, int]:
+    if not isinstance(size, str):
+        return size
+    if size != "fit" or (source[0] <= _FITTED[0] and source[1] <= _FITTED[1]):
+        return source
+    wide = source[0] * _FITTED[1] > source[1] * _FITTED[0]
+    return resized(source, *((_FITTED[0], None) if wide else (None, _FITTED[1])))
+
+
+def _picture_size(frames: FrameSource | None, info: SequenceInfo) -> tuple[int, int] | None:
+    if frames is not None:
+        return frames.source_size
+    if info.width is None or info.height is None or max(info.width, info.height) > SIDES[1]:
+        return None
+    return (info.width, info.height)
+
+
+def _steps(frames: FrameSource, start: int, count: int | None, stride: int) -> int | None:
+    if frames.length is None:
+        return count
+    known = max(-(-(frames.length - start) // stride), 0)
+    return known if count is None else min(known, count)

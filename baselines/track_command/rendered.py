@@ -1,0 +1,95 @@
+"""A rendered scene as a MOTChallenge sequence, for `servotrack track` and for trackers from elsewhere."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import gymnasium as gym
+import numpy as np
+
+from servotrack.baselines.evaluation.results import ResultsError, ResultsFolder
+from servotrack.envs.track.files.mot_files import SequenceInfo, truth_row, write_seqinfo
+
+ENVIRONMENT = "PedestrianTracking-v0"
+QUALITY = 95
+"""Of the JPEG images."""
+
+
+def render_sequence(
+    folder: Path, axes: Mapping[str, Any], seed: int, on_frame: Callable[[int], None] | None = None
+) -> int:
+    """Write img1/, gt/gt.txt and seqinfo.ini of an episode; the folder appears only when it is complete.
+
+    People of whom less than a fifth can be seen have flag 0 in gt.txt: they do not count.
+
+    Args:
+        folder: To be made; an earlier rendered sequence there is replaced.
+        axes: Keywords of `PedestrianTracking-v0`, `level` among them.
+        seed: Of the episode.
+        on_frame: Called with the number of frames to come, after each.
+
+    Returns:
+        Number of frames.
+
+    Raises:
+        ValueError: A keyword out of range, or an observation other than pixels.
+        ResultsError: A folder that holds anything else, or cannot be written.
+    """
+    if axes.get("observation", "pixels") != "pixels":
+        raise ValueError(f"observation must be 'pixels' for a sequence of images, got {axes['observation']!r}")
+    if folder.exists() and not (folder / "seqinfo.ini").is_file() and (folder.is_file() or any(folder.iterdir())):
+        raise ResultsError(f"{folder} holds something that is no rendered sequence; choose another folder")
+    env = gym.make(ENVIRONMENT, **axes)
+    told: Any = env.get_wrapper_attr("told")
+    horizon = int(env.get_wrapper_attr("config").horizon)
+    ResultsFolder(folder.parent).check_writable()
+    growing = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        growing.chmod(0o755)
+        (growing / "img1").mkdir()
+        (growing / "gt").mkdir()
+        silent = np.zeros(env.action_space.shape or (), np.float64)
+        image, info = env.reset(seed=seed)
+        rows = []
+        for number in range(1, horizon + 1):
+            _write_image(growing / "img1" / f"{number:06d}.jpg", image)
+            truth = info["truth"]
+            for row in np.flatnonzero(truth["ids"] > 0).tolist():
+                rows.append(
+                    truth_row(
+                        number,
+                        int(truth["ids"][row]),
+                        truth["boxes"][row],
+                        bool(truth["exists"][row]),
+                        float(truth["visibility"][row]),
+                    )
+                )
+            image, _, _, _, info = env.step(silent)
+            if on_frame is not None:
+                on_frame(horizon - number)
+        (growing / "gt" / "gt.txt").write_text("".join(rows), encoding="ascii")
+        write_seqinfo(
+            growing / "seqinfo.ini",
+            SequenceInfo(folder.name, "img1", told.frame_rate, horizon, told.width, told.height),
+        )
+        if folder.exists():
+            shutil.rmtree(folder)
+        growing.replace(folder)
+    except OSError as error:
+        raise ResultsError(f"{folder} cannot be written ({error}); choose another folder") from error
+    finally:
+        shutil.rmtree(growing, ignore_errors=True)
+        env.close()
+    return horizon
+
+
+def _write_image(path: Path, image: Any) -> None:
+    coded, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    if not coded:
+        raise ResultsError(f"{path} cannot be coded as JPEG")
+    path.write_bytes(data.tobytes())

@@ -1,0 +1,174 @@
+"""The run behind `servotrack track`: from a sequence to tracks and film; what ends it early loses nothing."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from servotrack.baselines.evaluation.results import ResultsError
+from servotrack.baselines.reporting.film import Film, FilmError, Frame
+from servotrack.baselines.track_command.inputs import Input, Step
+from servotrack.baselines.track_command.stopping import Interruption, SpaceGuard
+from servotrack.baselines.track_command.tracks_file import TracksFile
+from servotrack.envs.track.files.recorded import SequenceError
+from servotrack.estimators.rfs.sets import SetEstimate
+
+TRACKS, FILM = "tracks.txt", "tracks.mp4"
+_FILM_RATES = (1.0, 60.0)
+
+
+class Painter(Protocol):
+    """Draws a frame of the film."""
+
+    def __call__(self, step: Step, estimate: SetEstimate) -> Frame:
+        """The picture, RGB, always of one size."""
+
+
+@dataclass
+class TrackRun:
+    """What a run did.
+
+    Attributes:
+        frames: The source's frames that were tracked, from 0.
+        rows: Boxes written.
+        seconds: Duration.
+        stopped: Why it ended before the sequence did; empty where it did not.
+        signal: Number of the signal that stopped it; 0 for none.
+        error: What broke; None where nothing did.
+        warnings: For the user.
+        files: Written, whole and valid.
+    """
+
+    frames: list[int] = field(default_factory=list)
+    rows: int = 0
+    seconds: float = 0.0
+    stopped: str = ""
+    signal: int = 0
+    error: Exception | None = None
+    warnings: list[str] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)
+
+    @property
+    def rate(self) -> float:
+        """Frames per second."""
+        return len(self.frames) / self.seconds if self.seconds > 0.0 else 0.0
+
+
+def track(
+    source: Input,
+    tracker: Any,
+    out: Path,
+    painter: Painter | None = None,
+    on_frame: Callable[[], None] = lambda: None,
+) -> TrackRun:
+    """Track a sequence.
+
+    Args:
+        source: The sequence.
+        tracker: With `initial(detections)` and `step(state, detections)`.
+        out: Folder for `tracks.txt` and, with a painter, `tracks.mp4`.
+        painter: Draws the film; None for no film.
+        on_frame: Called after every frame.
+
+    Returns:
+        What was done, also where a broken source, a full disk or a signal ended it.
+
+    Raises:
+        ResultsError: `out` cannot be made or written, or films cannot.
+        SequenceError: The source broke before the first frame was tracked.
+    """
+    run = TrackRun()
+    started = time.perf_counter()
+    guard = SpaceGuard(out)
+    with Interruption() as interruption, TracksFile(out / TRACKS) as tracks, _filming(source, out, painter) as film:
+        try:
+            for step, estimate in _estimates(source, tracker):
+                guard.check()
+                tracks.write(step.number + 1, estimate)
+                film.show(step, estimate)
+                run.frames.append(step.number)
+                on_frame()
+                if interruption.signal:
+                    run.signal, run.stopped = interruption.signal, "interrupted"
+                    break
+            film.finish()
+        except (SequenceError, OSError) as error:
+            if not run.frames and isinstance(error, OSError):
+                raise ResultsError(f"{out} cannot be written ({error}); choose another folder") from error
+            if not run.frames:
+                raise
+            run.error, run.stopped = error, str(error)
+        except FilmError as error:
+            raise ResultsError(f"{error}; or leave the film out (--no-video)") from error
+    run.seconds, run.rows = time.perf_counter() - started, tracks.rows
+    run.warnings.extend([source.warning] if source.warning else [])
+    run.files.append(out / TRACKS)
+    if film.count:
+        _keep_film(out / FILM, run)
+    return run
+
+
+def _estimates(source: Input, tracker: Any) -> Iterator[tuple[Step, SetEstimate]]:
+    """Every step with the tracks in it, in the source's px."""
+    factor = np.array([*source.scale, *source.scale])
+    state: Any = None
+    for step in source:
+        if state is None:
+            state = tracker.initial(step.detections)
+        state, estimate = tracker.step(state, step.detections)
+        yield step, replace(estimate, states=estimate.states * factor, held_states=estimate.held_states * factor)
+
+
+class _Filming:
+    """Draws and writes the film, the writing in a thread of its own; draws nothing where no film is wanted."""
+
+    def __init__(self, film: Film | None, painter: Painter | None, pool: ThreadPoolExecutor) -> None:
+        self._film, self._painter, self._pool = film, painter, pool
+        self._writing: Future[None] | None = None
+        self.count = 0
+
+    def show(self, step: Step, estimate: SetEstimate) -> None:
+        """Draw the frame, and write it when the one before is written."""
+        if self._film is None or self._painter is None:
+            return
+        picture = self._painter(step, estimate)
+        self.finish()
+        self._writing = self._pool.submit(self._film.write, picture)
+        self.count += 1
+
+    def finish(self) -> None:
+        """Wait for the frame that is being written; raises what went wrong there."""
+        if self._writing is not None:
+            self._writing.result()
+
+
+@contextlib.contextmanager
+def _filming(source: Input, out: Path, painter: Painter | None) -> Iterator[_Filming]:
+    if painter is None:
+        with ThreadPoolExecutor(1) as pool:
+            yield _Filming(None, None, pool)
+        return
+    # The pool is waited for before the film is closed.
+    with Film(out / FILM, float(np.clip(source.frame_rate, *_FILM_RATES))) as film, ThreadPoolExecutor(1) as pool:
+        yield _Filming(film, painter, pool)
+
+
+def _keep_film(path: Path, run: TrackRun) -> None:
+    """Keep the film if it plays: OpenCV does not tell that its file could not be finished."""
+    import cv2
+
+    capture = cv2.VideoCapture(str(path))
+    plays = capture.isOpened() and capture.read()[0]
+    capture.release()
+    if plays:
+        run.files.append(path)
+        return
+    path.unlink(missing_ok=True)
+    run.warnings.append(f"{path} could not be finished and was removed; the tracks are whole")

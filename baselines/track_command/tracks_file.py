@@ -1,0 +1,74 @@
+"""Tracks written while they come about, in MOTChallenge's format; whatever ends the run, the file is valid."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from servotrack.baselines.evaluation.results import ResultsFolder
+from servotrack.envs.track.files.mot_files import mot_row
+from servotrack.estimators.rfs.sets import SetEstimate
+
+UNFINISHED = ".unfinished"
+
+
+class TracksFile:
+    """A file of tracks that grows frame by frame under a temporary name, and takes its own when the block ends.
+
+    The block may end by an error: the frames up to it are kept. Where there were none, an earlier file stays.
+
+    Args:
+        path: The file. While it grows, `.unfinished` stands behind its name.
+
+    Attributes:
+        rows: Written so far.
+
+    Raises:
+        ResultsError: The folder cannot be made or written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        ResultsFolder(path.parent).check_writable()
+        self.path = path
+        self.rows = 0
+        self._growing = path.with_name(path.name + UNFINISHED)
+        self._good = 0
+        # Unbuffered, so that a failed write is known at once and by the frame that it belongs to.
+        self._file = self._growing.open("wb", buffering=0)
+
+    def __enter__(self) -> TracksFile:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        try:
+            # Half a frame is cut off again; that needs no space.
+            os.ftruncate(self._file.fileno(), self._good)
+        finally:
+            self._file.close()
+        if error[0] is not None and self.rows == 0:
+            self._growing.unlink()
+        else:
+            self._growing.replace(self.path)
+
+    def write(self, frame: int, estimate: SetEstimate) -> None:
+        """Append one frame's tracks.
+
+        Args:
+            frame: From 1.
+            estimate: Boxes in the source's px.
+
+        Raises:
+            OSError: The disk is full, or a limit is reached.
+        """
+        rows = [
+            mot_row(frame, label, box, existence)
+            for label, box, existence in zip(
+                estimate.labels.tolist(), estimate.states, estimate.existence.tolist(), strict=True
+            )
+        ]
+        content = "".join(rows).encode("ascii")
+        while content:
+            content = content[self._file.write(content) :]
+        self.rows += len(rows)
+        self._good = self._file.tell()

@@ -1,0 +1,152 @@
+"""The `train` command: several runs with progress beside the classical agents, and the best one with its card."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from joblib import Parallel, delayed
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from servotrack.baselines.agents.learned.card import LearnedCard, digest, load_card
+from servotrack.baselines.evaluation.results import ResultsFolder, atomic_path, code_version, describe_environment
+from servotrack.baselines.training.curves import draw_curves
+from servotrack.baselines.training.dispatch import train
+from servotrack.baselines.training.export import write_card
+from servotrack.baselines.training.progress import Yardstick
+from servotrack.baselines.training.run import AGENT, Entry, TrainingCurve, TrainingTask
+from servotrack.baselines.training.settings import TrainingSettings
+
+
+@dataclass(frozen=True)
+class TrainingRequest:
+    """What to train.
+
+    Attributes:
+        env_id: Gymnasium id.
+        env_kwargs: Arguments of the environment.
+        settings: Hyper-parameters.
+        seeds: One run each.
+        folder: Where runs lie, each in a folder of its own, and what the classical agents reach on the tune seeds.
+        jobs: Runs at a time.
+        name: Of the agent.
+        ship: Folder for the best run's network and card; None for that of the runs.
+    """
+
+    env_id: str
+    env_kwargs: Mapping[str, Any]
+    settings: TrainingSettings
+    seeds: tuple[int, ...]
+    folder: Path
+    jobs: int = 1
+    name: str | None = None
+    ship: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Check the seeds."""
+        if not self.seeds or len(set(self.seeds)) != len(self.seeds) or min(self.seeds) < 0:
+            raise ValueError(f"seeds must be different whole numbers >= 0, at least one, got {list(self.seeds)}")
+
+    @property
+    def environment(self) -> Path:
+        """Folder of everything in this environment."""
+        return self.folder / describe_environment(self.env_id, self.env_kwargs)
+
+    def task(self, seed: int) -> TrainingTask:
+        """One run."""
+        folder = self.environment / f"{self.settings.recipe}-seed{seed}"
+        return TrainingTask(self.env_id, self.env_kwargs, self.settings, seed, folder)
+
+
+def run_training(request: TrainingRequest, console: Console) -> Path:
+    """Train all runs, resuming those that were interrupted, and write the agent that was best on the tune seeds.
+
+    Returns:
+        The card of the agent.
+    """
+    yardstick = _yardstick(request)
+    beside = " · ".join(f"{name} {_text(values)}" for name, values in yardstick.beside.items())
+    console.print(f"{request.environment.name}: {request.settings.recipe}, measured on tune seeds beside {beside}")
+    if request.jobs == 1:
+        curves = [_shown(request.task(seed), yardstick, console) for seed in request.seeds]
+    else:
+        curves = []
+        runs = Parallel(n_jobs=request.jobs, return_as="generator")(
+            delayed(_alone)(request, seed) for seed in request.seeds
+        )
+        for seed, curve in zip(request.seeds, runs, strict=True):
+            console.print(f"seed {seed}: {_text(curve.entries[-1])} after {curve.entries[-1]['seconds']:.0f} s")
+            curves.append(curve)
+    best = 0
+    for i, curve in enumerate(curves):
+        if yardstick.better(curve.entries[-1], curves[best].entries[-1]):
+            best = i
+    path = _write_chosen(request, best, curves)
+    figure = request.environment / f"{request.settings.recipe}.png"
+    levels = "".join(f", {level}" for level in request.settings.levels if level != request.env_kwargs.get("level"))
+    title = f"{request.settings.recipe}, {request.environment.name}{levels}"
+    draw_curves(curves, yardstick.beside, title, figure)
+    console.print(f"best: seed {request.seeds[best]}, {_text(curves[best].entries[-1])}")
+    for written in (path, figure):
+        console.print(str(written), soft_wrap=True)
+    return path
+
+
+def _yardstick(request: TrainingRequest) -> Yardstick:
+    # Other code may have measured the classical agents for earlier runs; theirs are kept apart.
+    folder = ResultsFolder(request.environment / "classical" / code_version())
+    folder.check_writable()
+    return Yardstick(request.env_id, request.env_kwargs, folder, levels=request.settings.levels)
+
+
+def _alone(request: TrainingRequest, seed: int) -> TrainingCurve:
+    """Runs in a worker process, which has to register the ids first."""
+    import servotrack  # noqa: F401
+
+    return train(request.task(seed), _yardstick(request))
+
+
+def _shown(task: TrainingTask, yardstick: Yardstick, console: Console) -> TrainingCurve:
+    columns = (
+        TextColumn("seed {task.fields[seed]}"), BarColumn(), TextColumn("{task.completed:,} of {task.total:,} steps"),
+        TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.description}"),
+    )  # fmt: skip
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task("", total=task.settings.n_timesteps, seed=task.seed)
+
+        def on_entry(entry: Entry) -> None:
+            progress.update(bar, description=_text(entry))
+
+        return train(task, yardstick, lambda steps: progress.update(bar, completed=steps), on_entry)
+
+
+def _text(measured: Mapping[str, Any]) -> str:
+    shown = [f"score {measured['score']:.3f}"] if "score" in measured else [f"return {measured['return']:.1f}"]
+    return " ".join([*shown, *([f"success {measured['success']:.2f}"] if "success" in measured else [])])
+
+
+def _write_chosen(request: TrainingRequest, best: int, curves: list[TrainingCurve]) -> Path:
+    """The network of the best run and a card that tells of all runs."""
+    source = request.task(request.seeds[best]).folder / f"{AGENT}.json"
+    card = load_card(source)
+    network = (source.parent / card.network).read_bytes()
+    name = request.name or card.name
+    level = request.env_kwargs.get("level")
+    folder = request.ship or request.environment
+    file = "-".join([request.env_id, *([] if level is None else [f"level{level}"]), name]) + ".onnx"
+    runs = [{"seed": seed, **curve.entries[-1]} for seed, curve in zip(request.seeds, curves, strict=True)]
+    with atomic_path(folder / file) as temporary:
+        temporary.write_bytes(network)
+    chosen: LearnedCard = replace(
+        card,
+        name=name,
+        network=file,
+        sha256=digest(network),
+        steps=sum(curve.steps for curve in curves),
+        training={**card.training, "runs": runs, "curve": curves[best].entries},
+    )
+    write_card(chosen, folder)
+    return (folder / file).with_suffix(".json")

@@ -1,0 +1,168 @@
+"""Whether training wins: several runs of one recipe against a classical agent, runs and episodes resampled, crossed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from servotrack.baselines.agents.learned.card import LearnedCard, load_card
+from servotrack.baselines.agents.learned.shipped import agent_in_file
+from servotrack.baselines.agents.protocol import world_of
+from servotrack.baselines.agents.registry import agent_card
+from servotrack.baselines.evaluation import seeds as seed_ranges
+from servotrack.baselines.evaluation.evaluate import evaluate
+from servotrack.baselines.evaluation.results import CellResults, ResultsFolder, describe_environment
+from servotrack.baselines.evaluation.statistics import Interval, crossed_difference, score
+from servotrack.baselines.leaderboard.measures import JUDGMENTS, Measure
+from servotrack.baselines.leaderboard.summary import LOWER_ANCHOR, UPPER_ANCHOR
+
+ENOUGH = 10
+"""Training runs that a claim about training needs."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What several training runs reach, less what one agent does.
+
+    Attributes:
+        environment: Id and arguments in one line.
+        recipe: What was trained.
+        against: The agent.
+        runs: How many trainings.
+        episodes: Each.
+        headline: The world's measure.
+        of_runs: Mean of the headline of each run.
+        of_other: Mean of the other agent's.
+        difference: Of the headline, runs less other.
+        score: Of the mean score; None where the world has none.
+        success: Of the success rate; None where there is none.
+        returned: Of the mean return.
+    """
+
+    environment: str
+    recipe: str
+    against: str
+    runs: int
+    episodes: int
+    headline: Measure
+    of_runs: tuple[float, ...]
+    of_other: float
+    difference: Interval
+    score: Interval | None
+    success: Interval | None
+    returned: Interval
+
+    def markdown(self) -> str:
+        """The comparison as a table."""
+        unit, factor, digits = self.headline.unit, self.headline.factor, self.headline.digits
+        means = factor * np.array(self.of_runs)
+        lines = [
+            f"| {self.environment} | {self.recipe}, {self.runs} runs | {self.against} | difference |",
+            "|---|---|---|---|",
+            f"| {self.headline.heading}, {unit} | {means.mean():.{digits}f} ({means.min():.{digits}f} to "
+            f"{means.max():.{digits}f}) | {factor * self.of_other:.{digits}f} | "
+            f"{_signed(self.difference, digits, factor)} |",
+        ]
+        lines += [
+            f"| {name} | | | {_signed(interval, digits)} |"
+            for name, interval, digits in (
+                ("score", self.score, 3), ("success", self.success, 3),
+                ("return", None if self.score is not None else self.returned, 1),
+            )
+            if interval is not None
+        ]  # fmt: skip
+        note = f"{self.episodes} seeds; brackets: 95 % intervals, runs and episodes resampled, crossed." + (
+            "" if self.runs >= ENOUGH else f" Fewer than {ENOUGH} runs: no claim about training."
+        )
+        return "\n".join([*lines, "", note, ""])
+
+
+def compare(
+    folder: Path,
+    recipe: str,
+    against: str,
+    results: ResultsFolder,
+    episodes: int,
+    split: str = "test",
+    on_run: Callable[[], None] = lambda: None,
+) -> list[Comparison]:
+    """Evaluate all training runs of a recipe and an agent on the same seeds, at each level that it was trained for.
+
+    Args:
+        folder: Of an environment, as `servotrack train` writes it.
+        recipe: Whose runs lie there.
+        against: Name of the other agent.
+        results: Keeps the episodes, so that an interrupted comparison goes on.
+        episodes: Per run and level.
+        split: Of the seeds.
+        on_run: Called after each.
+
+    Raises:
+        ValueError: Fewer than two runs.
+        AgentFileError: A run whose agent cannot be used.
+    """
+    cards = sorted(folder.glob(f"{recipe}-seed*/agent.json"))
+    if len(cards) < 2:
+        raise ValueError(f"{folder} must hold at least two runs of {recipe!r}, found {len(cards)}; train more seeds")
+    card: LearnedCard = load_card(cards[0])
+    seeds = seed_ranges.take(split, episodes)
+
+    def at(env_kwargs: dict[str, Any]) -> Comparison:
+        def cell(agent: str) -> CellResults:
+            named = agent_in_file(Path(agent)) if agent.endswith(".json") else agent_card(agent)
+            done = evaluate(card.env_id, named, seeds, env_kwargs, folder=results, timing=False)
+            on_run()
+            return done
+
+        runs, other = [cell(str(path)) for path in cards], cell(against)
+        anchors = [cell(name) for name in (LOWER_ANCHOR, UPPER_ANCHOR)] if world_of(card.env_id) == "servo" else []
+        return _compared(describe_environment(card.env_id, env_kwargs), recipe, against, seeds, runs, other, anchors)
+
+    return [at({**card.env_kwargs, "level": level}) for level in card.levels] or [at(card.env_kwargs)]
+
+
+def _compared(
+    environment: str,
+    recipe: str,
+    against: str,
+    seeds: list[int],
+    runs: list[CellResults],
+    other: CellResults,
+    anchors: list[CellResults],
+) -> Comparison:
+    headline = JUDGMENTS[world_of(other.env_id)].headline
+
+    def column(of: CellResults, name: str) -> list[float]:
+        return [float(row[name]) for row in of.select(seeds)]
+
+    def difference(name: str) -> Interval:
+        return crossed_difference([column(run, name) for run in runs], column(other, name))
+
+    scored = None
+    if anchors:
+        ends = [column(anchor, headline.column) for anchor in anchors]
+        scores = [score(column(one, headline.column), *ends) for one in (*runs, other)]
+        scored = crossed_difference(scores[:-1], scores[-1])
+    return Comparison(
+        environment,
+        recipe,
+        against,
+        len(runs),
+        len(seeds),
+        headline,
+        tuple(float(np.mean(column(run, headline.column))) for run in runs),
+        float(np.mean(column(other, headline.column))),
+        difference(headline.column),
+        scored,
+        difference("success") if "success" in other.rows[0] else None,
+        difference("return"),
+    )
+
+
+def _signed(interval: Interval, digits: int, factor: float = 1.0) -> str:
+    value, low, high = (f"{factor * part:+.{digits}f}" for part in interval)
+    return f"{value} [{low}, {high}]"

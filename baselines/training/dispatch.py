@@ -1,0 +1,41 @@
+"""Training of one agent, by reinforcement or from what is known in training."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from servotrack.baselines.training.jacobian import teach_jacobian
+from servotrack.baselines.training.marker import teach_eyes
+from servotrack.baselines.training.progress import Yardstick
+from servotrack.baselines.training.reinforcement import reinforce
+from servotrack.baselines.training.run import Course, Entry, TrainingCurve, TrainingTask
+from servotrack.baselines.training.set_prediction import teach_sets
+from servotrack.baselines.training.student import teach
+
+
+def train(
+    task: TrainingTask,
+    yardstick: Yardstick,
+    on_steps: Callable[[int], None] = lambda steps: None,
+    on_entry: Callable[[Entry], None] = lambda entry: None,
+) -> TrainingCurve:
+    """Train one agent, or finish a training that was interrupted.
+
+    The newest policy lies in the task's folder as `agent.onnx` with its card, always one that works.
+
+    Args:
+        task: What to do.
+        yardstick: Measures the policy as it goes.
+        on_steps: Called with the environment steps so far.
+        on_entry: Called with every measurement.
+
+    Raises:
+        ResultsError: The folder holds another training or cannot be written.
+        ValueError: Hyper-parameters that the algorithm does not take, or an environment that it cannot learn in.
+    """
+    course = Course(task, yardstick, on_steps, on_entry)
+    if not course.finished:
+        {"student": teach, "jacobian": teach_jacobian, "set": teach_sets, "eyes": teach_eyes}.get(
+            task.settings.algorithm, reinforce
+        )(course)
+    return course.curve

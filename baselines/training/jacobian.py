@@ -1,0 +1,176 @@
+"""Supervised training of a Jacobian estimator: it servos, and is told afterwards what the Jacobian had been."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import cycle
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+
+from servotrack.baselines.agents.learned.contract import Rows
+from servotrack.baselines.agents.learned.jacobian import (
+    ENTRIES,
+    USUAL,
+    LearnedJacobian,
+    create_learned_servo,
+    jacobian_encoding,
+    turning,
+)
+from servotrack.baselines.agents.registry import create_agent
+from servotrack.baselines.training.export import exportable_policy
+from servotrack.baselines.training.run import Course
+from servotrack.baselines.training.supervised import (
+    RecurrentNetwork,
+    descend,
+    explored,
+    lesson_seeds,
+    prepare,
+    servo_lessons,
+    take_turns,
+)
+from servotrack.envs.servo.world import ServoWorld
+
+
+@dataclass(frozen=True)
+class JacobianSettings:
+    """Hyper-parameters of a Jacobian estimator.
+
+    Attributes:
+        hidden: Numbers that its recurrent layer carries.
+        learning_rate: Of Adam; `lin_X` falls from X to 0.
+        n_epochs: Passes over the episodes of one iteration.
+        batch_size: Episodes in a batch.
+        exploration: Noise of every other iteration's actions, relative to the action's size.
+        guided: Share of the episodes in which a Kalman filter servos at first; it falls to none.
+        floor: Errors well above this share of the Jacobian count logarithmically.
+    """
+
+    hidden: int = 64
+    learning_rate: float | str = "lin_1e-3"
+    n_epochs: int = 3
+    batch_size: int = 64
+    exploration: float = 0.3
+    guided: float = 0.5
+    floor: float = 0.05
+
+
+class JacobianNetwork(RecurrentNetwork):
+    """A recurrent network from rows to the entries of a Jacobian.
+
+    Args:
+        size: Numbers in a row.
+        hidden: Numbers that it carries.
+    """
+
+    def __init__(self, size: int, hidden: int) -> None:
+        super().__init__(size, hidden, ENTRIES)
+
+    def forward(self, observation: torch.Tensor, memory: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """One step, as it is exported: from rows (N, size) and memory (N, hidden) to entries and memory."""
+        answer, carried = self.answers(observation[:, None], memory[None])
+        return answer[:, 0], carried[0]
+
+
+class Records(NamedTuple):
+    """Episodes, N of T steps.
+
+    Attributes:
+        rows: What the network saw. Shape (N, T, size).
+        entries: What it should have answered. Shape (N, T, 6).
+        counted: 1 while the episode lasted. Shape (N, T).
+    """
+
+    rows: torch.Tensor
+    entries: torch.Tensor
+    counted: torch.Tensor
+
+
+def teach_jacobian(course: Course) -> None:
+    """Train an estimator, from the beginning or from where the course was saved.
+
+    Each iteration lets it servo in new episodes of the train range, and then shows it the analytic Jacobian of every
+    step: DAgger (Ross et al. 2011) with the oracle's answer as the label. At first a Kalman filter servos in some of
+    them, for an arm that does not move shows no Jacobian, and who has seen none does not move.
+
+    Raises:
+        ResultsError: The checkpoint does not fit the hyper-parameters.
+        ValueError: The environment is no servo of features, or a hyper-parameter is unknown.
+    """
+    own = prepare(JacobianSettings, course)
+    task, settings = course.task, course.task.settings
+    env = servo_lessons(task)
+    encoding, law = jacobian_encoding(settings.encoding)
+    network = JacobianNetwork(encoding.size, own.hidden)
+    optimizer = torch.optim.Adam(network.parameters())
+    explore = np.random.default_rng([task.seed, course.resume(network, optimizer)])
+    servo = create_learned_servo(LearnedJacobian(_running(network), own.hidden, encoding), env, law)
+    guide = create_agent("kf", env)
+    noises = cycle((0.0, own.exploration))
+
+    def turn(steps: int) -> int:
+        share = own.guided * (1.0 - steps / settings.n_timesteps)
+        records = _servo(env, servo, guide, share, lesson_seeds(task, steps), next(noises), explore)
+        _learn(network, optimizer, records, own)
+        return int(records.counted.sum())
+
+    try:
+        exported = exportable_policy(network, encoding.size, own.hidden)
+        take_turns(course, network, optimizer, own.learning_rate, exported, turn)
+    finally:
+        env.close()
+
+
+def _running(network: JacobianNetwork) -> Any:
+    """The network as it is now, as a function of arrays."""
+
+    def answer(rows: Rows, memory: Rows) -> tuple[Rows, Rows]:
+        with torch.no_grad():
+            entries, carried = network(torch.from_numpy(rows), torch.from_numpy(memory))
+        return entries.numpy(), carried.numpy()
+
+    return answer
+
+
+def _servo(
+    env: Any, servo: Any, guide: Any, share: float, seeds: list[int], noise: float, explore: np.random.Generator
+) -> Records:
+    """One episode per seed, the first ones by the guide, with what the Jacobian was written down beside."""
+    world: ServoWorld = env.unwrapped.world
+    count, length = len(seeds), world.config.warmup + world.config.horizon
+    estimator: LearnedJacobian = servo.controller.estimator
+    observation, _ = env.reset(seed=seeds)
+    rows = np.zeros((count, length, estimator.encoding.size), np.float32)
+    entries, counted = np.zeros((count, length, ENTRIES), np.float32), np.zeros((count, length), np.float32)
+    alive, started = np.ones(count, np.bool_), np.zeros(count, np.bool_)
+    state, guiding, guided = None, None, np.arange(count) < share * count
+    for k in range(length):
+        true = world.privileged()["true_jacobian"]
+        action, state = servo.predict(observation, state, started)
+        if guided.any():
+            better, guiding = guide.predict(observation, guiding, started)
+            action = np.where(guided[:, None], better, action)
+        learned = state.estimator
+        rows[:, k], counted[:, k] = learned.rows, alive
+        turned = turning(learned.encoding, np.asarray(observation["joint_angles"], np.float64)) @ true
+        entries[:, k] = (turned / USUAL).reshape(count, ENTRIES)
+        observation, _, terminated, truncated, _ = env.step(explored(action, noise, explore))
+        started = terminated | truncated
+        alive &= ~started
+    return Records(*(torch.from_numpy(part) for part in (rows, entries, counted)))
+
+
+def _learn(network: JacobianNetwork, optimizer: torch.optim.Optimizer, records: Records, own: JacobianSettings) -> None:
+    """Some passes over the episodes."""
+    for _ in range(own.n_epochs):
+        for batch in torch.randperm(len(records.rows)).split(own.batch_size):
+            part = Records(*(tensor[batch] for tensor in records))
+            answer, _ = network.answers(part.rows)
+            # By joints and by time each, relative to how large they are.
+            wrong, true = ((x.unflatten(-1, (2, 3))) for x in (answer - part.entries, part.entries))
+            by_joints = (wrong[..., :2] ** 2).sum((-2, -1)) / (true[..., :2] ** 2).sum((-2, -1)).clamp(min=0.01)
+            by_time = (wrong[..., 2] ** 2).sum(-1) / (true[..., 2] ** 2).sum(-1).clamp(min=0.25)
+            loss = torch.log1p(torch.stack([by_joints, by_time], -1) / own.floor**2).sum(-1)
+            loss = (loss * part.counted).sum() / part.counted.sum()
+            descend(network, optimizer, loss)

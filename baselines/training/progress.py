@@ -1,0 +1,94 @@
+"""What a learner is measured by while it learns: episodes on tune seeds, beside classical agents on the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from servotrack.baselines.agents.protocol import AgentCard, world_of
+from servotrack.baselines.agents.registry import AGENTS
+from servotrack.baselines.evaluation import seeds as seed_ranges
+from servotrack.baselines.evaluation.evaluate import evaluate
+from servotrack.baselines.evaluation.results import CellResults, ResultsFolder
+from servotrack.baselines.leaderboard.measures import JUDGMENTS
+from servotrack.baselines.leaderboard.summary import LOWER_ANCHOR, UPPER_ANCHOR, AgentSummary, summarize
+
+EPISODES = 100
+FIRST_SEED = 60_000
+"""Offset in the tune range, away from the seeds of tests and of `servotrack tune`."""
+BESIDE = ("kf", "lifted-kf", "latency-bank-lifted-kf", "gm-phd", "pmb", "phd-servo")
+"""Agents whose measures are shown beside the learner's, where they can act."""
+
+
+class Yardstick:
+    """Measures agents of one environment, or of several levels of it: then all measures are means over these.
+
+    Args:
+        env_id: Gymnasium id.
+        env_kwargs: Its arguments.
+        folder: Keeps what the classical agents reached.
+        episodes: Per agent and level.
+        levels: Of the environment; empty: that of `env_kwargs`.
+    """
+
+    def __init__(
+        self,
+        env_id: str,
+        env_kwargs: Mapping[str, Any],
+        folder: ResultsFolder,
+        episodes: int = EPISODES,
+        levels: Sequence[int] = (),
+    ) -> None:
+        world = world_of(env_id)
+        self.env_id, self.headline = env_id, JUDGMENTS[world].headline
+        self._worlds = [{**env_kwargs, "level": level} for level in levels] or [dict(env_kwargs)]
+        self._seeds = seed_ranges.take("tune", episodes, FIRST_SEED)
+        names = [name for name in (LOWER_ANCHOR, UPPER_ANCHOR, *BESIDE) if world in AGENTS[name].worlds]
+        self._references = [[self._cell(name, kwargs, folder) for name in names] for kwargs in self._worlds]
+
+    @property
+    def beside(self) -> dict[str, dict[str, float]]:
+        """Measures of the classical agents, by their names."""
+        found = [
+            {row.agent: self._measures(row) for row in summarize(cells)[0].rows if row.agent in BESIDE}
+            for cells in self._references
+        ]
+        return {agent: _means([measured[agent] for measured in found]) for agent in found[0]}
+
+    def measure(self, agent: AgentCard) -> dict[str, float]:
+        """Means over the episodes: `return`, and where the world has them `score`, `success` and its headline."""
+        found = []
+        for kwargs, cells in zip(self._worlds, self._references, strict=True):
+            row = summarize([*cells, self._cell(agent, kwargs)])[0].row(agent.name)
+            assert row is not None
+            found.append(self._measures(row))
+        return _means(found)
+
+    def better(self, one: Mapping[str, float], other: Mapping[str, float]) -> bool:
+        """Whether one measurement is better than another: by score, else by the headline, else by the return."""
+        for name, sign in (
+            ("score", 1.0), (self.headline.column, 1.0 if self.headline.high_is_good else -1.0), ("return", 1.0)
+        ):  # fmt: skip
+            if name in one and name in other:
+                return sign * one[name] > sign * other[name]
+        raise ValueError(f"measurements must share a measure, got {sorted(one)} and {sorted(other)}")
+
+    def _cell(
+        self, agent: str | AgentCard, env_kwargs: Mapping[str, Any], folder: ResultsFolder | None = None
+    ) -> CellResults:
+        return evaluate(self.env_id, agent, self._seeds, env_kwargs, folder=folder, timing=False)
+
+    def _measures(self, row: AgentSummary) -> dict[str, float]:
+        headline = row.measures.get(self.headline.column)
+        found = {
+            "return": row.mean_return,
+            "score": row.score,
+            "success": row.success,
+            self.headline.column: headline,
+        }
+        return {name: float(interval.value) for name, interval in found.items() if interval is not None}
+
+
+def _means(measured: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Of each measure."""
+    return {name: sum(one[name] for one in measured) / len(measured) for name in measured[0]}

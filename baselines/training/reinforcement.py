@@ -1,0 +1,207 @@
+"""Training with Stable-Baselines3 on the vector environments."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
+from stable_baselines3 import A2C, PPO, SAC, TD3
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.vec_env import VecNormalize
+from torch import nn
+
+from servotrack.baselines.agents.learned.encoding import create_encoding
+from servotrack.baselines.evaluation import seeds as seed_ranges
+from servotrack.baselines.evaluation.results import ResultsError
+from servotrack.baselines.training.curriculum import Curriculum
+from servotrack.baselines.training.encoded_env import EncodedVecEnv
+from servotrack.baselines.training.export import PolicyMode, exportable_policy
+from servotrack.baselines.training.run import CHECKPOINT, Course, TrainingTask
+from servotrack.baselines.training.sb3 import StableBaselinesVecEnv
+from servotrack.baselines.training.settings import schedule
+
+ACTIVATIONS: Mapping[str, type[nn.Module]] = {
+    "nn.ReLU": nn.ReLU,
+    "nn.Tanh": nn.Tanh,
+    "nn.ELU": nn.ELU,
+    "nn.SiLU": nn.SiLU,
+}
+
+
+def reinforce(course: Course) -> None:
+    """Train by reinforcement, from the beginning or from where the course was saved.
+
+    Raises:
+        ResultsError: The checkpoint does not fit the hyper-parameters.
+        ValueError: Hyper-parameters that the algorithm does not take.
+    """
+    task = course.task
+    model = create_model(task, course.curve.steps)
+    if course.checkpoint is not None:
+        restore(model, course.checkpoint, task.folder)
+    callback = _Measuring(course)
+    try:
+        model.learn(
+            task.settings.n_timesteps - model.num_timesteps,
+            callback,
+            log_interval=10,
+            tb_log_name="run",
+            reset_num_timesteps=False,
+        )
+        callback.conclude()
+    finally:
+        model.get_env().close()  # type: ignore[union-attr]
+
+
+def create_model(task: TrainingTask, steps: int = 0) -> BaseAlgorithm:
+    """The algorithm with its environments, before the first step.
+
+    Args:
+        task: What to do.
+        steps: Done before an interruption; the environments' seeds go on from there.
+    """
+    settings = task.settings
+    torch.set_num_threads(1)
+    env: Any = _environments(task, steps)
+    if settings.normalize:
+        env = VecNormalize(env, gamma=float(settings.hyper_parameters.get("gamma", 0.99)))
+    keywords = {name: schedule(value) if name in ("learning_rate", "clip_range") else value
+                for name, value in settings.hyper_parameters.items()}  # fmt: skip
+    if "policy_kwargs" in keywords:
+        keywords["policy_kwargs"] = _with_classes(keywords["policy_kwargs"])
+    try:
+        model: BaseAlgorithm = _algorithm(settings.algorithm)(
+            settings.policy,
+            env,
+            seed=task.seed,
+            device="cpu",
+            verbose=0,
+            tensorboard_log=str(task.folder / "tensorboard") if task.tensorboard else None,
+            **keywords,
+        )
+    except TypeError as error:
+        env.close()
+        raise ValueError(f"{settings.algorithm} does not take these hyper-parameters: {error}") from error
+    if not task.tensorboard:
+        # The algorithm would make a folder among the temporary files to write nothing into.
+        model.set_logger(Logger(None, []))
+    # After the algorithm, which gives the environments its own seed: runs would share most of their episodes.
+    env.seed(_first_seed(task, steps))
+    return model
+
+
+def _environments(task: TrainingTask, steps: int) -> Any:
+    """Encoded environments, those of the lessons where there is a curriculum."""
+    settings = task.settings
+
+    def make(level: int | None, count: int) -> EncodedVecEnv:
+        arguments = task.env_kwargs if level is None else {**task.env_kwargs, "level": level}
+        venv = gym.make_vec(
+            task.env_id,
+            num_envs=count,
+            vectorization_mode="vector_entry_point",
+            autoreset_mode=AutoresetMode.SAME_STEP,
+            **arguments,
+        )
+        return EncodedVecEnv(StableBaselinesVecEnv(venv, info_keys=()), create_encoding(settings.encoding, venv))
+
+    if not settings.curriculum:
+        return make(None, settings.n_envs)
+    stage_steps = -(-settings.n_timesteps // len(settings.curriculum))
+    return Curriculum(
+        make, settings.curriculum, settings.n_envs, stage_steps, lambda done: _first_seed(task, done), steps
+    )
+
+
+def _first_seed(task: TrainingTask, steps: int) -> int:
+    """Where in the train range the environments' seeds begin; other ones after an interruption."""
+    room = len(seed_ranges.TRAIN) - task.settings.n_envs
+    return seed_ranges.TRAIN.start + (7919 * task.seed + steps) % room
+
+
+def _algorithm(name: str) -> Any:
+    if name in ("recurrent_ppo", "tqc"):
+        import sb3_contrib
+
+        return {"recurrent_ppo": sb3_contrib.RecurrentPPO, "tqc": sb3_contrib.TQC}[name]
+    return {"ppo": PPO, "a2c": A2C, "sac": SAC, "td3": TD3}[name]
+
+
+def _with_classes(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Activations by their names in rl-zoo3's files."""
+    named = dict(policy_kwargs)
+    name = named.get("activation_fn")
+    if name is not None:
+        if name not in ACTIVATIONS:
+            raise ValueError(f"activation_fn must be one of {', '.join(ACTIVATIONS)}, got {name!r}")
+        named["activation_fn"] = ACTIVATIONS[name]
+    return named
+
+
+def restore(model: BaseAlgorithm, checkpoint: Mapping[str, Any], folder: Path) -> None:
+    """Weights, optimizers and running means as they were."""
+    try:
+        model.set_parameters(checkpoint["parameters"])
+    except Exception as error:
+        raise ResultsError(
+            f"{folder / CHECKPOINT} does not fit this training ({error}); move its folder away to begin anew"
+        ) from error
+    model.num_timesteps = int(checkpoint["steps"])
+    for name, statistics in _running(model).items():
+        statistics.mean, statistics.var, statistics.count = (np.asarray(part) for part in checkpoint[name])
+
+
+def _running(model: BaseAlgorithm) -> dict[str, Any]:
+    """Running means of an algorithm whose environment is normalized."""
+    normalizer = model.get_vec_normalize_env()
+    return {} if normalizer is None else {"observations": normalizer.obs_rms, "returns": normalizer.ret_rms}
+
+
+def policy_mode(model: BaseAlgorithm) -> PolicyMode:
+    """The policy as it is shipped."""
+    normalizer = model.get_vec_normalize_env()
+    if normalizer is None:
+        return PolicyMode(model.policy)
+    running: Any = normalizer.obs_rms
+    return PolicyMode(model.policy, running.mean, np.sqrt(running.var + normalizer.epsilon), normalizer.clip_obs)
+
+
+class _Measuring(BaseCallback):
+    """Measures and saves the policy between two rollouts, when nothing is half done."""
+
+    def __init__(self, course: Course) -> None:
+        super().__init__()
+        self.course = course
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        self.course.on_steps(self.num_timesteps)
+        if self.course.is_due(self.num_timesteps):
+            self._measure()
+
+    def conclude(self) -> None:
+        """Measure what the last update made."""
+        if self.num_timesteps > self.course.curve.steps:
+            self._measure()
+        self.course.on_steps(self.num_timesteps)
+
+    def _measure(self) -> None:
+        saved: dict[str, Any] = {"parameters": self.model.get_parameters()}
+        for name, statistics in _running(self.model).items():
+            parts = (statistics.mean, statistics.var, statistics.count)
+            saved[name] = tuple(torch.as_tensor(np.asarray(part)) for part in parts)
+        policy = policy_mode(self.model)
+        size = int(self.model.observation_space.shape[0])  # type: ignore[index]
+        exported = exportable_policy(policy, size, policy.memory)
+        entry = self.course.measure(self.num_timesteps, exported, saved)
+        for name, value in entry.items():
+            self.logger.record(f"tune/{name}", value)

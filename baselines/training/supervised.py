@@ -1,0 +1,135 @@
+"""What all trainings from known answers share: turns of collecting and learning, measured and saved as they go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from torch import nn
+
+from servotrack.baselines.evaluation import seeds as seed_ranges
+from servotrack.baselines.training.export import Exportable
+from servotrack.baselines.training.run import Course, TrainingTask
+from servotrack.baselines.training.settings import schedule
+from servotrack.envs.servo.world import ServoWorld
+
+Settings = TypeVar("Settings")
+
+
+def prepare(kind: type[Settings], course: Course) -> Settings:
+    """Give torch one thread and this run's random numbers, and read the training's own hyper-parameters.
+
+    Raises:
+        ValueError: A hyper-parameter that this training does not take.
+    """
+    settings = course.task.settings
+    torch.set_num_threads(1)
+    torch.manual_seed(course.task.seed + course.curve.steps)
+    try:
+        return kind(**settings.hyper_parameters)
+    except TypeError as error:
+        raise ValueError(f"{settings.algorithm} does not take these hyper-parameters: {error}") from error
+
+
+def servo_lessons(task: TrainingTask) -> Any:
+    """The vector environment of a training whose teacher knows a servo's world.
+
+    Raises:
+        ValueError: The environment is no servo of features.
+    """
+    env = gym.make_vec(
+        task.env_id,
+        num_envs=task.settings.n_envs,
+        vectorization_mode="vector_entry_point",
+        autoreset_mode=AutoresetMode.SAME_STEP,
+        **task.env_kwargs,
+    )
+    if type(getattr(env.unwrapped, "world", None)) is not ServoWorld:
+        env.close()
+        raise ValueError(f"{task.settings.algorithm} learns in servo worlds with features only, got {task.env_id}")
+    return env
+
+
+def explored(action: NDArray[np.float32], noise: float, chance: np.random.Generator) -> NDArray[np.float32]:
+    """Actions within [-1, 1] with noise relative to their size. Shape (N, n)."""
+    if noise > 0.0:
+        size = 0.1 + np.abs(action).max(axis=1, keepdims=True)
+        action = action + (noise * size * chance.normal(size=action.shape)).astype(np.float32)
+    return np.clip(action, -1.0, 1.0)
+
+
+class RecurrentNetwork(nn.Module):
+    """A gated recurrent layer, and a head that sees what is remembered beside the newest row.
+
+    Args:
+        size: Numbers in a row.
+        hidden: Numbers that it carries.
+        answers: Numbers in an answer.
+    """
+
+    def __init__(self, size: int, hidden: int, answers: int) -> None:
+        super().__init__()
+        self.entry = nn.Sequential(nn.Linear(size, hidden), nn.ReLU())
+        self.memory = nn.GRU(hidden, hidden, batch_first=True)
+        self.head = nn.Sequential(nn.Linear(hidden + size, hidden), nn.ReLU(), nn.Linear(hidden, answers))
+
+    def answers(self, rows: torch.Tensor, carried: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
+        """Answers to whole sequences.
+
+        Args:
+            rows: Shape (N, T, size).
+            carried: Shape (1, N, hidden); None at the beginning.
+
+        Returns:
+            Shape (N, T, answers), and what is carried on.
+        """
+        remembered, carried = self.memory(self.entry(rows), carried)
+        return self.head(torch.cat([remembered, rows], -1)), carried
+
+
+def lesson_seeds(task: TrainingTask, steps: int) -> list[int]:
+    """Seeds of the train range that this run has not had lately, one per environment."""
+    first = 7919 * task.seed + steps
+    return [seed_ranges.TRAIN[(first + i) % len(seed_ranges.TRAIN)] for i in range(task.settings.n_envs)]
+
+
+def take_turns(
+    course: Course,
+    network: nn.Module,
+    optimizer: torch.optim.Optimizer,
+    learning_rate: float | str,
+    exported: Exportable,
+    turn: Callable[[int], int],
+) -> None:
+    """Train until all steps are done.
+
+    Args:
+        course: Measures and saves.
+        network: That learns, as it was where the course was saved.
+        optimizer: Of its weights.
+        learning_rate: A number, or `lin_X`, which falls from X to 0.
+        exported: The network as it is shipped.
+        turn: Collects and learns once; environment steps before in, those that it took out.
+    """
+    total, steps, rate = course.task.settings.n_timesteps, course.curve.steps, schedule(learning_rate)
+    while steps < total:
+        for group in optimizer.param_groups:
+            group["lr"] = rate(1.0 - steps / total) if callable(rate) else rate
+        steps += turn(steps)
+        course.on_steps(steps)
+        if course.is_due(steps) or steps >= total:
+            saved: dict[str, Any] = {"network": network.state_dict(), "optimizer": optimizer.state_dict()}
+            course.measure(steps, exported, {"parameters": saved})
+
+
+def descend(network: nn.Module, optimizer: torch.optim.Optimizer, loss: torch.Tensor, steepest: float = 1.0) -> None:
+    """One step down a loss, of gradients no longer than `steepest`."""
+    optimizer.zero_grad()
+    loss.backward()
+    nn.utils.clip_grad_norm_(network.parameters(), steepest)
+    optimizer.step()

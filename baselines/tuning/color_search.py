@@ -1,0 +1,96 @@
+"""How the color trackers' values were chosen: coordinate search on tune seeds, the same for all.
+
+    python -m servotrack.baselines.tuning.color_search monte-carlo-color
+
+Protocol: start from the values that a tracker has; for one parameter after the other try the values of its grid on all
+films, six scenarios times `--episodes` tune seeds; keep the one of the highest mean AUC; go round `--rounds` times. The
+number of trials that is printed counts every setting that was run over all films. Test seeds are never looked at.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from servotrack.baselines.agents.color.catalog import color_tracker
+from servotrack.baselines.agents.color.tuning_grid import EPISODES, GRIDS
+from servotrack.baselines.evaluation import seeds
+from servotrack.baselines.tuning.color_films import Film, film, track
+from servotrack.envs.track.color.config import LEVEL_NAMES
+
+
+def mean_auc(name: str, settings: Sequence[Mapping[str, Any]], episodes: int, jobs: int = -1) -> np.ndarray:
+    """Mean AUC of several settings on the same films, by scenario.
+
+    Args:
+        name: Of the tracker.
+        settings: Parameters of each.
+        episodes: Tune seeds of every scenario.
+        jobs: Processes; -1 for all processors.
+
+    Returns:
+        Shape (settings, 6).
+    """
+    tasks = [(level, seed) for level in range(len(LEVEL_NAMES)) for seed in seeds.take("tune", episodes)]
+    found = Parallel(n_jobs=jobs)(delayed(_on_film)(name, settings, *task) for task in tasks)
+    return np.array(found).reshape(len(LEVEL_NAMES), episodes, len(settings)).mean(axis=1).T
+
+
+def search(name: str, episodes: int, rounds: int = 1, jobs: int = -1) -> dict[str, Any]:
+    """Coordinate search by the protocol above.
+
+    Returns:
+        `parameters`, `auc` of each scenario, and `trials`.
+    """
+    best: dict[str, Any] = {}
+    trials, score = 0, None
+    for _ in range(rounds):
+        before = dict(best)
+        for parameter, values in GRIDS[name].items():
+            settings = [{**best, parameter: value} for value in values]
+            scores = mean_auc(name, settings, episodes, jobs)
+            trials += len(settings)
+            winner = int(scores.mean(axis=1).argmax())
+            print(
+                parameter, {v: round(float(s), 4) for v, s in zip(values, scores.mean(axis=1), strict=True)}, flush=True
+            )
+            best, score = settings[winner], scores[winner]
+        if best == before:
+            break
+    assert score is not None
+    return {"parameters": best, "auc": dict(zip(LEVEL_NAMES, score.tolist(), strict=True)), "trials": trials}
+
+
+def _on_film(name: str, settings: Sequence[Mapping[str, Any]], level: int, seed: int) -> list[float]:
+    import servotrack  # noqa: F401 - a worker process has to register the ids
+
+    seen = _film(seed, level)
+    return [track(color_tracker(name, **parameters), seen).auc for parameters in settings]
+
+
+@lru_cache(maxsize=32)
+def _film(seed: int, level: int) -> Film:
+    """Films are kept: every parameter is tried on the same ones."""
+    return film(seed, level=level)
+
+
+def main() -> None:
+    """The command line above."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", default=list(GRIDS))
+    parser.add_argument("--episodes", type=int, default=EPISODES, help="tune seeds of each scenario")
+    parser.add_argument("--rounds", type=int, default=1, help="of the search")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes")
+    arguments = parser.parse_args()
+    for name in arguments.names:
+        print(name)
+        print(search(name, arguments.episodes, arguments.rounds, arguments.jobs))
+
+
+if __name__ == "__main__":
+    main()

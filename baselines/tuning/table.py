@@ -1,0 +1,49 @@
+"""The record of a tuning as a table."""
+
+from __future__ import annotations
+
+from servotrack.baselines.agents.registry import AGENTS
+from servotrack.baselines.agents.servo.tuning_grid import BORROWED, GRIDS, UNTUNED
+from servotrack.baselines.agents.tuning_record import TunedAgent, TuningRecord
+from servotrack.baselines.leaderboard.table import Grid, as_markdown
+
+
+def tuning_grid(record: TuningRecord) -> Grid:
+    """One row per hyper-parameter of every agent that was searched."""
+    headings = ["agent", "hyper-parameter", "tried", "chosen", "from", "settings", "objective", "environment steps"]
+    rows = []
+    for name, tuned in record.agents.items():
+        for i, (path, choices) in enumerate(tuned.grid.items()):
+            chosen, start = tuned.chosen[path], tuned.start[path]
+            cells = [f"`{path}`", ", ".join(f"{c:g}" for c in choices), f"{chosen:g}"]
+            cells.append("" if chosen == start else f"{start:g}")
+            whole = [str(len(tuned.candidates)), _objective(tuned), f"{tuned.environment_steps:,}"]
+            rows.append([name if i == 0 else "", *cells, *(whole if i == 0 else [""] * 3)])
+    return Grid(headings, rows, 3)
+
+
+def steps_grid(record: TuningRecord) -> Grid:
+    """Environment steps behind every servo agent's values, borrowed ones included."""
+    servos = GRIDS.keys() | BORROWED.keys() | UNTUNED
+    steps = {name: record.tuning_steps(name) for name in AGENTS if name in servos}
+    return Grid(["agent", "tuning steps"], [[n, "?" if s is None else f"{s:,}"] for n, s in steps.items()], 1)
+
+
+def markdown_tuning(record: TuningRecord) -> str:
+    """Both tables for a document, with the protocol's figures and the commands that wrote the record."""
+    protocol = record.protocol
+    commands = sorted({tuned.provenance["command"] for tuned in record.agents.values()})
+    versions = sorted({tuned.provenance["versions"]["servotrack"] for tuned in record.agents.values()})
+    seeds = protocol["seeds"]
+    return (
+        f"{as_markdown(tuning_grid(record))}\n"
+        f"{protocol['env_id']}, levels {', '.join(map(str, protocol['levels']))}, {len(seeds)} seeds each "
+        f"({seeds[0]} to {seeds[-1]}). Objective: mean of ln(steady error in m) + {protocol['failure_cost']:g} per "
+        f"failure; where it changed, before → after. Written by {', '.join(f'`{c}`' for c in commands)}, "
+        f"servotrack {', '.join(versions)}.\n\n{as_markdown(steps_grid(record))}"
+    )
+
+
+def _objective(tuned: TunedAgent) -> str:
+    before, after = tuned.objective(tuned.start), tuned.objective(tuned.chosen)
+    return f"{after:.3f}" if tuned.start == tuned.chosen else f"{before:.3f} → {after:.3f}"

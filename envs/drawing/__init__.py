@@ -1,0 +1,1 @@
+"""Palette, glyphs, plots and the window: the building blocks of every picture."""

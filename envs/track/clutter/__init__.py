@@ -1,0 +1,1 @@
+"""Points in clutter: `ClutterTracking-v0`."""

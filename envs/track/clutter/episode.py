@@ -1,0 +1,236 @@
+"""What fate deals an episode of the clutter world: targets, detections and clutter, all drawn before scan one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servotrack.envs.streams import Streams
+from servotrack.envs.track.clutter.config import ClutterConfig, poisson_quantile
+
+Array = NDArray[np.float64]
+
+_CANDIDATES = 16
+"""Paths drawn at a time for one target, of which the first that stays inside counts."""
+_MAX_DRAWS = 4096
+
+
+class Stream(IntEnum):
+    """Child streams of an episode's seed. Appending one shifts no other; the numbers must never change."""
+
+    MOTION = 0
+    MANEUVER = 1
+    BIRTH = 2
+    LIFETIME = 3
+    DETECTION = 4
+    SENSOR_NOISE = 5
+    CLUTTER_COUNT = 6
+    CLUTTER = 7
+    SHUFFLE = 8
+
+
+class PaperTarget(NamedTuple):
+    """A target of paper 004's scenario: first and last scan (counted from 1), and its first state."""
+
+    first: int
+    last: int | None
+    state: tuple[float, float, float, float]
+
+
+PAPER_TARGETS = (
+    PaperTarget(1, 70, (0.0, 0.0, 0.0, -10.0)),
+    PaperTarget(1, 70, (400.0, -10.0, -600.0, 5.0)),
+    PaperTarget(1, None, (-800.0, 20.0, -200.0, -5.0)),
+    PaperTarget(20, None, (400.0, -7.0, -600.0, -4.0)),
+    PaperTarget(20, None, (400.0, -2.5, -600.0, 10.0)),
+    PaperTarget(20, None, (0.0, 7.5, 0.0, -5.0)),
+    PaperTarget(40, None, (-800.0, 12.0, -200.0, 7.0)),
+    PaperTarget(40, None, (-200.0, 15.0, 800.0, -10.0)),
+    PaperTarget(60, None, (-800.0, 3.0, -200.0, 15.0)),
+    PaperTarget(60, None, (-200.0, -3.0, 800.0, -15.0)),
+    PaperTarget(80, None, (0.0, -20.0, 0.0, -15.0)),
+    PaperTarget(80, None, (-200.0, 15.0, 800.0, -5.0)),
+)
+
+
+@dataclass(frozen=True)
+class ClutterEpisode:
+    """One episode; K = horizon + 1 scans (the last is never scored), n = max_targets, M = rows of an observation.
+
+    Attributes:
+        states: True states, shape (K, n, 4), m and m/s; zeros where a target does not exist.
+        exists: Shape (K, n), bool.
+        measurements: What is observed, shape (K, M, 3): existence and two coordinates.
+        source: Which target each measurement comes from, shape (K, M): -1 for clutter, -2 for an empty row.
+    """
+
+    states: Array
+    exists: NDArray[np.bool_]
+    measurements: Array
+    source: NDArray[np.int64]
+
+
+def draw_episode(config: ClutterConfig, seed: int) -> ClutterEpisode:
+    """Draw all of an episode.
+
+    Args:
+        config: The world.
+        seed: Non-negative integer.
+
+    Raises:
+        ValueError: A target never stays inside the region for as long as it is to live.
+    """
+    streams = Streams(seed)
+    scans, n = config.horizon + 1, config.max_targets
+    first, last, starts = _births(config, streams)
+    states, exists, positions = np.zeros((scans, n, 4)), np.zeros((scans, n), np.bool_), np.zeros((scans, n, 2))
+    for target in range(len(first)):
+        life = slice(first[target], last[target] + 1)
+        path = _draw_path(config, streams, target, starts[target], life)
+        life = slice(life.start, life.start + len(path))
+        exists[life, target] = True
+        states[life, target], positions[life, target] = path[:, :4], path[:, 4:]
+    if config.sensor == "range-bearing":
+        positions = _range_bearing(config, streams, states)
+    measurements, source = _scan(config, streams, exists, positions)
+    return ClutterEpisode(states, exists, measurements, source)
+
+
+def _births(config: ClutterConfig, streams: Streams) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """First and last scan (counted from 0) of each target, and its first state."""
+    scans = config.horizon + 1
+    if config.scenario == "paper":
+        scale = config.half_width / 2000.0
+        present = [target for target in PAPER_TARGETS if target.first <= scans]
+        first = np.array([target.first - 1 for target in present], dtype=np.int64)
+        last = np.array([min(target.last or scans, scans) - 1 for target in present], dtype=np.int64)
+        starts = np.array([target.state for target in present])
+        starts[:, [0, 2]] *= scale
+        return first, last, starts
+    rng = streams[Stream.BIRTH]
+    counts = rng.poisson(np.concatenate([[config.initial_targets], np.full(scans - 1, config.birth_rate)]))
+    first = np.repeat(np.arange(scans), counts)[: config.max_targets]
+    # Places are drawn for all that there could be, so that one target's place does not depend on the others' number.
+    anywhere = rng.uniform(-config.half_width, config.half_width, (config.max_targets, 2))
+    site = rng.integers(0, len(config.sites), config.max_targets)
+    about = config.birth_spread * rng.standard_normal((config.max_targets, 2))
+    velocity = config.birth_speed * rng.standard_normal((config.max_targets, 2))
+    position = anywhere if config.births == "anywhere" else config.sites[site] + about
+    starts = np.stack([position[:, 0], velocity[:, 0], position[:, 1], velocity[:, 1]], axis=1)
+    survives = streams[Stream.LIFETIME].random((config.max_targets, scans)) < config.survival_probability
+    lifetime = np.where(survives.all(axis=1), scans, survives.argmin(axis=1) + 1)
+    count = len(first)
+    return first, np.minimum(first + lifetime[:count], scans) - 1, starts[:count]
+
+
+def _draw_path(config: ClutterConfig, streams: Streams, target: int, start: Array, life: slice) -> Array:
+    """State and measured position of a target at every scan of its life, shape (scans alive, 6).
+
+    In the paper's scenario, where lives are given, the first path inside the region counts; otherwise a target that
+    leaves the region is gone.
+    """
+    steps, total = life.stop - life.start, config.horizon + 1
+    model = config.motion.packed
+    root = np.linalg.cholesky(model.noise)
+    first = np.concatenate([start, start[[0, 2]]])
+    rng = streams[Stream.MOTION, target]
+    turns = _turn_rates(config, streams, target)[life]
+    candidates = _CANDIDATES if config.scenario == "paper" else 1
+    for _ in range(_MAX_DRAWS // candidates):
+        # Whole episodes are drawn whatever the target's life, so that changing it changes nothing else.
+        noise = rng.standard_normal((candidates, total, 6))[:, :steps]
+        paths = np.empty((candidates, steps, 6))
+        chosen, length = _simulate(
+            model.transition, root, config.position_noise, first, noise, turns, config.half_width, paths
+        )
+        if length == steps or config.scenario == "random":
+            return paths[chosen, :length]
+    raise ValueError(
+        f"no path of {steps} scans among {_MAX_DRAWS} stays inside half_width={config.half_width:g} m with "
+        f"acceleration_noise={config.acceleration_noise:g}; widen half_width, or lower acceleration_noise or horizon"
+    )
+
+
+def _turn_rates(config: ClutterConfig, streams: Streams, target: int) -> Array:
+    """Angle by which a target's velocity turns before each scan, shape (K,), rad."""
+    scans = config.horizon + 1
+    if config.maneuver_rate == 0.0 or config.max_turn_rate == 0.0:
+        return np.zeros(scans)
+    rng = streams[Stream.MANEUVER, target]
+    new = rng.random(scans) < config.maneuver_rate
+    rates = rng.uniform(-config.max_turn_rate, config.max_turn_rate, scans)
+    latest = np.maximum.accumulate(np.where(new, np.arange(scans), -1))
+    return np.where(latest >= 0, rates[latest], 0.0) * config.period
+
+
+@njit(cache=True, nogil=True)
+def _simulate(transition, root, spread, first, noise, turns, half_width, paths):  # type: ignore[no-untyped-def]
+    """Fill paths of (state, measured position); the index and length of the first that stays inside, or of the last.
+
+    A turning target's velocity turns before every step; its measurement error, position and the noise are untouched.
+    """
+    candidates, steps, size = paths.shape
+    length = 0
+    for i in range(candidates):
+        for r in range(4):
+            paths[i, 0, r] = first[r]
+        for r in range(2):
+            paths[i, 0, 4 + r] = first[4 + r] + spread * noise[i, 0, 4 + r]
+        length = 0
+        while length < steps and abs(paths[i, length, 0]) <= half_width and abs(paths[i, length, 2]) <= half_width:
+            length += 1
+            if length == steps:
+                return i, length
+            before = paths[i, length - 1].copy()
+            c, s = np.cos(turns[length]), np.sin(turns[length])
+            before[1] = c * paths[i, length - 1, 1] - s * paths[i, length - 1, 3]
+            before[3] = s * paths[i, length - 1, 1] + c * paths[i, length - 1, 3]
+            for r in range(size):
+                value = 0.0
+                for j in range(size):
+                    value += transition[r, j] * before[j]
+                for j in range(r + 1):
+                    value += root[r, j] * noise[i, length, j]
+                paths[i, length, r] = value
+    return candidates - 1, length
+
+
+def _range_bearing(config: ClutterConfig, streams: Streams, states: Array) -> Array:
+    """Noisy range and bearing of every target, shape (K, n, 2)."""
+    x, y = config.sensor_position
+    dx, dy = states[..., 0] - x, states[..., 2] - y
+    noise = streams[Stream.SENSOR_NOISE].standard_normal((*dx.shape, 2))
+    exact = np.stack([np.hypot(dx, dy), np.arctan2(dy, dx)], axis=-1)
+    return exact + noise * np.array([config.range_noise, config.bearing_noise])
+
+
+def _scan(
+    config: ClutterConfig, streams: Streams, exists: NDArray[np.bool_], values: Array
+) -> tuple[Array, NDArray[np.int64]]:
+    """Detections and clutter of all scans, shuffled: measurements (K, M, 3) and their sources (K, M)."""
+    scans, n = exists.shape
+    rows = config.measurement_rows
+    most = poisson_quantile(config.clutter_rate)
+    detected = exists & (streams[Stream.DETECTION].random((scans, n)) < config.detection_probability)
+    counts = np.minimum(streams[Stream.CLUTTER_COUNT].poisson(config.clutter_rate, scans), most)
+    seen_low, seen_high = config.seen
+    clutter = seen_low + (seen_high - seen_low) * streams[Stream.CLUTTER].random((scans, most, 2))
+    order = streams[Stream.SHUFFLE].random((scans, n + most))
+    low, high = config.measurement_bounds
+    measurements, source = np.zeros((scans, rows, 3)), np.full((scans, rows), -2, dtype=np.int64)
+    for scan in range(scans):
+        targets = np.flatnonzero(detected[scan])
+        # On overflow only clutter is dropped.
+        false = min(int(counts[scan]), rows - len(targets))
+        found = np.concatenate([values[scan, targets], clutter[scan, :false]])
+        origin = np.concatenate([targets, np.full(false, -1)])
+        shuffled = np.argsort(order[scan, : len(found)])
+        measurements[scan, : len(found), 0] = 1.0
+        measurements[scan, : len(found), 1:] = np.clip(found[shuffled], low, high)
+        source[scan, : len(found)] = origin[shuffled]
+    return measurements, source

@@ -1,0 +1,92 @@
+"""Watches one row of a clutter world and remembers what its picture needs: trails, numbers and errors so far."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.servo.backdrop import Image
+from servotrack.envs.track.clutter.render import TRAIL_LENGTH, TrackScene, Trail, draw
+from servotrack.envs.track.clutter.world import ClutterWorld
+
+Array = NDArray[np.float64]
+
+
+class Recorder:
+    """Call `record` after every reset and step; `frame` draws the scan that was answered last.
+
+    Args:
+        world: The world, which the recorder only reads.
+        row: Which of its scenes.
+    """
+
+    def __init__(self, world: ClutterWorld, row: int = 0) -> None:
+        self._world, self._row = world, row
+        self._labels: list[NDArray[np.int64]] = []
+        self._reported: list[NDArray[np.bool_]] = []
+        self._estimates: list[Array] = []
+        self._errors: list[float] = []
+
+    def record(self) -> None:
+        """Take the world's newest answer; a reset forgets the old episode."""
+        world, row = self._world, self._row
+        if world.steps[row] == 0:
+            self._labels, self._reported, self._estimates, self._errors = [], [], [], []
+            return
+        if world.steps[row] > world.config.horizon:
+            return
+        self._labels.append(world.scorer.labels[row].copy())
+        self._reported.append(world.scorer.reported[row].copy())
+        self._estimates.append(world.scorer.estimates[row].copy())
+        self._errors.append(float(world.ospa[row]))
+
+    def frame(self) -> Image:
+        """Draw the scan answered last, or the first one before any answer.
+
+        Returns:
+            A new RGB image, shape (544, 800, 3), uint8.
+        """
+        world, row, config = self._world, self._row, self._world.config
+        step = max(min(int(world.steps[row]), config.horizon) - 1, 0)
+        scan, _, states, exists = world.scan(row, step)
+        seen = scan[scan[:, 0] > 0.5, 1:]
+        lines = np.empty((0, 2, 2))
+        if config.sensor == "range-bearing":
+            sensor = np.array(config.sensor_position)
+            seen = sensor + seen[:, :1] * np.stack([np.cos(seen[:, 1]), np.sin(seen[:, 1])], axis=1)
+            lines = np.stack([np.broadcast_to(sensor, seen.shape), seen], axis=1)
+        tracks = world.true_tracks(row)[:, max(step + 1 - TRAIL_LENGTH, 0) : step + 1]
+        reported, held = self._trails()
+        numbers = [int(world.scan(row, k)[3].sum()) for k in range(step + 1)]
+        return draw(
+            TrackScene(
+                half_width=config.half_width,
+                measurements=seen,
+                truth=states[exists][:, [0, 2]],
+                true_trails=[track[~np.isnan(track[:, 0])] for track in tracks[exists]],
+                reported=reported,
+                held=held,
+                true_numbers=np.array(numbers, dtype=np.float64),
+                reported_numbers=np.array([int(r.sum()) for r in self._reported], dtype=np.float64),
+                errors=np.array(self._errors),
+                cutoff=config.cutoff,
+                horizon=config.horizon,
+                sensor_lines=lines,
+            )
+        )
+
+    def _trails(self) -> tuple[list[Trail], list[Trail]]:
+        """Trails of the identities that are reported now, and of those held silently."""
+        reported: list[Trail] = []
+        held: list[Trail] = []
+        if not self._labels:
+            return reported, held
+        recent = range(len(self._labels) - 1, max(len(self._labels) - 1 - TRAIL_LENGTH, -1), -1)
+        for number, label in enumerate(self._labels[-1].tolist()):
+            if label < 0:
+                continue
+            # A row keeps its identity, so that its past is in the same row.
+            past = [self._estimates[k][number] for k in recent if self._labels[k][number] == label]
+            trail = Trail(label, np.array(past[::-1]))
+            (reported if self._reported[-1][number] else held).append(trail)
+        return reported, held

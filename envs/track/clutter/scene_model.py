@@ -1,0 +1,97 @@
+"""What the agents of a clutter world are told about it, on the mismatched levels partly wrong."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.track.clutter.config import ClutterConfig
+from servotrack.estimators.rfs.models import (
+    HiddenMarkovModel,
+    PairwiseMarkovModel,
+    RangeBearingModel,
+    constant_velocity,
+)
+
+Array = NDArray[np.float64]
+Model = HiddenMarkovModel | PairwiseMarkovModel | RangeBearingModel
+
+
+class SceneModel(NamedTuple):
+    """What agents are told about a clutter world, on the mismatched levels partly wrong.
+
+    Attributes:
+        model: Motion and measurement of a target.
+        hidden_markov: The same without the dependence of its noises, where `model` is a pairwise Markov model.
+        survival_probability: From scan to scan.
+        detection_probability: Of a target in a scan.
+        clutter_rate: Mean number of false measurements in a scan.
+        seen_low, seen_high: Where false measurements lie, uniformly. Shape (2,).
+        birth_means: States at which targets appear, shape (b, 4); None: anywhere.
+        birth_covariance: Shape (4, 4).
+        birth_weights: Expected number of new targets at each, shape (b,); one number where they appear anywhere.
+        half_width: Of the region, m.
+        cutoff: Of the scores, m.
+    """
+
+    model: Model
+    hidden_markov: HiddenMarkovModel | RangeBearingModel
+    survival_probability: float
+    detection_probability: float
+    clutter_rate: float
+    seen_low: Array
+    seen_high: Array
+    birth_means: Array | None
+    birth_covariance: Array
+    birth_weights: Array
+    half_width: float
+    cutoff: float
+
+    @property
+    def clutter_intensity(self) -> float:
+        """Expected false measurements per unit of measurement space."""
+        return self.clutter_rate / float(np.prod(self.seen_high - self.seen_low))
+
+
+_PAPER_BIRTH_WEIGHT = 0.03
+
+
+def told(config: ClutterConfig) -> SceneModel:
+    """What the agents of a world are told about it."""
+    linear = constant_velocity(config.acceleration_noise, config.position_noise, period=config.period)
+    model: Model = config.motion
+    hidden_markov: HiddenMarkovModel | RangeBearingModel = linear
+    if config.sensor == "range-bearing":
+        noise = np.diag([config.range_noise**2, config.bearing_noise**2])
+        model = hidden_markov = RangeBearingModel(
+            linear.transition, linear.process_noise, linear.observation, noise, config.sensor_position
+        )
+    low, high = config.seen
+    births = config.told_births or ("sites" if config.scenario == "paper" else config.births)
+    sites = config.sites
+    means = np.zeros((len(sites), 4))
+    means[:, [0, 2]] = sites
+    if births == "anywhere":
+        weights = np.array([config.birth_rate])
+    elif config.scenario == "paper":
+        weights = np.full(len(sites), _PAPER_BIRTH_WEIGHT)
+    else:
+        weights = np.full(len(sites), config.birth_rate / len(sites))
+    spread = np.array([config.birth_spread, config.birth_speed] * 2)
+    detection, clutter = config.told_detection_probability, config.told_clutter_rate
+    return SceneModel(
+        model=model,
+        hidden_markov=hidden_markov,
+        survival_probability=config.survival_probability,
+        detection_probability=config.detection_probability if detection is None else detection,
+        clutter_rate=config.clutter_rate if clutter is None else clutter,
+        seen_low=low,
+        seen_high=high,
+        birth_means=None if births == "anywhere" else means,
+        birth_covariance=np.diag(spread**2),
+        birth_weights=weights,
+        half_width=config.half_width,
+        cutoff=config.cutoff,
+    )

@@ -1,0 +1,150 @@
+"""N clutter worlds at once: the one piece of bookkeeping behind the single and the vector environment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.track.clutter.config import ClutterConfig
+from servotrack.envs.track.clutter.episode import draw_episode
+from servotrack.envs.track.scoring import SetScorer
+
+Array = NDArray[np.float64]
+
+
+class ClutterWorld:
+    """N scenes with N observers, stepped together; arrays carry a leading axis of N.
+
+    An observer sees scan k and answers with the set it believes in at k; `step` scores that answer and moves on to
+    scan k + 1. After `reset` and `step` the newest scan lies in the public arrays below; copy what you keep.
+
+    Args:
+        config: The world's parameters.
+        count: Number of scenes N.
+
+    Attributes:
+        measurements: The newest scan, shape (N, M, 3): existence and two coordinates.
+        states: True states now, shape (N, n, 4), m and m/s; zeros where a target does not exist.
+        exists: Which targets exist now, shape (N, n), bool.
+        source: Which target each measurement comes from, shape (N, M): -1 clutter, -2 an empty row.
+        steps: Scans answered so far, shape (N,).
+        reward: -GOSPA / cutoff of the last answer, shape (N,).
+        terminated: Never; shape (N,), bool.
+        truncated: All scans answered, shape (N,), bool.
+        ospa, gospa, location, missed, false: Of the last answer, shape (N,), m.
+        cardinality_error: Reported targets minus true ones, shape (N,), int.
+        ospa2: Of the episode, shape (N,), m; 0 until `truncated`.
+        scorer: Identities and reported rows of the last answer.
+    """
+
+    def __init__(self, config: ClutterConfig, count: int) -> None:
+        self.config = config
+        self.count = count
+        scans, n, rows = config.horizon + 1, config.max_targets, config.measurement_rows
+        self._states, self._exists = np.zeros((count, scans, n, 4)), np.zeros((count, scans, n), np.bool_)
+        self._measurements = np.zeros((count, scans, rows, 3))
+        self._source = np.full((count, scans, rows), -2, dtype=np.int64)
+        self.scorer = SetScorer(count, config.estimate_rows, 2, config.horizon, config.cutoff)
+        self.steps = np.zeros(count, np.int64)
+        self.terminated, self.truncated = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+        self.reward, self.ospa, self.gospa = np.zeros(count), np.zeros(count), np.zeros(count)
+        self.location, self.missed, self.false = np.zeros(count), np.zeros(count), np.zeros(count)
+        self.cardinality_error, self.ospa2 = np.zeros(count, np.int64), np.zeros(count)
+        self._observe()
+
+    def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
+        """Start new episodes in some rows; the others are left as they are, to the bit.
+
+        Args:
+            rows: Which of the N.
+            seeds: One episode seed for each, non-negative integers.
+        """
+        for row, seed in zip(rows, seeds, strict=True):
+            episode = draw_episode(self.config, seed)
+            self._states[row], self._exists[row] = episode.states, episode.exists
+            self._measurements[row], self._source[row] = episode.measurements, episode.source
+            self.scorer.reset(row)
+            self.steps[row], self.truncated[row], self.ospa2[row] = 0, False, 0.0
+        self._observe()
+
+    def step(self, answers: Array, running: NDArray[np.bool_] | None = None) -> None:
+        """Score every row's answer to its newest scan, and show the next scan.
+
+        Args:
+            answers: Shape (N, rows, 3): existence and position, m.
+            running: Which of the N have an episode under way, (N,) bool; None for all. The others wait for their reset
+                at the scan they are at.
+        """
+        if running is None:
+            running = np.ones(self.count, np.bool_)
+        scores = self.scorer.score(answers, self.states[..., [0, 2]], self.exists, self.steps)
+        self.ospa, self.cardinality_error = scores.ospa, scores.cardinality_error
+        self.gospa, self.location, self.missed, self.false = scores.gospa
+        self.reward = -scores.gospa.total / self.config.cutoff
+        self.steps = self.steps + running
+        self.truncated = self.steps >= self.config.horizon
+        for row in np.flatnonzero(running & self.truncated).tolist():
+            self.ospa2[row] = self.scorer.trajectory_score(row, self.true_tracks(row))
+        self._observe()
+
+    def _observe(self) -> None:
+        rows = np.arange(self.count)
+        self.measurements, self.source = self._measurements[rows, self.steps], self._source[rows, self.steps]
+        self.states, self.exists = self._states[rows, self.steps], self._exists[rows, self.steps]
+
+    def true_tracks(self, row: int) -> Array:
+        """Positions of one scene's targets at the scored scans, shape (n, horizon, 2), m; NaN where there is none."""
+        positions = self._states[row, :-1][:, :, [0, 2]]
+        return np.where(self._exists[row, :-1, :, None], positions, np.nan).swapaxes(0, 1)
+
+    def scan(self, row: int, step: int) -> tuple[Array, NDArray[np.int64], Array, NDArray[np.bool_]]:
+        """One scene's scan: measurements (M, 3), sources (M,), true states (n, 4), existence (n,); views."""
+        return self._measurements[row, step], self._source[row, step], self._states[row, step], self._exists[row, step]
+
+    @property
+    def observations(self) -> Array:
+        """What agents see: the newest scan, shape (N, M, 3)."""
+        return self.measurements
+
+    def truth(self) -> dict[str, Any]:
+        """What `info["truth"]` tells of the newest scan, arrays of N rows."""
+        return {"states": self.states, "exists": self.exists, "source": self.source}
+
+    def scores(self) -> dict[str, Any]:
+        """What `info` tells of the last answer, arrays of N rows."""
+        return {
+            "ospa": self.ospa,
+            "gospa": self.gospa,
+            "location_error": self.location,
+            "missed_error": self.missed,
+            "false_error": self.false,
+            "cardinality_error": self.cardinality_error,
+        }
+
+    def episode_scores(self) -> dict[str, Any]:
+        """What `info` tells at an episode's end, arrays of N rows."""
+        return {"ospa2": self.ospa2}
+
+    def privileged(self) -> dict[str, Array]:
+        """What an oracle may know, besides the observation; arrays of N rows.
+
+        Returns:
+            `true_source` (N, M): the target that each measurement comes from, -1 for clutter, -2 for an empty row;
+            `true_states` (N, n, 4), m and m/s; `true_existence` (N, n), 0 or 1.
+        """
+        return {
+            "true_source": self.source.astype(np.float64),
+            "true_states": self.states.copy(),
+            "true_existence": self.exists.astype(np.float64),
+        }
+
+    def debug_view(self, row: int = 0) -> str:
+        """One scene's state as text, for debugging."""
+        return (
+            f"scan {self.steps[row]}/{self.config.horizon}  targets={int(self.exists[row].sum())}  "
+            f"measurements={int(self.measurements[row, :, 0].sum())}  reported={int(self.scorer.reported[row].sum())}  "
+            f"ospa={self.ospa[row]:.2f} m  gospa={self.gospa[row]:.2f} m  cardinality {self.cardinality_error[row]:+d}"
+        )

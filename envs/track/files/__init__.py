@@ -1,0 +1,1 @@
+"""Readers of videos, image folders, and MOTChallenge and CAVIAR files."""

@@ -1,0 +1,1 @@
+"""Worlds of people in boxes: what rendered and recorded sequences share."""

@@ -1,0 +1,167 @@
+"""Pictures of people being tracked on video: the frame with boxes and trails, and how number and error went so far."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from servotrack.envs.drawing.glyphs import put_text, text_width
+from servotrack.envs.servo.backdrop import (
+    FLOOR,
+    FLOOR_GRID,
+    INK,
+    PAPER,
+    SOFT_INK,
+    Color,
+    Image,
+    Panel,
+    fixed_point,
+    mix,
+)
+from servotrack.envs.track.people.box_paint import BoxTrail, annotate, printable
+
+Array = NDArray[np.float64]
+
+_MARGIN = 16
+_WIDEST = 960
+"""Frames are enlarged by whole numbers up to this width, and made smaller above it, px."""
+_PLOT_HEIGHT, _GAP = 112, 12
+_INSET, _TITLE = 14, 26
+_NARROWEST = 320  # of the picture's inner part, so that the plots have room
+_TRUTH_COLOR: Color = mix(FLOOR, INK, 0.38)
+_ERROR_COLOR: Color = (226, 85, 52)
+_NUMBER_COLOR: Color = (20, 126, 130)
+
+
+def _no_boxes() -> Array:
+    return np.empty((0, 4))
+
+
+@dataclass(frozen=True)
+class BoxScene:
+    """All that a picture of tracking on video shows.
+
+    Attributes:
+        frame: RGB, uint8, shape (H, W, 3), or gray, shape (H, W).
+        reported: Trails of the reported identities, the present estimate last.
+        held: Trails of identities held silently.
+        truth: True boxes to show, shape (n, 4), or points, shape (n, 2), px.
+        detections: Found boxes or points to show, as `truth`.
+        reported_numbers: Reported people in each frame so far. Shape (k,).
+        true_numbers: True number in each frame so far; None where it is unknown. Shape (k,).
+        errors: Of each answer so far, shape (k,); None leaves the plot out.
+        error_name: What the errors are.
+        cutoff: Largest error.
+        horizon: Frames that the plots span.
+        title: Over the number's plot.
+    """
+
+    frame: Image
+    reported: Sequence[BoxTrail] = ()
+    held: Sequence[BoxTrail] = ()
+    truth: Array = field(default_factory=_no_boxes)
+    detections: Array = field(default_factory=_no_boxes)
+    reported_numbers: Array = field(default_factory=lambda: np.empty(0))
+    true_numbers: Array | None = None
+    errors: Array | None = None
+    error_name: str = "ospa"
+    cutoff: float = 1.0
+    horizon: int = 300
+    title: str = "people"
+
+
+def draw(scene: BoxScene) -> Image:
+    """Draw a scene: the frame enlarged, and below it number and error over time.
+
+    Returns:
+        A new RGB image, its sides even (video coders ask for it); 800 by 736 for frames of 384 by 288.
+    """
+    frame = scene.frame if scene.frame.ndim == 3 else cv2.cvtColor(scene.frame, cv2.COLOR_GRAY2RGB)
+    height, width = frame.shape[:2]
+    scale = max(_WIDEST // width, 1) if width <= _WIDEST else _WIDEST / width
+    size = (max(round(width * scale), 1), max(round(height * scale), 1))
+    resized = cv2.resize(frame, size, interpolation=cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA)
+    large = np.ascontiguousarray(resized, dtype=np.uint8)
+    annotate(
+        large,
+        [BoxTrail(trail.label, np.asarray(trail.states) * scale) for trail in scene.reported],
+        [BoxTrail(trail.label, np.asarray(trail.states) * scale) for trail in scene.held],
+        np.asarray(scene.truth) * scale,
+        np.asarray(scene.detections) * scale,
+    )
+    inner = max(size[0], _NARROWEST)
+    image = np.empty((2 * _MARGIN + size[1] + _GAP + _PLOT_HEIGHT, 2 * _MARGIN + inner, 3), dtype=np.uint8)
+    image = image if image.shape[0] % 2 == 0 else np.empty((image.shape[0] + 1, *image.shape[1:]), dtype=np.uint8)
+    image = image if image.shape[1] % 2 == 0 else np.empty((image.shape[0], image.shape[1] + 1, 3), dtype=np.uint8)
+    _fill(image, PAPER)
+    Panel(_MARGIN + (inner - size[0]) // 2, _MARGIN, *size).of(image)[:] = large
+    top = _MARGIN + size[1] + _GAP
+    share = 1.0 if scene.errors is None else 0.58
+    number_width = round((inner - (0 if scene.errors is None else _GAP)) * share)
+    _draw_numbers(Panel(_MARGIN, top, number_width, _PLOT_HEIGHT).of(image), scene)
+    if scene.errors is not None:
+        left = _MARGIN + number_width + _GAP
+        _draw_errors(Panel(left, top, inner - number_width - _GAP, _PLOT_HEIGHT).of(image), scene, scene.errors)
+    return image
+
+
+def _fill(image: Image, color: Color) -> None:
+    # By whole rows: NumPy takes twenty times as long to repeat three bytes.
+    image[:] = np.tile(np.array(color, dtype=np.uint8), (image.shape[1], 1))
+
+
+def _draw_numbers(panel: Image, scene: BoxScene) -> None:
+    truth = np.empty(0) if scene.true_numbers is None else np.asarray(scene.true_numbers)
+    most = max([4.0, *truth.tolist(), *np.asarray(scene.reported_numbers).tolist()])
+    _axes(panel, printable(scene.title))
+    _curve(panel, truth, most * 1.1, scene.horizon, _TRUTH_COLOR, 4)
+    _curve(panel, np.asarray(scene.reported_numbers), most * 1.1, scene.horizon, _NUMBER_COLOR, 1)
+    right = panel.shape[1] - _INSET
+    if len(scene.reported_numbers):
+        now = f"{scene.reported_numbers[-1]:.0f}"
+        text = f"{now} of {truth[-1]:.0f}" if len(truth) else now
+        put_text(panel, text, right, _INSET + 8, INK, align="right")
+        right -= round(text_width(text, 8.0)) + 18
+    if scene.true_numbers is not None:
+        right = _legend(panel, "true", right, _TRUTH_COLOR, 4)
+    _legend(panel, "reported", right, _NUMBER_COLOR, 2)
+
+
+def _draw_errors(panel: Image, scene: BoxScene, errors: Array) -> None:
+    _axes(panel, printable(scene.error_name))
+    _curve(panel, np.asarray(errors), scene.cutoff * 1.05, scene.horizon, _ERROR_COLOR, 1)
+    if len(errors):
+        digits = 2 if scene.cutoff < 10.0 else 1
+        put_text(panel, f"{errors[-1]:.{digits}f}", panel.shape[1] - _INSET, _INSET + 8, INK, align="right")
+
+
+def _axes(panel: Image, title: str) -> None:
+    _fill(panel, FLOOR)
+    for third in range(4):
+        at = _INSET + _TITLE + round(third * (panel.shape[0] - 2 * _INSET - _TITLE) / 3)
+        panel[at, _INSET : panel.shape[1] - _INSET] = FLOOR_GRID
+    put_text(panel, title, _INSET, _INSET + 8, SOFT_INK)
+
+
+def _legend(panel: Image, text: str, right: int, color: Color, thickness: int) -> int:
+    """A line's name with a piece of it, right-aligned; returns where the next one to the left ends."""
+    put_text(panel, text, right, _INSET + 8, SOFT_INK, align="right")
+    left = right - round(text_width(text, 8.0)) - 6
+    panel[_INSET + 4 - thickness // 2 : _INSET + 4 - thickness // 2 + thickness, left - 14 : left] = color
+    return left - 28
+
+
+def _curve(panel: Image, values: Array, top: float, horizon: int, color: Color, thickness: int) -> None:
+    """The last `horizon` values, from 0 to `top`, in steps."""
+    values = values[-horizon:]
+    if len(values) == 0:
+        return
+    height, width = panel.shape[0] - 2 * _INSET - _TITLE, panel.shape[1] - 2 * _INSET
+    x = _INSET + width * np.arange(len(values) + 1) / horizon
+    y = _INSET + _TITLE + height * (1.0 - np.clip(values / top, 0.0, 1.0))
+    corners = np.stack([np.repeat(x, 2)[1:-1], np.repeat(y, 2)], axis=1)
+    cv2.polylines(panel, [fixed_point(corners)], False, color, thickness, cv2.LINE_AA, 4)

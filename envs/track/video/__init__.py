@@ -1,0 +1,1 @@
+"""Recorded sequences as an environment: `VideoTracking-v0`."""
