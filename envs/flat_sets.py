@@ -9,6 +9,8 @@ import numpy as np
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from servotrack.estimators.types import Array, FloatArray
+
 
 class _Scale:
     """Between a finite Box of any shape and the flat Box [-1, 1] of float32."""
@@ -20,17 +22,17 @@ class _Scale:
         self._low, self._span = space.low.astype(np.float64), space.high.astype(np.float64) - space.low
         self.space = gym.spaces.Box(-1.0, 1.0, (int(np.prod(space.shape)),), np.float32)
 
-    def flat(self, values: NDArray[Any]) -> NDArray[np.float32]:
+    def flat(self, values: NDArray[Any]) -> FloatArray:
         scaled = 2.0 * (values - self._low) / self._span - 1.0
         batch = values.shape[: values.ndim - len(self.shape)]
         return scaled.reshape(*batch, -1).astype(np.float32)
 
-    def restored(self, values: NDArray[Any]) -> NDArray[np.float64]:
+    def restored(self, values: NDArray[Any]) -> Array:
         flat = np.clip(np.asarray(values, dtype=np.float64), -1.0, 1.0)
         return self._low + 0.5 * (flat.reshape(*flat.shape[:-1], *self.shape) + 1.0) * self._span
 
 
-class FlatSets(gym.Wrapper[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any]]):
+class FlatSets(gym.Wrapper[FloatArray, NDArray[Any], NDArray[Any], NDArray[Any]]):
     """Observation and action of a tracking world as flat float32 vectors, every entry rescaled to [-1, 1].
 
     An unused row's zeros land inside (-1, 1) according to the bounds, and its existence at -1.
@@ -49,12 +51,12 @@ class FlatSets(gym.Wrapper[NDArray[np.float32], NDArray[Any], NDArray[Any], NDAr
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[FloatArray, dict[str, Any]]:
         """As the environment's, with a flat observation."""
         observation, info = self.env.reset(seed=seed, options=options)
         return self._seen.flat(observation), info
 
-    def step(self, action: NDArray[Any]) -> tuple[NDArray[np.float32], Any, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[FloatArray, Any, bool, bool, dict[str, Any]]:
         """As the environment's, with a flat action in [-1, 1] (clipped) and a flat observation."""
         observation, reward, terminated, truncated, info = self.env.step(self._done.restored(action))
         return self._seen.flat(observation), reward, terminated, truncated, info
@@ -78,14 +80,12 @@ class VectorFlatSets(gym.vector.VectorWrapper):
         self.observation_space = batch_space(self._seen.space, env.num_envs)
         self.action_space = batch_space(self._done.space, env.num_envs)
 
-    def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[FloatArray, dict[str, Any]]:
         """As the environment's, with flat observations."""
         observations, infos = self.env.reset(seed=seed, options=options)
         return self._seen.flat(observations), infos
 
-    def step(self, actions: NDArray[np.float32]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+    def step(self, actions: FloatArray) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """As the environment's, with flat actions in [-1, 1] (clipped) and flat observations, final ones too."""
         observations, rewards, terminated, truncated, infos = self.env.step(self._done.restored(actions))
         if "final_obs" in infos:

@@ -16,26 +16,26 @@ from numpy.typing import NDArray
 
 from servotrack.envs.arguments import check_options, check_render_mode, check_seed
 from servotrack.envs.streams import episode_seed
+from servotrack.estimators.types import Array, Labels, Mask
 
-Mask = NDArray[np.bool_]
 Observation = NDArray[Any] | dict[str, NDArray[Any]]
 
 
 class BatchedWorld(Protocol):
     """N scenes stepped together; what a `BatchedVectorEnv` asks of them. Arrays have a leading axis of N."""
 
-    steps: NDArray[np.int64]
-    reward: NDArray[np.float64]
+    steps: Labels
+    reward: Array
     terminated: Mask
     truncated: Mask
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
         """Start new episodes in some rows; the others are left as they are, to the bit."""
 
-    def step(self, actions: NDArray[np.float64], running: Mask | None = None) -> None:
+    def step(self, actions: Array, running: Mask | None = None) -> None:
         """Advance the rows whose episode is under way; the others only wait for their reset."""
 
-    def privileged(self) -> dict[str, NDArray[np.float64]]:
+    def privileged(self) -> dict[str, Array]:
         """What `VectorPrivilegedObservation` adds to the observations."""
 
 
@@ -102,7 +102,7 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
         """Observations of all scenes, fresh arrays."""
 
     @abstractmethod
-    def _checked(self, actions: Any) -> NDArray[np.float64]:
+    def _checked(self, actions: Any) -> Array:
         """The actions as float64; raises ValueError where their shape is wrong or they are not finite."""
 
     @abstractmethod
@@ -156,7 +156,7 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
         self._record()
         return observations, self._infos(chosen)
 
-    def step(self, actions: Any) -> tuple[Any, NDArray[np.float64], Mask, Mask, dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[Any, Array, Mask, Mask, dict[str, Any]]:
         """Advance all sub-environments by one step.
 
         Args:
@@ -218,7 +218,7 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
             raise ResetNeeded("there is nothing to draw yet: call reset() before render()")
         return tuple(recorder.frame(**self._pictured(row)) for row, recorder in enumerate(self._recorders))
 
-    def privileged(self) -> dict[str, NDArray[np.float64]]:
+    def privileged(self) -> dict[str, Array]:
         """What `VectorPrivilegedObservation` adds to the observations; see the world's `privileged`."""
         return self.world.privileged()
 

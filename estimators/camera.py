@@ -18,9 +18,9 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 CAMERA_SIZE = 18
 """Columns of a packed camera: fx, fy, cu, cv, depth, cos psi, sin psi, tilt rotation (9), k1, 1/half_width."""
@@ -211,7 +211,7 @@ def _rows(*arrays: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
 
 def project_points(
     camera: ArrayLike, links: ArrayLike, joint_angles: ArrayLike, points: ArrayLike
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """Image points of ground points.
 
     Args:

@@ -6,15 +6,15 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from servotrack.estimators.online import select_rows
+from servotrack.estimators.stateful import select_rows
+from servotrack.estimators.types import Mask
 
 State = TypeVar("State")
 
 
 def remembered(
-    state: State | None, episode_start: NDArray[np.bool_] | None, batch: tuple[int, ...], initial: Callable[[], State]
+    state: State | None, episode_start: Mask | None, batch: tuple[int, ...], initial: Callable[[], State]
 ) -> State:
     """The state that `predict` is to go on from.
 

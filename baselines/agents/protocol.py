@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
-import numpy as np
 from numpy.typing import NDArray
+
+from servotrack.estimators.types import Mask
 
 Observation: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
 
@@ -42,7 +43,7 @@ class Agent(Protocol):
         self,
         observation: Any,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], Any]:
         """Choose an action.

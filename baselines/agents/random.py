@@ -8,6 +8,8 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.estimators.types import Mask
+
 
 class RandomAgent:
     """Uniform actions that are a function of (seed, step, row), whatever else happens and however many rows there are.
@@ -37,7 +39,7 @@ class RandomAgent:
         self,
         observation: Any,
         state: int | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], int]:
         """Draw an action; `state` counts the steps so far, and episodes run on in the same stream."""

@@ -6,18 +6,16 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.rfs import RowAllocation, SetEstimate
 from servotrack.estimators.rfs.sets import HELD, RowState
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels, Mask
 
 PATIENCE = 5
 """Scans for which a row is kept silently for an identity that the filter does not mention."""
 
 
-class WaitingRows(NamedTuple):
+class ReservedRows(NamedTuple):
     """Rows of an answer, N scenes.
 
     Attributes:
@@ -27,19 +25,17 @@ class WaitingRows(NamedTuple):
     """
 
     rows: RowState
-    absent: NDArray[np.int64]
+    absent: Labels
     states: Array
 
 
-def no_rows(allocation: RowAllocation, scenes: int, n: int) -> WaitingRows:
+def no_rows(allocation: RowAllocation, scenes: int, n: int) -> ReservedRows:
     """All rows free."""
     shape = scenes, allocation.rows
-    return WaitingRows(allocation.initial((scenes,)), np.zeros(shape, np.int64), np.zeros((*shape, n)))
+    return ReservedRows(allocation.initial((scenes,)), np.zeros(shape, np.int64), np.zeros((*shape, n)))
 
 
-def allocate_patiently(
-    allocation: RowAllocation, memory: WaitingRows, estimate: SetEstimate
-) -> tuple[WaitingRows, Array]:
+def allocate_rows(allocation: RowAllocation, memory: ReservedRows, estimate: SetEstimate) -> tuple[ReservedRows, Array]:
     """An answer in which identities keep their rows over short silences.
 
     Args:
@@ -63,10 +59,10 @@ def allocate_patiently(
     mentioned, states = _find(rows.label, estimate)
     kept = (rows.label == owners) & (owners > 0)
     absent = np.where(kept & ~mentioned, memory.absent + 1, 0)
-    return WaitingRows(rows, absent, np.where(mentioned[..., None], states, memory.states)), answer
+    return ReservedRows(rows, absent, np.where(mentioned[..., None], states, memory.states)), answer
 
 
-def _find(owners: NDArray[np.int64], estimate: SetEstimate) -> tuple[NDArray[np.bool_], Array]:
+def _find(owners: Labels, estimate: SetEstimate) -> tuple[Mask, Array]:
     """Whether each row's identity is in the estimate, shape (N, rows), and its state there, shape (N, rows, n)."""
     labels = np.concatenate([estimate.labels, estimate.held_labels], axis=1)
     states = np.concatenate([estimate.states, estimate.held_states], axis=1)

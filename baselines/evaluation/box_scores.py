@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.evaluation.results import Row
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 _WHOLE = ("auc", "precision", "failures")
 
@@ -26,7 +24,7 @@ class BoxScoreRecorder:
         self._overlaps: list[Array] = []
         self._whole: list[Row] = [{} for _ in range(rows)]
 
-    def record(self, info: Mapping[str, Any], ending: NDArray[np.bool_]) -> None:
+    def record(self, info: Mapping[str, Any], ending: Mask) -> None:
         """Take one step's infos in.
 
         Args:

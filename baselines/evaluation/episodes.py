@@ -6,14 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.evaluation.box_scores import BoxScoreRecorder
 from servotrack.baselines.evaluation.follow_scores import FollowScoreRecorder
 from servotrack.baselines.evaluation.results import Row
 from servotrack.baselines.evaluation.set_scores import SetScoreRecorder
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 TRANSIENT_SAMPLES = 126
 """One period of paper 002's ellipse, start-up included."""
@@ -46,8 +44,8 @@ class EpisodeRecorder:
         follows = "identity_error" in info
         timed = isinstance(observation, Mapping) and "time" in observation
         self.is_servo = timed and "tracking_error" in info and not follows
-        self.ended: NDArray[np.bool_] = np.zeros(rows, dtype=bool)
-        self._alive: NDArray[np.bool_] = np.ones(rows, dtype=bool)
+        self.ended: Mask = np.zeros(rows, dtype=bool)
+        self._alive: Mask = np.ones(rows, dtype=bool)
         self._returns = np.zeros(rows)
         self._lengths = np.zeros(rows, dtype=np.int64)
         self._successes: list[bool | None] = [None] * rows
@@ -67,7 +65,7 @@ class EpisodeRecorder:
         """Whether every row's episode has ended."""
         return not self._alive.any()
 
-    def record(self, observation: Any, reward: Any, ended: NDArray[np.bool_], info: Mapping[str, Any]) -> None:
+    def record(self, observation: Any, reward: Any, ended: Mask, info: Mapping[str, Any]) -> None:
         """Take one step of the vector environment in; rows whose episode ended earlier are ignored."""
         self.ended = np.array(ended, dtype=bool)
         self._returns[self._alive] += np.asarray(reward, dtype=np.float64)[self._alive]
@@ -150,7 +148,7 @@ def servo_errors(time: Array, error: Array, start: float, max_steps: int) -> Row
     }
 
 
-def _mean_or_last(values: Array, chosen: NDArray[np.bool_]) -> float:
+def _mean_or_last(values: Array, chosen: Mask) -> float:
     return float(values[chosen].mean()) if chosen.any() else float(values[-1])
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.protocol import Agent, AgentCard
 from servotrack.baselines.agents.registry import agent_card, create_agent
@@ -21,6 +20,7 @@ from servotrack.baselines.evaluation.results import (
     plain,
     provenance,
 )
+from servotrack.estimators.types import Mask
 
 CHUNK = 100
 FOREIGN_CHUNK = 10
@@ -145,7 +145,7 @@ def run_episodes(
         observation, info = env.reset(seed=list(seeds))
         recorder = EpisodeRecorder(seeds, env, observation, info)
         state: Any = None
-        starts: NDArray[np.bool_] = np.ones(len(seeds), dtype=bool)
+        starts: Mask = np.ones(len(seeds), dtype=bool)
         while not recorder.finished:
             action, state = agent.predict(observation, state=state, episode_start=starts, deterministic=True)
             observation, reward, terminated, truncated, info = env.step(action)

@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.evaluation.results import Row
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Mask
 
 
 class FollowScoreRecorder:
@@ -28,11 +26,11 @@ class FollowScoreRecorder:
         if max_steps is None:
             raise ValueError("an episode must have a limit of steps; register the environment with max_episode_steps")
         self._max_steps = max_steps
-        self._wrong: list[NDArray[np.bool_]] = []
-        self._right: list[NDArray[np.bool_]] = []
+        self._wrong: list[Mask] = []
+        self._right: list[Mask] = []
         self._whole: list[Row] = [{} for _ in range(rows)]
 
-    def record(self, info: Mapping[str, Any], ending: NDArray[np.bool_]) -> None:
+    def record(self, info: Mapping[str, Any], ending: Mask) -> None:
         """Take one step's infos in.
 
         Args:

@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.evaluation.results import Row
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 _MEANS = ("ospa", "gospa")
 _WHOLE = ("ospa2", "mota", "idf1", "hota")
@@ -26,10 +24,10 @@ class SetScoreRecorder:
 
     def __init__(self, rows: int) -> None:
         self._steps: dict[str, list[Array]] = {name: [] for name in (*_MEANS, "cardinality_error")}
-        self._scored: list[NDArray[np.bool_]] = []
+        self._scored: list[Mask] = []
         self._whole: list[Row] = [{} for _ in range(rows)]
 
-    def record(self, info: Mapping[str, Any], ending: NDArray[np.bool_]) -> None:
+    def record(self, info: Mapping[str, Any], ending: Mask) -> None:
         """Take one step's infos in.
 
         Args:

@@ -7,10 +7,10 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.registry import agent_card, create_agent
 from servotrack.baselines.evaluation.evaluate import make_single, show_belief
+from servotrack.estimators.types import FloatArray
 
 KEYS = {"right": (0, 1.0), "left": (0, -1.0), "up": (1, 1.0), "down": (1, -1.0)}
 """Arrow keys: which joint, which way."""
@@ -70,7 +70,7 @@ def drive(env_id: str, env_kwargs: Mapping[str, Any], seed: int | None = None) -
         env.close()
 
 
-def key_action(held: frozenset[str], joints: int) -> NDArray[np.float32]:
+def key_action(held: frozenset[str], joints: int) -> FloatArray:
     """Joint rates that the held keys ask for, fractions of the limit. Shape (joints,)."""
     action = np.zeros(joints, dtype=np.float32)
     for key, (joint, way) in KEYS.items():

@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.protocol import world_of
 from servotrack.baselines.evaluation import statistics
 from servotrack.baselines.evaluation.results import CellResults
 from servotrack.baselines.evaluation.statistics import Interval, PairedDifference
 from servotrack.baselines.leaderboard.measures import JUDGMENTS, Judgment
+from servotrack.estimators.types import Array
 
 LOWER_ANCHOR, UPPER_ANCHOR = "random", "oracle"
 BOUND = "informed-bound"
@@ -51,7 +51,7 @@ class AgentSummary:
     worst_error: float | None
     score: Interval | None
     worst_score: float | None
-    scores: NDArray[np.float64] | None
+    scores: Array | None
     measures: Mapping[str, Interval]
     difference: PairedDifference | None
     adjusted_p: float | None
@@ -199,11 +199,11 @@ def _summarize_cell(
     )
 
 
-def _errors(cell: CellResults) -> NDArray[np.float64] | None:
+def _errors(cell: CellResults) -> Array | None:
     return _column(cell, "steady")
 
 
-def _column(cell: CellResults, name: str) -> NDArray[np.float64] | None:
+def _column(cell: CellResults, name: str) -> Array | None:
     """A column of the rows, if all of them have it."""
     if any(name not in row for row in cell.rows):
         return None

@@ -8,13 +8,12 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
-from servotrack.baselines.papers.gm_phd_video.experiment import Frame
 from servotrack.baselines.papers.reproduce import Recording
 from servotrack.envs.track.files.frames import open_frames
 from servotrack.envs.track.files.recorded import read_tracks
 from servotrack.estimators.metrics import Track, tracks_from_rows
+from servotrack.estimators.types import Image, Labels
 
 SCRIPT = "meet_split_third_guy"
 ENVIRONMENT = "PedestrianTracking-v0"
@@ -38,12 +37,12 @@ class Sequence:
     """
 
     name: str
-    frames: Iterator[Frame]
+    frames: Iterator[Image]
     size: tuple[int, int]
     frame_rate: float
-    background: list[Frame] | None
+    background: list[Image] | None
     truth: list[Track]
-    numbers: NDArray[np.int64]
+    numbers: Labels
 
 
 def rendered(seed: int, **axes: Any) -> Sequence:
@@ -55,10 +54,10 @@ def rendered(seed: int, **axes: Any) -> Sequence:
     """
     env = gym.make(ENVIRONMENT, **axes)
     made = Sequence(f"seed {seed}", iter(()), (WIDTH, HEIGHT), 0.0, None, [], np.zeros(0, np.int64))
-    told: Any = env.get_wrapper_attr("told")
+    told: Any = env.get_wrapper_attr("scene_model")
     made.size, made.frame_rate = (told.width, told.height), told.frame_rate
 
-    def run() -> Iterator[Frame]:
+    def run() -> Iterator[Image]:
         observation, info = env.reset(seed=seed)
         nothing = np.zeros(env.action_space.shape or (), np.float64)
         labels, boxes, numbers = [], [], []
@@ -97,7 +96,7 @@ def recorded(recording: Recording) -> Sequence:
         np.zeros(0, np.int64),
     )  # fmt: skip
 
-    def run() -> Iterator[Frame]:
+    def run() -> Iterator[Image]:
         shown = 0
         for frame in frames:
             shown += 1

@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from servotrack.baselines.evaluation import seeds
@@ -18,8 +17,7 @@ from servotrack.baselines.papers import sequences
 from servotrack.baselines.papers.gm_phd_video.experiment import Method, run_methods, scores
 from servotrack.baselines.papers.reproduce import Request, command_line
 from servotrack.baselines.reporting.embed import embed
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 DETECTORS = ("masked", "masked-paper", "mog2", "knn")
 TRACKERS = ("no-filter", "kalman-hungarian", "gm-phd", "gm-phd-paper", "gm-cbmember", "pmb")

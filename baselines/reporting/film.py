@@ -10,16 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.registry import agent_card, create_agent
 from servotrack.baselines.evaluation.evaluate import make_single, show_belief
 from servotrack.baselines.evaluation.results import atomic_path
+from servotrack.estimators.types import Image
 
 CODECS = {".webm": "VP80", ".mp4": "mp4v", ".avi": "MJPG"}
 """Browsers play VP8 in WebM (VP9 takes four times as long to write); OpenCV's wheels cannot write H.264."""
-
-Frame = NDArray[np.uint8]
 
 
 class FilmError(RuntimeError):
@@ -61,7 +59,7 @@ def check_film_path(path: Path) -> None:
         raise ValueError(f"video must end in {', '.join(CODECS)}, got {str(path)!r}")
 
 
-def write_film(frames: Iterator[Frame], path: Path, rate: float) -> int:
+def write_film(frames: Iterator[Image], path: Path, rate: float) -> int:
     """Write RGB frames.
 
     Args:
@@ -119,7 +117,7 @@ class Film:
             self._writer.release()
         self._stack.__exit__(*error)
 
-    def write(self, frame: Frame) -> None:
+    def write(self, frame: Image) -> None:
         """Append a frame.
 
         Args:
@@ -165,7 +163,7 @@ def _hushed() -> Iterator[None]:
         os.close(kept)
 
 
-def _episode_frames(env: Any, agent: Any, seed: int | None) -> Iterator[Frame]:
+def _episode_frames(env: Any, agent: Any, seed: int | None) -> Iterator[Image]:
     observation, _ = env.reset(seed=seed)
     state: Any = None
     over = False
@@ -180,7 +178,7 @@ def _episode_frames(env: Any, agent: Any, seed: int | None) -> Iterator[Frame]:
     yield _frame(env)
 
 
-def _frame(env: Any) -> Frame:
+def _frame(env: Any) -> Image:
     frame = env.render()
     if not isinstance(frame, np.ndarray) or frame.ndim != 3:
         raise ValueError(f"{env.spec.id} must draw rgb_array frames to be filmed, got {type(frame).__name__}")

@@ -11,15 +11,15 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.sonar.catalog import sonar_tracker
 from servotrack.baselines.speed.speed import Subject
 from servotrack.baselines.speed.stepping import WARM_UP, serve
-from servotrack.envs.track.sonar.array_model import sonar_told
+from servotrack.envs.track.sonar.array_model import scene_model_of
 from servotrack.envs.track.sonar.config import SonarConfig, sonar_config
 from servotrack.envs.track.sonar.records import draw_record
 from servotrack.envs.track.sonar.scene import SonarScene, draw_scene
+from servotrack.estimators.types import Array
 
 ROWS = 60
 NUMBERS = (2, 4, 6, 8, 12)
@@ -48,7 +48,7 @@ def standing_apart(count: int) -> tuple[SonarConfig, SonarScene]:
     return config, SonarScene(bearings, np.zeros_like(bearings), exists, power, np.zeros(count, np.bool_))
 
 
-def record(count: int) -> tuple[SonarConfig, NDArray[np.float64]]:
+def record(count: int) -> tuple[SonarConfig, Array]:
     """That world and a minute of its record, shape (60, beams)."""
     config, scene = standing_apart(count)
     return config, np.array([draw_record(config, scene, 0, k) for k in range(ROWS)])
@@ -57,7 +57,7 @@ def record(count: int) -> tuple[SonarConfig, NDArray[np.float64]]:
 def tracking(count: int) -> Callable[[float], float]:
     """A function that runs for a given time and returns targets per second, all of whom are found."""
     config, rows = record(count)
-    tracker = sonar_tracker("hmm-row", sonar_told(config))
+    tracker = sonar_tracker("hmm-row", scene_model_of(config))
     if (found := len(tracker.track(rows))) != count:
         raise RuntimeError(f"{count} targets apart were taken for {found}")
 

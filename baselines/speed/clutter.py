@@ -11,15 +11,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.evaluation.seeds import TEST
 from servotrack.baselines.speed.speed import Subject
 from servotrack.envs.track.clutter.config import clutter_config
 from servotrack.envs.track.clutter.episode import draw_episode
 from servotrack.estimators.metrics import score_points
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 SET_FILTERING = Path(__file__).with_name("set_filtering.py")
 STONE_SOUP = Path(__file__).with_name("stone_soup.py")
@@ -103,7 +101,7 @@ def errors(scans: Path, stone_soup_python: str, python: str) -> dict[str, float]
     return found
 
 
-def _mean_ospa(estimates: Sequence[Sequence[Sequence[float]]], truth: Array, exists: NDArray[np.bool_]) -> float:
+def _mean_ospa(estimates: Sequence[Sequence[Sequence[float]]], truth: Array, exists: Mask) -> float:
     """Mean over the scans of the OSPA of lists of positions."""
     scores = [
         float(score_points(truth[k][exists[k]], np.reshape(positions, (-1, 2)), CUTOFF).ospa)

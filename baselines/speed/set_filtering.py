@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.speed.stepping import WARM_UP, serve
 from servotrack.estimators.rfs import GMPHD, PMB, Birth, GMCBMeMBer, Reduction, constant_velocity
+from servotrack.estimators.types import Array
 
-Array = NDArray[np.float64]
 FILTERS: dict[str, Any] = {"GMPHD": GMPHD, "GMCBMeMBer": GMCBMeMBer, "PMB": PMB}
 
 CROWD, CROWD_CLUTTER, CROWD_STEPS = 100, 200.0, 30

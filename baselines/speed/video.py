@@ -14,13 +14,11 @@ from typing import Any
 import cv2
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.evaluation.seeds import TEST
 from servotrack.baselines.speed.speed import Subject, environment
 from servotrack.baselines.speed.stepping import WARM_UP, serve
-
-Frame = NDArray[np.uint8]
+from servotrack.estimators.types import Array, Image
 
 VIDEO = Path(__file__)
 FRAMES = 250
@@ -54,7 +52,7 @@ def subjects() -> list[Subject]:
     ]
 
 
-def pedestrian_frames(count: int = FRAMES) -> list[Frame]:
+def pedestrian_frames(count: int = FRAMES) -> list[Image]:
     """Frames of the default scene, held in memory so that only what works on them is timed."""
     env = gym.make("PedestrianTracking-v0", horizon=count)
     assert env.action_space.shape is not None
@@ -65,7 +63,7 @@ def pedestrian_frames(count: int = FRAMES) -> list[Frame]:
     return frames
 
 
-def color_frames(count: int = 150) -> tuple[list[Frame], NDArray[np.float64]]:
+def color_frames(count: int = 150) -> tuple[list[Image], Array]:
     """Frames of the color world's first scenario, and the first box."""
     env = gym.make("ColorTracking-v0")
     observation, _ = env.reset(seed=TEST[0])
@@ -130,7 +128,7 @@ def _run(estimator: Any, first: Any, stream: Sequence[Any]) -> list[Any]:
     return answers
 
 
-def _drain(call: Callable[[Any], Any], frames: Sequence[Frame]) -> None:
+def _drain(call: Callable[[Any], Any], frames: Sequence[Image]) -> None:
     for frame in frames:
         call(frame)
 

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from servotrack.envs.track.files.decoders import Frame
 from servotrack.envs.track.files.frames import SIDES, FrameSource, open_frames, resize, resized
 from servotrack.envs.track.files.mot_files import SequenceInfo, find_mot_folder, read_mot_detections
 from servotrack.envs.track.files.recorded import SequenceError
 from servotrack.estimators.detect.detections import Detections, detections_from_boxes
+from servotrack.estimators.types import Image
 
 _BACKGROUND_SPACING = 25
 """Frames between two of the first pass, at most: an hour's light is not one background."""
@@ -31,7 +31,7 @@ class Step(NamedTuple):
     """
 
     number: int
-    picture: Frame | None
+    picture: Image | None
     detections: Detections
 
 
@@ -120,11 +120,11 @@ class PixelInput:
         finally:
             self._frames.close()
 
-    def _first_pass(self) -> list[Frame]:
+    def _first_pass(self) -> list[Image]:
         known = self._frames.length or self._background * _BACKGROUND_SPACING
         spacing = min(max((known - self._start) // self._background, 1), _BACKGROUND_SPACING)
         spaced = open_frames(self._source, start=self._start, count=self._background, stride=spacing)
-        found: list[Frame] = []
+        found: list[Image] = []
         try:
             found.extend(resize(picture, self._size) for picture in spaced)
         except SequenceError:

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from servotrack.baselines.reporting.film import Frame
 from servotrack.baselines.track_command.inputs import Step
 from servotrack.envs.track.files.recorded import PeopleInFrame, RecordedTracks
 from servotrack.envs.track.people.box_recorder import BoxRecorder
 from servotrack.envs.track.people.box_render import draw
 from servotrack.estimators.rfs.sets import SetEstimate
+from servotrack.estimators.types import Image
 
 _CANVAS = 74
 """Gray level where a sequence has no images."""
@@ -31,7 +31,7 @@ class BoxPainter:
         self._truth: Mapping[int, PeopleInFrame] | None = None if truth is None else truth.by_frame()
         self._recorder = BoxRecorder()
 
-    def __call__(self, step: Step, estimate: SetEstimate) -> Frame:
+    def __call__(self, step: Step, estimate: SetEstimate) -> Image:
         """The picture of one frame."""
         width, height = self._size
         picture = step.picture

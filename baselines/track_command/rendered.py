@@ -45,7 +45,7 @@ def render_sequence(
     if folder.exists() and not (folder / "seqinfo.ini").is_file() and (folder.is_file() or any(folder.iterdir())):
         raise ResultsError(f"{folder} holds something that is no rendered sequence; choose another folder")
     env = gym.make(ENVIRONMENT, **axes)
-    told: Any = env.get_wrapper_attr("told")
+    told: Any = env.get_wrapper_attr("scene_model")
     horizon = int(env.get_wrapper_attr("config").horizon)
     ResultsFolder(folder.parent).check_writable()
     growing = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))

@@ -13,12 +13,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from servotrack.baselines.evaluation.results import ResultsError
-from servotrack.baselines.reporting.film import Film, FilmError, Frame
+from servotrack.baselines.reporting.film import Film, FilmError
 from servotrack.baselines.track_command.inputs import Input, Step
 from servotrack.baselines.track_command.stopping import Interruption, SpaceGuard
 from servotrack.baselines.track_command.tracks_file import TracksFile
 from servotrack.envs.track.files.recorded import SequenceError
 from servotrack.estimators.rfs.sets import SetEstimate
+from servotrack.estimators.types import Image
 
 TRACKS, FILM = "tracks.txt", "tracks.mp4"
 _FILM_RATES = (1.0, 60.0)
@@ -27,7 +28,7 @@ _FILM_RATES = (1.0, 60.0)
 class Painter(Protocol):
     """Draws a frame of the film."""
 
-    def __call__(self, step: Step, estimate: SetEstimate) -> Frame:
+    def __call__(self, step: Step, estimate: SetEstimate) -> Image:
         """The picture, RGB, always of one size."""
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.leaderboard.table import Grid
 from servotrack.envs.track.files.recorded import RecordedTracks
@@ -18,8 +17,7 @@ from servotrack.estimators.metrics import (
     mot_scores,
     score_distances,
 )
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 
 class MatchRule(NamedTuple):
@@ -120,7 +118,7 @@ def score_grid(scores: TrackScores, name: str) -> Grid:
     return Grid(headings, [cells], 1)
 
 
-def _within(tracks: RecordedTracks, numbers: NDArray[np.int64]) -> list[Track]:
+def _within(tracks: RecordedTracks, numbers: Labels) -> list[Track]:
     """Tracks on the axis of the frames that were tracked; those that have nothing there are left out."""
     kept = []
     for track in tracks.tracks:

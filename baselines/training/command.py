@@ -16,7 +16,7 @@ from servotrack.baselines.evaluation.results import ResultsFolder, atomic_path, 
 from servotrack.baselines.training.curves import draw_curves
 from servotrack.baselines.training.dispatch import train
 from servotrack.baselines.training.export import write_card
-from servotrack.baselines.training.progress import Yardstick
+from servotrack.baselines.training.progress import PeriodicEvaluation
 from servotrack.baselines.training.run import AGENT, Entry, TrainingCurve, TrainingTask
 from servotrack.baselines.training.settings import TrainingSettings
 
@@ -95,11 +95,11 @@ def run_training(request: TrainingRequest, console: Console) -> Path:
     return path
 
 
-def _yardstick(request: TrainingRequest) -> Yardstick:
+def _yardstick(request: TrainingRequest) -> PeriodicEvaluation:
     # Other code may have measured the classical agents for earlier runs; theirs are kept apart.
     folder = ResultsFolder(request.environment / "classical" / code_version())
     folder.check_writable()
-    return Yardstick(request.env_id, request.env_kwargs, folder, levels=request.settings.levels)
+    return PeriodicEvaluation(request.env_id, request.env_kwargs, folder, levels=request.settings.levels)
 
 
 def _alone(request: TrainingRequest, seed: int) -> TrainingCurve:
@@ -109,7 +109,7 @@ def _alone(request: TrainingRequest, seed: int) -> TrainingCurve:
     return train(request.task(seed), _yardstick(request))
 
 
-def _shown(task: TrainingTask, yardstick: Yardstick, console: Console) -> TrainingCurve:
+def _shown(task: TrainingTask, yardstick: PeriodicEvaluation, console: Console) -> TrainingCurve:
     columns = (
         TextColumn("seed {task.fields[seed]}"), BarColumn(), TextColumn("{task.completed:,} of {task.total:,} steps"),
         TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.description}"),

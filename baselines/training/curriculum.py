@@ -17,29 +17,29 @@ class Curriculum(VecEnv):
 
     Args:
         make: Lesson and number of environments in, a vector environment out; all of the same spaces.
-        lessons: Stages of the training, each of one or more lessons side by side.
+        stages: Stages of the training, each of one or more stages side by side.
         num_envs: Environments of a stage together.
         stage_steps: Environment steps after which one stage follows the other.
         first_seed: Environment steps in, the first seed of the environments that begin then out.
         done: Environment steps that were done before.
 
     Raises:
-        ValueError: No stage, an empty one, or more lessons in a stage than environments.
+        ValueError: No stage, an empty one, or more stages in a stage than environments.
     """
 
     def __init__(
         self,
         make: Callable[[Any, int], VecEnv],
-        lessons: Sequence[Sequence[Any]],
+        stages: Sequence[Sequence[Any]],
         num_envs: int,
         stage_steps: int,
         first_seed: Callable[[int], int],
         done: int = 0,
     ) -> None:
-        if not lessons or not all(0 < len(stage) <= num_envs for stage in lessons):
-            raise ValueError(f"curriculum must have stages of 1 to n_envs={num_envs} lessons each, got {lessons!r}")
+        if not stages or not all(0 < len(stage) <= num_envs for stage in stages):
+            raise ValueError(f"curriculum must have stages of 1 to n_envs={num_envs} stages each, got {stages!r}")
         self.num_envs = num_envs
-        self._make, self._lessons, self._stage_steps = make, lessons, stage_steps
+        self._make, self._lessons, self._stage_steps = make, stages, stage_steps
         self._first_seed, self._done = first_seed, done
         self._begin()
         super().__init__(num_envs, self._parts[0].observation_space, self._parts[0].action_space)
@@ -52,10 +52,10 @@ class Curriculum(VecEnv):
     def _begin(self) -> None:
         """The environments of the stage."""
         self._begun = self.stage
-        lessons = self._lessons[self._begun]
-        sizes = [len(part) for part in np.array_split(np.arange(self.num_envs), len(lessons))]
+        stages = self._lessons[self._begun]
+        sizes = [len(part) for part in np.array_split(np.arange(self.num_envs), len(stages))]
         self._ends = np.cumsum(sizes)
-        self._parts = [self._make(lesson, size) for lesson, size in zip(lessons, sizes, strict=True)]
+        self._parts = [self._make(lesson, size) for lesson, size in zip(stages, sizes, strict=True)]
         self.seed(self._first_seed(self._done))
 
     def seed(self, seed: int | None = None) -> list[int | None]:

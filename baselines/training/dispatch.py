@@ -6,16 +6,16 @@ from collections.abc import Callable
 
 from servotrack.baselines.training.jacobian import teach_jacobian
 from servotrack.baselines.training.marker import teach_eyes
-from servotrack.baselines.training.progress import Yardstick
+from servotrack.baselines.training.progress import PeriodicEvaluation
 from servotrack.baselines.training.reinforcement import reinforce
-from servotrack.baselines.training.run import Course, Entry, TrainingCurve, TrainingTask
+from servotrack.baselines.training.run import Entry, TrainingCurve, TrainingRun, TrainingTask
 from servotrack.baselines.training.set_prediction import teach_sets
 from servotrack.baselines.training.student import teach
 
 
 def train(
     task: TrainingTask,
-    yardstick: Yardstick,
+    yardstick: PeriodicEvaluation,
     on_steps: Callable[[int], None] = lambda steps: None,
     on_entry: Callable[[Entry], None] = lambda entry: None,
 ) -> TrainingCurve:
@@ -33,7 +33,7 @@ def train(
         ResultsError: The folder holds another training or cannot be written.
         ValueError: Hyper-parameters that the algorithm does not take, or an environment that it cannot learn in.
     """
-    course = Course(task, yardstick, on_steps, on_entry)
+    course = TrainingRun(task, yardstick, on_steps, on_entry)
     if not course.finished:
         {"student": teach, "jacobian": teach_jacobian, "set": teach_sets, "eyes": teach_eyes}.get(
             task.settings.algorithm, reinforce

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from servotrack.baselines.agents.learned.contract import Encoding
-from servotrack.estimators.online import select_rows
+from servotrack.estimators.stateful import select_rows
+from servotrack.estimators.types import FloatArray
 
 Memory = TypeVar("Memory")
 
@@ -32,7 +33,7 @@ class EncodedVecEnv(VecEnvWrapper):
         self._bounds = bounds
         self._action = np.zeros((venv.num_envs, *self._bounds.shape), self._bounds.dtype)
 
-    def reset(self) -> NDArray[np.float32]:
+    def reset(self) -> FloatArray:
         """Reset all rows."""
         observation: Any = self.venv.reset()
         self._memory, rows = self.encoding.step(

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from servotrack.baselines.agents.learned.contract import Rows
 from servotrack.baselines.agents.learned.jacobian import (
     ENTRIES,
     USUAL,
@@ -20,7 +19,7 @@ from servotrack.baselines.agents.learned.jacobian import (
 )
 from servotrack.baselines.agents.registry import create_agent
 from servotrack.baselines.training.export import exportable_policy
-from servotrack.baselines.training.run import Course
+from servotrack.baselines.training.run import TrainingRun
 from servotrack.baselines.training.supervised import (
     RecurrentNetwork,
     descend,
@@ -31,6 +30,7 @@ from servotrack.baselines.training.supervised import (
     take_turns,
 )
 from servotrack.envs.servo.world import ServoWorld
+from servotrack.estimators.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Records(NamedTuple):
     counted: torch.Tensor
 
 
-def teach_jacobian(course: Course) -> None:
+def teach_jacobian(course: TrainingRun) -> None:
     """Train an estimator, from the beginning or from where the course was saved.
 
     Each iteration lets it servo in new episodes of the train range, and then shows it the analytic Jacobian of every
@@ -125,7 +125,7 @@ def teach_jacobian(course: Course) -> None:
 def _running(network: JacobianNetwork) -> Any:
     """The network as it is now, as a function of arrays."""
 
-    def answer(rows: Rows, memory: Rows) -> tuple[Rows, Rows]:
+    def answer(rows: FloatArray, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         with torch.no_grad():
             entries, carried = network(torch.from_numpy(rows), torch.from_numpy(memory))
         return entries.numpy(), carried.numpy()

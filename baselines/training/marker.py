@@ -16,7 +16,7 @@ from torch import nn
 from servotrack.baselines.agents.learned.marker_network import IMAGE, PLACE, SEEN
 from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.training.export import Exportable
-from servotrack.baselines.training.run import Course, TrainingTask
+from servotrack.baselines.training.run import TrainingRun, TrainingTask
 from servotrack.baselines.training.supervised import descend, prepare, take_turns
 
 STRIDE = 2
@@ -82,7 +82,7 @@ class EyesNetwork(nn.Module):
         return place, self.presence(strongest)[:, 0]
 
 
-def teach_eyes(course: Course) -> None:
+def teach_eyes(course: TrainingRun) -> None:
     """Train eyes, from the beginning or from where the course was saved.
 
     Arms move at random over episodes of the train range; the world knows where the marker was in each image.

@@ -20,7 +20,7 @@ BESIDE = ("kf", "lifted-kf", "latency-bank-lifted-kf", "gm-phd", "pmb", "phd-ser
 """Agents whose measures are shown beside the learner's, where they can act."""
 
 
-class Yardstick:
+class PeriodicEvaluation:
     """Measures agents of one environment, or of several levels of it: then all measures are means over these.
 
     Args:

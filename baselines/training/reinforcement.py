@@ -23,7 +23,7 @@ from servotrack.baselines.evaluation.results import ResultsError
 from servotrack.baselines.training.curriculum import Curriculum
 from servotrack.baselines.training.encoded_env import EncodedVecEnv
 from servotrack.baselines.training.export import PolicyMode, exportable_policy
-from servotrack.baselines.training.run import CHECKPOINT, Course, TrainingTask
+from servotrack.baselines.training.run import CHECKPOINT, TrainingRun, TrainingTask
 from servotrack.baselines.training.sb3 import StableBaselinesVecEnv
 from servotrack.baselines.training.settings import schedule
 
@@ -35,7 +35,7 @@ ACTIVATIONS: Mapping[str, type[nn.Module]] = {
 }
 
 
-def reinforce(course: Course) -> None:
+def reinforce(course: TrainingRun) -> None:
     """Train by reinforcement, from the beginning or from where the course was saved.
 
     Raises:
@@ -98,7 +98,7 @@ def create_model(task: TrainingTask, steps: int = 0) -> BaseAlgorithm:
 
 
 def _environments(task: TrainingTask, steps: int) -> Any:
-    """Encoded environments, those of the lessons where there is a curriculum."""
+    """Encoded environments, those of the stages where there is a curriculum."""
     settings = task.settings
 
     def make(level: int | None, count: int) -> EncodedVecEnv:
@@ -176,7 +176,7 @@ def policy_mode(model: BaseAlgorithm) -> PolicyMode:
 class _Measuring(BaseCallback):
     """Measures and saves the policy between two rollouts, when nothing is half done."""
 
-    def __init__(self, course: Course) -> None:
+    def __init__(self, course: TrainingRun) -> None:
         super().__init__()
         self.course = course
 

@@ -17,7 +17,7 @@ from servotrack.baselines.agents.learned.shipped import agent_in_file
 from servotrack.baselines.agents.protocol import world_of
 from servotrack.baselines.evaluation.results import ResultsError, atomic_path, describe_environment, plain, provenance
 from servotrack.baselines.training.export import Exportable, write_agent
-from servotrack.baselines.training.progress import Yardstick
+from servotrack.baselines.training.progress import PeriodicEvaluation
 from servotrack.baselines.training.settings import TrainingSettings
 
 AGENT, CHECKPOINT, TASK = "agent", "checkpoint.pt", "task.json"
@@ -60,8 +60,8 @@ class TrainingCurve:
     """What a run reached on tune seeds, and when.
 
     Attributes:
-        entries: One per measurement: `steps`, `seconds` of training without the measurements, and what `Yardstick`
-            measures.
+        entries: One per evaluation: `steps`, `seconds` of training without the evaluations, and the numbers of
+            `PeriodicEvaluation`.
         provenance: Versions, machine, command, creation time (UTC).
         interruptions: How often the run was resumed.
     """
@@ -76,7 +76,7 @@ class TrainingCurve:
         return int(self.entries[-1]["steps"]) if self.entries else 0
 
 
-class Course:
+class TrainingRun:
     """What is known of a run so far, and where it is written down.
 
     Args:
@@ -96,7 +96,7 @@ class Course:
     def __init__(
         self,
         task: TrainingTask,
-        yardstick: Yardstick,
+        yardstick: PeriodicEvaluation,
         on_steps: Callable[[int], None] = lambda steps: None,
         on_entry: Callable[[Entry], None] = lambda entry: None,
     ) -> None:

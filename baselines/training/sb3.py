@@ -13,6 +13,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from servotrack.estimators.types import FloatArray, Mask
+
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
@@ -64,7 +66,7 @@ class StableBaselinesVecEnv(VecEnv):
         """Keep the actions until `step_wait`."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Any, FloatArray, Mask, list[dict[str, Any]]]:
         """Step all rows.
 
         Returns:

@@ -8,27 +8,24 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
 
-from servotrack.baselines.agents.learned.contract import Rows
 from servotrack.baselines.agents.learned.set_prediction import (
     ANCHOR,
     ANSWERS,
     LENGTH,
     NEIGHBOR,
-    Recent,
+    ScanHistory,
     SetWindow,
     ask,
     sensor_of,
 )
 from servotrack.baselines.training.export import exportable_policy
-from servotrack.baselines.training.run import Course
+from servotrack.baselines.training.run import TrainingRun
 from servotrack.baselines.training.supervised import descend, lesson_seeds, prepare, take_turns
 from servotrack.envs.track.clutter.episode import draw_episode
 from servotrack.envs.track.clutter.scene_model import SceneModel
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, FloatArray
 
 
 @dataclass(frozen=True)
@@ -105,7 +102,7 @@ class Examples(NamedTuple):
     age: torch.Tensor
 
 
-def teach_sets(course: Course) -> None:
+def teach_sets(course: TrainingRun) -> None:
     """Train a set predictor, from the beginning or from where the course was saved; one step is one scan.
 
     Raises:
@@ -115,7 +112,7 @@ def teach_sets(course: Course) -> None:
     own = prepare(SetSettings, course)
     task, settings = course.task, course.task.settings
     env: Any = gym.make(task.env_id, **task.env_kwargs).unwrapped
-    if not isinstance(getattr(env, "told", None), SceneModel):
+    if not isinstance(getattr(env, "scene_model", None), SceneModel):
         raise ValueError(f"sets are predicted in worlds of points in clutter, got {task.env_id}")
     window = SetWindow.of(settings.encoding)
     network = SetNetwork(window.neighbors, own.hidden)
@@ -124,7 +121,7 @@ def teach_sets(course: Course) -> None:
 
     def turn(steps: int) -> int:
         scenes = [draw_episode(env.config, seed) for seed in lesson_seeds(task, steps)]
-        _learn(network, optimizer, _examples(window, scenes, env.told, own.false_share, chance), own)
+        _learn(network, optimizer, _examples(window, scenes, env.scene_model, own.false_share, chance), own)
         return len(scenes) * int(env.config.horizon)
 
     take_turns(course, network, optimizer, own.learning_rate, exportable_policy(network, window.size), turn)
@@ -138,8 +135,8 @@ def _examples(
     measured = np.stack([scene.measurements for scene in scenes])
     source = np.stack([scene.source for scene in scenes])
     states, exists = np.stack([scene.states for scene in scenes]), np.stack([scene.exists for scene in scenes])
-    recent = Recent.none(window, len(scenes), measured.shape[2])
-    parts: list[tuple[Rows | Array, ...]] = []
+    recent = ScanHistory.none(window, len(scenes), measured.shape[2])
+    parts: list[tuple[FloatArray | Array, ...]] = []
     for k in range(measured.shape[1] - 1):
         recent = recent.with_scan(measured[:, k], sensor)
         asked = ask(window, recent, sensor, bearing_noise)

@@ -12,7 +12,7 @@ import torch
 from servotrack.baselines.agents.learned.contract import Encoding
 from servotrack.baselines.agents.learned.encoding import create_encoding
 from servotrack.baselines.training.export import exportable_policy
-from servotrack.baselines.training.run import Course
+from servotrack.baselines.training.run import TrainingRun
 from servotrack.baselines.training.supervised import (
     RecurrentNetwork,
     descend,
@@ -25,7 +25,7 @@ from servotrack.baselines.training.supervised import (
 from servotrack.envs.servo.episode import LEAD
 from servotrack.envs.servo.targets import PERIOD
 from servotrack.envs.servo.world import ServoWorld
-from servotrack.estimators.online import select_rows
+from servotrack.estimators.stateful import select_rows
 
 ERRORS = 2
 """Numbers of the turned error, with which a row begins."""
@@ -119,7 +119,7 @@ class Lessons(NamedTuple):
     gain: torch.Tensor
 
 
-def teach(course: Course) -> None:
+def teach(course: TrainingRun) -> None:
     """Train a student, from the beginning or from where the course was saved.
 
     Each iteration lets the student act in new episodes of the train range and then improves every one of its actions by
@@ -140,9 +140,9 @@ def teach(course: Course) -> None:
     noises = cycle((0.0, own.exploration))
 
     def turn(steps: int) -> int:
-        lessons = _act(env, encoding, network, lesson_seeds(task, steps), next(noises), explore)
-        _learn(network, optimizer, lessons, own, env.unwrapped.config)
-        return int(lessons.counted.sum())
+        stages = _act(env, encoding, network, lesson_seeds(task, steps), next(noises), explore)
+        _learn(network, optimizer, stages, own, env.unwrapped.config)
+        return int(stages.counted.sum())
 
     try:
         exported = exportable_policy(network, encoding.size, own.hidden)
@@ -189,14 +189,14 @@ def _act(
 
 
 def _learn(
-    network: StudentNetwork, optimizer: torch.optim.Optimizer, lessons: Lessons, own: StudentSettings, config: Any
+    network: StudentNetwork, optimizer: torch.optim.Optimizer, stages: Lessons, own: StudentSettings, config: Any
 ) -> None:
     """Some passes over the episodes."""
     # A motor obeys one substep late.
     late = 1.0 / config.substeps
     for _ in range(own.n_epochs):
-        for batch in torch.randperm(len(lessons.rows)).split(own.batch_size):
-            part = Lessons(*(tensor[batch] for tensor in lessons))
+        for batch in torch.randperm(len(stages.rows)).split(own.batch_size):
+            part = Lessons(*(tensor[batch] for tensor in stages))
             action, _ = network.actions(part.rows)
             rates = part.gain[:, None] * (late * part.before + (1.0 - late) * action)
             tool = _tool(part.joints + PERIOD * config.max_joint_rate * rates, part.links)

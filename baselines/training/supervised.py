@@ -9,19 +9,19 @@ import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 from torch import nn
 
 from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.training.export import Exportable
-from servotrack.baselines.training.run import Course, TrainingTask
+from servotrack.baselines.training.run import TrainingRun, TrainingTask
 from servotrack.baselines.training.settings import schedule
 from servotrack.envs.servo.world import ServoWorld
+from servotrack.estimators.types import FloatArray
 
 Settings = TypeVar("Settings")
 
 
-def prepare(kind: type[Settings], course: Course) -> Settings:
+def prepare(kind: type[Settings], course: TrainingRun) -> Settings:
     """Give torch one thread and this run's random numbers, and read the training's own hyper-parameters.
 
     Raises:
@@ -55,7 +55,7 @@ def servo_lessons(task: TrainingTask) -> Any:
     return env
 
 
-def explored(action: NDArray[np.float32], noise: float, chance: np.random.Generator) -> NDArray[np.float32]:
+def explored(action: FloatArray, noise: float, chance: np.random.Generator) -> FloatArray:
     """Actions within [-1, 1] with noise relative to their size. Shape (N, n)."""
     if noise > 0.0:
         size = 0.1 + np.abs(action).max(axis=1, keepdims=True)
@@ -99,7 +99,7 @@ def lesson_seeds(task: TrainingTask, steps: int) -> list[int]:
 
 
 def take_turns(
-    course: Course,
+    course: TrainingRun,
     network: nn.Module,
     optimizer: torch.optim.Optimizer,
     learning_rate: float | str,

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.track.color.scoring import center_errors, failures, overlaps, precision, success_curve
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 ENV_ID = "ColorTracking-v0"
 

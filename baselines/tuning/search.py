@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.agents.servo.catalog import ESTIMATORS
@@ -23,6 +22,7 @@ from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.evaluation.evaluate import run_episodes
 from servotrack.baselines.evaluation.results import ResultsError, plain, provenance
 from servotrack.baselines.evaluation.statistics import bootstrap_mean
+from servotrack.estimators.types import Array
 
 FIRST_SEED = 50_000
 """Offset in the tune range, away from its beginning, where tests and trials by hand take their seeds."""
@@ -39,7 +39,7 @@ class Measured(NamedTuple):
         steps: Environment steps that they took.
     """
 
-    costs: NDArray[np.float64]
+    costs: Array
     steps: int
 
 

@@ -9,9 +9,9 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
+from servotrack.estimators.types import FloatArray, Image
+
 Stroke = list[tuple[float, float]]
 Color = tuple[int, int, int]
 
@@ -83,7 +83,7 @@ _GLYPHS: dict[str, list[Stroke]] = {
 
 
 @lru_cache(maxsize=1024)
-def _mask(text: str, height: float, weight: float) -> NDArray[np.float32]:
+def _mask(text: str, height: float, weight: float) -> FloatArray:
     """Opacity of a line of text in [0, 1], shape (rows, columns, 1), with the baseline at `_ASCENT` below its top."""
     scale = height / _DIGIT_HEIGHT
     fine = scale * _SUPERSAMPLING

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.streams import FollowStream
@@ -16,8 +15,7 @@ from servotrack.envs.servo.targets import PERIOD, reachable_place, solvable
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.movement import gait
 from servotrack.envs.track.pedestrians.social_force import LEG_NUMBERS, drive
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 STATURE = 1.7
 """Body height, the unit of people's gait, m."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.streams import FollowStream
@@ -15,8 +14,6 @@ from servotrack.envs.servo.world import capture
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.clutter.config import poisson_quantile
 from servotrack.estimators.camera import project_ground
-
-Array = NDArray[np.float64]
 
 COLUMNS = 8
 """Existence; column and row of the middle, width, height (px); red, green, blue (gray levels)."""

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.follow.config import LEVEL_NAMES, FollowConfig, follow_config
 from servotrack.envs.follow.sensors import FollowSensors
 from servotrack.envs.follow.world import ON_TARGET, FollowWorld
 from servotrack.envs.servo.env import Observation, UncalibServoEnv
 from servotrack.envs.servo.episode import LEAD
+from servotrack.estimators.types import Array
 
 if TYPE_CHECKING:
     from servotrack.envs.follow.recorder import Recorder
@@ -170,7 +170,7 @@ class PedestrianServoEnv(UncalibServoEnv):
         return {key: value[0] for key, value in (self.world.privileged() | self._sensors.privileged()).items()}
 
 
-def people_now(world: FollowWorld) -> NDArray[np.float64]:
+def people_now(world: FollowWorld) -> Array:
     """Everybody's present positions, (N, P, 2) m."""
     return world.people[np.arange(world.count), world.now, :, :2]
 

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-import numpy as np
-from numpy.typing import NDArray
-
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.crowd import Crowd, draw_paths, walking_crowd
 from servotrack.envs.follow.looks import Looks, draw_looks, hidden_people
 from servotrack.envs.servo.episode import Episode, ServoStreams, draw_episode, samples
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -27,7 +23,7 @@ class FollowEpisode(Episode):
 
     crowd: Crowd
     looks: Looks
-    hidden: NDArray[np.bool_]
+    hidden: Mask
 
 
 def draw_follow_episode(config: FollowConfig, seed: int) -> FollowEpisode:

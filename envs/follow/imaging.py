@@ -18,8 +18,7 @@ from servotrack.envs.servo.targets import START
 from servotrack.envs.servo.world import RING
 from servotrack.envs.track.pedestrians.looks import LOOK_NUMBERS
 from servotrack.estimators.camera import project
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 PATCH_SIZE = 32
 """Width and height of a picture of the person to follow, px."""
@@ -59,7 +58,7 @@ class CrowdCamera(FloorCamera):
         _enlarge(self._rays.detail[row])
         self._crowd.put(row, self._world.episode(row))
 
-    def _expose(self, rows: NDArray[np.bool_]) -> None:
+    def _expose(self, rows: Mask) -> None:
         world, texture, config = self._world, floor_texture(), self._world.config
         expose_crowd(
             rows, world.captured, float(config.rolling_shutter), 1.0 / self._scale, float(config.shadows),

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.crowd import Crowd
 from servotrack.envs.follow.streams import FollowStream
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.looks import HAIR, TOP, compose_look
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 BODY_WIDTH = 0.5
 """Of a person from above, m."""
@@ -87,7 +85,7 @@ def _hang_lamps(count: int, rng: np.random.Generator, path: Array) -> Array:
     return np.concatenate([path[at, :2], rng.uniform(*_LAMP_RADIUS, (count, 1))], axis=1)
 
 
-def hidden_people(crowd: Crowd, looks: Looks) -> NDArray[np.bool_]:
+def hidden_people(crowd: Crowd, looks: Looks) -> Mask:
     """Who is under a lampshade or under somebody else's umbrella, shape (K, P)."""
     places = crowd.paths[:, :, :2]
     hidden = np.zeros(places.shape[:2], np.bool_)

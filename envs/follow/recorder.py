@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.follow.imaging import CloseUp
 from servotrack.envs.follow.render import FollowScene, draw
 from servotrack.envs.follow.world import FollowWorld
-from servotrack.envs.servo.backdrop import CAMERA_PANEL, Image
+from servotrack.envs.servo.backdrop import CAMERA_PANEL
 from servotrack.envs.servo.episode import LEAD, samples
 from servotrack.envs.servo.footprint import camera_footprint
 from servotrack.envs.servo.world import RING
 from servotrack.estimators.camera import CAMERA_SIZE, project_points
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Image
 
 RECENT = 30
 """Samples of the person's way that the camera's view shows."""

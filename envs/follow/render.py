@@ -14,13 +14,12 @@ from servotrack.envs.drawing.glyphs import put_text
 from servotrack.envs.follow.looks import Looks
 from servotrack.envs.follow.painting import paint_panel
 from servotrack.envs.servo import backdrop as still
-from servotrack.envs.servo.backdrop import Color, Image, fixed_point, mix
+from servotrack.envs.servo.backdrop import Color, fixed_point, mix
 from servotrack.envs.servo.exposure import trace_rays
 from servotrack.envs.servo.imaging import Rays, no_rays
 from servotrack.envs.servo.render import crosshair, draw_arm, light_footprint, round_corners, trail
 from servotrack.estimators.camera import pack_camera
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Image, Mask
 
 BELIEF: Color = (86, 222, 208)
 DETECTED: Color = (250, 216, 120)
@@ -85,8 +84,8 @@ class FollowScene:
     person_trail: Array = field(default_factory=_none)
     image_trail: Array = field(default_factory=_none)
     distances: Array = field(default_factory=lambda: np.empty(0))
-    wrong: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
-    lost: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+    wrong: Mask = field(default_factory=lambda: np.empty(0, np.bool_))
+    lost: Mask = field(default_factory=lambda: np.empty(0, np.bool_))
     span: int = 401
     detections: Array | None = None
     belief: Array | None = None

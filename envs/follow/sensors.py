@@ -6,7 +6,6 @@ from typing import Literal, get_args
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.detections import COLUMNS, LARGEST, DetectionSensor, capacity
@@ -14,6 +13,7 @@ from servotrack.envs.follow.imaging import PATCH_SIZE, CrowdCamera, target_patch
 from servotrack.envs.follow.world import FollowWorld
 from servotrack.envs.servo.env import Observation, feature_observations, feature_space
 from servotrack.envs.servo.pixels import check_image_arguments
+from servotrack.estimators.types import Array
 
 ObservationKind = Literal["pixels", "detections", "identity"]
 
@@ -103,7 +103,7 @@ class FollowSensors:
             **shared,
         }
 
-    def privileged(self) -> dict[str, NDArray[np.float64]]:
+    def privileged(self) -> dict[str, Array]:
         """What an oracle may know beside the servo's own secrets, in the camera's pixels whatever the image's size.
 
         Returns:

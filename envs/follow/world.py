@@ -7,14 +7,12 @@ from typing import cast
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.episode import FollowEpisode, draw_follow_episode
 from servotrack.envs.servo.episode import LEAD, samples
 from servotrack.envs.servo.world import ServoWorld
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Labels, Mask
 
 LOST_AFTER = 60
 """Consecutive samples in which the person is out of view that end an episode."""
@@ -59,7 +57,7 @@ class FollowWorld(ServoWorld):
         self._last_errors = np.zeros((count, LAST_SECOND))
 
     @property
-    def now(self) -> NDArray[np.int64]:
+    def now(self) -> Labels:
         """Index of the present sample in the tables of each row, (N,)."""
         return self.steps + LEAD
 
@@ -75,7 +73,7 @@ class FollowWorld(ServoWorld):
         episode = self.episode(row)
         self.people[row], self.hidden[row] = episode.crowd.paths, episode.hidden
 
-    def _observe(self, rows: NDArray[np.bool_]) -> None:
+    def _observe(self, rows: Mask) -> None:
         if self.config.lamps or self.config.umbrellas:
             before = self.features.copy(), self.frame_time.copy()
             super()._observe(rows)

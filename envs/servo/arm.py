@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 LINK_MASS = 1.0
 CAMERA_MASS = 0.2

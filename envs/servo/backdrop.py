@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
 from servotrack.envs.servo.footprint import GRID_SPACING
+from servotrack.estimators.types import Array, FloatArray, Image, Labels
 
-Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
 Color = tuple[int, int, int]
 
 PAPER: Color = (250, 248, 244)
@@ -99,8 +98,8 @@ class Backdrop(NamedTuple):
 
     image: Image
     lit_floor: Image
-    rim: NDArray[np.int64]
-    rim_opacity: NDArray[np.float32]
+    rim: Labels
+    rim_opacity: FloatArray
 
 
 @lru_cache(maxsize=16)
@@ -166,7 +165,7 @@ def _error_axes(panel: Image) -> None:
     put_text(panel, "tracking error", left, 14, SOFT_INK)
 
 
-def _rounded_corners() -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+def _rounded_corners() -> tuple[Labels, FloatArray]:
     """Where the panels' square corners show paper instead, and how much of the panel shows there."""
     fine, radius = 8, _CORNER_RADIUS
     quarter = np.zeros((radius * fine, radius * fine), dtype=np.uint8)

@@ -16,6 +16,7 @@ from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.targets import PERIOD
 from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld, check_actions
 from servotrack.envs.streams import episode_seed
+from servotrack.estimators.types import FloatArray
 
 if TYPE_CHECKING:
     from servotrack.envs.drawing.viewer import Viewer
@@ -62,7 +63,7 @@ def feature_observations(world: ServoWorld) -> Observation:
     }
 
 
-class UncalibServoEnv(gym.Env[Observation, NDArray[np.float32]]):
+class UncalibServoEnv(gym.Env[Observation, FloatArray]):
     """An arm with a camera that nobody calibrated follows a moving target.
 
     ## Description

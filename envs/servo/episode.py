@@ -8,14 +8,12 @@ from enum import IntEnum
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.servo.levels import Range, ServoConfig
 from servotrack.envs.servo.targets import PERIOD, START, draw_path, solvable
 from servotrack.envs.streams import Streams
 from servotrack.estimators.camera import pack_camera, project_ground, project_points
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 LEAD = 6
 """Samples that the tables hold before the reset, for frames that were on their way."""
@@ -85,7 +83,7 @@ class Episode:
     goal: Array
     path: Array
     feature_noise: Array
-    dropped: NDArray[np.bool_]
+    dropped: Mask
     latency: int
     gain: Array
     rate_noise: Array

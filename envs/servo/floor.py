@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.estimators.types import FloatArray
+
 SIDE = 512
 """Width and height of the finest copy of the tile, texels; a power of two."""
 TILE = 1.024
@@ -28,7 +30,7 @@ class FloorTexture(NamedTuple):
         starts: Where in `texels` each copy begins; copy k has SIDE / 2**k texels a side.
     """
 
-    texels: NDArray[np.float32]
+    texels: FloatArray
     starts: NDArray[np.uint64]
 
 
@@ -55,7 +57,7 @@ def floor_texture() -> FloorTexture:
     return FloorTexture(np.concatenate([copy.ravel() for copy in copies]), starts.astype(np.uint64))
 
 
-def _cloud(rng: np.random.Generator, cells: int, strength: float) -> NDArray[np.float32]:
+def _cloud(rng: np.random.Generator, cells: int, strength: float) -> FloatArray:
     """Smooth seamless noise with this many cells a side."""
     values = rng.standard_normal((cells, cells)).astype(np.float32)
     border = 4
@@ -66,7 +68,7 @@ def _cloud(rng: np.random.Generator, cells: int, strength: float) -> NDArray[np.
     return strength * cv2.remap(wrapped, columns, rows, cv2.INTER_CUBIC)
 
 
-def _stroke(tile: NDArray[np.float32], x: float, y: float, dx: float, dy: float, radius: float, shade: float) -> None:
+def _stroke(tile: FloatArray, x: float, y: float, dx: float, dy: float, radius: float, shade: float) -> None:
     """Add a soft dot or line that continues on the opposite side."""
     pad = int(radius + 3)
     low_x, high_x = int(min(x, x + dx)) - pad, int(max(x, x + dx)) + pad

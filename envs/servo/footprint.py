@@ -7,11 +7,9 @@ from functools import lru_cache
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.estimators.camera import ground_point, project
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 GRID_SPACING = 0.2
 """Distance of the floor's grid lines, m."""

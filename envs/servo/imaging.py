@@ -18,8 +18,7 @@ from servotrack.envs.servo.episode import LEAD, Episode, Stream, Streams, sample
 from servotrack.envs.servo.exposure import NOISE_SIDE, expose, trace_rays
 from servotrack.envs.servo.floor import floor_texture
 from servotrack.envs.servo.world import ServoWorld
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, FloatArray, Labels, Mask
 
 
 class Rays(NamedTuple):
@@ -32,9 +31,9 @@ class Rays(NamedTuple):
         detail: The floor texture's copy that fits that distance, (N, S, S).
     """
 
-    ground: NDArray[np.float32]
-    light: NDArray[np.float32]
-    spread: NDArray[np.float32]
+    ground: FloatArray
+    light: FloatArray
+    spread: FloatArray
     detail: NDArray[np.uint8]
 
 
@@ -79,7 +78,7 @@ class FloorCamera:
         self._floor_pose[row], self._floor_color[row] = floor_of(episode)
         trace_rays(episode.camera, 1.0 / self._scale, *(table[row] for table in self._rays))
 
-    def _expose(self, rows: NDArray[np.bool_]) -> None:
+    def _expose(self, rows: Mask) -> None:
         """Render the frames that arrived in these rows."""
         raise NotImplementedError
 
@@ -99,7 +98,7 @@ class ImageSensor(FloorCamera):
         super()._begin(row, episode)
         self._distractors[row] = _distractor_path(episode, sample_times(self._world.config))
 
-    def _expose(self, rows: NDArray[np.bool_]) -> None:
+    def _expose(self, rows: Mask) -> None:
         world, texture = self._world, floor_texture()
         expose(
             rows, world.captured, world.config.rolling_shutter, 1.0 / self._scale, world.cameras, world.links,
@@ -128,13 +127,13 @@ def floor_of(episode: Episode) -> tuple[Array, Array]:
     return np.array([math.cos(angle), math.sin(angle), *shift]), color
 
 
-def noise_offsets(episode: Episode, length: int) -> NDArray[np.int64]:
+def noise_offsets(episode: Episode, length: int) -> Labels:
     """Where in the noise tile each of an episode's frames begins, (length, 2)."""
     return _stream(episode, Stream.IMAGE_NOISE).integers(0, NOISE_SIDE, (length, 2))
 
 
 @lru_cache(maxsize=16)
-def noise_tile(level: float, image_size: int) -> NDArray[np.float32]:
+def noise_tile(level: float, image_size: int) -> FloatArray:
     """Sensor noise that frames read at random offsets, (256, 256 + image_size, 3); it repeats to the right."""
     tile = np.random.default_rng(0).standard_normal((NOISE_SIDE, NOISE_SIDE, 3))
     columns = np.arange(NOISE_SIDE + image_size) % NOISE_SIDE

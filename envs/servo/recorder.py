@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.servo.episode import LEAD, samples
 from servotrack.envs.servo.footprint import camera_footprint, floor_lines
 from servotrack.envs.servo.levels import LEVEL_NAMES
-from servotrack.envs.servo.render import Image, ServoScene, draw
+from servotrack.envs.servo.render import ServoScene, draw
 from servotrack.envs.servo.world import ServoWorld
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Image
 
 
 class Recorder:

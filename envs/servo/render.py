@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
 from servotrack.envs.servo import backdrop as still
-from servotrack.envs.servo.backdrop import Color, Image, fixed_point, mix
-
-Array = NDArray[np.float64]
+from servotrack.envs.servo.backdrop import Color, fixed_point, mix
+from servotrack.estimators.types import Array, Image
 
 TRAIL_LENGTH = 126
 """Samples of a trail that are still visible: one period of the paper's ellipse."""

@@ -6,11 +6,9 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.servo.levels import ServoConfig
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 PERIOD = 0.05
 """Control and sampling period (paper 002, section 3.2), s."""

@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
-import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
 from servotrack.envs.arguments import check_count
 from servotrack.envs.servo.env import METADATA, Observation, action_space, feature_observations, feature_space
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld, check_actions
-from servotrack.envs.vector_env import BatchedVectorEnv, Mask, masked_infos
+from servotrack.envs.vector_env import BatchedVectorEnv, masked_infos
+from servotrack.estimators.types import Array, Mask
 
 if TYPE_CHECKING:
     from servotrack.envs.servo.recorder import Recorder
@@ -71,7 +70,7 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
     def _observe(self) -> Observation:
         return feature_observations(self.world)
 
-    def _checked(self, actions: Any) -> NDArray[np.float64]:
+    def _checked(self, actions: Any) -> Array:
         return check_actions(actions, (self.num_envs, 2))
 
     def _recorder(self, row: int) -> Recorder:

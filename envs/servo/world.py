@@ -8,15 +8,13 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.servo.arm import ArmSpace
 from servotrack.envs.servo.episode import LEAD, Episode, draw_episode, samples
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
 from servotrack.estimators.camera import CAMERA_SIZE, image_jacobian, project
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 LOST_AFTER = 20
 """Consecutive samples out of view that end an episode."""
@@ -134,7 +132,7 @@ class ServoWorld:
         self.frame_time[row] = -(LEAD + self.config.warmup) * PERIOD
         self.captured[row] = 0
 
-    def step(self, actions: Array, rows: NDArray[np.bool_] | None = None) -> None:
+    def step(self, actions: Array, rows: Mask | None = None) -> None:
         """Advance rows by one control period.
 
         Args:
@@ -152,7 +150,7 @@ class ServoWorld:
         self.steps += rows
         self._observe(rows)
 
-    def _observe(self, rows: NDArray[np.bool_]) -> None:
+    def _observe(self, rows: Mask) -> None:
         config = self.config
         _sense(
             rows, self.steps, config.warmup, config.horizon, self._lost_after, float(config.camera_size),

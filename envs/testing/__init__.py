@@ -18,7 +18,7 @@ import gymnasium as gym
 from gymnasium.vector import AutoresetMode
 
 from servotrack.envs.testing import behavior, form
-from servotrack.envs.testing.event_trace import single_story, story_difference, vector_stories
+from servotrack.envs.testing.event_trace import single_trace, story_difference, vector_traces
 from servotrack.envs.testing.subject import MakeVectorEnv, Subject
 
 __all__ = ["ALL_MODES", "CHECKS", "MakeVectorEnv", "VectorEnvFaults", "check_vector_env", "check_vector_matches_single"]
@@ -162,11 +162,11 @@ def _compare(
 ) -> None:
     with subject.opened(mode) as env:
         script = subject.script(env, interrupt_after)
-        ours = vector_stories(env, script, mode)
+        ours = vector_traces(env, script, mode)
     theirs = []
     for row in range(subject.num_envs):
         single = make_single()
-        theirs.append(single_story(single, script, row))
+        theirs.append(single_trace(single, script, row))
         single.close()
     found = story_difference(ours, theirs)
     assert found is None, (

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import iterate
 
-from servotrack.envs.testing.event_trace import FINAL_KEYS, batch_actions, story_difference, vector_stories
+from servotrack.envs.testing.event_trace import FINAL_KEYS, batch_actions, story_difference, vector_traces
 from servotrack.envs.testing.subject import Subject, VectorEnv, assert_refused, assert_same
 
 
@@ -80,7 +80,7 @@ def check_autoreset(subject: Subject) -> None:
             # The reverse order hands every sub-environment another action to ignore.
             other = script._replace(ignored=tuple(reversed([actions[-1] for actions in script.actions])))
             found = story_difference(
-                told[AutoresetMode.NEXT_STEP], vector_stories(env, other, AutoresetMode.NEXT_STEP, tamper=False)
+                told[AutoresetMode.NEXT_STEP], vector_traces(env, other, AutoresetMode.NEXT_STEP, tamper=False)
             )
         assert found is None, f"NEXT_STEP: the action of the step that resets must be ignored, but it matters: {found}"
 

@@ -33,10 +33,10 @@ class Event(NamedTuple):
     info: dict[str, Any]
 
 
-Story = list[Event]
+EventTrace = list[Event]
 
 
-class Script(NamedTuple):
+class ActionPlan(NamedTuple):
     """What is done to the sub-environments.
 
     Attributes:
@@ -62,7 +62,9 @@ class Script(NamedTuple):
         return row % 2 == 1 and steps_taken == self.interrupt_after and not over
 
 
-def write_script(space: gym.Space[Any], rows: int, seed: int, steps: int, interrupt_after: int | None = None) -> Script:
+def write_plan(
+    space: gym.Space[Any], rows: int, seed: int, steps: int, interrupt_after: int | None = None
+) -> ActionPlan:
     """A script of random actions, the same for the same arguments.
 
     Args:
@@ -70,7 +72,7 @@ def write_script(space: gym.Space[Any], rows: int, seed: int, steps: int, interr
         rows: Number of sub-environments.
         seed: Of the first reset.
         steps: Steps of every sub-environment.
-        interrupt_after: As in `Script`.
+        interrupt_after: As in `ActionPlan`.
     """
     source = deepcopy(space)
     source.seed(seed)
@@ -79,7 +81,7 @@ def write_script(space: gym.Space[Any], rows: int, seed: int, steps: int, interr
         return tuple(source.sample() for _ in range(count))
 
     actions = tuple(some(steps) for _ in range(rows))
-    return Script(seed, actions, some(rows), interrupt_after)
+    return ActionPlan(seed, actions, some(rows), interrupt_after)
 
 
 def batch_actions(env: gym.vector.VectorEnv[Any, Any, Any], rows: Iterable[Any]) -> Any:
@@ -102,9 +104,9 @@ def info_row(infos: dict[str, Any], row: int) -> dict[str, Any]:
     return own
 
 
-def vector_stories(
-    env: gym.vector.VectorEnv[Any, Any, Any], script: Script, mode: AutoresetMode, tamper: bool = False
-) -> list[Story]:
+def vector_traces(
+    env: gym.vector.VectorEnv[Any, Any, Any], script: ActionPlan, mode: AutoresetMode, tamper: bool = False
+) -> list[EventTrace]:
     """Play a script in a vector environment.
 
     Args:
@@ -119,7 +121,7 @@ def vector_stories(
     Raises:
         AssertionError: The environment breaks a rule of its mode.
     """
-    stories: list[Story] = [[] for _ in range(env.num_envs)]
+    stories: list[EventTrace] = [[] for _ in range(env.num_envs)]
     taken = [0] * env.num_envs
     over = [False] * env.num_envs
 
@@ -129,7 +131,7 @@ def vector_stories(
     def record_resets(rows: Sequence[int], observations: Any, infos: dict[str, Any]) -> None:
         each = list(iterate(env.observation_space, observations))
         for row in rows:
-            _tell(stories[row], Event("reset", each[row], 0.0, False, False, info_row(infos, row)))
+            _append(stories[row], Event("reset", each[row], 0.0, False, False, info_row(infos, row)))
             over[row] = False
 
     returned = env.reset(seed=script.seed)
@@ -165,7 +167,7 @@ def vector_stories(
             observation = infos["final_obs"][row] if hidden else each[row]
             info = info_row(infos["final_info"] if hidden else infos, row)
             flags = float(rewards[row]), bool(terminated[row]), bool(truncated[row])
-            _tell(stories[row], Event("step", observation, *flags, info))
+            _append(stories[row], Event("step", observation, *flags, info))
             over[row] = row in ended
         if mode == AutoresetMode.SAME_STEP:
             record_resets(ended, observations, infos)
@@ -184,7 +186,7 @@ def vector_stories(
             record_resets(due, *returned)
 
 
-def single_story(env: gym.Env[Any, Any], script: Script, row: int) -> Story:
+def single_trace(env: gym.Env[Any, Any], script: ActionPlan, row: int) -> EventTrace:
     """Play one sub-environment's part of a script in a single environment.
 
     Args:
@@ -193,19 +195,19 @@ def single_story(env: gym.Env[Any, Any], script: Script, row: int) -> Story:
         row: Whose part.
     """
     observation, info = env.reset(seed=script.seed + row)
-    story: Story = []
-    _tell(story, Event("reset", observation, 0.0, False, False, info))
+    story: EventTrace = []
+    _append(story, Event("reset", observation, 0.0, False, False, info))
     for taken, action in enumerate(script.actions[row], start=1):
         observation, reward, terminated, truncated, info = env.step(action)
-        _tell(story, Event("step", observation, float(reward), bool(terminated), bool(truncated), info))
+        _append(story, Event("step", observation, float(reward), bool(terminated), bool(truncated), info))
         over = bool(terminated or truncated)
         if (over or script.interrupts(row, taken, over)) and taken < script.steps:
             observation, info = env.reset()
-            _tell(story, Event("reset", observation, 0.0, False, False, info))
+            _append(story, Event("reset", observation, 0.0, False, False, info))
     return story
 
 
-def story_difference(ours: Sequence[Story], theirs: Sequence[Story]) -> str | None:
+def story_difference(ours: Sequence[EventTrace], theirs: Sequence[EventTrace]) -> str | None:
     """A sentence about the first event that two sets of stories tell differently, or None."""
     for row, (our_story, their_story) in enumerate(zip(ours, theirs, strict=True)):
         for number, (mine, other) in enumerate(zip(our_story, their_story, strict=False)):
@@ -233,11 +235,11 @@ def overwrite(value: Any) -> None:
             value[...] = np.ones((), value.dtype)
 
 
-def _tell(story: Story, event: Event) -> None:
+def _append(story: EventTrace, event: Event) -> None:
     story.append(deepcopy(event))
 
 
-def _cut(story: Story, steps: int) -> Story:
+def _cut(story: EventTrace, steps: int) -> EventTrace:
     """The story up to its `steps`-th step, which some sub-environments pass while others still make theirs."""
     last = [number for number, event in enumerate(story) if event.kind == "step"][steps - 1]
     return story[: last + 1]

@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from servotrack.envs.testing.bits import first_difference
-from servotrack.envs.testing.event_trace import Script, Story, batch_actions, vector_stories, write_script
+from servotrack.envs.testing.event_trace import ActionPlan, EventTrace, batch_actions, vector_traces, write_plan
 
 VectorEnv = gym.vector.VectorEnv[Any, Any, Any]
 _REFUSALS = (ValueError, TypeError, AssertionError, gym.error.Error)
@@ -57,14 +57,16 @@ class Subject:
         finally:
             env.close()
 
-    def script(self, env: VectorEnv, interrupt_after: int | None = None) -> Script:
+    def script(self, env: VectorEnv, interrupt_after: int | None = None) -> ActionPlan:
         """The script of random actions that all checks share."""
-        return write_script(env.single_action_space, self.num_envs, self.seed, self.steps, interrupt_after)
+        return write_plan(env.single_action_space, self.num_envs, self.seed, self.steps, interrupt_after)
 
-    def stories(self, mode: AutoresetMode, tamper: bool = False, interrupt_after: int | None = None) -> list[Story]:
+    def stories(
+        self, mode: AutoresetMode, tamper: bool = False, interrupt_after: int | None = None
+    ) -> list[EventTrace]:
         """The stories of a new environment."""
         with self.opened(mode) as env:
-            return vector_stories(env, self.script(env, interrupt_after), mode, tamper)
+            return vector_traces(env, self.script(env, interrupt_after), mode, tamper)
 
     def play(
         self, env: VectorEnv, mode: AutoresetMode, steps: int | None = None

@@ -14,9 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from servotrack.envs.arguments import RENDER_MODES, check_count, check_options, check_render_mode, check_seed
 from servotrack.envs.streams import episode_seed
-from servotrack.envs.vector_env import BatchedVectorEnv, Mask, masked_infos
-
-Array = NDArray[np.float64]
+from servotrack.envs.vector_env import BatchedVectorEnv, masked_infos
+from servotrack.estimators.types import Array, Mask
 
 METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 10}
 

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.estimators.metrics.assignment import assign
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from servotrack.estimators.types import Array, Mask
 
 CLOSE = 0.5
 """Share of the cut-off within which an answer is one at a hidden member; of boxes, an IoU of one half."""

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.track.ignored import forgiven
 from servotrack.estimators.metrics import (
@@ -18,9 +17,7 @@ from servotrack.estimators.metrics import (
     stack_tracks,
     tracks_from_rows,
 )
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from servotrack.estimators.types import Array, Labels, Mask
 
 REPORTED_FROM = 0.5
 """Existence from which a row is reported."""
@@ -73,7 +70,7 @@ class SetScorer:
         answers: Array,
         truth: Array,
         truth_exists: Mask,
-        steps: Sequence[int] | NDArray[np.int64],
+        steps: Sequence[int] | Labels,
         hidden: Mask | None = None,
     ) -> SetScores:
         """Take one step's answers in.

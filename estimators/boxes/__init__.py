@@ -1,6 +1,6 @@
 """Trackers of boxes: detections in, people with identities out, frame by frame.
 
-    tracker = Online(DetectThenTrack(MaskedBackground(), BoxPMB(frame_rate=25.0, frame_size=(384, 288))))
+    tracker = Stateful(DetectThenTrack(MaskedBackground(), BoxPMB(frame_rate=25.0, frame_size=(384, 288))))
     for frame in frames:
         estimate = tracker.step(frame)
         print(estimate.labels, estimate.states)  # left, top, width, height

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.boxes.kalman import center_boxes, correct_boxes, predict_boxes, started_boxes
 from servotrack.estimators.boxes.report import box_covariances, check_detections, set_of_boxes
@@ -14,8 +13,7 @@ from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import box_distances
 from servotrack.estimators.rfs.sets import SetEstimate
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 TENTATIVE = 0.25
 """Existence given for a track that is not confirmed."""
@@ -35,9 +33,9 @@ class KalmanState(NamedTuple):
 
     mean: Array
     variance: Array
-    label: NDArray[np.int64]
-    hits: NDArray[np.int64]
-    missed: NDArray[np.int64]
+    label: Labels
+    hits: Labels
+    missed: Labels
     next_label: int
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.boxes.identity_kernel import (
     APART,
@@ -29,15 +28,13 @@ from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import box_distances
 from servotrack.estimators.rfs.sets import HELD, SetEstimate
-
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
+from servotrack.estimators.types import Array, Labels, Mask
 
 NO_MATCH = 1e3
 """Cost beyond that of any allowed pair."""
 
 
-class Known(NamedTuple):
+class KnownIdentities(NamedTuple):
     """What is remembered of k identities.
 
     Attributes:
@@ -69,7 +66,7 @@ class IdentityState(NamedTuple):
     """
 
     tracker: Any
-    known: Known
+    known: KnownIdentities
     next_name: int
 
 
@@ -108,7 +105,7 @@ class KeptIdentities:
     def initial(self, detections: Detections) -> IdentityState:
         """State before the first frame: nobody is known."""
         none, features = np.zeros(0, np.int64), detections.features.shape[1]
-        known = Known(none, none, np.zeros((0, 4)), np.zeros((0, 2)), np.zeros((0, features)), none, none)
+        known = KnownIdentities(none, none, np.zeros((0, 4)), np.zeros((0, 2)), np.zeros((0, features)), none, none)
         return IdentityState(self.tracker.initial(detections), known, 1)
 
     def step(self, state: IdentityState, detections: Detections) -> tuple[IdentityState, SetEstimate]:
@@ -123,7 +120,7 @@ class KeptIdentities:
             known = self._exchange(known, estimate, look, seen)
         return IdentityState(inner, known, next_name), self._named(known, estimate)
 
-    def _named(self, known: Known, estimate: SetEstimate) -> SetEstimate:
+    def _named(self, known: KnownIdentities, estimate: SetEstimate) -> SetEstimate:
         """The estimate under the names, all others that are remembered being held."""
         silent = known.absent > 0
         return replace(
@@ -135,8 +132,8 @@ class KeptIdentities:
         )
 
     def _adopt(
-        self, known: Known, estimate: SetEstimate, look: Array, seen: NDArray[np.bool_], next_name: int
-    ) -> tuple[Known, int]:
+        self, known: KnownIdentities, estimate: SetEstimate, look: Array, seen: Mask, next_name: int
+    ) -> tuple[KnownIdentities, int]:
         """Give every new identity of the tracker a name: that of a lost one where all agrees, else a new one."""
         new = np.flatnonzero(~_among(estimate.labels, known.inner))
         if len(new) == 0:
@@ -156,7 +153,7 @@ class KeptIdentities:
         fresh = new[~taken]
         count = len(fresh)
         zeros = np.zeros(count, np.int64)
-        arrivals = Known(
+        arrivals = KnownIdentities(
             next_name + np.arange(count),
             estimate.labels[fresh],
             estimate.states[fresh],
@@ -166,9 +163,9 @@ class KeptIdentities:
             zeros,
         )
         joined = [np.concatenate([a, b]) for a, b in zip(known._replace(inner=inner), arrivals, strict=True)]
-        return Known(*joined), next_name + count
+        return KnownIdentities(*joined), next_name + count
 
-    def _return_costs(self, known: Known, lost: Labels, boxes: Array, look: Array, seen: NDArray[np.bool_]) -> Array:
+    def _return_costs(self, known: KnownIdentities, lost: Labels, boxes: Array, look: Array, seen: Mask) -> Array:
         """Cost of a lost identity being a new one, below 1 where possible. Shape (lost, new)."""
         absent = known.absent[lost] + 1.0
         old, height = known.box[lost], known.box[lost, 3]
@@ -185,7 +182,7 @@ class KeptIdentities:
             cost += np.where(comparable, 0.4 * (1.0 - similar), 0.0)
         return np.where(possible, cost, NO_MATCH)
 
-    def _watch(self, known: Known, estimate: SetEstimate, look: Array, seen: NDArray[np.bool_]) -> Known:
+    def _watch(self, known: KnownIdentities, estimate: SetEstimate, look: Array, seen: Mask) -> KnownIdentities:
         """Follow the reported identities; those lost for too long are forgotten."""
         rows, box, velocity, absent = follow(
             known.inner, known.box, known.velocity, known.absent, estimate.labels, np.ascontiguousarray(estimate.states)
@@ -196,10 +193,10 @@ class KeptIdentities:
         if look.shape[1]:
             mean_look = mix_looks(known.look, look, rows, seen, rival)
         keep = (absent <= self.memory) | _among(known.inner, estimate.held_labels)
-        after = Known(known.name, known.inner, box, velocity, mean_look, absent, rival)
-        return after if keep.all() else Known(*[values[keep] for values in after])
+        after = KnownIdentities(known.name, known.inner, box, velocity, mean_look, absent, rival)
+        return after if keep.all() else KnownIdentities(*[values[keep] for values in after])
 
-    def _exchange(self, known: Known, estimate: SetEstimate, look: Array, seen: NDArray[np.bool_]) -> Known:
+    def _exchange(self, known: KnownIdentities, estimate: SetEstimate, look: Array, seen: Mask) -> KnownIdentities:
         """Rivals that have parted: exchange their names where they look like each other; then they are no rivals."""
         if not any_parted(known.name, known.inner, known.rival, known.box, estimate.labels, seen):
             return known
@@ -231,12 +228,12 @@ class KeptIdentities:
         return known._replace(inner=inner, rival=rival, box=box)
 
 
-def _among(labels: Labels, others: Labels) -> NDArray[np.bool_]:
+def _among(labels: Labels, others: Labels) -> Mask:
     """Which labels are among the others; for a handful this is faster than a sort."""
     return (labels[:, None] == others).any(axis=1)
 
 
-def _expected(known: Known) -> Array:
+def _expected(known: KnownIdentities) -> Array:
     """Where those reported in the last frame are expected in this one. Shape (k, 4), px."""
     here = known.absent == 0
     box = known.box[here].copy()
@@ -250,7 +247,7 @@ def _shares(boxes: Array) -> Array:
     return np.maximum(share, share.T)
 
 
-def _looks(boxes: Array, detections: Detections) -> tuple[Array, NDArray[np.bool_]]:
+def _looks(boxes: Array, detections: Detections) -> tuple[Array, Mask]:
     """Appearance of the detection each box overlaps most, and whether there is one. Shapes (k, F) and (k,)."""
     features = detections.features
     if features.shape[1] == 0 or len(features) == 0 or len(boxes) == 0:

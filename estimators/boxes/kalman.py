@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 SMALLEST_SIZE = 2.0
 """Lowest width and height of a track, px."""

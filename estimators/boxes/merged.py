@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.estimators.boxes.overlap import covered_boxes, covered_by
 from servotrack.estimators.detect.detections import Detections
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 COVERED = 0.6
 """Share of a predicted box inside a blob from which the person may be part of it."""

@@ -8,12 +8,11 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs.models import HiddenMarkovModel
+from servotrack.estimators.types import Array
 
-Array = NDArray[np.float64]
 Kind = Literal["centroid", "box"]
 
 

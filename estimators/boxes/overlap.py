@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 
 def covered_by(boxes: Array, others: Array) -> Array:

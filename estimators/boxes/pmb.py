@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from servotrack.estimators.boxes.kalman import center_boxes, correct_boxes, predict_boxes, started_boxes
@@ -24,8 +23,7 @@ from servotrack.estimators.boxes.pmb_kernel import associate, mix_looks, pair_di
 from servotrack.estimators.boxes.report import box_covariances, check_detections, set_of_boxes
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs.sets import SetEstimate
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels, Mask
 
 GATE = float(chdtri(4, 1e-4))
 """Squared Mahalanobis distance beyond which no detection is a track's."""
@@ -72,9 +70,9 @@ class BoxTracks(NamedTuple):
     mean: Array
     variance: Array
     existence: Array
-    label: NDArray[np.int64]
-    missed: NDArray[np.int64]
-    seen: NDArray[np.int64]
+    label: Labels
+    missed: Labels
+    seen: Labels
     look: Array
 
 
@@ -276,7 +274,7 @@ def watched_confidence(known: Confidence, confidences: Array) -> Confidence:
     return Confidence(mean, deviation, known.number + count)
 
 
-def _learned_looks(tracks: BoxTracks, own: NDArray[np.bool_], partner: NDArray[np.int64], features: Array) -> Array:
+def _learned_looks(tracks: BoxTracks, own: Mask, partner: Labels, features: Array) -> Array:
     """Mean appearances after a frame, of those whose detection shows them and nobody else."""
     if features.shape[1] == 0 or not own.any():
         return tracks.look

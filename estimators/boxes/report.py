@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs.sets import HELD, SetEstimate
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 
 def check_detections(detections: Detections, features: int | None = None) -> None:
@@ -54,7 +52,7 @@ def box_covariances(position: Array, size: Array) -> Array:
 
 
 def set_of_boxes(
-    boxes: Array, covariances: Array, labels: NDArray[np.int64], existence: Array, report: float = 0.5
+    boxes: Array, covariances: Array, labels: Labels, existence: Array, report: float = 0.5
 ) -> SetEstimate:
     """Split identities into those reported and those held silently.
 

@@ -7,14 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.estimators.boxes.model import Kind, measurements
 from servotrack.estimators.boxes.report import check_detections
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs.sets import SetEstimate
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 SIZE_RATE = 0.2
 """Weight of a new size in that of an identity whose filter knows only its centroid."""
@@ -30,7 +28,7 @@ class BoxSetState(NamedTuple):
     """
 
     belief: Any
-    labels: NDArray[np.int64]
+    labels: Labels
     shapes: Array
 
 
@@ -100,7 +98,7 @@ def _covariances(estimate: SetEstimate) -> Array:
     return np.einsum("ij,kjl,ml->kim", J, estimate.covariances, J)
 
 
-def _shapes(state: BoxSetState, labels: NDArray[np.int64], centers: Array, detections: Detections) -> Array:
+def _shapes(state: BoxSetState, labels: Labels, centers: Array, detections: Detections) -> Array:
     """The box around each identity's centroid: as remembered, mixed with that of the nearest detection that is near."""
     shapes = np.empty((len(labels), 4))
     remembered = _recall(state.labels, state.shapes, labels, shapes)

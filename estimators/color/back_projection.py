@@ -7,13 +7,12 @@ from typing import Literal, NamedTuple, get_args
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.color.contract import BoxEstimate, check_count, checked_frame, start
 from servotrack.estimators.color.histogram import pixel_edges
-from servotrack.estimators.detect.images import Image
+from servotrack.estimators.types import FloatArray, Image
 
-Array = NDArray[np.float64]
 Window = tuple[int, int, int, int]
 Method = Literal["meanshift", "camshift"]
 
@@ -28,7 +27,7 @@ class BackProjectionState(NamedTuple):
     """
 
     window: Window
-    histogram: NDArray[np.float32]
+    histogram: FloatArray
     shape: tuple[int, int]
 
 

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.estimators.color.histogram import color_bin
-
-Array = NDArray[np.float64]
-Features = NDArray[np.float32]
 
 ORIENTATIONS = 6
 """Gradient directions from 0 to pi."""

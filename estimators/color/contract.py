@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from servotrack.estimators.detect.images import Image, checked_image
-
-Array = NDArray[np.float64]
+from servotrack.estimators.detect.images import checked_image
+from servotrack.estimators.types import Array, Image
 
 
 class BoxEstimate(NamedTuple):

@@ -7,12 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.estimators.detect.appearance import box_histograms
-from servotrack.estimators.detect.images import Image
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Image, Labels
 
 _SMALL_COUNT = 2**16
 """Counts below this are exact differences of 16-bit numbers, whatever overflows on the way."""
@@ -100,7 +97,7 @@ def similarities(frame: Image, boxes: Array, reference: Array, bins: int = 8) ->
     return found
 
 
-def pixel_edges(boxes: Array, shape: tuple[int, ...]) -> NDArray[np.int64]:
+def pixel_edges(boxes: Array, shape: tuple[int, ...]) -> Labels:
     """First column and row, and those after the last, of the pixels whose centers lie inside. Shape (n, 4)."""
     corners = np.concatenate([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]], axis=1)
     limit = np.array([shape[1], shape[0], shape[1], shape[0]], dtype=np.float64)

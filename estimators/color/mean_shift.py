@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.color.contract import (
     BoxEstimate,
@@ -17,9 +17,7 @@ from servotrack.estimators.color.contract import (
     start,
 )
 from servotrack.estimators.color.histogram import color_bin
-from servotrack.estimators.detect.images import Image
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Image
 
 
 class MeanShiftState(NamedTuple):

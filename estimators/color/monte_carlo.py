@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.color.contract import (
     BoxEstimate,
@@ -17,8 +16,7 @@ from servotrack.estimators.color.contract import (
     start,
 )
 from servotrack.estimators.color.histogram import color_histogram, color_weights, learn, similarities
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 
 class MonteCarloState(NamedTuple):

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from servotrack.estimators.color.cells import CHANNELS, ORIENTATIONS, Features, describe, integrate_channels
+from servotrack.estimators.color.cells import CHANNELS, ORIENTATIONS, describe, integrate_channels
 from servotrack.estimators.color.contract import (
     BoxEstimate,
     Pose,
@@ -18,9 +18,7 @@ from servotrack.estimators.color.contract import (
     start,
 )
 from servotrack.estimators.color.histogram import color_histogram
-from servotrack.estimators.detect.images import Image
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, FloatArray, Image
 
 
 class View(NamedTuple):
@@ -31,7 +29,7 @@ class View(NamedTuple):
         corner: Left and top of the part, then zeros. Shape (4,), px.
     """
 
-    integral: Features
+    integral: FloatArray
     corner: Array
 
 
@@ -43,8 +41,8 @@ class PlusState(NamedTuple):
         velocity: Of the center, shape (2,), px per frame.
         inside: Histogram of the object's colors, shape (bins ** 3,).
         outside: Histogram of the colors around it, shape (bins ** 3,).
-        first: Features of the first box, shape (2, f).
-        recent: Features as they are now, shape (2, f).
+        first: FloatArray of the first box, shape (2, f).
+        recent: FloatArray as they are now, shape (2, f).
         contrast: Usual contrast of the object with its surroundings.
         lost: How sure it is that the object is out of sight, 0 to 1.
         frame: Number of frames seen.
@@ -54,8 +52,8 @@ class PlusState(NamedTuple):
     velocity: Array
     inside: Array
     outside: Array
-    first: Features
-    recent: Features
+    first: FloatArray
+    recent: FloatArray
     contrast: float
     lost: float
     frame: int
@@ -181,7 +179,7 @@ class MonteCarloColorPlus:
         drawn[:, 2] = last.bounded(scale * np.exp(deviation * noise[:, 2]))
         return drawn
 
-    def _similarity(self, view: View, state: PlusState, boxes: Array) -> tuple[Array, Features, Array]:
+    def _similarity(self, view: View, state: PlusState, boxes: Array) -> tuple[Array, FloatArray, Array]:
         """Similarity (n,), features (n, 2, f) and contrast (n,) of boxes."""
         features, contrast = self._describe(view, boxes)
         memory = self.loyalty * state.first + (1.0 - self.loyalty) * state.recent
@@ -191,7 +189,7 @@ class MonteCarloColorPlus:
         total = self.gradient_share * gradients + self.color_share * colors + rest * relative
         return total.astype(np.float64), features, contrast
 
-    def _view(self, image: Image, boxes: Array, chances: Features) -> View:
+    def _view(self, image: Image, boxes: Array, chances: FloatArray) -> View:
         """The part of a frame that holds boxes with their surroundings, integrated."""
         margin = self.rim * boxes[:, 2:] + 2.0
         size = np.array([image.shape[1], image.shape[0]])
@@ -204,7 +202,7 @@ class MonteCarloColorPlus:
         integrate_channels(region, chances, self.bins, integral)
         return View(integral, np.array([*low, 0.0, 0.0]))
 
-    def _describe(self, view: View, boxes: Array) -> tuple[Features, Array]:
+    def _describe(self, view: View, boxes: Array) -> tuple[FloatArray, Array]:
         """Features (n, 2, f) and contrast (n,) of boxes."""
         found = np.zeros((len(boxes), 2, self.grid**2 * ORIENTATIONS), np.float32)
         contrast = np.zeros(len(boxes))
@@ -220,7 +218,7 @@ class MonteCarloColorPlus:
         return inside, np.maximum(both - share * inside, 0.0) / (1.0 - share)
 
     def _remember(
-        self, state: PlusState, image: Image, pose: Pose, hidden: bool, features: Features, contrast: float
+        self, state: PlusState, image: Image, pose: Pose, hidden: bool, features: FloatArray, contrast: float
     ) -> PlusState:
         """The next state: hidden objects teach nothing and keep going ever more slowly."""
         after = state._replace(pose=pose, frame=state.frame + 1)
@@ -239,7 +237,7 @@ class MonteCarloColorPlus:
         )
 
 
-def _chances(inside: Array, outside: Array) -> Features:
+def _chances(inside: Array, outside: Array) -> FloatArray:
     """That a pixel of each color is the object's, 0 to 1; a half where neither has the color."""
     return ((inside + _UNSEEN) / (inside + outside + 2.0 * _UNSEEN)).astype(np.float32)
 

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.color.contract import BoxEstimate, checked_frame, start
 from servotrack.estimators.color.histogram import pixel_edges
+from servotrack.estimators.types import Array
 
-Array = NDArray[np.float64]
 Name = Literal["MIL", "CSRT", "KCF"]
 
 

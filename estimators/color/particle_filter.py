@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.color.contract import (
     BoxEstimate,
@@ -17,8 +17,7 @@ from servotrack.estimators.color.contract import (
     start,
 )
 from servotrack.estimators.color.histogram import color_histogram, color_weights, learn, similarities
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 
 class ParticleState(NamedTuple):
@@ -104,7 +103,7 @@ class ColorParticleFilter:
         return state, BoxEstimate(pose.box, similarity, boxes, weights)
 
 
-def systematic_resampling(weights: Array, offset: float) -> NDArray[np.int64]:
+def systematic_resampling(weights: Array, offset: float) -> Labels:
     """Indices of n particles in proportion to their weights, by n equidistant pointers.
 
     Args:

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.estimators.color.contract import check_count, checked_frame
-from servotrack.estimators.detect.images import Image
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Image
 
 
 class Start(NamedTuple):

@@ -8,8 +8,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.detect.images import checked_image
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 
 def color_bins(image: ArrayLike, bins: int = 8) -> NDArray[np.int16]:

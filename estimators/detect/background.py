@@ -9,15 +9,16 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.detect.blobs import BlobFinder
 from servotrack.estimators.detect.bodies import BodySizes
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.detect.faint import add_faint_regions, join_by_faint_regions
 from servotrack.estimators.detect.healing import heal_regions
-from servotrack.estimators.detect.images import Image, checked_image, checked_images
+from servotrack.estimators.detect.images import checked_image, checked_images
 from servotrack.estimators.detect.runs import label_runs, measure_runs
+from servotrack.estimators.types import FloatArray, Image
 
 
 class BackgroundState(NamedTuple):
@@ -32,7 +33,7 @@ class BackgroundState(NamedTuple):
         flooded: Number of frames in a row whose foreground covered more than `flood` of the image.
     """
 
-    background: NDArray[np.float32]
+    background: FloatArray
     rounded: Image
     mask: Image
     sizes: BodySizes
@@ -206,7 +207,7 @@ class MaskedBackground:
         return mask, threshold
 
 
-def _rounded(background: NDArray[np.float32]) -> Image:
+def _rounded(background: FloatArray) -> Image:
     return np.asarray(cv2.convertScaleAbs(background), dtype=np.uint8)
 
 

@@ -20,8 +20,9 @@ from servotrack.estimators.detect.bodies import (
     no_sizes,
 )
 from servotrack.estimators.detect.detections import Detections
-from servotrack.estimators.detect.images import Image, checked_image
+from servotrack.estimators.detect.images import checked_image
 from servotrack.estimators.detect.runs import label_runs, measure_runs
+from servotrack.estimators.types import Image
 
 _FILLED = 0.2  # pixels of a person who is seen whole, in squares of the height
 

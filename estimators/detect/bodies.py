@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 BANDS = 24
 BODY_ASPECT = 0.36

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Image = NDArray[np.uint8]
+from servotrack.estimators.types import Image
 
 
 def checked_image(image: ArrayLike, name: str = "frame", shape: tuple[int, ...] | None = None) -> Image:

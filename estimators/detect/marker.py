@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from servotrack.estimators.types import Array, FloatArray, Image, Mask
 
 _HALO = 2  # px around a blob that still hold light of its edge
 
@@ -46,7 +45,7 @@ class MarkerDetector:
         if not self.least_weight > 0.0:
             raise ValueError(f"least_weight must be positive, got {self.least_weight!r}")
 
-    def detect(self, images: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
+    def detect(self, images: ArrayLike) -> tuple[Array, Mask]:
         """Find the marker.
 
         Args:
@@ -72,7 +71,7 @@ class MarkerDetector:
                 centers[row], seen[row] = center, True
         return centers.reshape(*batch, 2), seen.reshape(batch)
 
-    def _score(self, image: Image) -> NDArray[np.float32]:
+    def _score(self, image: Image) -> FloatArray:
         """Component along the marker's chroma, 1 for the marker in full light, and about 0 for most of the image."""
         color = np.asarray(self.color, dtype=np.float64)
         chroma = color - color.mean()
@@ -81,7 +80,7 @@ class MarkerDetector:
         # A floor that is not quite gray has a score of its own.
         return score - np.float32(np.median(score[::4, ::4]))
 
-    def _find(self, score: NDArray[np.float32]) -> tuple[float, float] | None:
+    def _find(self, score: FloatArray) -> tuple[float, float] | None:
         """Weighted centroid of the blob of greatest total score."""
         mask = (score > self.threshold).astype(np.uint8)
         count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from servotrack.estimators.detect.blobs import BlobFinder
 from servotrack.estimators.detect.bodies import BodySizes
 from servotrack.estimators.detect.detections import Detections
-from servotrack.estimators.detect.images import Image, checked_image, checked_images
+from servotrack.estimators.detect.images import checked_image, checked_images
 from servotrack.estimators.detect.runs import label_runs
+from servotrack.estimators.types import Image
 
 _SHADOW = 127  # OpenCV's value of a shadow in a mask
 

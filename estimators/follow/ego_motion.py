@@ -12,8 +12,8 @@ from typing import Protocol
 import numpy as np
 
 from servotrack.estimators.camera import ground_points, project_points
-from servotrack.estimators.jacobian.contract import Array
 from servotrack.estimators.jacobian.lifted import LiftedState
+from servotrack.estimators.types import Array
 
 
 class EgoMotion(Protocol):

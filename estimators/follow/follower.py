@@ -17,13 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.estimators.follow.ego_motion import EgoMotion
-from servotrack.estimators.jacobian.contract import Array
-from servotrack.estimators.online import select_rows
 from servotrack.estimators.rfs import GMPHD, HiddenMarkovModel, MeasurementBirth, Reduction
 from servotrack.estimators.rfs.phd import PHDState
+from servotrack.estimators.stateful import select_rows
+from servotrack.estimators.types import Array, Labels, Mask
 
 COLUMNS = 8
 """Of a detection: existence; column, row, width, height (px); red, green, blue (gray levels)."""
@@ -46,12 +45,12 @@ class FollowState(NamedTuple):
     """
 
     crowd: PHDState
-    label: NDArray[np.int64]
+    label: Labels
     place: Array
     motion: Array
     color: Array
-    unseen: NDArray[np.int64]
-    strangers: NDArray[np.int64]
+    unseen: Labels
+    strangers: Labels
 
 
 class Sighting(NamedTuple):
@@ -63,7 +62,7 @@ class Sighting(NamedTuple):
     """
 
     features: Array
-    visible: NDArray[np.bool_]
+    visible: Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +176,7 @@ class PersonFollower:
         self,
         state: FollowState,
         detections: Array,
-        fresh: NDArray[np.bool_],
+        fresh: Mask,
         elapsed: Array,
         ego_motion: EgoMotion,
         joints_before: Array,

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from servotrack.estimators.types import Array
 
 _BODY = 0.26
 """Radius of the person in a picture, as a share of its width."""
 
 
-def patch_color(patch: ArrayLike) -> NDArray[np.float64]:
+def patch_color(patch: ArrayLike) -> Array:
     """Mean color of the middle of square pictures of persons.
 
     Args:

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 _COLUMNS = 8
 _NO_FLOOR = 8.0  # pixels darker than this are where the lens shows nothing, gray levels
@@ -155,7 +155,7 @@ def _differs(smooth, brightness, around, hue, chroma, dark, bright, mask):  # ty
 _ROUNDS = 6
 
 
-def _parts(place: Array, number: int) -> NDArray[np.int64]:
+def _parts(place: Array, number: int) -> Labels:
     """Divide pixels among people by place alone: Lloyd's algorithm from the longest axis.
 
     Colors would divide a person's hair from their coat.

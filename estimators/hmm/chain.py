@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 SMALLEST_WEIGHT = 1e-5
 """Transitions of less probability are left out."""
@@ -24,9 +24,9 @@ SMALLEST_WEIGHT = 1e-5
 class Runs(NamedTuple):
     """Transitions: source, target and length of each run, and its probability. Shape (runs,) each."""
 
-    source: NDArray[np.int64]
-    target: NDArray[np.int64]
-    length: NDArray[np.int64]
+    source: Labels
+    target: Labels
+    length: Labels
     weight: Array
 
 
@@ -135,7 +135,7 @@ def sparse_chain(transitions: Any) -> Chain:
     return Chain(int(matrix.shape[0]), runs)
 
 
-def _cells_of_rates(rates: Array, spacing: float, period: float) -> NDArray[np.int64]:
+def _cells_of_rates(rates: Array, spacing: float, period: float) -> Labels:
     """Cells that each rate moves in one step, as whole numbers whose differences are even."""
     if not np.isfinite(rates).all():
         raise ValueError(f"rates must be finite, got {rates.tolist()}")

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 
 def occupancy(marginal: Array, presence: Array, positions: int, spread: int) -> Array:

@@ -6,12 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.hmm.chain import Chain, reach_of_band, step_band
-
-Array = NDArray[np.float64]
-
+from servotrack.estimators.types import Array, Labels
 
 TINY = 1e-120
 """Added to messages: rows that contradict each other must not leave all states with a probability of 0."""
@@ -31,7 +29,7 @@ class Smoothed(NamedTuple):
     marginal: Array
     existence_likelihood: Array
     log_evidence: float
-    bands: NDArray[np.int64]
+    bands: Labels
 
 
 def smooth(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.hmm.chain import Chain
+from servotrack.estimators.types import Labels
 
 
-def best_path(chain: Chain, log_likelihood: ArrayLike) -> tuple[NDArray[np.int64], float]:
+def best_path(chain: Chain, log_likelihood: ArrayLike) -> tuple[Labels, float]:
     """States of the path of largest probability, from a uniform prior.
 
     Args:

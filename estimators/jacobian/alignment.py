@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from servotrack.estimators.jacobian.contract import Array, Increment, LinearEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.contract import Increment, LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.measurement import checked, first_bad
+from servotrack.estimators.types import Array, Mask
 
 
 class AlignmentState(NamedTuple):
@@ -32,7 +32,7 @@ class AlignmentState(NamedTuple):
 
     history_time: Array
     history_angles: Array
-    seen: NDArray[np.bool_]
+    seen: Mask
     frame_time: Array
     frame_joints: Array
     frame_features: Array

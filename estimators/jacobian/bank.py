@@ -12,8 +12,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.estimators.jacobian.contract import Array, JacobianEstimator, ServoEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.contract import JacobianEstimator, ServoEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.measurement import checked
+from servotrack.estimators.types import Array
 
 
 class Hypotheses(Protocol):

@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState, present_estimate
-from servotrack.estimators.jacobian.contract import Array, LinearEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.contract import LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.prior import JacobianPrior
 from servotrack.estimators.jacobian.shared_covariance import interval
+from servotrack.estimators.types import Array
 
 
 class BroydenState(NamedTuple):

@@ -20,9 +20,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 
 class ServoMeasurement(NamedTuple):
@@ -41,7 +40,7 @@ class ServoMeasurement(NamedTuple):
     joint_angles: Array
     features: Array
     goal: Array
-    visible: NDArray[np.bool_]
+    visible: Mask
     frame_time: Array
     time: Array
 
@@ -61,7 +60,7 @@ class Increment(NamedTuple):
     joints: Array
     time: Array
     features: Array
-    fresh: NDArray[np.bool_]
+    fresh: Mask
     pending_joints: Array
     pending_time: Array
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from servotrack.estimators.jacobian.contract import Array, JacobianEstimator, ServoMeasurement
+from servotrack.estimators.jacobian.contract import JacobianEstimator, ServoMeasurement
 from servotrack.estimators.jacobian.excitation import Excitation
 from servotrack.estimators.jacobian.laws import ControlLaw, ProportionalIntegral, limiting_factor
 from servotrack.estimators.jacobian.supervisor import Supervisor, SupervisorState
-from servotrack.estimators.online import select_rows
+from servotrack.estimators.stateful import select_rows
+from servotrack.estimators.types import Array, Labels
 
 
 class ControllerState(NamedTuple):
@@ -30,7 +30,7 @@ class ControllerState(NamedTuple):
     estimator: Any
     law: Any
     supervisor: SupervisorState
-    move: NDArray[np.int64]
+    move: Labels
     direction: Array
     commanded: Array
 

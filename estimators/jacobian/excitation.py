@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from servotrack.estimators.jacobian.contract import Array
+from servotrack.estimators.types import Array, Labels
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class Excitation:
             if not 0.0 < value < np.inf:
                 raise ValueError(f"{name} must be finite and > 0, got {value}")
 
-    def rate(self, move: NDArray[np.int64], direction: Array) -> Array:
+    def rate(self, move: Labels, direction: Array) -> Array:
         """Joint rates of one move.
 
         Args:

@@ -8,11 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState, present_estimate
-from servotrack.estimators.jacobian.contract import Array, LinearEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.contract import LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.gaussian import correlated_scores, positive_definite
 from servotrack.estimators.jacobian.prior import JacobianPrior, RandomWalk
 from servotrack.estimators.jacobian.shared_covariance import interval
-from servotrack.estimators.online import select_rows
+from servotrack.estimators.stateful import select_rows
+from servotrack.estimators.types import Array
 
 
 class FullState(NamedTuple):

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from servotrack.estimators.jacobian.contract import Array
+from servotrack.estimators.types import Array, Mask
 
 
-def correlated_scores(innovation: Array, covariance: Array, used: NDArray[np.bool_]) -> tuple[Array, Array]:
+def correlated_scores(innovation: Array, covariance: Array, used: Mask) -> tuple[Array, Array]:
     """Log likelihood and surprise of an innovation; both 0 where no measurement was used.
 
     Args:

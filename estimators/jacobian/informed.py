@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.camera import ground_points
-from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
+from servotrack.estimators.jacobian.contract import ServoMeasurement
 from servotrack.estimators.jacobian.lifted import SWINGING_MODELS, LiftedEstimate, LiftedKalman, LiftedState
 from servotrack.estimators.jacobian.measurement import checked
+from servotrack.estimators.types import Array, Mask
 
 
 class Geometry(NamedTuple):
@@ -43,7 +43,7 @@ class InformedMeasurement(NamedTuple):
     joint_angles: Array
     features: Array
     goal: Array
-    visible: NDArray[np.bool_]
+    visible: Mask
     frame_time: Array
     time: Array
     geometry: Geometry

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState, present_estimate
-from servotrack.estimators.jacobian.contract import Array, LinearEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.contract import LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.prior import JacobianPrior, RandomWalk
 from servotrack.estimators.jacobian.robust import OutlierModel, robust_variance
 from servotrack.estimators.jacobian.shared_covariance import interval, shared_update
+from servotrack.estimators.types import Array
 
 
 class KalmanState(NamedTuple):

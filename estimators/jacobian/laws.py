@@ -12,7 +12,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from servotrack.estimators.jacobian.contract import Array, ServoEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.contract import ServoEstimate, ServoMeasurement
+from servotrack.estimators.types import Array
 
 
 class ControlLaw(Protocol):

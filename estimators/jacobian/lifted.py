@@ -24,13 +24,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
-from servotrack.estimators.jacobian.contract import Array, Increment, ServoMeasurement
+from servotrack.estimators.jacobian.contract import Increment, ServoMeasurement
 from servotrack.estimators.jacobian.lifted_kernel import lifted_update
-
-ComplexArray = NDArray[np.complex128]
+from servotrack.estimators.types import Array, ComplexArray
 
 
 class LiftedState(NamedTuple):

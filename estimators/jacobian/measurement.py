@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
+from servotrack.estimators.jacobian.contract import ServoMeasurement
+from servotrack.estimators.types import Array, Mask
 
 CLOCK_TOLERANCE = 1e-6
 """How far a frame's stamp may lie after the present before it counts as a frame from the future, s."""
@@ -75,7 +75,7 @@ def checked(measurement: ServoMeasurement) -> ServoMeasurement:
     return ServoMeasurement(joint_angles, features, goal, visible, frame_time, time)
 
 
-def first_bad(value: Array, bad: NDArray[np.bool_]) -> str:
+def first_bad(value: Array, bad: Mask) -> str:
     """The first entry of `value` where `bad` is true, with its place if there is more than one entry."""
     place = tuple(int(i) for i in np.argwhere(bad)[0])
     return f"{value[place]} at index {list(place)}" if value.size > 1 else f"{value[place]}"

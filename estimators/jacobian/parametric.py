@@ -18,14 +18,13 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
-from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
+from servotrack.estimators.jacobian.contract import ServoMeasurement
 from servotrack.estimators.jacobian.lifted import LiftedEstimate
 from servotrack.estimators.jacobian.measurement import checked
-
-ComplexArray = NDArray[np.complex128]
+from servotrack.estimators.types import Array, ComplexArray
 
 STATE_SIZE = 9
 

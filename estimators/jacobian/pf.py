@@ -8,13 +8,13 @@ from math import lgamma, log, pi
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState, present_estimate
-from servotrack.estimators.jacobian.contract import Array, LinearEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.contract import LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.prior import JacobianPrior, RandomWalk
 from servotrack.estimators.jacobian.shared_covariance import interval
-from servotrack.estimators.online import select_rows
+from servotrack.estimators.stateful import select_rows
+from servotrack.estimators.types import Array, Labels
 
 TABLE_STEPS = 256
 """Steps after which the table of random numbers begins anew: longer than anything the weights remember."""
@@ -33,7 +33,7 @@ class ParticleState(NamedTuple):
     alignment: AlignmentState
     particles: Array
     log_weights: Array
-    draws: NDArray[np.int64]
+    draws: Labels
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from servotrack.estimators.jacobian.alignment import AlignmentState
-from servotrack.estimators.jacobian.contract import Array
+from servotrack.estimators.types import Array
 
 
 @dataclass(frozen=True)

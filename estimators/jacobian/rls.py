@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from servotrack.estimators.jacobian.alignment import Alignment, present_estimate
-from servotrack.estimators.jacobian.contract import Array, LinearEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.contract import LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.kf import KalmanState
 from servotrack.estimators.jacobian.prior import JacobianPrior
 from servotrack.estimators.jacobian.shared_covariance import interval, shared_update
+from servotrack.estimators.types import Array
 
 
 @dataclass(frozen=True)

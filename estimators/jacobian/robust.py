@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from servotrack.estimators.jacobian.contract import Array
+from servotrack.estimators.types import Array
 
 
 class OutlierModel(Protocol):

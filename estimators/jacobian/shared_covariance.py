@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from servotrack.estimators.jacobian.contract import Array, Increment
+from servotrack.estimators.jacobian.contract import Increment
+from servotrack.estimators.types import Array, Mask
 
 
 class SharedUpdate(NamedTuple):
@@ -40,7 +40,7 @@ def interval(increment: Increment) -> Array:
 
 
 def shared_update(
-    mean: Array, covariance: Array, direction: Array, measured: Array, variance: Array | float, used: NDArray[np.bool_]
+    mean: Array, covariance: Array, direction: Array, measured: Array, variance: Array | float, used: Mask
 ) -> SharedUpdate:
     """Measurement z = mean h + noise, in Joseph form, which keeps the covariance symmetric positive definite.
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from servotrack.estimators.jacobian.contract import Array, ServoEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.contract import ServoEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.laws import finite_or_zero
+from servotrack.estimators.types import Array, Labels, Mask
 
 
 class SupervisorState(NamedTuple):
@@ -25,12 +25,12 @@ class SupervisorState(NamedTuple):
         last_seen_joints: Joint angles when the target was last seen. Shape (*batch, n), rad.
     """
 
-    symptoms: NDArray[np.int64]
+    symptoms: Labels
     error_norm: Array
     surprise: Array
     joint_angles: Array
-    blocked: NDArray[np.int64]
-    unseen: NDArray[np.int64]
+    blocked: Labels
+    unseen: Labels
     last_seen_joints: Array
 
 
@@ -42,8 +42,8 @@ class Verdict(NamedTuple):
         lost: Whether the target has been out of view for too long to trust the prediction. Shape (*batch,), bool.
     """
 
-    excite: NDArray[np.bool_]
-    lost: NDArray[np.bool_]
+    excite: Mask
+    lost: Mask
 
 
 @dataclass(frozen=True)
@@ -152,6 +152,6 @@ class Supervisor:
         )
         return new_state, Verdict(visible & (symptoms >= self.patience), unseen >= self.unseen_limit)
 
-    def _ill_conditioned(self, estimate: ServoEstimate) -> NDArray[np.bool_]:
+    def _ill_conditioned(self, estimate: ServoEstimate) -> Mask:
         values = np.linalg.svd(finite_or_zero(estimate.jacobian[..., :-1]), compute_uv=False)
         return values[..., 0] >= self.condition_limit * values[..., -1]

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from servotrack.estimators.jacobian.alignment import Alignment, present_estimate
-from servotrack.estimators.jacobian.contract import Array, LinearEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.contract import LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.full_kf import FullState, observation_matrix, repeated_blocks
 from servotrack.estimators.jacobian.gaussian import correlated_scores
 from servotrack.estimators.jacobian.prior import JacobianPrior, RandomWalk
 from servotrack.estimators.jacobian.shared_covariance import interval
-from servotrack.estimators.online import select_rows
+from servotrack.estimators.stateful import select_rows
+from servotrack.estimators.types import Array
 
 
 @dataclass(frozen=True)

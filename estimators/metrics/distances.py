@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 
 def point_distances(first: ArrayLike, second: ArrayLike) -> Array:

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from servotrack.estimators.metrics.joined import Joined
-from servotrack.estimators.metrics.sequence import EPSILON, Array, TrackSequence
+from servotrack.estimators.metrics.sequence import EPSILON, TrackSequence
+from servotrack.estimators.types import Array
 
 THRESHOLDS = np.arange(0.05, 0.99, 0.05)
 

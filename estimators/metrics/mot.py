@@ -12,7 +12,8 @@ from servotrack.estimators.metrics.distances import box_distances
 from servotrack.estimators.metrics.hota import hota_scores
 from servotrack.estimators.metrics.identity import identity_scores
 from servotrack.estimators.metrics.sequence import track_sequence
-from servotrack.estimators.metrics.tracks import Array, Track
+from servotrack.estimators.metrics.tracks import Track
+from servotrack.estimators.types import Array
 
 
 class MotScores(NamedTuple):

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from servotrack.estimators.metrics.joined import Joined
-from servotrack.estimators.metrics.tracks import Array, Track, members_by_step
+from servotrack.estimators.metrics.tracks import Track, members_by_step
+from servotrack.estimators.types import Array, Labels, Mask
 
 EPSILON = float(np.finfo(np.float64).eps)  # rounding that a similarity at the threshold is forgiven
 
@@ -39,9 +40,7 @@ class _Frames(Sequence[Frame]):
         similarity: Of all pairs of all steps, likewise.
     """
 
-    def __init__(
-        self, sizes: NDArray[np.int64], truth: NDArray[np.intp], estimate: NDArray[np.intp], similarity: Array
-    ) -> None:
+    def __init__(self, sizes: Labels, truth: NDArray[np.intp], estimate: NDArray[np.intp], similarity: Array) -> None:
         ends = np.cumsum(np.column_stack([sizes, sizes.prod(axis=1)]), axis=0)
         self._sizes, self._bounds = sizes, np.concatenate([np.zeros((1, 3), np.int64), ends])
         self._truth, self._estimate, self._similarity = truth, estimate, similarity
@@ -74,8 +73,8 @@ class TrackSequence(NamedTuple):
     """
 
     frames: Sequence[Frame]
-    truth_counts: NDArray[np.int64]
-    estimate_counts: NDArray[np.int64]
+    truth_counts: Labels
+    estimate_counts: Labels
 
     def meetings(self) -> Iterator[Frame]:
         """The steps at which both sides exist; the others say nothing about who is whom."""
@@ -135,7 +134,7 @@ def track_sequence(
     )
 
 
-def _not_ignored(similarity: Array, counted: NDArray[np.bool_], threshold: float) -> NDArray[np.bool_]:
+def _not_ignored(similarity: Array, counted: Mask, threshold: float) -> Mask:
     """Which estimates are not paired with ignored truth, truth that counts coming first."""
     eligible = np.where(similarity >= threshold - EPSILON, similarity, 0.0)
     # More than all similarities together: no pair with truth that counts is given up.

@@ -7,13 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import point_distances
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from servotrack.estimators.types import Array, Labels
 
 
 class GospaParts(NamedTuple):
@@ -43,7 +41,7 @@ class SetScores(NamedTuple):
 
     ospa: Array
     gospa: GospaParts
-    cardinality_error: NDArray[np.int64]
+    cardinality_error: Labels
 
 
 def score_distances(

@@ -8,7 +8,7 @@ from typing import NamedTuple, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 
 class Track(NamedTuple):
@@ -19,7 +19,7 @@ class Track(NamedTuple):
         states: Shape (k, d).
     """
 
-    steps: NDArray[np.int64]
+    steps: Labels
     states: Array
 
 
@@ -59,7 +59,7 @@ class Members(NamedTuple):
 class _Steps(Sequence[Members]):
     """Members of T steps, cut out of whole arrays when they are asked for: hours of steps would fill the memory."""
 
-    def __init__(self, bounds: NDArray[np.int64], rows: NDArray[np.intp], states: Array) -> None:
+    def __init__(self, bounds: Labels, rows: NDArray[np.intp], states: Array) -> None:
         self._bounds, self._rows, self._states = bounds, rows, states
 
     def __len__(self) -> int:

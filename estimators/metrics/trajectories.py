@@ -13,8 +13,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from servotrack.estimators.metrics.assignment import assign
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 
 class TrajectoryGospaParts(NamedTuple):

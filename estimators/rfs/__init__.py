@@ -1,7 +1,7 @@
 """Filters over random finite sets: a varying number of targets in clutter, one step at a time.
 
     model = pairwise_structure(constant_velocity(process_noise=5.0, measurement_noise=1.5), "S1")
-    tracker = Online(PMB(model, MeasurementBirth(), clutter_intensity=20 / 4000.0**2, detection=0.95))
+    tracker = Stateful(PMB(model, MeasurementBirth(), clutter_intensity=20 / 4000.0**2, detection=0.95))
     for z in measurements:  # arrays of shape (number, 2), number may be 0
         estimate = tracker.step(z)
         print(estimate.labels, estimate.states, estimate.existence)

@@ -6,11 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.estimators.rfs.mixture import predict_components
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 
 class Tracks(NamedTuple):
@@ -25,10 +23,10 @@ class Tracks(NamedTuple):
         size: Number of components. Shape (*batch, T).
     """
 
-    number: NDArray[np.int64]
+    number: Labels
     existence: Array
-    label: NDArray[np.int64]
-    size: NDArray[np.int64]
+    label: Labels
+    size: Labels
 
 
 def empty_tracks(batch: int, capacity: int) -> Tracks:

@@ -8,11 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.rfs.models import RangeBearingModel, TargetModel, checked_covariance
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 
 class BirthMixture(NamedTuple):

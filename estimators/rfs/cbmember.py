@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.estimators.rfs.bernoulli import (
     Tracks,
@@ -24,8 +23,7 @@ from servotrack.estimators.rfs.mixture import Mixture, append_births, append_spa
 from servotrack.estimators.rfs.recursion import GaussianSetFilter, check_sound
 from servotrack.estimators.rfs.reduction import Reduction, reduce_mixture
 from servotrack.estimators.rfs.sets import Extraction, empty_extraction
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 LARGEST_EXISTENCE = 0.999
 """Existence is clipped here before r / (1 - r)."""
@@ -44,7 +42,7 @@ class CBMeMBerState(NamedTuple):
     tracks: Tracks
     pool: Mixture
     births: BirthMixture
-    next_label: NDArray[np.int64]
+    next_label: Labels
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +62,7 @@ class GMCBMeMBer(GaussianSetFilter):
         return CBMeMBerState(empty_tracks(batch, rules.tracks), pool, self._no_births(batch), np.ones(batch, np.int64))
 
     def _advance(
-        self, state: CBMeMBerState, births: BirthMixture, z: Array, number: NDArray[np.int64], clutter: Array
+        self, state: CBMeMBerState, births: BirthMixture, z: Array, number: Labels, clutter: Array
     ) -> tuple[CBMeMBerState, Extraction, Array]:
         model, rules, batch = self.model.packed, self.reduction, z.shape[0]
         n, m = self._sizes

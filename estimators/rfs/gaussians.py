@@ -19,11 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.estimators.rfs.range_bearing import linearized_range_bearing, unscented_range_bearing
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 LINEAR, EXTENDED, UNSCENTED = 0, 1, 2
 """How the measurement depends on the state: linearly, or as range and bearing through an EKF or a UKF."""
@@ -52,7 +50,7 @@ class PackedModel(NamedTuple):
     observation: Array
     measurement_noise: Array
     sensor: Array
-    angular: NDArray[np.bool_]
+    angular: Mask
 
 
 @njit(cache=True, nogil=True)

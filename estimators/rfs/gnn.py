@@ -8,11 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtri
 
-from servotrack.estimators.online import add_axis, first_row
 from servotrack.estimators.rfs.birth import state_from_measurement
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, predict_components
@@ -25,8 +24,8 @@ from servotrack.estimators.rfs.sets import (
     estimate_from_extraction,
     read_measurements,
 )
-
-Array = NDArray[np.float64]
+from servotrack.estimators.stateful import add_axis, first_row
+from servotrack.estimators.types import Array, Labels
 
 TENTATIVE_EXISTENCE = 0.25
 """Existence given for an unconfirmed track: its identity is held, not reported."""
@@ -46,9 +45,9 @@ class GNNState(NamedTuple):
     """
 
     tracks: Mixture
-    hits: NDArray[np.int64]
-    age: NDArray[np.int64]
-    next_label: NDArray[np.int64]
+    hits: Labels
+    age: Labels
+    next_label: Labels
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +181,7 @@ class GlobalNearestNeighbor:
         new.next_label[b] = state.next_label[b] + len(left)
 
 
-def _count_bits(values: NDArray[np.int64]) -> NDArray[np.int64]:
+def _count_bits(values: Labels) -> Labels:
     """Number of ones in each value."""
     return ((values[:, None] >> np.arange(60)) & 1).sum(axis=1)
 

@@ -6,11 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.estimators.rfs.gaussians import attach_measurement, predict_gaussian
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels, Mask
 
 
 class Mixture(NamedTuple):
@@ -25,12 +23,12 @@ class Mixture(NamedTuple):
         label: Identity, 0 for none yet. Shape (*batch, K).
     """
 
-    number: NDArray[np.int64]
+    number: Labels
     weight: Array
     mean: Array
     covariance: Array
-    detected: NDArray[np.bool_]
-    label: NDArray[np.int64]
+    detected: Mask
+    label: Labels
 
 
 def empty_mixture(batch: int, capacity: int, N: int) -> Mixture:

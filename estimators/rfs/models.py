@@ -16,11 +16,11 @@ from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.rfs.gaussians import EXTENDED, LINEAR, UNSCENTED, PackedModel
+from servotrack.estimators.types import Array
 
-Array = NDArray[np.float64]
 Structure = Literal["S1", "S2", "S3", "S4", "S5", "S6"]
 
 STRUCTURES: tuple[Structure, ...] = ("S1", "S2", "S3", "S4", "S5", "S6")

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.estimators.rfs.birth import BirthMixture
 from servotrack.estimators.rfs.extraction import RULES, extract_intensity
@@ -27,8 +26,7 @@ from servotrack.estimators.rfs.mixture import (
 from servotrack.estimators.rfs.recursion import GaussianSetFilter, Probability, check_sound
 from servotrack.estimators.rfs.reduction import reduce_mixture
 from servotrack.estimators.rfs.sets import Extraction, empty_extraction
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 
 class PHDState(NamedTuple):
@@ -42,7 +40,7 @@ class PHDState(NamedTuple):
 
     intensity: Mixture
     births: BirthMixture
-    next_label: NDArray[np.int64]
+    next_label: Labels
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +53,7 @@ class GMPHD(GaussianSetFilter):
         return PHDState(intensity, self._no_births(batch), np.ones(batch, np.int64))
 
     def _advance(
-        self, state: PHDState, births: BirthMixture, z: Array, number: NDArray[np.int64], clutter: Array
+        self, state: PHDState, births: BirthMixture, z: Array, number: Labels, clutter: Array
     ) -> tuple[PHDState, Extraction, Array]:
         return self._advance_detecting(state, births, z, number, clutter, self.detection)
 
@@ -64,7 +62,7 @@ class GMPHD(GaussianSetFilter):
         state: PHDState,
         births: BirthMixture,
         z: Array,
-        number: NDArray[np.int64],
+        number: Labels,
         clutter: Array,
         probability: Probability | Array,
     ) -> tuple[PHDState, Extraction, Array]:

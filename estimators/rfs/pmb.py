@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
 from servotrack.estimators.rfs.birth import BirthMixture
@@ -21,8 +20,7 @@ from servotrack.estimators.rfs.pmb_kernel import predict_pmb, update_pmb
 from servotrack.estimators.rfs.recursion import GaussianSetFilter, check_sound
 from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.sets import Extraction, empty_extraction
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 
 class PMBState(NamedTuple):
@@ -40,7 +38,7 @@ class PMBState(NamedTuple):
     pool: Mixture
     undetected: Mixture
     births: BirthMixture
-    next_label: NDArray[np.int64]
+    next_label: Labels
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +68,7 @@ class PMB(GaussianSetFilter):
         )
 
     def _advance(
-        self, state: PMBState, births: BirthMixture, z: Array, number: NDArray[np.int64], clutter: Array
+        self, state: PMBState, births: BirthMixture, z: Array, number: Labels, clutter: Array
     ) -> tuple[PMBState, Extraction, Array]:
         model, rules, batch = self.model.packed, self.reduction, z.shape[0]
         n, m = self._sizes

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from servotrack.estimators.online import add_axis, first_row
 from servotrack.estimators.rfs.birth import state_from_measurement
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.sets import (
@@ -18,12 +17,14 @@ from servotrack.estimators.rfs.sets import (
     estimate_from_extraction,
     read_measurements,
 )
+from servotrack.estimators.stateful import add_axis, first_row
+from servotrack.estimators.types import Labels
 
 
 class RawState(NamedTuple):
     """The next new identity. Shape (*batch,)."""
 
-    next_label: NDArray[np.int64]
+    next_label: Labels
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
-from servotrack.estimators.online import add_axis, first_row
 from servotrack.estimators.rfs.birth import Birth, BirthMixture, MeasurementBirth, Spawn, pack_spawns
 from servotrack.estimators.rfs.extraction import RULES, Rule
 from servotrack.estimators.rfs.mixture import Mixture
@@ -25,8 +24,9 @@ from servotrack.estimators.rfs.sets import (
     estimate_from_extraction,
     read_measurements,
 )
+from servotrack.estimators.stateful import add_axis, first_row
+from servotrack.estimators.types import Array, Labels
 
-Array = NDArray[np.float64]
 Probability = float | Callable[[Array], Array]
 """A constant in [0, 1], or a function of states (k, n) that returns (k,)."""
 
@@ -125,7 +125,7 @@ class GaussianSetFilter(ABC):
 
     @abstractmethod
     def _advance(
-        self, state: Any, births: BirthMixture, z: Array, number: NDArray[np.int64], clutter: Array
+        self, state: Any, births: BirthMixture, z: Array, number: Labels, clutter: Array
     ) -> tuple[Any, Extraction, Array]:
         """One step over all runs: the new state, what is extracted, each measurement's chance to be clutter (B, Z)."""
 
@@ -162,7 +162,7 @@ class GaussianSetFilter(ABC):
             return self.birth.empty(batch, n)
         return BirthMixture(np.zeros((batch, 0)), np.zeros((batch, 0, n)), np.zeros((batch, 0, n, n)))
 
-    def _clutter(self, z: Array, number: NDArray[np.int64]) -> Array:
+    def _clutter(self, z: Array, number: Labels) -> Array:
         """Kappa at each measurement, 0 in unused rows. Shape (B, Z)."""
         if not callable(self.clutter_intensity):
             return np.full(z.shape[:2], float(self.clutter_intensity))

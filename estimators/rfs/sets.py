@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
+from servotrack.estimators.types import Array, Labels, Mask
 
 REPORTED, HELD = 0.5, 0.05
 """Existence from which a row reports its target, and from which it keeps its identity."""
@@ -32,12 +31,12 @@ class Extraction(NamedTuple):
         expected: The filter's own expected number of targets. Shape (B,).
     """
 
-    number: NDArray[np.int64]
+    number: Labels
     existence: Array
     label: Labels
     state: Array
     covariance: Array
-    reported: NDArray[np.bool_]
+    reported: Mask
     expected: Array
 
 
@@ -112,7 +111,7 @@ def estimate_from_extraction(extraction: Extraction, single: bool) -> SetEstimat
     )
 
 
-def read_measurements(measurement: ArrayLike, m: int) -> tuple[Array, NDArray[np.int64], bool]:
+def read_measurements(measurement: ArrayLike, m: int) -> tuple[Array, Labels, bool]:
     """Measurements of one run, or of a batch of runs, as the kernels take them.
 
     Args:
@@ -261,14 +260,14 @@ def _allocate(owners: Labels, labels: Labels, reported: int, new: Labels) -> Non
     new[free] = arriving[: len(free)]
 
 
-def _front(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _front(mask: Mask) -> tuple[Labels, Mask]:
     """Indices that bring the marked rows of each run to the front, and which of the trimmed rows are used."""
     most = int(mask.sum(axis=1).max(initial=0))
     order = np.argsort(~mask, axis=1, kind="stable")[:, :most]
     return order, np.take_along_axis(mask, order, axis=1)
 
 
-def _take(array: NDArray, order: NDArray[np.int64], used: NDArray[np.bool_]) -> NDArray:  # type: ignore[type-arg]
+def _take(array: NDArray, order: Labels, used: Mask) -> NDArray:  # type: ignore[type-arg]
     """Rows of each run in the given order, zero where unused."""
     extra = (1,) * (array.ndim - 2)
     taken = np.take_along_axis(array, order.reshape(*order.shape, *extra), axis=1)

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from servotrack.estimators.online import add_axis, copied, first_row
 from servotrack.estimators.rfs.birth import Birth
 from servotrack.estimators.rfs.models import HiddenMarkovModel, RangeBearingModel
 from servotrack.estimators.rfs.particles import (
@@ -28,8 +27,8 @@ from servotrack.estimators.rfs.sets import (
     estimate_from_extraction,
     read_measurements,
 )
-
-Array = NDArray[np.float64]
+from servotrack.estimators.stateful import add_axis, copied, first_row
+from servotrack.estimators.types import Array, Labels
 
 
 class ParticlePHDState(NamedTuple):
@@ -45,13 +44,13 @@ class ParticlePHDState(NamedTuple):
         time: Steps taken. Shape (*batch,).
     """
 
-    number: NDArray[np.int64]
+    number: Labels
     weight: Array
     particle: Array
-    label: NDArray[np.int64]
-    next_label: NDArray[np.int64]
-    stream: NDArray[np.int64]
-    time: NDArray[np.int64]
+    label: Labels
+    next_label: Labels
+    stream: Labels
+    time: Labels
 
 
 @dataclass(frozen=True, eq=False)

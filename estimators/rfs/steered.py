@@ -6,14 +6,13 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from servotrack.estimators.online import add_axis, first_row
 from servotrack.estimators.rfs.birth import Birth, BirthMixture, MeasurementBirth
 from servotrack.estimators.rfs.phd import GMPHD, PHDState
 from servotrack.estimators.rfs.sets import SetEstimate, check_runs, estimate_from_extraction, read_measurements
-
-Array = NDArray[np.float64]
+from servotrack.estimators.stateful import add_axis, first_row
+from servotrack.estimators.types import Array
 
 
 class Steering(NamedTuple):

@@ -6,7 +6,7 @@
 
 or, with the answer five rows later and constant memory:
 
-    online = Online(HMMBearings(lag=5))
+    online = Stateful(HMMBearings(lag=5))
     for row in record:
         estimate = online.step(row)
         print(estimate.labels, estimate.states[:, 0])  # deg

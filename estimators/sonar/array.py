@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal.windows import chebwin
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, ComplexArray
+
 Shading = Literal["conventional", "chebyshev"]
 
 SIDELOBES = 30.0
@@ -97,7 +98,7 @@ def shading_weights(array: LineArray, shading: Shading = "conventional") -> Arra
     return np.asarray(weights / np.sqrt(np.sum(weights**2)), np.float64)
 
 
-def steering(array: LineArray, frequencies: ArrayLike, bearings_deg: ArrayLike) -> NDArray[np.complex128]:
+def steering(array: LineArray, frequencies: ArrayLike, bearings_deg: ArrayLike) -> ComplexArray:
     """A plane wave's phases at the elements, exp(-2 pi j f d n cos(theta) / c).
 
     Args:

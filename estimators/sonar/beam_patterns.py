@@ -8,13 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
 from servotrack.estimators.sonar.array import Band, LineArray, Shading, tabulate_pattern
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 NEAR = 1.0
 """Differences of cosines up to which a target's pattern is fitted."""

@@ -6,11 +6,9 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.hmm.existence import Span, presence, spans
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 ABOUT_MODE = 2.0
 """The estimate is the mean of the probabilities within this of their mode, deg."""
@@ -24,7 +22,7 @@ TRIM_SHARE, TRIM_MOST = 0.3, 1.0
 
 
 @dataclass(eq=False)
-class Followed:
+class TrackHypothesis:
     """What is known of one chain's target, row by row.
 
     Attributes:
@@ -110,7 +108,7 @@ class Followed:
             may_be[max(before, span.first - EDGE) : min(after, span.last + 1 + EDGE)] = True
         self.presence = np.where(may_be, there, 0.0)
 
-    def _implausible(self, pieces: list[Span], bridge: int) -> NDArray[np.int64]:
+    def _implausible(self, pieces: list[Span], bridge: int) -> Labels:
         """First rows of pieces to which the one before does not lead, carried on over the gap."""
         found = []
         for one, other in pairwise(pieces):
@@ -127,7 +125,7 @@ class Followed:
         return np.array(found, np.int64)
 
 
-def _split(whole: list[Span], breaks: NDArray[np.int64]) -> list[Span]:
+def _split(whole: list[Span], breaks: Labels) -> list[Span]:
     """Spans, cut before each of some rows."""
     parts = []
     for span in whole:

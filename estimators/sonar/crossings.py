@@ -7,12 +7,11 @@ from itertools import combinations
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.sonar.beam_patterns import Patterns
-from servotrack.estimators.sonar.chain_estimate import Followed
+from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
+from servotrack.estimators.types import Array, Labels
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 NEAR = 0.08
@@ -38,13 +37,15 @@ BETTER = 1.0
 class _Side(NamedTuple):
     """One target before or after a meeting: its rows, bearing carried to the middle, rate, log power."""
 
-    at: NDArray[np.int64]
+    at: Labels
     place: float
     rate: float
     level: float
 
 
-def untangle(chains: list[Followed], patterns: Patterns, rows: Array, explained: Sequence[Array], looks: Array) -> bool:
+def resolve_crossings(
+    chains: list[TrackHypothesis], patterns: Patterns, rows: Array, explained: Sequence[Array], looks: Array
+) -> bool:
     """Exchange the rest of two chains after the first meeting where that makes them more like themselves.
 
     Args:
@@ -77,7 +78,7 @@ def untangle(chains: list[Followed], patterns: Patterns, rows: Array, explained:
     return False
 
 
-def _meetings(one: Followed, other: Followed) -> list[tuple[int, int]]:
+def _meetings(one: TrackHypothesis, other: TrackHypothesis) -> list[tuple[int, int]]:
     both = (one.presence > THERE) & (other.presence > THERE)
     apart = np.abs(np.cos(np.radians(one.bearings)) - np.cos(np.radians(other.bearings)))
     near = np.flatnonzero(both & (apart < NEAR))
@@ -89,7 +90,7 @@ def _meetings(one: Followed, other: Followed) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(firsts, lasts, strict=True)]
 
 
-def _side(chain: Followed, part: slice, middle: float) -> _Side | None:
+def _side(chain: TrackHypothesis, part: slice, middle: float) -> _Side | None:
     at = np.arange(len(chain.presence))[part]
     at = at[chain.presence[at] > THERE]
     if len(at) < LEAST:
@@ -101,7 +102,7 @@ def _side(chain: Followed, part: slice, middle: float) -> _Side | None:
 
 
 def _shape(
-    chain: Followed, at: NDArray[np.int64], patterns: Patterns, rows: Array, explained: Array, looks: Array
+    chain: TrackHypothesis, at: Labels, patterns: Patterns, rows: Array, explained: Array, looks: Array
 ) -> Array:
     """Pattern that fits some of a chain's rows."""
     power = np.maximum(chain.power[at], LEAST_POWER)
@@ -130,7 +131,7 @@ def _cost_of_shape(one: Array, other: Array) -> float:
     return 0.5 * float(np.mean((one - other) ** 2)) / SHAPE**2
 
 
-def _exchange(one: Followed, other: Followed, row: int) -> None:
+def _exchange(one: TrackHypothesis, other: TrackHypothesis, row: int) -> None:
     for name in ("presence", "bearings", "rates", "deviations", "power", "expected"):
         a, b = getattr(one, name), getattr(other, name)
         if a is not None and b is not None:

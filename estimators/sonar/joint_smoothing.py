@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.estimators.hmm.exclusion import exclude, occupancy
 from servotrack.estimators.hmm.smoothing import smooth
 from servotrack.estimators.sonar.beam_patterns import PowerFit, add_pattern, variance_of
-from servotrack.estimators.sonar.chain_estimate import Followed
-from servotrack.estimators.sonar.crossings import untangle
+from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
+from servotrack.estimators.sonar.crossings import resolve_crossings
 from servotrack.estimators.sonar.likelihood import cell_likelihood, known_power, unknown_power
+from servotrack.estimators.types import Array, Mask
 
 if TYPE_CHECKING:
     from servotrack.estimators.sonar.tracker import HMMBearings
 
-Array = NDArray[np.float64]
 
 APART = 0.06
 """Targets whose cosines of bearing differ by less are not resolved by the array of 48 elements."""
@@ -44,7 +43,7 @@ NEIGHBORS = 2
 """Chains that are solved again beside a new one."""
 
 
-class Together:
+class JointSmoother:
     """Chains in normalized rows.
 
     Args:
@@ -53,7 +52,7 @@ class Together:
         chains: Chains that are followed already.
     """
 
-    def __init__(self, tracker: HMMBearings, rows: Array, chains: Sequence[Followed] = ()) -> None:
+    def __init__(self, tracker: HMMBearings, rows: Array, chains: Sequence[TrackHypothesis] = ()) -> None:
         self.tracker = tracker
         self.rows = rows
         self.chains = list(chains)
@@ -82,7 +81,7 @@ class Together:
                 failed, settled, unexplained = attempts - 1, True, None
                 taken[:] = False
                 continue
-            chain = Followed(np.ones(len(self.rows)), self.tracker.patterns.flat, period=self.tracker.period)
+            chain = TrackHypothesis(np.ones(len(self.rows)), self.tracker.patterns.flat, period=self.tracker.period)
             if unexplained is None:
                 unexplained = self._likelihood(chain)
             self._smooth(chain, unexplained, closed | taken)
@@ -106,10 +105,10 @@ class Together:
 
     def conclude(self) -> None:
         """Solve all chains of a whole record together, sort out who is who, and look for what is left."""
-        if self.untangle():
+        if self.resolve_crossings():
             self.search(attempts=2)
 
-    def _settle(self, new: Followed) -> bool:
+    def _settle(self, new: TrackHypothesis) -> bool:
         """Solve a new chain and those that it meets most again, in turns; whether these are all.
 
         The first one has nobody to wait for. One that comes to go where another one is ends.
@@ -123,10 +122,10 @@ class Together:
             self.fit()
         return everything
 
-    def _most_met(self, new: Followed) -> list[Followed]:
+    def _most_met(self, new: TrackHypothesis) -> list[TrackHypothesis]:
         """The other chains that are near a new one in most rows, or else the nearest; at most `NEIGHBORS`."""
 
-        def met(chain: Followed) -> tuple[float, float]:
+        def met(chain: TrackHypothesis) -> tuple[float, float]:
             both = (chain.presence > SURE) & (new.presence > SURE)
             bearings = np.radians(chain.bearings[both]), np.radians(new.bearings[both])
             apart = np.abs(np.cos(bearings[0]) - np.cos(bearings[1]))
@@ -135,7 +134,7 @@ class Together:
         others = [chain for chain in self.chains if chain is not new]
         return sorted(others, key=met)[-NEIGHBORS:]
 
-    def _followed_already(self, new: Followed) -> bool:
+    def _followed_already(self, new: TrackHypothesis) -> bool:
         """Whether a chain goes where another one is: what that one leaves unexplained is no other target."""
         rows = slice(new.spans[0].first, new.spans[0].last + 1)
         return any(
@@ -144,7 +143,7 @@ class Together:
             if chain is not new
         )
 
-    def sweep(self, times: int, some: Sequence[Followed] | None = None) -> None:
+    def sweep(self, times: int, some: Sequence[TrackHypothesis] | None = None) -> None:
         """Solve all or some chains in turn, given the others; those that fail the test of existence end."""
         for _ in range(times):
             self.fit(some)
@@ -156,14 +155,14 @@ class Together:
                     self.chains.remove(chain)
         self.fit(some)
 
-    def untangle(self) -> bool:
+    def resolve_crossings(self) -> bool:
         """Give chains that changed targets where they met their own back; whether there were any."""
         if self.tracker.likelihood == "cell":
             return False
         changed = False
         for _ in range(MOST_EXCHANGES):
             others = [self.explained([chain]) for chain in self.chains]
-            if not untangle(self.chains, self.tracker.patterns, self.rows, others, self.tracker.looks):
+            if not resolve_crossings(self.chains, self.tracker.patterns, self.rows, others, self.tracker.looks):
                 break
             changed = True
             for chain in self.chains:
@@ -171,7 +170,7 @@ class Together:
             self.sweep(1)
         return changed
 
-    def explained(self, but: Sequence[Followed] = ()) -> Array:
+    def explained(self, but: Sequence[TrackHypothesis] = ()) -> Array:
         """Mean beam powers by noise and all chains but some. Shape (T, beams)."""
         mean = np.ones_like(self.rows)
         for chain in self.chains:
@@ -179,7 +178,7 @@ class Together:
                 add_pattern(mean, chain.presence * chain.power, chain.pattern)
         return mean
 
-    def fit(self, some: Sequence[Followed] | None = None) -> None:
+    def fit(self, some: Sequence[TrackHypothesis] | None = None) -> None:
         """Powers, what is expected of them, and spectra, of all chains or of some together; others stay as they are."""
         chains = [chain for chain in self.chains if some is None or chain in some]
         if self.tracker.likelihood == "cell" or not chains:
@@ -211,7 +210,7 @@ class Together:
                     left, variance[use], cosines, chain.bearings[use], np.maximum(chain.power[use], least)
                 )
 
-    def _alone(self, chain: Followed) -> NDArray[np.bool_]:
+    def _alone(self, chain: TrackHypothesis) -> Mask:
         """Rows in which a chain's target is there and no other is too near to be told from it."""
         cosines = np.cos(np.radians(chain.bearings))
         alone = chain.presence > SURE
@@ -221,15 +220,15 @@ class Together:
                 alone &= ~((other.presence > SURE) & (apart < APART))
         return alone
 
-    def _explain(self, chain: Followed) -> None:
+    def _explain(self, chain: TrackHypothesis) -> None:
         if self.tracker.likelihood == "row":
             looks = self.tracker.looks
             chain.pattern = self.tracker.patterns.at(chain.mixture, np.cos(np.radians(looks)), chain.bearings)
 
-    def _likelihood(self, chain: Followed) -> Array:
+    def _likelihood(self, chain: TrackHypothesis) -> Array:
         return self._cells(chain) if self.tracker.likelihood == "cell" else self._row(chain)
 
-    def _smooth(self, chain: Followed, b: Array, closed: NDArray[np.bool_] | None = None) -> None:
+    def _smooth(self, chain: TrackHypothesis, b: Array, closed: Mask | None = None) -> None:
         """Smooth one chain and test its existence; a new chain, there in all rows, may not enter what is closed."""
         tracker = self.tracker
         if closed is not None and closed.any():
@@ -246,14 +245,14 @@ class Together:
         piece = 0.0 if established else tracker.evidence_of_piece
         chain.test_existence(tracker.switching, tracker.bridged, piece, whole, tracker.farthest)
 
-    def _row(self, chain: Followed) -> Array:
+    def _row(self, chain: TrackHypothesis) -> Array:
         scores = self.tracker.scores
         power, variance = scores.evaluate(self.whitened, self.explained([chain]), scores.template(chain.mixture))
         if chain.expected is None:
             return unknown_power(power, variance)
         return known_power(power, variance, chain.expected, self.tracker.power_spread)
 
-    def _cells(self, chain: Followed) -> Array:
+    def _cells(self, chain: TrackHypothesis) -> Array:
         b = cell_likelihood(self.rows)
         # A chain recalled from the last row holds nothing before its turn.
         others = [c for c in self.chains if c is not chain and len(c.marginal)]

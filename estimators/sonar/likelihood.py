@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 AMPLITUDES = (1.5, 3.0, 6.0)
 """What a target of unknown power may show, in standard deviations of the noise; each is twice the one before."""

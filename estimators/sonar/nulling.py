@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.hmm.chain import GridChain, grid_chain
 from servotrack.estimators.hmm.existence import presence, spans
@@ -16,8 +16,7 @@ from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.sonar.array import bearings
 from servotrack.estimators.sonar.likelihood import cell_likelihood
 from servotrack.estimators.sonar.record import BearingTrack, checked_record, checked_row
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 
 class NullingState(NamedTuple):

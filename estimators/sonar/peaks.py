@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.signal import find_peaks
 
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.sonar.array import bearings
 from servotrack.estimators.sonar.record import BearingTrack, checked_record, checked_row
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 TENTATIVE = 0.25
 """Existence given for a track that is not confirmed."""
@@ -56,9 +55,9 @@ class PeakState(NamedTuple):
 
     mean: Array
     covariance: Array
-    label: NDArray[np.int64]
-    hits: NDArray[np.int64]
-    missed: NDArray[np.int64]
+    label: Labels
+    hits: Labels
+    missed: Labels
     next_label: int
     answers: tuple[SetEstimate, ...]
 
@@ -173,11 +172,11 @@ class PeakTracker(ABC):
         """Means and covariances one row later, new arrays."""
 
     @abstractmethod
-    def _associate(self, mean: Array, covariance: Array, found: Array) -> NDArray[np.int64]:
+    def _associate(self, mean: Array, covariance: Array, found: Array) -> Labels:
         """The peak of each track, -1 for none."""
 
     @abstractmethod
-    def _correct(self, mean: Array, covariance: Array, partner: NDArray[np.int64], found: Array) -> None:
+    def _correct(self, mean: Array, covariance: Array, partner: Labels, found: Array) -> None:
         """Fold the peaks in, in place."""
 
 
@@ -197,7 +196,7 @@ class PeakNearestNeighbor(PeakTracker):
     def _predict(self, state: PeakState) -> tuple[Array, Array]:
         return state.mean.copy(), state.covariance.copy()
 
-    def _associate(self, mean: Array, covariance: Array, found: Array) -> NDArray[np.int64]:
+    def _associate(self, mean: Array, covariance: Array, found: Array) -> Labels:
         partner = np.full(len(mean), -1)
         free = np.ones(len(found), np.bool_)
         for i, (bearing, _) in enumerate(mean):
@@ -207,7 +206,7 @@ class PeakNearestNeighbor(PeakTracker):
                 free[partner[i]] = False
         return partner
 
-    def _correct(self, mean: Array, covariance: Array, partner: NDArray[np.int64], found: Array) -> None:
+    def _correct(self, mean: Array, covariance: Array, partner: Labels, found: Array) -> None:
         seen = partner >= 0
         rate = (found[partner[seen]] - mean[seen, 0]) / self.period
         mean[seen, 0], mean[seen, 1] = found[partner[seen]], rate
@@ -238,7 +237,7 @@ class PeakKalmanHungarian(PeakTracker):
         step = np.array([t * t / 2.0, t])
         return state.mean @ F.T, F @ state.covariance @ F.T + self.acceleration**2 * np.outer(step, step)
 
-    def _associate(self, mean: Array, covariance: Array, found: Array) -> NDArray[np.int64]:
+    def _associate(self, mean: Array, covariance: Array, found: Array) -> Labels:
         tracks, count = len(mean), len(found)
         variance = covariance[:, 0, 0] + self.noise**2
         # A column for each track stands for no peak, at the gate's price; a pair beyond the gate costs more.
@@ -248,7 +247,7 @@ class PeakKalmanHungarian(PeakTracker):
         partner = np.asarray(assign(cost, tracks, count + tracks))
         return np.where(partner < count, partner, -1)
 
-    def _correct(self, mean: Array, covariance: Array, partner: NDArray[np.int64], found: Array) -> None:
+    def _correct(self, mean: Array, covariance: Array, partner: Labels, found: Array) -> None:
         for i in np.flatnonzero(partner >= 0):
             gain = covariance[i, :, 0] / (covariance[i, 0, 0] + self.noise**2)
             mean[i] += gain * (found[partner[i]] - mean[i, 0])

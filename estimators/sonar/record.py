@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.hmm.existence import Span
 from servotrack.estimators.sonar.array import normalize
-from servotrack.estimators.sonar.chain_estimate import Followed
-
-Array = NDArray[np.float64]
+from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
+from servotrack.estimators.types import Array
 
 OVERLAP = 10
 """Rows that two parts of one track may have in common."""
@@ -57,7 +56,7 @@ class BearingTrack(NamedTuple):
         return self.first + len(self.bearings) - 1
 
     @classmethod
-    def cut(cls, label: int, chain: Followed, span: Span, evidence: float) -> BearingTrack:
+    def cut(cls, label: int, chain: TrackHypothesis, span: Span, evidence: float) -> BearingTrack:
         """One span of a chain."""
         rows = slice(span.first, span.last + 1)
         return cls(

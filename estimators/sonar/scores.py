@@ -8,12 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.estimators.sonar.array import beam_correlation
 from servotrack.estimators.sonar.beam_patterns import Patterns, largest_near
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels, Mask
 
 
 class Template(NamedTuple):
@@ -56,7 +54,7 @@ class RowScores:
         return beam_correlation(p.array, p.band.frequencies, self.looks, p.shading)
 
     @cached_property
-    def _neighbors(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def _neighbors(self) -> tuple[Labels, Mask]:
         index = np.arange(len(self.looks))[:, None] + np.arange(-self.reach, self.reach + 1)
         return np.clip(index, 0, len(self.looks) - 1), (index >= 0) & (index < len(self.looks))
 
@@ -69,7 +67,7 @@ class RowScores:
         return np.ascontiguousarray(np.where(inside, np.take_along_axis(whole, index, 1), 0.0))
 
     @cached_property
-    def _noise(self) -> tuple[Array, Array, NDArray[np.int64]]:
+    def _noise(self) -> tuple[Array, Array, Labels]:
         """Variances of whitened noise, and its covariance about some looks: blocks (some, width, width), looks."""
         index, inside = self._neighbors
         square = np.zeros_like(self._correlation)

@@ -7,19 +7,19 @@ from functools import cached_property
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.hmm.chain import GridChain, grid_chain
 from servotrack.estimators.hmm.smoothing import advance
 from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.sonar.array import Band, LineArray, Shading, bearings
 from servotrack.estimators.sonar.beam_patterns import Patterns
-from servotrack.estimators.sonar.chain_estimate import Followed
-from servotrack.estimators.sonar.joint_smoothing import Together
+from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
+from servotrack.estimators.sonar.joint_smoothing import JointSmoother
 from servotrack.estimators.sonar.record import BearingTrack, checked_record, checked_row, joined
 from servotrack.estimators.sonar.scores import RowScores
+from servotrack.estimators.types import Array
 
-Array = NDArray[np.float64]
 Likelihood = Literal["row", "cell"]
 
 
@@ -211,7 +211,7 @@ class HMMBearings:
             )
         if not len(rows):
             return []
-        together = Together(self, rows)
+        together = JointSmoother(self, rows)
         together.search(attempts=2)
         together.conclude()
         parts = [
@@ -244,7 +244,7 @@ class HMMBearings:
             ValueError: As `track`.
         """
         rows = np.vstack([state.rows, checked_row(row, self.beams, self.averages)])
-        together = Together(self, rows, [self._recall(memory, len(rows)) for memory in state.chains])
+        together = JointSmoother(self, rows, [self._recall(memory, len(rows)) for memory in state.chains])
         for chain in together.chains:
             together._explain(chain)
         together.sweep(1)
@@ -259,14 +259,14 @@ class HMMBearings:
         kept = tuple(self._remember(chain, slide) for chain in together.chains)
         return BearingState(rows[1:] if slide else rows, kept, next_label, state.seen + 1), estimate
 
-    def _recall(self, memory: ChainMemory, rows: int) -> Followed:
+    def _recall(self, memory: ChainMemory, rows: int) -> TrackHypothesis:
         """A chain in the window with its new row, for which the last row's values stand."""
         extra = rows - len(memory.presence)
         presence, bearing, expected = (
             np.concatenate([values, np.repeat(values[-1:], extra)])
             for values in (memory.presence, memory.bearings, memory.expected)
         )
-        return Followed(
+        return TrackHypothesis(
             np.maximum(presence, self.switching),
             memory.mixture,
             bearings=bearing,
@@ -278,7 +278,7 @@ class HMMBearings:
             prior_presence=memory.prior_presence,
         )
 
-    def _remember(self, chain: Followed, slide: bool) -> ChainMemory:
+    def _remember(self, chain: TrackHypothesis, slide: bool) -> ChainMemory:
         prior = self.chain.uniform() if chain.prior is None else chain.prior
         there = chain.prior_presence
         first = 0
@@ -293,7 +293,7 @@ class HMMBearings:
             chain.label, prior, there, chain.presence[first:], chain.mixture, chain.bearings[first:], expected[first:]
         )
 
-    def _estimate(self, chains: list[Followed], at: int) -> SetEstimate:
+    def _estimate(self, chains: list[TrackHypothesis], at: int) -> SetEstimate:
         """What is believed of one row of the window."""
         chains = [] if at < 0 else chains
         inside = np.array([any(s.first <= at <= s.last for s in chain.spans) for chain in chains], np.bool_)

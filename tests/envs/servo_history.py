@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.world import ServoWorld
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 QUANTITIES = (
     "time", "joints", "joint_angles", "features", "visible", "frame_time", "tracking_error", "feature_error", "reward",

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from servotrack.envs.servo.episode import draw_episode
 from servotrack.envs.servo.levels import servo_config
 from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.camera import ground_point, image_jacobian, pack_camera, project_ground, project_points
+from servotrack.estimators.types import Array
 
-Array = NDArray[np.float64]
 ROWS = 200
 
 

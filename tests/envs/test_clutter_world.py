@@ -10,7 +10,7 @@ from scipy import stats
 import servotrack  # noqa: F401
 from servotrack.envs.track.clutter.config import LEVEL_NAMES, clutter_config, poisson_quantile
 from servotrack.envs.track.clutter.episode import draw_episode
-from servotrack.envs.track.clutter.scene_model import told
+from servotrack.envs.track.clutter.scene_model import scene_model_of
 from servotrack.envs.track.scoring import SetScorer
 from servotrack.estimators.rfs.models import STRUCTURES
 
@@ -93,7 +93,7 @@ def test_local_moments_are_the_hidden_markov_models(structure):
     x = episode.states[:, :n]
     order = np.argsort(episode.source[:, :n], axis=1)
     y = np.take_along_axis(episode.measurements[:, :n, 1:], order[..., None], axis=1)
-    linear = told(config).hidden_markov
+    linear = scene_model_of(config).hidden_markov
     step = (x[1:] - x[:-1] @ linear.transition.T).reshape(-1, 4)
     error = (y - position(x)).reshape(-1, 2)
     count = len(step)
@@ -241,13 +241,13 @@ def test_agents_do_not_influence_the_scans():
 def test_told_is_the_truth_but_on_the_mismatched_levels():
     for level in range(5):
         config = clutter_config(level)
-        scene = told(config)
+        scene = scene_model_of(config)
         assert scene.detection_probability == config.detection_probability
         assert scene.clutter_rate == config.clutter_rate
-    assert told(clutter_config(5)).detection_probability == 0.98 != clutter_config(5).detection_probability
-    assert told(clutter_config(6)).clutter_rate == 5.0 != clutter_config(6).clutter_rate
-    assert told(clutter_config(7)).birth_means is not None
-    assert told(clutter_config(7, told_births=None)).birth_means is None
+    assert scene_model_of(clutter_config(5)).detection_probability == 0.98 != clutter_config(5).detection_probability
+    assert scene_model_of(clutter_config(6)).clutter_rate == 5.0 != clutter_config(6).clutter_rate
+    assert scene_model_of(clutter_config(7)).birth_means is not None
+    assert scene_model_of(clutter_config(7, told_births=None)).birth_means is None
 
 
 @pytest.mark.parametrize(

@@ -147,11 +147,11 @@ def test_privileged_observation_puts_the_truth_beside_the_frame():
 
 def test_what_agents_are_told():
     env = gym.make(ENV_ID, observation="centroids", empty_frames=7, max_people=9)
-    scene = env.unwrapped.told
+    scene = env.unwrapped.scene_model
     assert (scene.observation, scene.width, scene.height, scene.frame_rate) == ("centroids", 384, 288, 25.0)
     assert (scene.max_people, scene.empty_frames, scene.cutoff, scene.answers_boxes) == (9, 7, 40.0, False)
     paper = gym.make(ENV_ID, script="meet_split_third_guy").unwrapped
-    assert (paper.told.empty_frames, paper.told.cutoff, paper.config.horizon) == (49, 1.0, 922)
+    assert (paper.scene_model.empty_frames, paper.scene_model.cutoff, paper.config.horizon) == (49, 1.0, 922)
 
 
 @pytest.mark.parametrize("observation", ["pixels", "centroids"])

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from servo_history import run, wiggle
 
 from servotrack.envs.servo.episode import draw_episode
@@ -14,8 +13,7 @@ from servotrack.envs.servo.levels import reach_config, servo_config
 from servotrack.envs.servo.targets import PERIOD
 from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.camera import project_points
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 
 def test_pixel_noise_has_its_size_in_every_kind() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 import servotrack  # noqa: F401
 from servotrack.envs.streams import Streams
-from servotrack.envs.track.sonar.array_model import sonar_told
+from servotrack.envs.track.sonar.array_model import scene_model_of
 from servotrack.envs.track.sonar.config import LEVEL_NAMES, sonar_config
 from servotrack.envs.track.sonar.records import draw_powers, draw_record, draw_snapshots, power_moments
 from servotrack.envs.track.sonar.scene import CLOSE, LONGEST_MEETING, crossings, draw_scene
@@ -204,9 +204,9 @@ def test_swapped_identities_cost_ospa2_and_nothing_else():
 
 def test_told_is_the_receiver_and_nothing_of_the_scene():
     for level in LEVELS:
-        told = sonar_told(sonar_config(level))
+        told = scene_model_of(sonar_config(level))
         assert told.averages == 1110
-        assert told._replace(looks=None) == sonar_told(sonar_config(0))._replace(looks=None)
+        assert told._replace(looks=None) == scene_model_of(sonar_config(0))._replace(looks=None)
         assert not any("target" in name or "snr" in name for name in told._fields)
 
 

@@ -74,7 +74,7 @@ def test_vector_environment_keeps_the_rules_and_is_the_single_one(tmp_path):
 def test_frames_come_in_order_and_the_last_one_twice_whatever_the_seed(tmp_path):
     source = sequence(tmp_path)
     env = gym.make(ENV_ID, source=source)
-    assert env.unwrapped.told.frame_rate == 10.0
+    assert env.unwrapped.scene_model.frame_rate == 10.0
     for seed in (0, 1):
         env.reset(seed=seed)
         seen, _, _ = episode(env)
@@ -110,7 +110,7 @@ def test_without_truth_nothing_is_scored(tmp_path):
 def test_detections_are_those_of_the_file_scaled_with_the_frames(tmp_path):
     source = sequence(tmp_path, images=False)
     env = gym.make(ENV_ID, source=source, observation="detections")
-    assert env.unwrapped.told.observation == "blobs"
+    assert env.unwrapped.scene_model.observation == "blobs"
     seen, rewards, _ = episode(env)
     assert len(rewards) == FRAMES
     np.testing.assert_array_equal(seen[0], [[1, 8, 10, 12, 24], [1, 30, 10, 10, 20]])

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.detect import Detections, detections_from_boxes
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 WIDTH, HEIGHT = 20.0, 60.0
 

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.jacobian.contract import ServoMeasurement
+from servotrack.estimators.types import Array
 
-Array = NDArray[np.float64]
 Target = Callable[[Array], Array]
 """Time (rows,) s -> position (rows, 2) m."""
 

@@ -24,7 +24,7 @@ from servotrack.estimators.jacobian import (
     Supervisor,
     UnscentedJacobian,
 )
-from servotrack.estimators.online import select_rows
+from servotrack.estimators.stateful import select_rows
 
 REACHABLE = still_target((0.6, 0.6))
 ESTIMATORS = {

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from servotrack.envs.track.clutter.config import clutter_config
 from servotrack.envs.track.clutter.episode import draw_episode
-from servotrack.estimators.online import Online
 from servotrack.estimators.rfs import (
     GMPHD,
     PMB,
@@ -26,6 +25,7 @@ from servotrack.estimators.rfs import (
 from servotrack.estimators.rfs.association import association_marginals
 from servotrack.estimators.rfs.extraction import most_probable_number
 from servotrack.estimators.rfs.reduction import reduce_mixture
+from servotrack.estimators.stateful import Stateful
 
 KAPPA = 20.0 / 4000.0**2
 HMM = constant_velocity(5.0, 1.5)
@@ -53,7 +53,7 @@ def normal_pdf(z, mean, cov):
 @pytest.mark.parametrize("kind", FILTERS)
 def test_pairwise_filter_without_memory_is_the_hidden_markov_filter(kind):
     without = PairwiseMarkovModel.from_hidden_markov(HMM, np.zeros((4, 2)), np.zeros((2, 2)))
-    pair = [Online(kind(m, places(), clutter_intensity=KAPPA, reduction=UNMERGED)) for m in (HMM, without)]
+    pair = [Stateful(kind(m, places(), clutter_intensity=KAPPA, reduction=UNMERGED)) for m in (HMM, without)]
     reported = 0
     for z in scans(steps=8, clutter_rate=5.0):
         a, b = (tracker.step(z) for tracker in pair)
@@ -100,7 +100,7 @@ def test_phd_is_the_textbook_recursion(spawn):
         spawn=() if spawn is None else (spawn,),
         gate_probability=1.0,
     )
-    tracker = Online(filter_)
+    tracker = Stateful(filter_)
     for z, wanted in zip(measurements, reference_phd(measurements, 0.95, 0.9, places(), spawn), strict=True):
         tracker.step(z)
         mixture = tracker.state.intensity
@@ -152,7 +152,7 @@ def test_unbalanced_member_counts_too_many():
     measurements = scans()
     bias = {}
     for balanced in (True, False):
-        tracker = Online(GMCBMeMBer(HMM, places(), clutter_intensity=KAPPA, balanced=balanced))
+        tracker = Stateful(GMCBMeMBer(HMM, places(), clutter_intensity=KAPPA, balanced=balanced))
         bias[balanced] = sum(float(tracker.step(z).expected_number) for z in measurements)
     assert bias[False] > 1.05 * bias[True]
 

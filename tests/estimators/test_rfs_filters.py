@@ -7,9 +7,8 @@ import pytest
 
 from servotrack.envs.track.clutter.config import clutter_config
 from servotrack.envs.track.clutter.episode import draw_episode
-from servotrack.envs.track.clutter.scene_model import told
+from servotrack.envs.track.clutter.scene_model import scene_model_of
 from servotrack.estimators.metrics import score_points
-from servotrack.estimators.online import Online, select_rows
 from servotrack.estimators.rfs import (
     GMPHD,
     PMB,
@@ -25,6 +24,7 @@ from servotrack.estimators.rfs import (
     measurements_to_rows,
     rows_to_tracks,
 )
+from servotrack.estimators.stateful import Stateful, select_rows
 
 GAUSSIAN = [GMPHD, GMCBMeMBer, PMB]
 SEED = 100_000
@@ -32,7 +32,7 @@ SEED = 100_000
 
 def scene(level=0, seed=SEED, **axes):
     config = clutter_config(level, **axes)
-    return told(config), draw_episode(config, seed)
+    return scene_model_of(config), draw_episode(config, seed)
 
 
 def known_birth(hint):
@@ -127,7 +127,7 @@ def test_a_state_is_a_value(kind, structure, options):
 @pytest.mark.parametrize("structure", ["HMM", "S1"])
 def test_the_order_of_measurements_does_not_matter(kind, structure):
     hint, episode = scene(structure=structure)
-    trackers = [Online(build(kind, hint)) for _ in range(2)]
+    trackers = [Stateful(build(kind, hint)) for _ in range(2)]
     rng = np.random.default_rng(0)
     for rows in episode.measurements[:30]:
         z = used(rows)
@@ -142,7 +142,7 @@ def test_the_order_of_measurements_does_not_matter(kind, structure):
 @pytest.mark.parametrize("kind", [*GAUSSIAN, GlobalNearestNeighbor])
 def test_a_lone_target_keeps_its_identity_through_misses(kind):
     hint, _ = scene(structure="HMM")
-    tracker = Online(build(kind, hint))
+    tracker = Stateful(build(kind, hint))
     rng = np.random.default_rng(1)
     labels = []
     for step in range(40):
@@ -214,7 +214,7 @@ def test_range_and_bearing_are_tracked(kind, transform):
         hint.model.sensor,
         transform,
     )
-    tracker = Online(build(kind, hint._replace(model=model)))
+    tracker = Stateful(build(kind, hint._replace(model=model)))
     errors = []
     for step in range(60):
         estimate = tracker.step(used(episode.measurements[step]))
@@ -227,7 +227,7 @@ def test_targets_are_found_anywhere_by_measurement_driven_birth():
     for kind, structure in ((GMPHD, "S1"), (GMCBMeMBer, "S1"), (PMB, "S1"), (PMB, "HMM")):
         hint, episode = scene(structure=structure)
         birth = MeasurementBirth(expected=0.2, hidden_deviation=20.0)
-        tracker = Online(build(kind, hint, birth=birth))
+        tracker = Stateful(build(kind, hint, birth=birth))
         errors = []
         for step in range(100):
             estimate = tracker.step(used(episode.measurements[step]))
@@ -239,8 +239,8 @@ def test_targets_are_found_anywhere_by_measurement_driven_birth():
 @pytest.mark.parametrize("kind", GAUSSIAN)
 def test_probabilities_may_depend_on_the_state(kind):
     hint, episode = scene()
-    constant = Online(build(kind, hint, gate_probability=0.9999, detection=0.98, survival=0.99))
-    called = Online(
+    constant = Stateful(build(kind, hint, gate_probability=0.9999, detection=0.98, survival=0.99))
+    called = Stateful(
         build(
             kind,
             hint,
@@ -257,7 +257,7 @@ def test_probabilities_may_depend_on_the_state(kind):
     blind = build(kind, hint)
     counts = []
     for filter_ in (half, blind):
-        tracker = Online(filter_)
+        tracker = Stateful(filter_)
         # A target crosses that line to the left, where nobody measures it any more.
         for step in range(9):
             z = np.array([[45.0 - 10.0 * step, 0.0]])
@@ -265,9 +265,9 @@ def test_probabilities_may_depend_on_the_state(kind):
         counts.append(float(estimate.expected_number))
     assert counts[0] > counts[1] + 0.5
     with pytest.raises(ValueError, match="detection must return shape"):
-        Online(build(kind, hint, detection=lambda x: 0.5)).step(np.zeros((1, 2)))
+        Stateful(build(kind, hint, detection=lambda x: 0.5)).step(np.zeros((1, 2)))
     with pytest.raises(ValueError, match="survival must return finite values from 0 to 1"):
-        tracker = Online(build(kind, hint, survival=lambda x: np.full(len(x), 1.5)))
+        tracker = Stateful(build(kind, hint, survival=lambda x: np.full(len(x), 1.5)))
         for _ in range(2):
             tracker.step(np.zeros((1, 2)))
 
@@ -309,7 +309,7 @@ def test_extraction_rules_differ_where_they_should():
     numbers = {}
     for rule in ("threshold", "sum", "map"):
         for kind in GAUSSIAN:
-            tracker = Online(build(kind, hint, extraction=rule))
+            tracker = Stateful(build(kind, hint, extraction=rule))
             numbers[kind, rule] = [len(tracker.step(used(rows)).states) for rows in episode.measurements[:100]]
     truth = episode.exists[:100].sum(axis=1)
     bias = {key: np.mean(np.array(value) - truth) for key, value in numbers.items()}
@@ -321,7 +321,7 @@ def test_extraction_rules_differ_where_they_should():
 def test_heavy_components_report_their_copies_under_identities_of_their_own():
     hint, _ = scene(structure="HMM")
     filter_ = build(GMPHD, hint, reduction=Reduction(merge=25.0))
-    tracker = Online(filter_)
+    tracker = Stateful(filter_)
     for _ in range(8):
         estimate = tracker.step(np.array([[0.0, 0.0], [0.5, 0.5]]))
     assert len(estimate.states) == 2

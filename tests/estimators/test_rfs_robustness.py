@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servotrack.estimators.online import Online
 from servotrack.estimators.rfs import (
     GMPHD,
     PMB,
@@ -28,6 +27,7 @@ from servotrack.estimators.rfs import (
     constant_velocity,
     pairwise_structure,
 )
+from servotrack.estimators.stateful import Stateful
 
 HMM = constant_velocity(5.0, 1.5)
 S1 = pairwise_structure(HMM, "S1")
@@ -153,7 +153,7 @@ def test_thousands_of_measurements_stay_within_the_caps(kind):
 
 @pytest.mark.parametrize("kind", [*GAUSSIAN, GlobalNearestNeighbor, RawMeasurements, ParticlePHD])
 def test_nothing_measured_for_long_ends_every_target(kind):
-    tracker = Online(make(kind))
+    tracker = Stateful(make(kind))
     for _ in range(5):
         tracker.step(np.zeros((1, 2)))
     for _ in range(60):
@@ -164,7 +164,7 @@ def test_nothing_measured_for_long_ends_every_target(kind):
 
 @pytest.mark.parametrize("kind", GAUSSIAN)
 def test_perfect_detection_without_clutter_finds_all_and_only_the_targets(kind):
-    tracker = Online(make(kind, detection=1.0, clutter_intensity=0.0, survival=1.0))
+    tracker = Stateful(make(kind, detection=1.0, clutter_intensity=0.0, survival=1.0))
     for step in range(10):
         estimate = tracker.step(np.array([[0.0, 1.0 * step], [50.0, -1.0 * step]]))
     assert len(estimate.states) == 2
@@ -246,7 +246,7 @@ def test_a_covariance_that_breaks_is_an_error_that_says_what_to_check():
     # So little noise beside so wide a birth that rounding leaves nothing of it.
     model = HiddenMarkovModel(np.eye(2), 1e-30 * np.eye(2), np.array([[1.0, 1.0], [1.0, -1.0]]), 1e-30 * np.eye(2))
     birth = Birth([0.1], np.zeros((1, 2)), 1e12 * np.array([[1.0, 1.0 - 1e-12], [1.0 - 1e-12, 1.0]]))
-    tracker = Online(GMPHD(model, birth, clutter_intensity=0.0))
+    tracker = Stateful(GMPHD(model, birth, clutter_intensity=0.0))
     try:
         for _ in range(20):
             estimate = tracker.step(np.array([[1.0, 1e-9]]))
@@ -261,7 +261,7 @@ MEMORY_SLACK = 150_000
 
 def memory_growth(kind, steps):
     """Bytes by which the memory in use grows from the first tenth of a run to its end."""
-    tracker = Online(make(kind, S1, clutter_intensity=1e-3))
+    tracker = Stateful(make(kind, S1, clutter_intensity=1e-3))
     # Compiling what only a rare scan calls for takes memory, too: the first run is not measured.
     in_use_at(tracker, 1000)
     tracker.reset()

@@ -8,7 +8,7 @@ import pytest
 from servotrack.baselines.agents.clutter.catalog import steered_phd, track_filter
 from servotrack.envs.track.clutter.config import clutter_config
 from servotrack.envs.track.clutter.episode import draw_episode
-from servotrack.envs.track.clutter.scene_model import told
+from servotrack.envs.track.clutter.scene_model import scene_model_of
 from servotrack.estimators.rfs import CountingPHD, MeasurementBirth, SteadyPHD, SteeredPHD, Steering
 
 SEED = 100_000
@@ -16,7 +16,7 @@ SEED = 100_000
 
 def scene(level=0, seed=SEED, **axes):
     config = clutter_config(level, **axes)
-    return told(config), draw_episode(config, seed).measurements
+    return scene_model_of(config), draw_episode(config, seed).measurements
 
 
 def steering(*runs):

@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from servotrack.estimators.hmm import smooth
-from servotrack.estimators.online import Online
 from servotrack.estimators.sonar import HMMBearings, PeakKalmanHungarian, PeakNearestNeighbor, ViterbiNulling
-from servotrack.estimators.sonar.joint_smoothing import NEIGHBORS, Together
+from servotrack.estimators.sonar.joint_smoothing import NEIGHBORS, JointSmoother
 from servotrack.estimators.sonar.likelihood import AMPLITUDES, known_power, unknown_power
+from servotrack.estimators.stateful import Stateful
 
 ROW = HMMBearings(**SETTINGS)
 CELL = HMMBearings("cell", **SETTINGS)
@@ -81,22 +81,22 @@ def test_the_search_ends_though_every_new_chain_displaces_the_one_before(monkeyp
         self.chains[:] = [new]
         return True
 
-    monkeypatch.setattr(Together, "_settle", displace)
-    together = Together(ROW, record(40, CROSSING))
+    monkeypatch.setattr(JointSmoother, "_settle", displace)
+    together = JointSmoother(ROW, record(40, CROSSING))
     together.search(attempts=2)
     assert len(together.chains) == 1
 
 
 def solves_of(targets, monkeypatch):
     """How often chains are solved until all of some targets are found."""
-    solves, smooth_one = [], Together._smooth
+    solves, smooth_one = [], JointSmoother._smooth
 
     def counted(self, chain, *arguments):
         solves.append(chain)
         smooth_one(self, chain, *arguments)
 
     with monkeypatch.context() as patched:
-        patched.setattr(Together, "_smooth", counted)
+        patched.setattr(JointSmoother, "_smooth", counted)
         assert len(ROW.track(record(50, targets))) == len(targets)
     return len(solves)
 
@@ -149,7 +149,7 @@ def test_likelihoods_and_existence_have_mean_one_under_noise():
 @pytest.mark.parametrize("tracker", [ROW, *BASELINES[:2]], ids=["row", "neighbor", "kalman"])
 def test_row_by_row_answers_late_with_stable_labels(tracker):
     rows = record(40, [(5, 34, 80.0, 0.5, 40.0, None)], seed=7)
-    online = Online(tracker)
+    online = Stateful(tracker)
     answers = [online.step(row) for row in rows]
     labels, late = [], tracker.lag
     for k in range(15, 33):
@@ -163,7 +163,7 @@ def test_row_by_row_answers_late_with_stable_labels(tracker):
 
 @pytest.mark.parametrize("tracker", [CELL, BASELINES[2]], ids=["cell", "viterbi"])
 def test_cells_and_best_paths_answer_late_too(tracker):
-    online = Online(tracker)
+    online = Stateful(tracker)
     answers = [online.step(row) for row in record(40, [(5, 34, 80.0, 0.5, 6.0, None)], seed=7)]
     errors = [np.abs(answers[k + tracker.lag].states[:, 0] - (80.0 + 0.5 * k)).min(initial=99.0) for k in range(12, 33)]
     assert np.median(errors) < 1.5
@@ -171,7 +171,7 @@ def test_cells_and_best_paths_answer_late_too(tracker):
 
 
 def test_row_by_row_keeps_identities_through_a_crossing_and_a_constant_memory():
-    online = Online(ROW)
+    online = Stateful(ROW)
     sizes, who = [], {0: set(), 1: set()}
     for k, row in enumerate(record(50, CROSSING)):
         estimate = online.step(row)

@@ -8,15 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.rfs.birth import state_from_measurement
 from servotrack.estimators.rfs.gaussians import condition_gaussian, detected_mean, predict_gaussian
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.sets import SetEstimate
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 
 class OracleState(NamedTuple):
@@ -30,7 +28,7 @@ class OracleState(NamedTuple):
 
     mean: Array
     covariance: Array
-    phase: NDArray[np.int64]
+    phase: Labels
 
 
 @dataclass(frozen=True, eq=False)

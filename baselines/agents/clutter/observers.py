@@ -7,18 +7,16 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.clutter.association_oracle import AssociationOracle
 from servotrack.baselines.agents.clutter.catalog import observer_settings, track_filter
 from servotrack.baselines.agents.memory import remembered
-from servotrack.baselines.agents.row_patience import WaitingRows, allocate_patiently, no_rows
+from servotrack.baselines.agents.row_patience import ReservedRows, allocate_rows, no_rows
 from servotrack.envs.track.clutter.scene_model import SceneModel
 from servotrack.envs.track.people.camera_model import VideoModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.rfs import RowAllocation
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 POSITION = (0, 2)
 """Where a state [x, vx, y, vy] holds the position."""
@@ -33,7 +31,7 @@ class ObserverState(NamedTuple):
     """
 
     belief: Any
-    rows: WaitingRows
+    rows: ReservedRows
 
 
 class SetObserver:
@@ -56,7 +54,7 @@ class SetObserver:
         self,
         observation: Any,
         state: ObserverState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
     ) -> tuple[Array, ObserverState]:
         """Answer a scan.
@@ -79,7 +77,7 @@ class SetObserver:
         measurement = scan if len(scan) > 1 else scan[OBSERVATION_KEY]
         state = remembered(state, episode_start, (count,), lambda: self._initial(measurement, count))
         belief, estimate = self.estimator.step(state.belief, measurement)
-        rows, answer = allocate_patiently(self._allocation, state.rows, estimate)
+        rows, answer = allocate_rows(self._allocation, state.rows, estimate)
         answer = np.clip(answer, self._low, self._high)
         return (answer[0] if single else answer), ObserverState(belief, rows)
 
@@ -104,7 +102,7 @@ class RawObserver:
         self,
         observation: Any,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
     ) -> tuple[Array, None]:
         """Answer a scan; arguments as in `SetObserver.predict`. Measurements beyond the answer's rows are left out."""
@@ -132,7 +130,7 @@ def create_observer(env: Any, estimator: str, hidden_markov: bool = False, extra
     Raises:
         ValueError: The environment is no tracking world.
     """
-    scene = getattr(env.unwrapped, "told", None)
+    scene = getattr(env.unwrapped, "scene_model", None)
     if isinstance(scene, VideoModel):
         from servotrack.baselines.agents.people.observers import create_video_observer
 

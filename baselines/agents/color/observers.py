@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.baselines.agents.color.catalog import color_tracker
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 
 class ColorObserverState(NamedTuple):
@@ -36,7 +35,7 @@ class ColorObserver:
         self,
         observation: Any,
         state: ColorObserverState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
     ) -> tuple[Array, ColorObserverState]:
         """Answer a frame: the first of an episode with the box that is given, later ones with the tracker's.
@@ -87,7 +86,7 @@ class BoxReader:
         self,
         observation: Any,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
     ) -> tuple[Array, None]:
         """Answer a frame; arguments as in `ColorObserver.predict`."""

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.memory import remembered
 from servotrack.baselines.agents.servo.jacobian_servo import servo_measurement
@@ -23,10 +22,10 @@ from servotrack.estimators.follow import (
 )
 from servotrack.estimators.follow.ego_motion import EgoMotion
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
-from servotrack.estimators.jacobian.contract import Array
 from servotrack.estimators.jacobian.controller import ControllerState, ServoController
 from servotrack.estimators.jacobian.kf import KalmanState
 from servotrack.estimators.jacobian.lifted import LiftedState
+from servotrack.estimators.types import Array, FloatArray, Mask
 
 Identity = Literal["tracked", "nearest", "oracle"]
 Detection = Literal["observed", "oracle"]
@@ -104,9 +103,9 @@ class FollowServo:
         self,
         observation: Mapping[str, Any],
         state: FollowServoState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], FollowServoState]:
+    ) -> tuple[FloatArray, FollowServoState]:
         """Choose joint rates.
 
         Args:
@@ -181,7 +180,7 @@ class FollowServo:
         seen: Mapping[str, Any],
         state: FollowServoState,
         detections: Array,
-        fresh: NDArray[np.bool_],
+        fresh: Mask,
         elapsed: Array,
         before: Array,
         after: Array,
@@ -213,6 +212,6 @@ class FollowServo:
         return JacobianMotion(belief.jacobian) if isinstance(belief, KalmanState) else StillCamera()
 
 
-def _measurement(seen: Mapping[str, Any], features: Array, visible: NDArray[np.bool_]) -> Any:
+def _measurement(seen: Mapping[str, Any], features: Array, visible: Mask) -> Any:
     """A servo's measurement of these features in the newest frame."""
     return servo_measurement({**seen, "features": features, "visible": visible[:, None]})

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard, load_card
 from servotrack.baselines.agents.learned.contract import Encoding
 from servotrack.baselines.agents.learned.encoding import create_encoding
-from servotrack.baselines.agents.learned.marker_network import OnnxEyes
+from servotrack.baselines.agents.learned.marker_network import MarkerNetwork
 from servotrack.baselines.agents.learned.network import OnnxNetwork
 from servotrack.baselines.agents.learned.shipped import shipped_file
 from servotrack.baselines.agents.memory import remembered
 from servotrack.baselines.agents.registry import create_agent
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo
 from servotrack.baselines.agents.servo.pixel_servo import PixelServo
+from servotrack.estimators.types import FloatArray, Mask
 
 if TYPE_CHECKING:
     from servotrack.baselines.agents.learned.set_prediction import SetPredictor
@@ -35,7 +36,7 @@ class LearnedState(NamedTuple):
     """
 
     encoding: Any
-    network: NDArray[np.float32]
+    network: FloatArray
     action: NDArray[Any]
 
 
@@ -76,7 +77,7 @@ class LearnedAgent:
         self,
         observation: Any,
         state: LearnedState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], LearnedState]:
         """Choose actions.
@@ -167,7 +168,7 @@ def create_learned_agent(
         servo = create_agent(str(card.encoding.get("servo")), env)
         if not isinstance(servo, PixelServo):
             raise AgentFileError(f"{file} sees for a servo where images are observed, which this environment is not")
-        return PixelServo(servo.servo, OnnxEyes(file.parent / card.network, card))
+        return PixelServo(servo.servo, MarkerNetwork(file.parent / card.network, card))
     if card.encoding.get("kind") == "jacobian":
         return _estimating(file, card, env)
     if card.encoding.get("kind") == "set":
@@ -213,7 +214,7 @@ def _predicting_sets(file: Path, card: LearnedCard, env: Any) -> SetPredictor:
     from servotrack.baselines.agents.learned.set_prediction import ANSWERS, SetPredictor, SetWindow
     from servotrack.envs.track.clutter.scene_model import SceneModel
 
-    network, scene = OnnxNetwork(file.parent / card.network, card), getattr(env.unwrapped, "told", None)
+    network, scene = OnnxNetwork(file.parent / card.network, card), getattr(env.unwrapped, "scene_model", None)
     if not isinstance(scene, SceneModel):
         raise AgentFileError(f"{file} predicts sets of points in clutter, which this environment does not show")
     try:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-Rows = NDArray[np.float32]
+from servotrack.estimators.types import FloatArray
 
 
 class Encoding(Protocol):
@@ -21,7 +20,7 @@ class Encoding(Protocol):
     def initial(self, observation: Any) -> Any:
         """Memory before an episode whose first observation this is; `step` takes the same one again."""
 
-    def step(self, memory: Any, observation: Any, action: Rows) -> tuple[Any, Rows]:
+    def step(self, memory: Any, observation: Any, action: FloatArray) -> tuple[Any, FloatArray]:
         """Fold one observation in.
 
         Args:
@@ -36,7 +35,7 @@ class Encoding(Protocol):
     def answer_space(self, action_space: spaces.Space[Any]) -> spaces.Space[Any]:
         """Box of what the network answers, where the environment takes actions of a space."""
 
-    def act(self, memory: Any, answer: Rows) -> tuple[Any, NDArray[Any]]:
+    def act(self, memory: Any, answer: FloatArray) -> tuple[Any, NDArray[Any]]:
         """What is done.
 
         Args:
@@ -55,6 +54,6 @@ class PlainAnswers:
         """As `Encoding.answer_space`."""
         return action_space
 
-    def act(self, memory: Any, answer: Rows) -> tuple[Any, NDArray[Any]]:
+    def act(self, memory: Any, answer: FloatArray) -> tuple[Any, NDArray[Any]]:
         """As `Encoding.act`."""
         return memory, answer

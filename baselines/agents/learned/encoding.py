@@ -11,12 +11,13 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from servotrack.baselines.agents.learned.contract import Encoding, PlainAnswers, Rows
+from servotrack.baselines.agents.learned.contract import Encoding, PlainAnswers
 from servotrack.baselines.agents.learned.marker_network import open_eyes
 from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
 from servotrack.baselines.agents.registry import create_agent
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo, servo_measurement
 from servotrack.baselines.agents.servo.pixel_servo import PIXEL_KEYS, MarkerFeatures, SeenMemory
+from servotrack.estimators.types import FloatArray, Mask
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class FlatEncoding(PlainAnswers):
         """Nothing is remembered."""
         return ()
 
-    def step(self, memory: tuple[()], observation: Any, action: Rows) -> tuple[tuple[()], Rows]:
+    def step(self, memory: tuple[()], observation: Any, action: FloatArray) -> tuple[tuple[()], FloatArray]:
         """As `Encoding.step`."""
         parts = list(observation.values()) if isinstance(observation, Mapping) else [observation]
         row = np.concatenate([np.asarray(part, np.float64).reshape(len(part), -1) for part in parts], axis=1)
@@ -72,8 +73,8 @@ class StackMemory(NamedTuple):
     """
 
     own: Any
-    rows: Rows
-    fresh: NDArray[np.bool_]
+    rows: FloatArray
+    fresh: Mask
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ class Stacked:
         rows = np.zeros((count, self.frames, self.encoding.size), np.float32)
         return StackMemory(self.encoding.initial(observation), rows, np.ones(count, np.bool_))
 
-    def step(self, memory: StackMemory, observation: Any, action: Rows) -> tuple[StackMemory, Rows]:
+    def step(self, memory: StackMemory, observation: Any, action: FloatArray) -> tuple[StackMemory, FloatArray]:
         """As `Encoding.step`."""
         own, row = self.encoding.step(memory.own, observation, action)
         rows = np.concatenate([memory.rows[:, 1:], row[:, None]], axis=1)
@@ -116,7 +117,7 @@ class Stacked:
         """As `Encoding.answer_space`."""
         return self.encoding.answer_space(action_space)
 
-    def act(self, memory: StackMemory, answer: Rows) -> tuple[StackMemory, NDArray[Any]]:
+    def act(self, memory: StackMemory, answer: FloatArray) -> tuple[StackMemory, NDArray[Any]]:
         """As `Encoding.act`."""
         own, action = self.encoding.act(memory.own, answer)
         return memory._replace(own=own), action
@@ -133,7 +134,7 @@ class ResidualMemory(NamedTuple):
 
     own: Any
     servo: Any
-    action: Rows
+    action: FloatArray
 
 
 @dataclass(frozen=True)
@@ -159,13 +160,13 @@ class Residual(PlainAnswers):
         action = np.zeros(measurement.joint_angles.shape, np.float32)
         return ResidualMemory(self.encoding.initial(observation), self.servo.controller.initial(measurement), action)
 
-    def step(self, memory: ResidualMemory, observation: Any, action: Rows) -> tuple[ResidualMemory, Rows]:
+    def step(self, memory: ResidualMemory, observation: Any, action: FloatArray) -> tuple[ResidualMemory, FloatArray]:
         """As `Encoding.step`."""
         own, row = self.encoding.step(memory.own, observation, action)
         classical, servo = self.servo.predict(observation, memory.servo)
         return ResidualMemory(own, servo, classical), np.concatenate([row, classical], axis=1)
 
-    def act(self, memory: ResidualMemory, answer: Rows) -> tuple[ResidualMemory, Rows]:
+    def act(self, memory: ResidualMemory, answer: FloatArray) -> tuple[ResidualMemory, FloatArray]:
         """As `Encoding.act`."""
         return memory, memory.action + answer
 
@@ -206,7 +207,7 @@ class ThroughEyes:
         blind = {**observation, "features": seen.features, "visible": np.zeros_like(seen.frame_time)}
         return SeenThrough(seen, self.encoding.initial(blind))
 
-    def step(self, memory: SeenThrough, observation: Any, action: Rows) -> tuple[SeenThrough, Rows]:
+    def step(self, memory: SeenThrough, observation: Any, action: FloatArray) -> tuple[SeenThrough, FloatArray]:
         """As `Encoding.step`."""
         seen, features = self.eyes.step(memory.seen, observation)
         own, rows = self.encoding.step(memory.own, features, action)
@@ -216,7 +217,7 @@ class ThroughEyes:
         """As `Encoding.answer_space`."""
         return self.encoding.answer_space(action_space)
 
-    def act(self, memory: SeenThrough, answer: Rows) -> tuple[SeenThrough, NDArray[Any]]:
+    def act(self, memory: SeenThrough, answer: FloatArray) -> tuple[SeenThrough, NDArray[Any]]:
         """As `Encoding.act`."""
         own, action = self.encoding.act(memory.own, answer)
         return memory._replace(own=own), action

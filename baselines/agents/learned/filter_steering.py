@@ -8,18 +8,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.clutter.catalog import observer_settings, steered_phd
 from servotrack.baselines.agents.clutter.observers import POSITION
-from servotrack.baselines.agents.row_patience import WaitingRows, allocate_patiently, no_rows
+from servotrack.baselines.agents.row_patience import ReservedRows, allocate_rows, no_rows
 from servotrack.envs.track.clutter.scene_model import SceneModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.rfs import RowAllocation
 from servotrack.estimators.rfs.steered import SteadyPHD, SteeredPHD, SteeredState, Steering, told_detection
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.float32]
+from servotrack.estimators.types import Array, FloatArray, Labels
 
 KNOBS = 3
 """Numbers of the network's answer, each in [-1, 1]."""
@@ -48,11 +45,11 @@ class SteeringMemory(NamedTuple):
     """
 
     belief: SteeredState
-    rows: WaitingRows
+    rows: ReservedRows
     scan: Array
     sums: Array
     answer: Array
-    scans: NDArray[np.int64]
+    scans: Labels
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +63,7 @@ class SteeringEncoding:
 
     Attributes:
         steered: The filter.
-        answer_rows: Rows of the environment's action.
+        answer_rows: FloatArray of the environment's action.
         clutter_rate: That was told.
     """
 
@@ -101,7 +98,7 @@ class SteeringEncoding:
             np.zeros(count, np.int64),
         )
 
-    def step(self, memory: SteeringMemory, observation: Any, action: Any) -> tuple[SteeringMemory, Rows]:
+    def step(self, memory: SteeringMemory, observation: Any, action: Any) -> tuple[SteeringMemory, FloatArray]:
         """As `Encoding.step`."""
         scan = _scan(observation)
         counts = np.stack(memory.belief.account, axis=-1)
@@ -121,11 +118,11 @@ class SteeringEncoding:
         ]
         return memory._replace(scan=scan), np.concatenate(parts, axis=1).astype(np.float32)
 
-    def act(self, memory: SteeringMemory, answer: Rows) -> tuple[SteeringMemory, Array]:
+    def act(self, memory: SteeringMemory, answer: FloatArray) -> tuple[SteeringMemory, Array]:
         """As `Encoding.act`: fold the scan in with the parameters that were answered, and report what is believed."""
         knobs = np.clip(np.asarray(answer, np.float64), -1.0, 1.0)
         belief, estimate = self.steered.step(memory.belief, memory.scan, self.steering(knobs))
-        rows, reported = allocate_patiently(self._allocation, memory.rows, estimate)
+        rows, reported = allocate_rows(self._allocation, memory.rows, estimate)
         account = np.stack([*belief.account, np.ones(len(knobs))], axis=-1)
         kept = np.exp(-1.0 / np.array(MEMORIES))
         sums = kept[:, None] * memory.sums + account[:, None]
@@ -156,7 +153,7 @@ def create_steering(env: Any) -> SteeringEncoding:
     Raises:
         ValueError: The environment is none.
     """
-    scene = getattr(env.unwrapped, "told", None)
+    scene = getattr(env.unwrapped, "scene_model", None)
     if not isinstance(scene, SceneModel):
         raise ValueError(f"encoding steering reads scans of points in clutter, which {env.unwrapped} does not give")
     rows = getattr(env, "single_action_space", env.action_space).shape[0]

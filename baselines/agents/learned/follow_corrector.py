@@ -10,9 +10,10 @@ import numpy as np
 from gymnasium import spaces
 
 from servotrack.baselines.agents.follow.follow_servo import FollowServo, FollowServoState
-from servotrack.baselines.agents.learned.contract import Encoding, PlainAnswers, Rows
+from servotrack.baselines.agents.learned.contract import Encoding, PlainAnswers
 from servotrack.baselines.agents.registry import create_agent
 from servotrack.baselines.agents.servo.jacobian_servo import OBSERVATION_KEYS
+from servotrack.estimators.types import FloatArray
 
 
 class Following(NamedTuple):
@@ -26,7 +27,7 @@ class Following(NamedTuple):
 
     follow: FollowServoState
     own: Any
-    action: Rows
+    action: FloatArray
 
 
 @dataclass(frozen=True)
@@ -52,14 +53,14 @@ class BehindFollower(PlainAnswers):
         own = self.encoding.initial(self._person(follow, observation))
         return Following(follow, own, np.zeros(np.shape(observation["joint_angles"]), np.float32))
 
-    def step(self, memory: Following, observation: Any, action: Rows) -> tuple[Following, Rows]:
+    def step(self, memory: Following, observation: Any, action: FloatArray) -> tuple[Following, FloatArray]:
         """As `Encoding.step`."""
         classical, follow = self.follower.predict(observation, memory.follow)
         own, rows = self.encoding.step(memory.own, self._person(follow, observation), action)
         unseen = np.log1p(follow.person.unseen)[:, None].astype(np.float32)
         return Following(follow, own, classical), np.concatenate([rows, classical, unseen], axis=1)
 
-    def act(self, memory: Following, answer: Rows) -> tuple[Following, Rows]:
+    def act(self, memory: Following, answer: FloatArray) -> tuple[Following, FloatArray]:
         """As `Encoding.act`."""
         return memory, memory.action + answer
 

@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.baselines.agents.learned.contract import Rows
 from servotrack.baselines.agents.learned.servo_encoding import PIXELS, ServoEncoding, ServoMemory
 from servotrack.baselines.agents.servo.catalog import LAWS
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState, present_estimate
-from servotrack.estimators.jacobian.contract import Array, LinearEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.contract import LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.controller import ServoController
-from servotrack.estimators.online import add_axis, first_row
+from servotrack.estimators.stateful import add_axis, first_row
+from servotrack.estimators.types import Array, FloatArray
 
 ENTRIES = 6
 """Numbers of the network's answer: two image coordinates, turned, by two joints and time."""
@@ -40,9 +40,9 @@ class LearnedJacobianState(NamedTuple):
 
     alignment: AlignmentState
     encoding: ServoMemory
-    network: Rows
+    network: FloatArray
     joints: Array
-    rows: Rows
+    rows: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +53,13 @@ class LearnedJacobian:
     are turned back here.
 
     Args:
-        network: Rows (N, size) and memory (N, M) in, entries (N, 6) and the next memory out.
+        network: FloatArray (N, size) and memory (N, M) in, entries (N, 6) and the next memory out.
         memory: M.
         encoding: What it reads.
         alignment: Bridges the age of the newest frame.
     """
 
-    network: Callable[[Rows, Rows], tuple[Rows, Rows]]
+    network: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
     memory: int
     encoding: ServoEncoding
     alignment: Alignment = field(default_factory=Alignment)

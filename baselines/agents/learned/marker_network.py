@@ -5,16 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard, load_card
 from servotrack.baselines.agents.learned.network import open_session
 from servotrack.baselines.agents.learned.shipped import SHIPPED
+from servotrack.estimators.types import Array, Mask
 
 IMAGE, PLACE, SEEN = "image", "place", "seen"
 
 
-class OnnxEyes:
+class MarkerNetwork:
     """Finds the marker by a network; a drop-in for `servotrack.estimators.detect.MarkerDetector`.
 
     Args:
@@ -40,7 +41,7 @@ class OnnxEyes:
             raise AgentFileError(f"{path} must map image to place and seen, {wanted}, got {shapes}")
         self._path, self._size = path, size
 
-    def detect(self, images: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def detect(self, images: ArrayLike) -> tuple[Array, Mask]:
         """Find the marker.
 
         Args:
@@ -64,7 +65,7 @@ class OnnxEyes:
         return place.astype(np.float64).reshape(*batch, 2), (seen > 0.0).reshape(batch)
 
 
-def open_eyes(name: str, folder: Path | None = None) -> OnnxEyes:
+def open_eyes(name: str, folder: Path | None = None) -> MarkerNetwork:
     """Eyes by their name.
 
     Args:
@@ -78,4 +79,4 @@ def open_eyes(name: str, folder: Path | None = None) -> OnnxEyes:
     places = [Path(file), *([folder / file] if folder else []), SHIPPED / file]
     path = next((place for place in places if place.is_file()), places[-1])
     card = load_card(path)
-    return OnnxEyes(path.parent / card.network, card)
+    return MarkerNetwork(path.parent / card.network, card)

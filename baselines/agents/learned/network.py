@@ -5,13 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import onnxruntime
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard, digest
-
-Rows = NDArray[np.float32]
+from servotrack.estimators.types import FloatArray
 
 LARGEST_NETWORK = 20_000_000
 """Bytes."""
@@ -79,7 +76,7 @@ class OnnxNetwork:
                 raise AgentFileError(f"{path} carries {widths} numbers of memory, its card says {self.memory}")
         self._outputs = [ACTION, *([NEXT_MEMORY] if self.memory else [])]
 
-    def __call__(self, rows: Rows, memory: Rows) -> tuple[Rows, Rows]:
+    def __call__(self, rows: FloatArray, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Run it.
 
         Args:

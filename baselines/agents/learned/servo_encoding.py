@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from servotrack.baselines.agents.learned.contract import PlainAnswers
 from servotrack.baselines.agents.servo.jacobian_servo import OBSERVATION_KEYS
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, FloatArray, Labels
 
 READINGS = 8
 """Encoder readings that are remembered, for frames that arrive late."""
@@ -54,7 +53,7 @@ class ServoMemory(NamedTuple):
     frames: Array
     turns: Array
     last: Array
-    seen: NDArray[np.int64]
+    seen: Labels
 
 
 @dataclass(frozen=True)
@@ -123,8 +122,8 @@ class ServoEncoding(PlainAnswers):
         )
 
     def step(
-        self, memory: ServoMemory, observation: Mapping[str, NDArray[Any]], action: NDArray[np.float32]
-    ) -> tuple[ServoMemory, NDArray[np.float32]]:
+        self, memory: ServoMemory, observation: Mapping[str, NDArray[Any]], action: FloatArray
+    ) -> tuple[ServoMemory, FloatArray]:
         """As `Encoding.step`."""
         memory = ServoMemory._make(part.copy() for part in memory)
         rows = np.empty((len(memory.times), self.size), np.float32)

@@ -8,19 +8,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from servotrack.baselines.agents.clutter.observers import POSITION
-from servotrack.baselines.agents.learned.contract import Rows
 from servotrack.baselines.agents.memory import remembered
-from servotrack.baselines.agents.row_patience import PATIENCE, WaitingRows, allocate_patiently, no_rows
+from servotrack.baselines.agents.row_patience import PATIENCE, ReservedRows, allocate_rows, no_rows
 from servotrack.envs.track.clutter.scene_model import SceneModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.rfs import RangeBearingModel, RowAllocation, SetEstimate
 from servotrack.estimators.rfs.sets import read_measurements
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, FloatArray, Labels, Mask
 
 NEIGHBOR, ANCHOR = 8, 7
 """Numbers of a neighbor, and of a measurement itself."""
@@ -80,7 +77,7 @@ class SetWindow:
             raise ValueError(f"encoding set takes {', '.join(asdict(cls()))}, got {given!r}") from error
 
 
-class Recent(NamedTuple):
+class ScanHistory(NamedTuple):
     """The last scans of N scenes, the newest first.
 
     Attributes:
@@ -90,11 +87,11 @@ class Recent(NamedTuple):
     """
 
     places: Array
-    number: NDArray[np.int64]
-    seen: NDArray[np.int64]
+    number: Labels
+    seen: Labels
 
     @classmethod
-    def none(cls, window: SetWindow, scenes: int, rows: int) -> Recent:
+    def none(cls, window: SetWindow, scenes: int, rows: int) -> ScanHistory:
         """Before the first scan."""
         return cls(
             np.zeros((scenes, window.scans, rows, 2)),
@@ -102,7 +99,7 @@ class Recent(NamedTuple):
             np.zeros(scenes, np.int64),
         )
 
-    def with_scan(self, scan: Array, sensor: Array | None) -> Recent:
+    def with_scan(self, scan: Array, sensor: Array | None) -> ScanHistory:
         """One scan later; `scan` (N, M, 3) as it is observed.
 
         Raises:
@@ -111,22 +108,22 @@ class Recent(NamedTuple):
         measurements, count, _ = read_measurements(scan, 2)
         places, number = np.roll(self.places, 1, axis=1), np.roll(self.number, 1, axis=1)
         places[:, 0], number[:, 0] = in_plane(measurements, sensor), count
-        return Recent(places, number, self.seen + 1)
+        return ScanHistory(places, number, self.seen + 1)
 
 
-class Asked(NamedTuple):
+class QueryBatch(NamedTuple):
     """Measurements that are asked, of all scenes, A of them.
 
     Attributes:
         rows: What the network sees. Shape (A, size).
-        scene, age, row: Where each stands in `Recent`. Shape (A,).
+        scene, age, row: Where each stands in `ScanHistory`. Shape (A,).
         places: Shape (A, 2), m.
     """
 
-    rows: Rows
-    scene: NDArray[np.int64]
-    age: NDArray[np.int64]
-    row: NDArray[np.int64]
+    rows: FloatArray
+    scene: Labels
+    age: Labels
+    row: Labels
     places: Array
 
 
@@ -138,7 +135,7 @@ def in_plane(measurements: Array, sensor: Array | None) -> Array:
     return sensor + np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=-1)
 
 
-def ask(window: SetWindow, recent: Recent, sensor: Array | None, bearing_noise: float) -> Asked:
+def ask(window: SetWindow, recent: ScanHistory, sensor: Array | None, bearing_noise: float) -> QueryBatch:
     """The rows of all measurements that are asked.
 
     Args:
@@ -162,10 +159,10 @@ def ask(window: SetWindow, recent: Recent, sensor: Array | None, bearing_noise: 
     if sensor is not None:
         own[:, 4:6] = bearing_noise * (places - sensor) / POLAR
     own[:, 6] = np.minimum(recent.seen[scene] / window.scans, 1.0)
-    return Asked(rows, scene, age, row, places)
+    return QueryBatch(rows, scene, age, row, places)
 
 
-def place_now(asked: Asked, answers: Array) -> tuple[Array, Array]:
+def place_now(asked: QueryBatch, answers: Array) -> tuple[Array, Array]:
     """Where the targets of the measurements are now, and how they move; each of shape (A, 2), m and m/s."""
     velocity = LENGTH * answers[:, 1:3]
     return asked.places + asked.age[:, None] * velocity + LENGTH * answers[:, 3:5], velocity
@@ -182,11 +179,11 @@ class Tracks(NamedTuple):
         next_label: Shape (N,).
     """
 
-    labels: NDArray[np.int64]
+    labels: Labels
     states: Array
     existence: Array
-    absent: NDArray[np.int64]
-    next_label: NDArray[np.int64]
+    absent: Labels
+    next_label: Labels
 
     def estimate(self) -> SetEstimate:
         """Those that are predicted in the newest scan."""
@@ -213,9 +210,9 @@ class SetState(NamedTuple):
         rows: Which identity owns which row of the answer.
     """
 
-    recent: Recent
+    recent: ScanHistory
     tracks: Tracks
-    rows: WaitingRows
+    rows: ReservedRows
 
 
 class SetPredictor:
@@ -224,7 +221,7 @@ class SetPredictor:
     Identities go to what is predicted nearest to where they should be; that is no part of what was learned.
 
     Args:
-        network: Rows (A, size) in, answers (A, 5) out.
+        network: FloatArray (A, size) in, answers (A, 5) out.
         window: What it was trained with.
         scene: What the environment tells.
         rows: Of an answer.
@@ -233,7 +230,13 @@ class SetPredictor:
     """
 
     def __init__(
-        self, network: Callable[[Rows], Rows], window: SetWindow, scene: SceneModel, rows: int, low: Array, high: Array
+        self,
+        network: Callable[[FloatArray], FloatArray],
+        window: SetWindow,
+        scene: SceneModel,
+        rows: int,
+        low: Array,
+        high: Array,
     ) -> None:
         self._network, self._window = network, window
         self._sensor, self._bearing_noise = sensor_of(scene)
@@ -244,7 +247,7 @@ class SetPredictor:
         self,
         observation: Any,
         state: SetState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
     ) -> tuple[Array, SetState]:
         """Answer a scan; arguments, results and errors as in `SetObserver.predict`."""
@@ -265,7 +268,7 @@ class SetPredictor:
             mine = np.flatnonzero((asked.scene == scene) & (probability >= self._window.report))
             chosen = _distinct(places[mine], probability[mine], self._window.merge)[: self._rows]
             _identify(tracks, scene, found[mine[chosen]], probability[mine[chosen]])
-        rows, answer = allocate_patiently(self._allocation, state.rows, tracks.estimate())
+        rows, answer = allocate_rows(self._allocation, state.rows, tracks.estimate())
         answer = np.clip(answer, self._low, self._high)
         return (answer[0] if single else answer), SetState(recent, tracks, rows)
 
@@ -278,7 +281,9 @@ class SetPredictor:
             np.zeros((scenes, rows), np.int64),
             np.ones(scenes, np.int64),
         )
-        return SetState(Recent.none(self._window, scenes, scan.shape[1]), tracks, no_rows(self._allocation, scenes, 4))
+        return SetState(
+            ScanHistory.none(self._window, scenes, scan.shape[1]), tracks, no_rows(self._allocation, scenes, 4)
+        )
 
 
 def sensor_of(scene: SceneModel) -> tuple[Array | None, float]:
@@ -298,7 +303,7 @@ def _advanced(tracks: Tracks) -> Tracks:
     )  # fmt: skip
 
 
-def _distinct(places: Array, probability: Array, merge: float) -> NDArray[np.int64]:
+def _distinct(places: Array, probability: Array, merge: float) -> Labels:
     """The most probable places that are not near a more probable one, in that order."""
     order = np.argsort(-probability, kind="stable")
     chosen: list[int] = []

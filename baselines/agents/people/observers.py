@@ -6,19 +6,17 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.clutter.observers import RawObserver, SetObserver
 from servotrack.baselines.agents.people.catalog import centroid_filter, create_detector, create_tracker
-from servotrack.baselines.agents.row_patience import WaitingRows, allocate_patiently, no_rows
+from servotrack.baselines.agents.row_patience import ReservedRows, allocate_rows, no_rows
 from servotrack.envs.track.people.camera_model import VideoModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.boxes import DetectThenTrack, RawDetections, set_of_boxes
 from servotrack.estimators.detect import detections_from_boxes
-from servotrack.estimators.online import add_axis, select_rows
 from servotrack.estimators.rfs import RowAllocation, SetEstimate
-
-Array = NDArray[np.float64]
+from servotrack.estimators.stateful import add_axis, select_rows
+from servotrack.estimators.types import Array, Mask
 
 BOX = (0, 1, 2, 3)
 """Columns of a box that an answer holds: all."""
@@ -36,7 +34,7 @@ class VideoObserverState(NamedTuple):
     """
 
     beliefs: tuple[Any, ...]
-    rows: WaitingRows
+    rows: ReservedRows
 
 
 class DetectionRows:
@@ -96,7 +94,7 @@ class VideoObserver:
         self,
         observation: Any,
         state: VideoObserverState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
     ) -> tuple[Array, VideoObserverState]:
         """Answer a frame.
@@ -129,9 +127,9 @@ class VideoObserver:
         joined = np.clip(np.concatenate(answers), self._low, self._high)
         return (joined[0] if single else joined), VideoObserverState(tuple(beliefs), join_scenes(memories))
 
-    def _answer(self, memory: WaitingRows, estimate: SetEstimate) -> tuple[WaitingRows, Array]:
+    def _answer(self, memory: ReservedRows, estimate: SetEstimate) -> tuple[ReservedRows, Array]:
         if self._identities:
-            memory, answer = allocate_patiently(self._allocation, memory, _with_axis(estimate))
+            memory, answer = allocate_rows(self._allocation, memory, _with_axis(estimate))
         else:
             answer = np.zeros((1, self._allocation.rows, 5))
             kept = min(len(estimate.labels), self._allocation.rows)
@@ -159,14 +157,14 @@ def create_video_observer(env: Any, estimator: str, detector: str = "masked") ->
     """An observer for a world of people on video; only the spaces and what it tells its agents (`told`) are read.
 
     Args:
-        env: An environment or vector environment whose `told` is a `VideoModel`.
+        env: An environment or vector environment whose `scene_model` is a `VideoModel`.
         estimator: A name from `agents.people.catalog.TRACKERS`, "raw-measurements" or "people-oracle".
         detector: A name from `agents.people.catalog.DETECTORS`, for worlds that show frames.
 
     Raises:
         ValueError: The environment tells no `VideoModel`, or an unknown name.
     """
-    told = getattr(env.unwrapped, "told", None)
+    told = getattr(env.unwrapped, "scene_model", None)
     if not isinstance(told, VideoModel):
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
         raise ValueError(
@@ -188,14 +186,14 @@ def create_video_observer(env: Any, estimator: str, detector: str = "masked") ->
     return VideoObserver(made, space, identities=not isinstance(tracker, RawDetections))
 
 
-def select_scene(rows: WaitingRows, k: int) -> WaitingRows:
+def select_scene(rows: ReservedRows, k: int) -> ReservedRows:
     """The rows of one scene, with an axis of one."""
-    return WaitingRows(type(rows.rows)(rows.rows.label[k : k + 1]), rows.absent[k : k + 1], rows.states[k : k + 1])
+    return ReservedRows(type(rows.rows)(rows.rows.label[k : k + 1]), rows.absent[k : k + 1], rows.states[k : k + 1])
 
 
-def join_scenes(memories: list[WaitingRows]) -> WaitingRows:
+def join_scenes(memories: list[ReservedRows]) -> ReservedRows:
     """The rows of several scenes."""
-    return WaitingRows(
+    return ReservedRows(
         type(memories[0].rows)(np.concatenate([memory.rows.label for memory in memories])),
         np.concatenate([memory.absent for memory in memories]),
         np.concatenate([memory.states for memory in memories]),

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState, present_estimate
-from servotrack.estimators.jacobian.contract import Array, LinearEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.contract import LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.kf import KalmanJacobian, KalmanState
-from servotrack.estimators.online import select_rows
+from servotrack.estimators.stateful import select_rows
+from servotrack.estimators.types import Array, Labels
 
 
 class FixedState(NamedTuple):
@@ -23,7 +23,7 @@ class FixedState(NamedTuple):
     """
 
     learner: KalmanState
-    steps: NDArray[np.int64]
+    steps: Labels
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.memory import remembered
-from servotrack.estimators.jacobian.contract import Array, ServoMeasurement
+from servotrack.estimators.jacobian.contract import ServoMeasurement
 from servotrack.estimators.jacobian.controller import ControllerState, ServoController
 from servotrack.estimators.jacobian.informed import Geometry
+from servotrack.estimators.types import Array, FloatArray, Mask
 
 OBSERVATION_KEYS = ("joint_angles", "features", "goal", "visible", "frame_time", "time")
 
@@ -28,7 +28,7 @@ class PrivilegedMeasurement(NamedTuple):
     joint_angles: Array
     features: Array
     goal: Array
-    visible: NDArray[np.bool_]
+    visible: Mask
     frame_time: Array
     time: Array
     geometry: Geometry
@@ -75,9 +75,9 @@ class JacobianServo:
         self,
         observation: Mapping[str, Any],
         state: ControllerState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], ControllerState]:
+    ) -> tuple[FloatArray, ControllerState]:
         """Choose joint rates; `state` is the controller's.
 
         Args:

@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.memory import remembered
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo
 from servotrack.estimators.detect import MarkerDetector
-from servotrack.estimators.jacobian.contract import Array
 from servotrack.estimators.jacobian.controller import ControllerState
+from servotrack.estimators.types import Array, FloatArray, Mask
 
 PIXEL_KEYS = ("image", "joint_angles", "goal", "frame_time", "time")
 REFERENCE_SIZE = 480.0
@@ -23,7 +22,7 @@ REFERENCE_SIZE = 480.0
 class Eyes(Protocol):
     """Finds the target's marker in images."""
 
-    def detect(self, images: Any) -> tuple[Array, NDArray[np.bool_]]:
+    def detect(self, images: Any) -> tuple[Array, Mask]:
         """Centers, shape (*batch, 2), px, and whether it is seen, shape (*batch,), in images (*batch, H, W, 3)."""
 
 
@@ -126,9 +125,9 @@ class PixelServo:
         self,
         observation: Mapping[str, Any],
         state: PixelServoState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], PixelServoState]:
+    ) -> tuple[FloatArray, PixelServoState]:
         """Choose joint rates.
 
         Args:

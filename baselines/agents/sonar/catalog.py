@@ -6,15 +6,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.track.sonar.array_model import SonarModel
 from servotrack.estimators.sonar import HMMBearings
 from servotrack.estimators.sonar.nulling import ViterbiNulling
 from servotrack.estimators.sonar.peaks import PeakKalmanHungarian, PeakNearestNeighbor, PeakTracker
-
-Array = NDArray[np.float64]
-
 
 FASTEST = 2.0
 """Bearing rates that trackers are made for, deg/s; grids go at least one step beyond rest."""

@@ -6,16 +6,14 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.people.observers import join_scenes, select_scene
-from servotrack.baselines.agents.row_patience import WaitingRows, allocate_patiently, no_rows
+from servotrack.baselines.agents.row_patience import ReservedRows, allocate_rows, no_rows
 from servotrack.baselines.agents.sonar.catalog import sonar_tracker
 from servotrack.envs.track.sonar.array_model import SonarModel
-from servotrack.estimators.online import add_axis, select_rows
 from servotrack.estimators.rfs import RowAllocation, SetEstimate
-
-Array = NDArray[np.float64]
+from servotrack.estimators.stateful import add_axis, select_rows
+from servotrack.estimators.types import Array, Mask
 
 BEARING = (0,)
 """Where a state holds the bearing."""
@@ -30,7 +28,7 @@ class SonarObserverState(NamedTuple):
     """
 
     beliefs: tuple[Any, ...]
-    rows: WaitingRows
+    rows: ReservedRows
 
 
 class SonarObserver:
@@ -52,7 +50,7 @@ class SonarObserver:
         self,
         observation: Any,
         state: SonarObserverState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
     ) -> tuple[Array, SonarObserverState]:
         """Answer a record.
@@ -82,7 +80,7 @@ class SonarObserver:
         for k, record in enumerate(records):
             belief = self.tracker.initial(record) if starts[k] else state.beliefs[k]
             belief, estimate = self.tracker.step(belief, record)
-            memory, answer = allocate_patiently(self._allocation, select_scene(rows, k), _of_one(estimate))
+            memory, answer = allocate_rows(self._allocation, select_scene(rows, k), _of_one(estimate))
             beliefs.append(belief)
             memories.append(memory)
             answers.append(answer)
@@ -104,7 +102,7 @@ class BearingOracle:
         self,
         observation: Mapping[str, Array],
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = True,
     ) -> tuple[Array, None]:
         """Answer a record; arguments as in `SonarObserver.predict`, with the truth in the observation."""
@@ -125,7 +123,7 @@ def create_sonar_observer(env: Any, tracker: str) -> Any:
     Raises:
         ValueError: The environment is no sonar world, or the tracker is unknown.
     """
-    told = getattr(env.unwrapped, "told", None)
+    told = getattr(env.unwrapped, "scene_model", None)
     if not isinstance(told, SonarModel):
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
         raise ValueError(

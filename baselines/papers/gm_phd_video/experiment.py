@@ -8,13 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.people.catalog import create_detector, create_tracker
 from servotrack.estimators.metrics import MotScores, Track, centroid_distances, mot_scores
-
-Array = NDArray[np.float64]
-Frame = NDArray[np.uint8]
+from servotrack.estimators.types import Array, Image, Labels
 
 COUNTED_FRAMES = 800
 """The paper counts its first 800 frames."""
@@ -51,7 +48,7 @@ class Outcome:
         filter_seconds: Mean time of the filter per frame, s.
     """
 
-    counts: NDArray[np.int64]
+    counts: Labels
     tracks: list[Track]
     detection_seconds: float
     filter_seconds: float
@@ -86,11 +83,11 @@ class _Progress:
 
 
 def run_methods(
-    frames: Iterable[Frame],
+    frames: Iterable[Image],
     size: tuple[int, int],
     frame_rate: float,
     methods: Mapping[str, Method] = METHODS,
-    background: Sequence[Frame] | None = None,
+    background: Sequence[Image] | None = None,
 ) -> dict[str, Outcome]:
     """Run methods side by side over one pass of the frames; each detector works once.
 
@@ -126,7 +123,7 @@ def run_methods(
     }
 
 
-def count_right(outcome: Outcome, numbers: NDArray[np.int64], frames: int = COUNTED_FRAMES) -> float:
+def count_right(outcome: Outcome, numbers: Labels, frames: int = COUNTED_FRAMES) -> float:
     """Share of the first frames in which a method reported the right number of people."""
     return float(np.mean(outcome.counts[:frames] == numbers[:frames]))
 

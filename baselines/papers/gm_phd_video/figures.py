@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.baselines.leaderboard.figure import STYLE
-from servotrack.baselines.papers.gm_phd_video.experiment import Frame, Outcome
+from servotrack.baselines.papers.gm_phd_video.experiment import Outcome
+from servotrack.estimators.types import Image, Labels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,7 +20,7 @@ _GRID = {"color": "#e9e9e6", "lw": 0.5}
 _FILTERED, _UNFILTERED = "#b5121b", "#2f7ebc"
 
 
-def draw_counts(numbers: NDArray[np.int64], outcomes: Mapping[str, Outcome], frame_rate: float) -> Figure:
+def draw_counts(numbers: Labels, outcomes: Mapping[str, Outcome], frame_rate: float) -> Figure:
     """Figure 3: the real and the estimated number over time, one panel per method.
 
     Args:
@@ -48,7 +49,7 @@ def draw_counts(numbers: NDArray[np.int64], outcomes: Mapping[str, Outcome], fra
     return figure
 
 
-def draw_frames(pictures: Sequence[tuple[str, Frame, Frame]]) -> Figure:
+def draw_frames(pictures: Sequence[tuple[str, Image, Image]]) -> Figure:
     """Figure 2: detections on the left, tracks on the right, at the frames that the paper shows.
 
     Args:
@@ -66,7 +67,7 @@ def draw_frames(pictures: Sequence[tuple[str, Frame, Frame]]) -> Figure:
     return figure
 
 
-def _show(axes: Axes, image: Frame, title: str) -> None:
+def _show(axes: Axes, image: Image, title: str) -> None:
     axes.imshow(image)
     axes.set_title(title)
     axes.set_axis_off()

@@ -9,15 +9,16 @@ import numpy as np
 
 from servotrack.baselines.agents.people.catalog import create_detector, create_tracker
 from servotrack.baselines.papers import sequences
-from servotrack.baselines.papers.gm_phd_video.experiment import Frame, Method
+from servotrack.baselines.papers.gm_phd_video.experiment import Method
 from servotrack.envs.track.people.box_paint import BoxTrail, annotate
+from servotrack.estimators.types import Image
 
 SHOWN = {330: "a new person", 450: "two merge", 468: "two part", 528: "one has left"}
 """Frames of figure 2."""
 _DETECTED = (226, 85, 52)
 
 
-def paper_pictures(seed: int, method: Method) -> list[tuple[str, Frame, Frame]]:
+def paper_pictures(seed: int, method: Method) -> list[tuple[str, Image, Image]]:
     """A title, the frame with its detections and the frame with its tracks, for each of `SHOWN`.
 
     Args:

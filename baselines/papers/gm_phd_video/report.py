@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.bench import progress_bars
@@ -26,6 +25,7 @@ from servotrack.baselines.papers.gm_phd_video.figures import draw_counts, draw_f
 from servotrack.baselines.papers.gm_phd_video.pictures import paper_pictures
 from servotrack.baselines.papers.publish import publish
 from servotrack.baselines.papers.reproduce import Request, claims_grid
+from servotrack.estimators.types import Array
 
 COMMAND = "servotrack reproduce phd"
 PAPER, AS_PRINTED = "GM-PHD, table 1, our detector", "GM-PHD, table 1"
@@ -55,13 +55,13 @@ class Measured(NamedTuple):
         detection, filter: Seconds per frame.
     """
 
-    count_right: NDArray[np.float64]
-    mota: NDArray[np.float64]
-    idf1: NDArray[np.float64]
-    hota: NDArray[np.float64]
-    switches: NDArray[np.float64]
-    detection: NDArray[np.float64]
-    filter: NDArray[np.float64]
+    count_right: Array
+    mota: Array
+    idf1: Array
+    hota: Array
+    switches: Array
+    detection: Array
+    filter: Array
 
 
 def reproduce_phd(request: Request) -> None:
@@ -179,7 +179,7 @@ def _effect(difference: PairedDifference, unit: str, measured: str) -> dict[str,
     return {"value": value, "low": low, "high": high, "unit": unit, "measured": measured}
 
 
-def _interval(values: NDArray[np.float64], digits: int) -> str:
+def _interval(values: Array, digits: int) -> str:
     if len(values) == 1:
         return f"{values[0]:.{digits}f}"
     mean = bootstrap_mean(values)

@@ -11,20 +11,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
-from numpy.typing import NDArray
 from rich.progress import Progress
 
 from servotrack.baselines.agents.sonar.catalog import sonar_tracker
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.results import ResultsError, atomic_path, code_version
 from servotrack.baselines.papers.hmm_sonar.scores import RecordScores, score_tracks
-from servotrack.envs.track.sonar.array_model import SonarModel, sonar_told
+from servotrack.envs.track.sonar.array_model import SonarModel, scene_model_of
 from servotrack.envs.track.sonar.config import SonarConfig, sonar_config
 from servotrack.envs.track.sonar.records import draw_record
 from servotrack.envs.track.sonar.scene import SonarScene, draw_scene
 from servotrack.estimators.metrics import Track, tracks_from_rows
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 ROW, CELL, LATE = "HMM, row", "HMM, cell (paper)", "HMM, row, 5 s late"
 VITERBI, NEAREST, HUNGARIAN = "Viterbi", "peaks, nearest neighbor", "peaks, Kalman + Hungarian"
@@ -183,7 +181,7 @@ def run_all(
 def measure(condition: Condition) -> dict[str, Measures]:
     """All methods on all records of a condition."""
     config = condition.config
-    told = sonar_told(config)
+    told = scene_model_of(config)
     trackers = {name: sonar_tracker(tracker, told) for name, tracker in METHODS.items()}
     found: dict[str, list[tuple[RecordScores, float]]] = {name: [] for name in METHODS}
     for number, seed in enumerate(seeds.take("test", condition.runs)):
@@ -253,7 +251,7 @@ def growth_of_cost(
         config = sonar_config(
             variant="random", targets=number, horizon=60, shortest_life=50, rate_noise=0.0, max_rate=0.5, lag=LAG
         )
-        told = sonar_told(config)
+        told = scene_model_of(config)
         tracker = sonar_tracker(METHODS[method], told)
         least = []
         for seed in seeds:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.sonar.catalog import sonar_tracker
 from servotrack.baselines.evaluation.statistics import bootstrap_mean
@@ -27,17 +26,17 @@ from servotrack.baselines.papers.hmm_sonar.experiment import (
 )
 from servotrack.baselines.papers.hmm_sonar.findings import TONE, coverage, in_time
 from servotrack.envs.track.clutter.render import identity_color
-from servotrack.envs.track.sonar.array_model import sonar_told
+from servotrack.envs.track.sonar.array_model import scene_model_of
 from servotrack.envs.track.sonar.config import sonar_config
 from servotrack.envs.track.sonar.render import paint_powers
 from servotrack.envs.track.sonar.scene import SonarScene, draw_scene
 from servotrack.estimators.sonar import BearingTrack
+from servotrack.estimators.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 STYLES: dict[str, dict[str, Any]] = {
     ROW: {"color": "#12436d", "lw": 1.8},
@@ -152,7 +151,7 @@ def draw_offsets(found: Mapping[str, Mapping[str, Measures]]) -> Figure:
 
 def _sample(variant: str, seed: int) -> _Sample:
     config = sonar_config(variant=variant, fidelity="snapshots", lag=0, bearing_jitter=0.0, rate_jitter=0.0)
-    scene, told = draw_scene(config, seed), sonar_told(config)
+    scene, told = draw_scene(config, seed), scene_model_of(config)
     rows = draw_rows(config, scene, seed)[: config.horizon]
     return _Sample(
         rows,

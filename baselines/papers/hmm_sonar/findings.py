@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.evaluation.statistics import (
     Interval,
@@ -32,8 +31,8 @@ from servotrack.baselines.papers.hmm_sonar.experiment import (
     Measures,
     simulation,
 )
+from servotrack.estimators.types import Array
 
-Array = NDArray[np.float64]
 Found = Mapping[str, Mapping[str, Measures]]
 
 COMMAND = "servotrack reproduce sonar"

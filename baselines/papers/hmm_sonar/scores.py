@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from servotrack.envs.track.sonar.scene import crossings
 from servotrack.estimators.metrics import Track
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels, Mask
 
 MATCHED = 3.0
 """A track is at a target that is nearer than this, deg."""
@@ -39,8 +37,8 @@ class RecordScores(NamedTuple):
     """
 
     squared_error: Array
-    tracked: NDArray[np.int64]
-    present: NDArray[np.int64]
+    tracked: Labels
+    present: Labels
     start: Array
     end: Array
     crossings: int
@@ -50,7 +48,7 @@ class RecordScores(NamedTuple):
     count_right: float
 
 
-def score_tracks(bearings: Array, exists: NDArray[np.bool_], tracks: Sequence[Track]) -> RecordScores:
+def score_tracks(bearings: Array, exists: Mask, tracks: Sequence[Track]) -> RecordScores:
     """Score tracks of one record.
 
     Args:
@@ -95,7 +93,7 @@ def score_tracks(bearings: Array, exists: NDArray[np.bool_], tracks: Sequence[Tr
     )
 
 
-def _owners(apart: Array, before: NDArray[np.int64]) -> NDArray[np.int64]:
+def _owners(apart: Array, before: Labels) -> Labels:
     """Which track is at each target: the one that was, if it is near enough, else by assignment of the rest."""
     owner = np.full(len(apart), -1)
     for target in np.flatnonzero(before >= 0).tolist():
@@ -110,7 +108,7 @@ def _owners(apart: Array, before: NDArray[np.int64]) -> NDArray[np.int64]:
     return owner
 
 
-def _verdict(owner: NDArray[np.int64], exists: NDArray[np.bool_], at: int, one: int, other: int) -> str | None:
+def _verdict(owner: Labels, exists: Mask, at: int, one: int, other: int) -> str | None:
     """What became of two tracks at a crossing; None where a target is not there long enough to ask."""
     near, far = ABOUT
     before, after = slice(max(at - far, 0), max(at - near, 0)), slice(at + near, at + far)
@@ -124,7 +122,7 @@ def _verdict(owner: NDArray[np.int64], exists: NDArray[np.bool_], at: int, one: 
     return "kept" if a >= 0 and b >= 0 and (a, b) == (c, d) else "lost"
 
 
-def _usual(owners: NDArray[np.int64]) -> int:
+def _usual(owners: Labels) -> int:
     """Who owned a target most often, -1 for nobody."""
     known = owners[owners >= 0]
     return int(np.bincount(known).argmax()) if len(known) else -1

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
-from numpy.typing import NDArray
 from rich.progress import Progress
 
 from servotrack.baselines.agents.color.catalog import color_tracker
@@ -17,8 +16,8 @@ from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.results import ResultsError, atomic_path, code_version
 from servotrack.baselines.tuning.color_films import film, track
 from servotrack.envs.track.color.config import LEVEL_NAMES
+from servotrack.estimators.types import Array
 
-Array = NDArray[np.float64]
 Method = tuple[str, Mapping[str, Any]]
 
 PAPER, PLUS, PARTICLES, MEAN_SHIFT = "Monte Carlo", "Monte Carlo plus", "particle filter", "kernel mean shift"

@@ -34,6 +34,7 @@ from servotrack.baselines.tuning.color_films import film, track
 from servotrack.envs.track.color.config import LEVEL_NAMES
 from servotrack.envs.track.color.render import ANSWER, TRUTH, draw_box
 from servotrack.envs.track.color.scoring import SUCCESS_THRESHOLDS, success_curve
+from servotrack.estimators.types import Array, Labels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -124,7 +125,7 @@ def _draw_row(row: Sequence[Axes], level: int, seed: int) -> None:
     row[0].set_ylabel(LEVEL_NAMES[level].replace("_", " and "), fontsize=7)
 
 
-def _about_the_worst(boxes: NDArray[np.float64], truth: NDArray[np.float64], count: int) -> NDArray[np.int64]:
+def _about_the_worst(boxes: Array, truth: Array, count: int) -> Labels:
     """Frames before, at and after the first time that the answer jumps away from the truth, or evenly spaced ones."""
     apart = np.abs(boxes[:, :2] - truth[:, :2]).max(axis=1)
     first = int(np.argmax(apart > 12.0)) if (apart > 12.0).any() else len(truth) // 2

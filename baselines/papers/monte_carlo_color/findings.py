@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.evaluation.statistics import Interval, PairedDifference, bootstrap_mean, paired_difference
 from servotrack.baselines.leaderboard.table import Grid
@@ -29,8 +28,8 @@ from servotrack.baselines.papers.monte_carlo_color.experiment import (
 )
 from servotrack.envs.track.color.config import LEVEL_NAMES
 from servotrack.envs.track.color.scoring import failures, precision, success_curve
+from servotrack.estimators.types import Array
 
-Array = NDArray[np.float64]
 Found = Mapping[str, Mapping[str, Measures]]
 
 COMMAND = "servotrack reproduce color"

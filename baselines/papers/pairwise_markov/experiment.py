@@ -8,17 +8,15 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.clutter.catalog import FilterSettings, track_filter
 from servotrack.envs.streams import episode_seed
 from servotrack.envs.track.clutter.config import ClutterConfig, clutter_config
 from servotrack.envs.track.clutter.episode import ClutterEpisode, draw_episode
-from servotrack.envs.track.clutter.scene_model import told
+from servotrack.envs.track.clutter.scene_model import scene_model_of
 from servotrack.estimators.metrics import ospa2, score_points, stack_tracks, tracks_from_rows, trajectory_gospa
-from servotrack.estimators.online import Online
-
-Array = NDArray[np.float64]
+from servotrack.estimators.stateful import Stateful
+from servotrack.estimators.types import Array, Labels, Mask
 
 CUTOFF = 100.0
 """The c of OSPA and GOSPA, m."""
@@ -117,12 +115,12 @@ def run_condition(condition: Condition, seeds: Sequence[int]) -> dict[str, Measu
     return {name: _run_method(name, condition, scans, truth, exists) for name in condition.methods}
 
 
-def _run_method(name: str, condition: Condition, scans: Array, truth: Array, exists: NDArray[np.bool_]) -> Measures:
+def _run_method(name: str, condition: Condition, scans: Array, truth: Array, exists: Mask) -> Measures:
     filter_name, settings = METHODS[name]
-    tracker = Online(track_filter(filter_name, told(condition.config), settings))
+    tracker = Stateful(track_filter(filter_name, scene_model_of(condition.config), settings))
     steps, runs = scans.shape[:2]
     columns = {key: np.zeros((runs, steps)) for key in Measures._fields[:6]}
-    labels: list[NDArray[np.int64]] = []
+    labels: list[Labels] = []
     positions: list[Array] = []
     for step in range(steps):
         estimate = tracker.step(scans[step])
@@ -149,7 +147,7 @@ def _run_method(name: str, condition: Condition, scans: Array, truth: Array, exi
     return Measures(**columns, ospa2=whole, trajectory_gospa=switched)
 
 
-def _tracks(labels: list[NDArray[np.int64]], positions: list[Array]) -> Array:
+def _tracks(labels: list[Labels], positions: list[Array]) -> Array:
     """One run's reported identities as tracks, shape (k, T, 2)."""
     most = max(len(row) for row in labels)
     names, places = np.full((len(labels), most), -1, dtype=np.int64), np.zeros((len(labels), most, 2))
@@ -170,12 +168,12 @@ def time_steps(names: Sequence[str], condition: Condition, seeds: Sequence[int])
         One median for each run after the first, shape (len(seeds) - 1,), s.
     """
     found: dict[str, list[float]] = {name: [] for name in names}
-    scene = told(condition.config)
+    scene = scene_model_of(condition.config)
     for episode in draw_runs(condition.config, seeds):
         scans = [scan[scan[:, 0] > 0.5, 1:] for scan in episode.measurements[:-1]]
         for name in names:
             filter_name, settings = METHODS[name]
-            tracker = Online(track_filter(filter_name, scene, settings))
+            tracker = Stateful(track_filter(filter_name, scene, settings))
             durations = []
             for z in scans:
                 begin = time.perf_counter()
@@ -203,7 +201,7 @@ def single_run(name: str, condition: Condition, seed: int) -> SingleRun:
     """One run of one method."""
     (episode,) = draw_runs(condition.config, [seed])
     filter_name, settings = METHODS[name]
-    tracker = Online(track_filter(filter_name, told(condition.config), settings))
+    tracker = Stateful(track_filter(filter_name, scene_model_of(condition.config), settings))
     estimates, measurements = [], []
     for step, scan in enumerate(episode.measurements[:-1]):
         z = scan[scan[:, 0] > 0.5, 1:]

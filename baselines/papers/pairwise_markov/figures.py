@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from servotrack.baselines.leaderboard.figure import STYLE
 from servotrack.baselines.papers.pairwise_markov.experiment import Measures, SingleRun
+from servotrack.estimators.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,7 +75,7 @@ def draw_estimates(run: SingleRun, name: str) -> Figure:
     return figure
 
 
-def draw_numbers(measures: Mapping[str, Measures], truth: NDArray[np.float64]) -> Figure:
+def draw_numbers(measures: Mapping[str, Measures], truth: Array) -> Figure:
     """Figure 3: mean and standard deviation of the extracted number, and the filters' own mean, dotted."""
     import matplotlib as mpl
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.evaluation.statistics import PairedDifference, paired_difference
 from servotrack.baselines.papers.claims import Claim, Verdict, judge_smaller
@@ -20,8 +19,7 @@ from servotrack.baselines.papers.pairwise_markov.plan import (
     excess,
     run_means,
 )
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 COMMAND = "servotrack reproduce pmm"
 ALIKE = 0.05

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from servotrack.baselines.papers.pairwise_markov.experiment import (
     EXTRACTION_METHODS,
     OUR_METHODS,
@@ -14,8 +11,7 @@ from servotrack.baselines.papers.pairwise_markov.experiment import (
     Condition,
     Measures,
 )
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 CLUTTER_RATES = (10.0, 20.0, 30.0, 40.0)
 DETECTION_PROBABILITIES = (0.90, 0.94, 0.98, 1.0)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 
 from servotrack.baselines.evaluation import seeds
@@ -36,6 +34,7 @@ from servotrack.baselines.papers.pairwise_markov.plan import (
     shares,
 )
 from servotrack.baselines.papers.pairwise_markov.runs import run_all
+from servotrack.estimators.types import Array
 
 TIMED_RUNS = 6
 NOTE = (
@@ -60,7 +59,7 @@ def reproduce_pmm(output: Path, runs: int, console: Console, claims_path: Path |
         found = run_all(plan, output / "runs", progress)
         bar = progress.add_task("timing", total=len(CLUTTER_RATES) + 1)
         timed = seeds.take("tune", TIMED_RUNS)
-        seconds: dict[tuple[str, float], NDArray[np.float64]] = {}
+        seconds: dict[tuple[str, float], Array] = {}
         for rate in CLUTTER_RATES:
             condition = next(c for _, c in conditions if c.name == clutter_name(rate))
             for name, medians in time_steps(METHODS, condition, timed).items():

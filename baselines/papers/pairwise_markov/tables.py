@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.leaderboard.table import Grid
 from servotrack.baselines.papers.pairwise_markov.experiment import NARROW_CUTOFF, Measures
 from servotrack.baselines.papers.pairwise_markov.plan import CLUTTER_RATES, METHODS, STRUCTURES, excess, run_means
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 
 def _plain(values: Array, digits: int = 2, sign: str = "") -> str:

@@ -15,7 +15,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.baselines.agents.servo.anchors import FixedJacobian
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo, servo_measurement
@@ -31,8 +30,7 @@ from servotrack.estimators.jacobian import (
     ServoMeasurement,
     UnscentedJacobian,
 )
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 TRACKING, POSITIONING = "UncalibServo-v0", "UncalibServoReach-v0"
 PROCESS_VARIANCE, MEASUREMENT_VARIANCE, INITIAL_VARIANCE = 31.6, 100.0, 100.0

@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.arguments import check_fields, check_keywords, check_level
 from servotrack.estimators.rfs.models import (
@@ -18,8 +17,7 @@ from servotrack.estimators.rfs.models import (
     constant_velocity,
     pairwise_structure,
 )
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 SCENARIOS = ("paper", "random")
 SENSORS = ("position", "range-bearing")

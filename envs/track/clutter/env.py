@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode
 
 from servotrack.envs.arguments import check_count
 from servotrack.envs.track.clutter.config import LEVEL_NAMES, ClutterConfig, clutter_config
-from servotrack.envs.track.clutter.scene_model import SceneModel, told
+from servotrack.envs.track.clutter.scene_model import SceneModel, scene_model_of
 from servotrack.envs.track.clutter.world import ClutterWorld
 from servotrack.envs.track.env import TrackEnv, TrackVectorEnv, set_space
 
@@ -35,7 +35,8 @@ class ClutterTrackingEnv(TrackEnv):
     | 6 `wrong clutter` | agents are told 5 false measurements per scan; there are 40 |
     | 7 `wrong births` | agents are told four birth sites; targets appear anywhere |
 
-    The public attribute `told` is what agents are told: see `servotrack.envs.track.clutter.scene_model.SceneModel`.
+    The public attribute `scene_model` holds the parameters that agents may know, a
+    `servotrack.envs.track.clutter.scene_model.SceneModel`.
 
     ## Action Space
 
@@ -89,7 +90,7 @@ class ClutterTrackingEnv(TrackEnv):
     def __init__(self, level: int = 0, *, render_mode: str | None = None, **axes: Any) -> None:
         self.config = clutter_config(level, **axes)
         self.level = level
-        self.told: SceneModel = told(self.config)
+        self.scene_model: SceneModel = scene_model_of(self.config)
         super().__init__(ClutterWorld(self.config, 1), *_spaces(self.config), render_mode, "ClutterTracking-v0")
 
     def _make_recorder(self) -> Any:
@@ -125,7 +126,7 @@ class ClutterTrackingVectorEnv(TrackVectorEnv):
     ) -> None:
         self.config = clutter_config(level, **axes)
         self.level = level
-        self.told: SceneModel = told(self.config)
+        self.scene_model: SceneModel = scene_model_of(self.config)
         world = ClutterWorld(self.config, check_count(num_envs))
         super().__init__(world, num_envs, *_spaces(self.config), render_mode, autoreset_mode, max_episode_steps)
 

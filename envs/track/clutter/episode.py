@@ -8,12 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.clutter.config import ClutterConfig, poisson_quantile
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels, Mask
 
 _CANDIDATES = 16
 """Paths drawn at a time for one target, of which the first that stays inside counts."""
@@ -70,9 +68,9 @@ class ClutterEpisode:
     """
 
     states: Array
-    exists: NDArray[np.bool_]
+    exists: Mask
     measurements: Array
-    source: NDArray[np.int64]
+    source: Labels
 
 
 def draw_episode(config: ClutterConfig, seed: int) -> ClutterEpisode:
@@ -101,7 +99,7 @@ def draw_episode(config: ClutterConfig, seed: int) -> ClutterEpisode:
     return ClutterEpisode(states, exists, measurements, source)
 
 
-def _births(config: ClutterConfig, streams: Streams) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+def _births(config: ClutterConfig, streams: Streams) -> tuple[Labels, Labels, Array]:
     """First and last scan (counted from 0) of each target, and its first state."""
     scans = config.horizon + 1
     if config.scenario == "paper":
@@ -209,9 +207,7 @@ def _range_bearing(config: ClutterConfig, streams: Streams, states: Array) -> Ar
     return exact + noise * np.array([config.range_noise, config.bearing_noise])
 
 
-def _scan(
-    config: ClutterConfig, streams: Streams, exists: NDArray[np.bool_], values: Array
-) -> tuple[Array, NDArray[np.int64]]:
+def _scan(config: ClutterConfig, streams: Streams, exists: Mask, values: Array) -> tuple[Array, Labels]:
     """Detections and clutter of all scans, shuffled: measurements (K, M, 3) and their sources (K, M)."""
     scans, n = exists.shape
     rows = config.measurement_rows

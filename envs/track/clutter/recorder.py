@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from servotrack.envs.servo.backdrop import Image
 from servotrack.envs.track.clutter.render import TRAIL_LENGTH, TrackScene, Trail, draw
 from servotrack.envs.track.clutter.world import ClutterWorld
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Image, Labels, Mask
 
 
 class Recorder:
@@ -22,8 +19,8 @@ class Recorder:
 
     def __init__(self, world: ClutterWorld, row: int = 0) -> None:
         self._world, self._row = world, row
-        self._labels: list[NDArray[np.int64]] = []
-        self._reported: list[NDArray[np.bool_]] = []
+        self._labels: list[Labels] = []
+        self._reported: list[Mask] = []
         self._estimates: list[Array] = []
         self._errors: list[float] = []
 

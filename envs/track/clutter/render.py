@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
-from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, IVORY, PAPER, SOFT_INK, Color, Image, Panel, mix
-
-Array = NDArray[np.float64]
+from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, IVORY, PAPER, SOFT_INK, Color, Panel, mix
+from servotrack.estimators.types import Array, Image
 
 WIDTH, HEIGHT = 800, 544
 TRAIL_LENGTH = 40

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.track.clutter.config import ClutterConfig
 from servotrack.estimators.rfs.models import (
@@ -14,8 +13,8 @@ from servotrack.estimators.rfs.models import (
     RangeBearingModel,
     constant_velocity,
 )
+from servotrack.estimators.types import Array
 
-Array = NDArray[np.float64]
 Model = HiddenMarkovModel | PairwiseMarkovModel | RangeBearingModel
 
 
@@ -58,7 +57,7 @@ class SceneModel(NamedTuple):
 _PAPER_BIRTH_WEIGHT = 0.03
 
 
-def told(config: ClutterConfig) -> SceneModel:
+def scene_model_of(config: ClutterConfig) -> SceneModel:
     """What the agents of a world are told about it."""
     linear = constant_velocity(config.acceleration_noise, config.position_noise, period=config.period)
     model: Model = config.motion

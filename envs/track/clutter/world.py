@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.track.clutter.config import ClutterConfig
 from servotrack.envs.track.clutter.episode import draw_episode
 from servotrack.envs.track.scoring import SetScorer
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels, Mask
 
 
 class ClutterWorld:
@@ -70,7 +68,7 @@ class ClutterWorld:
             self.steps[row], self.truncated[row], self.ospa2[row] = 0, False, 0.0
         self._observe()
 
-    def step(self, answers: Array, running: NDArray[np.bool_] | None = None) -> None:
+    def step(self, answers: Array, running: Mask | None = None) -> None:
         """Score every row's answer to its newest scan, and show the next scan.
 
         Args:
@@ -100,7 +98,7 @@ class ClutterWorld:
         positions = self._states[row, :-1][:, :, [0, 2]]
         return np.where(self._exists[row, :-1, :, None], positions, np.nan).swapaxes(0, 1)
 
-    def scan(self, row: int, step: int) -> tuple[Array, NDArray[np.int64], Array, NDArray[np.bool_]]:
+    def scan(self, row: int, step: int) -> tuple[Array, Labels, Array, Mask]:
         """One scene's scan: measurements (M, 3), sources (M,), true states (n, 4), existence (n,); views."""
         return self._measurements[row, step], self._source[row, step], self._states[row, step], self._exists[row, step]
 

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.track.color.layers import Color
-
-Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, FloatArray, Image
 
 _WALLS = ((196, 188, 172), (168, 180, 184), (188, 176, 190), (174, 186, 164), (206, 194, 160), (150, 152, 158))
 _WOODS = ((150, 106, 68), (120, 80, 52), (178, 136, 92), (98, 72, 54))
@@ -59,12 +56,12 @@ def _thing(rng: np.random.Generator, palette: tuple[Color, ...], own: tuple[Colo
     return _tint(rng, palette)
 
 
-def _box(image: NDArray[np.float32], left: float, top: float, width: float, height: float, color: Array) -> None:
+def _box(image: FloatArray, left: float, top: float, width: float, height: float, color: Array) -> None:
     left, top, right, bottom = round(left), round(top), round(left + width), round(top + height)
     image[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = color
 
 
-def _wallpaper(image: NDArray[np.float32], rng: np.random.Generator) -> None:
+def _wallpaper(image: FloatArray, rng: np.random.Generator) -> None:
     kind, step = int(rng.integers(3)), int(rng.integers(12, 30))
     height, width = image.shape[:2]
     if kind == 0:
@@ -80,7 +77,7 @@ def _wallpaper(image: NDArray[np.float32], rng: np.random.Generator) -> None:
 
 
 def _shelf(
-    image: NDArray[np.float32], rng: np.random.Generator, left: int, span: int, own: tuple[Color, ...], share: float
+    image: FloatArray, rng: np.random.Generator, left: int, span: int, own: tuple[Color, ...], share: float
 ) -> None:
     wood = _tint(rng, _WOODS)
     height = image.shape[0]
@@ -105,7 +102,7 @@ def _shelf(
 
 
 def _picture(
-    image: NDArray[np.float32], rng: np.random.Generator, left: int, span: int, own: tuple[Color, ...], share: float
+    image: FloatArray, rng: np.random.Generator, left: int, span: int, own: tuple[Color, ...], share: float
 ) -> None:
     for _ in range(3):
         wide, tall = span * rng.uniform(0.5, 1.0), rng.uniform(36.0, 90.0)
@@ -119,7 +116,7 @@ def _picture(
 
 
 def _panel(
-    image: NDArray[np.float32], rng: np.random.Generator, left: int, span: int, own: tuple[Color, ...], share: float
+    image: FloatArray, rng: np.random.Generator, left: int, span: int, own: tuple[Color, ...], share: float
 ) -> None:
     wood = _thing(rng, _WOODS, own, share)
     height = image.shape[0]
@@ -136,7 +133,7 @@ def _panel(
 
 
 def _plant(
-    image: NDArray[np.float32], rng: np.random.Generator, left: int, span: int, own: tuple[Color, ...], share: float
+    image: FloatArray, rng: np.random.Generator, left: int, span: int, own: tuple[Color, ...], share: float
 ) -> None:
     height = image.shape[0]
     root = np.array([left + span / 2.0, height * rng.uniform(0.55, 0.95)])

@@ -14,7 +14,6 @@ from servotrack.envs.track.color.config import LEVEL_NAMES, ColorConfig, color_c
 from servotrack.envs.track.color.world import ColorWorld
 from servotrack.envs.track.env import TrackEnv, TrackVectorEnv
 
-Array = NDArray[np.float64]
 Observation = dict[str, NDArray[Any]]
 
 METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 25}

@@ -7,11 +7,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from servotrack.envs.track.color.layers import Canvas, Color, Image, Layer, Placement, oval, put
-
-Array = NDArray[np.float64]
+from servotrack.envs.track.color.layers import Canvas, Color, Layer, Placement, oval, put
+from servotrack.estimators.types import Array, Image
 
 HEAD = 72.0
 """Height of a head in its layers, px."""

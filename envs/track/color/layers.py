@@ -8,10 +8,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from servotrack.estimators.types import Array, FloatArray, Image
+
 Color = tuple[float, float, float]
 
 _FINE = 4
@@ -27,7 +26,7 @@ class Layer(NamedTuple):
         outline: Hull of all that was painted, from the origin. Shape (k, 2), px of the layer.
     """
 
-    pixels: NDArray[np.float32]
+    pixels: FloatArray
     origin: Array
     outline: Array
 
@@ -47,7 +46,7 @@ class Canvas:
         self._pixels = np.zeros((height, width, 4), np.float32)
         self._points: list[Array] = []
 
-    def paint(self, points: Array, color: Color | NDArray[np.float32], *, inside: bool = False) -> None:
+    def paint(self, points: Array, color: Color | FloatArray, *, inside: bool = False) -> None:
         """Lay a filled polygon over what is there.
 
         Args:
@@ -76,7 +75,7 @@ class Canvas:
         part[..., :3] += cover * chosen
         part[..., 3:] += cover * 255.0
 
-    def shades(self, color: Color, strength: Array) -> NDArray[np.float32]:
+    def shades(self, color: Color, strength: Array) -> FloatArray:
         """A color for every pixel: `color` times a strength of any coarser shape, blown up to the canvas."""
         height, width = self._pixels.shape[:2]
         blown = cv2.resize(strength.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
-from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, PAPER, SOFT_INK, Color, Image, Panel, mix
+from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, PAPER, SOFT_INK, Color, Panel, mix
 from servotrack.envs.track.color.world import ColorWorld
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Image
 
 ANSWER: Color = (255, 138, 0)
 """Color of the answer's box, its trail and its overlap."""

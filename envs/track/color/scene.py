@@ -25,9 +25,7 @@ from servotrack.envs.track.color.figures import (
 )
 from servotrack.envs.track.color.layers import Canvas, Layer, Placement, put
 from servotrack.envs.track.color.scripts import SCENE_ROOM, Motion, Script, Stream, draw_script
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from servotrack.estimators.types import Array, Image, Labels
 
 _NOISE_MARGIN = 32
 """The noise of a frame is a window of a larger field; this many px it may be shifted either way."""
@@ -54,7 +52,7 @@ class Scene(NamedTuple):
     backdrop: Image
     boxes: Array
     noise: NDArray[np.int8]
-    noise_shifts: NDArray[np.int64]
+    noise_shifts: Labels
 
 
 @lru_cache(maxsize=8)

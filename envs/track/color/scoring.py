@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 SUCCESS_THRESHOLDS = np.linspace(0.0, 1.0, 21)
 """Overlaps of the success curve: 0, 0.05, ..., 1."""

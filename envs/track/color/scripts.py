@@ -7,12 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.color.config import ColorConfig
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 
 class Stream(IntEnum):

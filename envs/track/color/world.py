@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from servotrack.envs.track.color.config import ColorConfig
 from servotrack.envs.track.color.scene import Painter, draw_scene
 from servotrack.envs.track.color.scoring import center_errors, failures, overlaps, precision, success_curve
-
-Array = NDArray[np.float64]
-
+from servotrack.estimators.types import Array, Mask
 
 _FARTHEST = 1e12
 """Answers count as no farther out than this, px."""
@@ -70,7 +68,7 @@ class ColorWorld:
             self.auc[row], self.precision[row], self.failures[row] = 0.0, 0.0, 0
             self._show(row)
 
-    def step(self, answers: Array, running: NDArray[np.bool_] | None = None) -> None:
+    def step(self, answers: Array, running: Mask | None = None) -> None:
         """Score every row's answer to its newest frame, and show the next frame.
 
         Args:

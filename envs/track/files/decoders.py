@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from servotrack.envs.track.files.mot_files import find_mot_folder
 from servotrack.envs.track.files.recorded import SequenceError
-
-Frame = NDArray[np.uint8]
+from servotrack.estimators.types import Image
 
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 _ATTEMPTS = 5
@@ -262,7 +261,7 @@ class ImageFolder(Decoder):
         return f" ({self._names[position]})"
 
 
-def to_rgb(image: NDArray[Any], where: str) -> Frame:
+def to_rgb(image: NDArray[Any], where: str) -> Image:
     """A decoded image as RGB, uint8, shape (H, W, 3).
 
     Args:

@@ -10,8 +10,9 @@ from typing import Any
 import cv2
 from numpy.typing import NDArray
 
-from servotrack.envs.track.files.decoders import Decoder, Frame, find_decoder, to_rgb
+from servotrack.envs.track.files.decoders import Decoder, find_decoder, to_rgb
 from servotrack.envs.track.files.recorded import SequenceError
+from servotrack.estimators.types import Image
 
 SIDES = (8, 16384)
 """Smallest and largest side that frames may be resized to, px."""
@@ -57,7 +58,7 @@ class FrameSource:
         if not self.live:
             decoder.close()
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[Image]:
         """Frames, from `start` on.
 
         Raises:
@@ -91,7 +92,7 @@ class FrameSource:
         """Let go of the camera or file."""
         self._decoder.close()
 
-    def _deliver(self, image: NDArray[Any], position: int) -> Frame:
+    def _deliver(self, image: NDArray[Any], position: int) -> Image:
         where = f"{self.name}, frame {position}{self._decoder.detail(position)}"
         if (image.shape[1], image.shape[0]) != self.source_size:
             raise SequenceError(
@@ -151,7 +152,7 @@ def open_frames(
     return FrameSource(find_decoder(source), width, height, int(start), count, int(stride))
 
 
-def resize(image: Frame, size: tuple[int, int]) -> Frame:
+def resize(image: Image, size: tuple[int, int]) -> Image:
     """An image brought to (width, height), by areas where it shrinks; itself where it has that size."""
     if (image.shape[1], image.shape[0]) == size:
         return image

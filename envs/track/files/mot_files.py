@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from servotrack.envs.track.files.recorded import RecordedTracks, SequenceError, TrackRows, check_file
 from servotrack.estimators.detect.detections import Detections, detections_from_boxes
-
-Array = NDArray[np.float64]
 
 _MAX_LINE = 4096
 _MAX_INI = 65536

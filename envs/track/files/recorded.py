@@ -11,11 +11,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.metrics.tracks import Track
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 MAX_FRAME = 10_000_000
 """Latest frame that is believed: four days at 25 frames per second. Beyond it a number is a slip of the pen."""
@@ -39,7 +37,7 @@ class PeopleInFrame(NamedTuple):
         visibilities: Visible share of each, from 0 to 1. Shape (k,).
     """
 
-    ids: NDArray[np.int64]
+    ids: Labels
     boxes: Array
     visibilities: Array
 
@@ -54,7 +52,7 @@ class RecordedTracks:
         visibilities: Visible share of each box, from 0 to 1; 1 where the file does not tell. n arrays of shape (k,).
     """
 
-    ids: NDArray[np.int64]
+    ids: Labels
     tracks: list[Track]
     visibilities: list[Array]
 
@@ -84,7 +82,7 @@ class RecordedTracks:
 class _Frames(Mapping[int, PeopleInFrame]):
     """Frames cut out of whole arrays when they are asked for: hours of them would fill the memory."""
 
-    def __init__(self, frames: NDArray[np.int64], bounds: NDArray[np.int64], everybody: PeopleInFrame) -> None:
+    def __init__(self, frames: Labels, bounds: Labels, everybody: PeopleInFrame) -> None:
         self._frames, self._bounds, self._everybody = frames, bounds, everybody
 
     def __getitem__(self, frame: int) -> PeopleInFrame:

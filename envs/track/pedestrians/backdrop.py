@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, BAY, Camera
 from servotrack.envs.track.pedestrians.paving import paint_floor
-
-Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, FloatArray, Image
 
 DOOR_WIDTH, DOOR_HEIGHT = 2.0, 2.4
 """Of the double glass doors, m."""
@@ -82,7 +80,7 @@ def background_colors(backdrop: Image, foot: float, rng: np.random.Generator, co
     return smooth[rows, columns].astype(np.float64)
 
 
-def _paint_wall(camera: Camera, foot: float, palette: _Palette, rng: np.random.Generator) -> NDArray[np.float32]:
+def _paint_wall(camera: Camera, foot: float, palette: _Palette, rng: np.random.Generator) -> FloatArray:
     """The back wall down to its foot, as the camera sees it."""
     width, rows = int(camera.width), math.ceil(foot) + 1
     scale = camera.focal / BACK_WALL * _FINE

@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from servotrack.estimators.types import FloatArray
+
 WIDTH = 64
 """Columns of a stripe, eight blocks side by side."""
 
@@ -35,7 +37,7 @@ _CHROMINANCE = (
 )  # fmt: skip
 
 
-def workspace(quality: int, chrominance: bool) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def workspace(quality: int, chrominance: bool) -> tuple[NDArray[np.int32], FloatArray]:
     """What a stripe is coded with, from JPEG's tables (ITU-T T.81, annex K.1).
 
     Args:

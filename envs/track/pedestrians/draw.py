@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.backdrop import background_colors, paint_backdrop
@@ -28,8 +27,7 @@ from servotrack.envs.track.pedestrians.shapes import (
     patch_at,
 )
 from servotrack.envs.track.pedestrians.sprites import MAX_PARTS, pose_person
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 MOST_PEOPLE = 255
 """In one frame: owners are bytes."""
@@ -136,7 +134,7 @@ class Stage:
             image = self._coder.code(image)
         return Drawn(image, boxes, visible / np.maximum(totals, 1.0), owners)
 
-    def _pose(self, people: People) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    def _pose(self, people: People) -> tuple[Array, Labels, Labels]:
         """Parts of all bodies, their drawing orders (the number of parts last), and the extents of their patches."""
         count = len(people.ids)
         looks = np.empty((count, LOOK_NUMBERS))

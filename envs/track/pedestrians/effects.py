@@ -7,12 +7,10 @@ import math
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.config import PedestrianConfig
-
-Image = NDArray[np.uint8]
+from servotrack.estimators.types import Image, Labels
 
 _BANK = 4096
 """Frames after which noise and flicker repeat."""
@@ -69,7 +67,7 @@ class Sensor:
     """
 
     def __init__(self, deviation: float, width: int, height: int, rng: np.random.Generator) -> None:
-        self._places: NDArray[np.int64] | None = None
+        self._places: Labels | None = None
         self._width, self._height = width, height
         if deviation <= 0.0:
             return

@@ -44,7 +44,8 @@ class PedestrianTrackingEnv(TrackEnv):
     `meet_split_third_guy` (the 922 frames of paper 000's sequence: two meet, become one region at about frame 450 and
     part at about 468, a third comes by), or `replay` with `source`, recorded tracks that people of our own walk again.
 
-    The public attribute `told` is what agents are told: see `servotrack.envs.track.people.camera_model.VideoModel`.
+    The public attribute `scene_model` holds the parameters that agents may know, a
+    `servotrack.envs.track.people.camera_model.VideoModel`.
 
     ## Action Space
 
@@ -117,7 +118,7 @@ class PedestrianTrackingEnv(TrackEnv):
         self._show_truth = show_truth
         self.config = pedestrian_config(level, **axes)
         self.level = level
-        self.told: VideoModel = told(self.config)
+        self.scene_model: VideoModel = scene_model_of(self.config)
         world = PedestrianWorld(self.config, 1)
         super().__init__(world, *_spaces(self.config), render_mode, "PedestrianTracking-v0")
 
@@ -159,7 +160,7 @@ class PedestrianTrackingVectorEnv(TrackVectorEnv):
         self._show_truth = show_truth
         self.config = pedestrian_config(level, **axes)
         self.level = level
-        self.told: VideoModel = told(self.config)
+        self.scene_model: VideoModel = scene_model_of(self.config)
         world = PedestrianWorld(self.config, check_count(num_envs))
         super().__init__(world, num_envs, *_spaces(self.config), render_mode, autoreset_mode, max_episode_steps)
 
@@ -169,7 +170,7 @@ class PedestrianTrackingVectorEnv(TrackVectorEnv):
         return PeopleRecorder(self.world, row, self._show_truth)
 
 
-def told(config: PedestrianConfig) -> VideoModel:
+def scene_model_of(config: PedestrianConfig) -> VideoModel:
     """What the agents of a scene are told about it."""
     paper = config.script == "meet_split_third_guy"
     return VideoModel(

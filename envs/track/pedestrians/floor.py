@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 NEAR, FAR = 6.2, 15.0
 """Where people walk, z in m; at the default size they are 26 to 65 px per meter."""

@@ -10,11 +10,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.track.pedestrians.block_transform import WIDTH, code_stripe, workspace
-
-Image = NDArray[np.uint8]
+from servotrack.estimators.types import Image
 
 _int = np.int32
 _HALF = 32768  # of the fixed-point numbers' 16 bits

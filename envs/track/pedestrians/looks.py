@@ -5,11 +5,9 @@ from __future__ import annotations
 from bisect import bisect_left
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 SKIN, HAIR, TOP, TOP_SECOND, SLEEVE, TROUSERS, SHOES, BAG_COLOR = range(0, 24, 3)
 """Where a look's colors begin, RGB in gray levels."""

@@ -13,8 +13,7 @@ from servotrack.envs.track.pedestrians.people import People
 from servotrack.estimators.detect import MaskedBackground
 from servotrack.estimators.detect.blobs import BlobFinder
 from servotrack.estimators.detect.bodies import Cover
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 _EMPTY_FRAMES = 5
 """Frames of the empty lobby from which the detector has learned the background."""

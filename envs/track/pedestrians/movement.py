@@ -12,8 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from servotrack.envs.track.pedestrians.people import People
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 _MARGIN = 0.7
 """How far outside the image somebody is still drawn, body heights; shadows fall into it."""
@@ -56,13 +55,13 @@ class Movement:
         width: Of the image, px.
     """
 
-    ids: NDArray[np.int64]
+    ids: Labels
     feet: Array
     height: Array
     heading: Array
     phase: Array
     stride: Array
-    looks: NDArray[np.int64]
+    looks: Labels
     width: float
 
     def people(self, frame: int) -> tuple[People, NDArray[np.intp]]:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.config import PAPER_FRAMES, PedestrianConfig
 from servotrack.envs.track.pedestrians.floor import Camera
 from servotrack.envs.track.pedestrians.scene import Party, Plan, Stream, leg
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 NUMBERS = (
     (0, 0), (49, 1), (169, 2), (319, 3), (518, 2), (624, 1), (699, 2), (749, 3), (755, 2), (899, 1),

@@ -7,9 +7,9 @@ import math
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, BAY, Camera
+from servotrack.estimators.types import FloatArray
 
 _TILE = 1.25
 _JOINT = 0.022
@@ -21,8 +21,8 @@ _TINTS = np.array([[0.05, 0.03], [0.01, 0.0], [-0.06, -0.03]])
 
 
 def paint_floor(
-    image: NDArray[np.float32],
-    wall: NDArray[np.float32],
+    image: FloatArray,
+    wall: FloatArray,
     stone: tuple[int, int, int],
     camera: Camera,
     foot: float,
@@ -49,7 +49,7 @@ def paint_floor(
     _paint(image, channels, noise, tones, color, _TINTS, focal, center, horizon, elevation, foot)
 
 
-def _mottle(rng: np.random.Generator) -> NDArray[np.float32]:
+def _mottle(rng: np.random.Generator) -> FloatArray:
     """A tile of stone: coarse clouds and fine grains, zero on average, about one in deviation."""
     tile = 0.6 * rng.standard_normal((_NOISE_SIDE, _NOISE_SIDE), dtype=np.float32)
     for cells, strength in ((8, 0.5), (32, 0.6), (96, 0.7)):

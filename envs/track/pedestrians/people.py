@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 
 class People(NamedTuple):
@@ -23,13 +23,13 @@ class People(NamedTuple):
         looks: Seed of a person's clothes, skin, build. Shape (n,), int.
     """
 
-    ids: NDArray[np.int64]
+    ids: Labels
     feet: Array
     height: Array
     heading: Array
     phase: Array
     stride: Array
-    looks: NDArray[np.int64]
+    looks: Labels
 
 
 class Drawn(NamedTuple):

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.track.pedestrians import shapes
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, FAR, NEAR, Camera
+from servotrack.estimators.types import Array
 
-Array = NDArray[np.float64]
 Color = tuple[float, float, float]
 
 PLANT_DEPTH = BACK_WALL - 0.35

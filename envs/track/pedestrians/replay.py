@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.files.mot_files import read_seqinfo
@@ -15,8 +14,7 @@ from servotrack.envs.track.pedestrians.config import PedestrianConfig
 from servotrack.envs.track.pedestrians.floor import Camera
 from servotrack.envs.track.pedestrians.movement import ImagePath, gait
 from servotrack.envs.track.pedestrians.scene import Stream
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 _WINDOW = 7
 """Frames over which feet and height are averaged, for boxes drawn by hand jump."""

@@ -11,12 +11,10 @@ from typing import NamedTuple
 import numpy as np
 import pymunk
 import pymunk.batch
-from numpy.typing import NDArray
 
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, NEAR
 from servotrack.envs.track.pedestrians.social_force import LEG_NUMBERS, drive
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 BODY_RADIUS = 0.2
 """Of the circle that nobody enters, m."""
@@ -160,7 +158,7 @@ class _Simulation:
         self._read, self._written = pymunk.batch.Buffer(), pymunk.batch.Buffer()
         self._given = np.zeros((0, 2))
         self._someone_over, self._next_death = False, _NEVER
-        self._history: list[tuple[NDArray[np.int64], Array, Array]] = []
+        self._history: list[tuple[Labels, Array, Array]] = []
         self._entered: dict[int, int] = {}
         self._build_walls()
 

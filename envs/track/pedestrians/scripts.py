@@ -6,15 +6,13 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.config import PedestrianConfig
 from servotrack.envs.track.pedestrians.floor import FAR, NEAR, Camera
 from servotrack.envs.track.pedestrians.paper_script import meet_split_third_guy
 from servotrack.envs.track.pedestrians.scene import Party, Plan, Stream, leg
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 OUTSIDE = 0.55
 """How far beyond the image's border people come and go, m."""

@@ -11,7 +11,8 @@ import math
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+from servotrack.estimators.types import Array
 
 START, END = 0, 2
 """Columns and rows of the axis's two ends, px."""
@@ -44,7 +45,7 @@ _LIGHT = (-0.42, -0.62, 0.66)  # where light comes from, in the camera's axes: l
 _MEAN_LIGHT = 0.56  # of a tube in that light
 
 
-def fold_cloth(rng: np.random.Generator) -> NDArray[np.float64]:
+def fold_cloth(rng: np.random.Generator) -> Array:
     """The grain's tile: soft folds in [-1, 1]. Shape (GRAIN_SIDE, GRAIN_SIDE)."""
     margin = 8
     rough = np.pad(rng.standard_normal((GRAIN_SIDE, GRAIN_SIDE)), margin, mode="wrap")

@@ -17,9 +17,7 @@ from servotrack.envs.track.pedestrians.movement import Movement
 from servotrack.envs.track.pedestrians.replay import read_recording
 from servotrack.envs.track.pedestrians.scene import Stream
 from servotrack.envs.track.people.world import PeopleWorld
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from servotrack.estimators.types import Array, Labels, Mask
 
 
 class PedestrianWorld(PeopleWorld):
@@ -126,7 +124,7 @@ class PedestrianWorld(PeopleWorld):
         else:
             self.observations[row] = drawn.image
 
-    def _past(self, row: int) -> tuple[NDArray[np.int64], Array, Array]:
+    def _past(self, row: int) -> tuple[Labels, Array, Array]:
         steps = int(self.steps[row])
         return self._ids[row, :steps], self._boxes[row, :steps], self._visibility[row, :steps]
 

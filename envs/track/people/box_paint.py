@@ -8,13 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text, text_width
-from servotrack.envs.servo.backdrop import INK, IVORY, Color, Image, mix
+from servotrack.envs.servo.backdrop import INK, IVORY, Color, mix
 from servotrack.envs.track.clutter.render import TRAIL_LENGTH, identity_color
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Image
 
 _HELD_OPACITY = 0.38
 _CORNER = 0.28  # share of a side that a bracket at its end takes

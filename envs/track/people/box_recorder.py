@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from servotrack.envs.servo.backdrop import Image
 from servotrack.envs.track.clutter.render import TRAIL_LENGTH
 from servotrack.envs.track.people.box_paint import BoxTrail
 from servotrack.envs.track.people.box_render import BoxScene
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Image
 
 
 class BoxRecorder:

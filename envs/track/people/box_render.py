@@ -7,24 +7,11 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text, text_width
-from servotrack.envs.servo.backdrop import (
-    FLOOR,
-    FLOOR_GRID,
-    INK,
-    PAPER,
-    SOFT_INK,
-    Color,
-    Image,
-    Panel,
-    fixed_point,
-    mix,
-)
+from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, PAPER, SOFT_INK, Color, Panel, fixed_point, mix
 from servotrack.envs.track.people.box_paint import BoxTrail, annotate, printable
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Image
 
 _MARGIN = 16
 _WIDEST = 960

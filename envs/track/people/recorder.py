@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.track.people.box_recorder import BoxRecorder
 from servotrack.envs.track.people.box_render import draw
 from servotrack.envs.track.people.world import PeopleWorld
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from servotrack.estimators.types import Image
 
 _PLOTTED = 1000
 """Most frames that the plots span."""

@@ -16,8 +16,7 @@ from servotrack.estimators.metrics import (
     point_distances,
     stack_tracks,
 )
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Labels
 
 COUNTED_FROM = 0.2
 """Visible share from which a person counts."""
@@ -115,7 +114,7 @@ class PeopleWorld:
             "true_visibility": self.visibility.copy(),
         }
 
-    def _past(self, row: int) -> tuple[NDArray[np.int64], Array, Array]:
+    def _past(self, row: int) -> tuple[Labels, Array, Array]:
         """Identities (k, n), boxes (k, n, 4) and visibilities (k, n) of one scene's k answered frames."""
         raise NotImplementedError
 
@@ -125,7 +124,7 @@ class PeopleWorld:
         self.steps[row], self.truncated[row] = 0, False
         self.ospa2[row] = self.mota[row] = self.idf1[row] = self.hota[row] = 0.0
 
-    def _note_truth(self, ids: NDArray[np.int64], boxes: Array, visibility: Array) -> None:
+    def _note_truth(self, ids: Labels, boxes: Array, visibility: Array) -> None:
         """The newest frames' truth."""
         self.ids, self.boxes, self.visibility = ids, boxes, visibility
         self.exists = (ids > 0) & (visibility >= COUNTED_FROM)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from servotrack.envs.track.sonar.config import SonarConfig
 from servotrack.estimators.sonar.array import Band, LineArray
+from servotrack.estimators.types import Array
 
 
 class SonarModel(NamedTuple):
@@ -28,14 +26,14 @@ class SonarModel(NamedTuple):
     array: LineArray
     band: Band
     shading: str
-    looks: NDArray[np.float64]
+    looks: Array
     averages: int
     period: float
     lag: int
     cutoff: float
 
 
-def sonar_told(config: SonarConfig) -> SonarModel:
+def scene_model_of(config: SonarConfig) -> SonarModel:
     """What the agents of a world are told about it."""
     return SonarModel(
         array=config.array,

@@ -7,12 +7,10 @@ from functools import cached_property
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.arguments import check_fields, check_keywords, check_level
 from servotrack.estimators.sonar.array import Band, LineArray, Shading, bearings
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array
 
 VARIANTS = ("rates", "cross30", "random", "trial")
 """Scenes: two readings of the paper's simulation, scenes drawn anew, and a stand-in for its sea trial."""

@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode
 
 from servotrack.envs.arguments import check_count
 from servotrack.envs.track.env import TrackEnv, TrackVectorEnv, set_space
-from servotrack.envs.track.sonar.array_model import SonarModel, sonar_told
+from servotrack.envs.track.sonar.array_model import SonarModel, scene_model_of
 from servotrack.envs.track.sonar.config import LEVEL_NAMES, SonarConfig, sonar_config
 from servotrack.envs.track.sonar.world import SonarWorld
 
@@ -38,7 +38,7 @@ class SonarTrackingEnv(TrackEnv):
 
     SNRs are of one target in one element, over all its noise up to 6 kHz. `snr_offset` makes any level harder.
 
-    The public attribute `told` is what agents are told: their own receiver and the lag, see
+    The public attribute `scene_model` is what agents are told: their own receiver and the lag, see
     `servotrack.envs.track.sonar.array_model.SonarModel`.
 
     ## Action Space
@@ -94,7 +94,7 @@ class SonarTrackingEnv(TrackEnv):
     def __init__(self, level: int = 0, *, render_mode: str | None = None, **axes: Any) -> None:
         self.config = sonar_config(level, **axes)
         self.level = level
-        self.told: SonarModel = sonar_told(self.config)
+        self.scene_model: SonarModel = scene_model_of(self.config)
         super().__init__(SonarWorld(self.config, 1), *_spaces(self.config), render_mode, "SonarTracking-v0")
 
     def _make_recorder(self) -> Any:
@@ -130,7 +130,7 @@ class SonarTrackingVectorEnv(TrackVectorEnv):
     ) -> None:
         self.config = sonar_config(level, **axes)
         self.level = level
-        self.told: SonarModel = sonar_told(self.config)
+        self.scene_model: SonarModel = scene_model_of(self.config)
         world = SonarWorld(self.config, check_count(num_envs))
         super().__init__(world, num_envs, *_spaces(self.config), render_mode, autoreset_mode, max_episode_steps)
 

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
-from servotrack.envs.servo.backdrop import Image
 from servotrack.envs.track.sonar.render import SHOWN, Waterfall, draw
 from servotrack.envs.track.sonar.world import SonarWorld
 from servotrack.estimators.metrics import Track
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Image
 
 
 class SonarRecorder:

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.sonar.config import SonarConfig
@@ -23,8 +22,7 @@ from servotrack.estimators.sonar.array import (
     steering,
     tabulate_pattern,
 )
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, ComplexArray
 
 _OFFSETS = 4001
 """Points of a beam pattern's table, from 0 to 2 in the difference of cosines."""
@@ -54,9 +52,7 @@ def draw_powers(config: SonarConfig, scene: SonarScene, seed: int, record: int) 
     return _moment_powers(config, scene, rng, record)
 
 
-def draw_snapshots(
-    config: SonarConfig, scene: SonarScene, rng: np.random.Generator, record: int
-) -> NDArray[np.complex128]:
+def draw_snapshots(config: SonarConfig, scene: SonarScene, rng: np.random.Generator, record: int) -> ComplexArray:
     """Spectra at the elements during one record: plane waves of tones and bands in ambient noise.
 
     A tone keeps amplitude and phase, a band's spectrum is complex Gaussian; bearings are those of the record's middle.

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
-from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, IVORY, PAPER, SOFT_INK, Color, Image, Panel, mix
+from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, IVORY, PAPER, SOFT_INK, Color, Panel, mix
 from servotrack.envs.track.clutter.render import draw_curve, identity_color, write_value
 from servotrack.estimators.metrics import Track
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Image
 
 WIDTH, HEIGHT = 800, 544
 SHOWN = 480

@@ -7,12 +7,10 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.sonar.config import BROADBAND_SNR, DRAWN_SNR, LOUD_SNR, TONE_SNR, TRIAL_COUNT, SonarConfig
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 PAPER_TONE = 1500.0
 """Hz."""
@@ -80,9 +78,9 @@ class SonarScene:
 
     bearings: Array
     rates: Array
-    exists: NDArray[np.bool_]
+    exists: Mask
     power: Array
-    tonal: NDArray[np.bool_]
+    tonal: Mask
 
 
 class _Target(NamedTuple):
@@ -123,7 +121,7 @@ def draw_scene(config: SonarConfig, seed: int) -> SonarScene:
     return scene
 
 
-def crossings(bearings: Array, exists: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
+def crossings(bearings: Array, exists: Mask) -> list[tuple[int, int, int]]:
     """Where bearings of two targets change their order.
 
     Args:

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.track.scoring import SetScorer
 from servotrack.envs.track.sonar.config import SonarConfig
 from servotrack.envs.track.sonar.records import draw_record
 from servotrack.envs.track.sonar.scene import SonarScene, draw_scene
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Mask
 
 
 class SonarWorld:
@@ -72,7 +70,7 @@ class SonarWorld:
             self.steps[row], self.truncated[row], self.ospa2[row] = 0, False, 0.0
             self._show(row)
 
-    def step(self, answers: Array, running: NDArray[np.bool_] | None = None) -> None:
+    def step(self, answers: Array, running: Mask | None = None) -> None:
         """Score every row's answer, and show the next record.
 
         Args:
@@ -114,7 +112,7 @@ class SonarWorld:
             raise RuntimeError("a scene has no targets before its first reset: call reset()")
         return scene
 
-    def answered(self) -> tuple[Array, NDArray[np.bool_]]:
+    def answered(self) -> tuple[Array, Mask]:
         """True bearings (N, n), deg, and existence (N, n) at the record that the next answer is for."""
         bearings, exists = np.zeros_like(self.bearings), np.zeros_like(self.exists)
         for row, scene in enumerate(self._scenes):

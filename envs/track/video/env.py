@@ -28,7 +28,8 @@ class VideoTrackingEnv(TrackEnv):
     it believes in, and keeps their identities apart. Without `source` the sequence is 60 frames that
     `PedestrianTracking-v0` rendered, so that the environment works where there is no data.
 
-    The public attribute `told` is what agents are told: see `servotrack.envs.track.people.camera_model.VideoModel`.
+    The public attribute `scene_model` holds the parameters that agents may know, a
+    `servotrack.envs.track.people.camera_model.VideoModel`.
 
     ## Action Space
 
@@ -90,7 +91,7 @@ class VideoTrackingEnv(TrackEnv):
         self._show_truth = show_truth
         self.config = video_config(**axes)
         world = VideoWorld(self.config, 1, pictures=render_mode is not None)
-        self.told: VideoModel = told(world)
+        self.scene_model: VideoModel = scene_model_of(world)
         super().__init__(world, *_spaces(world), render_mode, "VideoTracking-v0")
 
     def close(self) -> None:
@@ -136,7 +137,7 @@ class VideoTrackingVectorEnv(TrackVectorEnv):
         self._show_truth = show_truth
         self.config = video_config(**axes)
         world = VideoWorld(self.config, check_count(num_envs), pictures=render_mode is not None)
-        self.told: VideoModel = told(world)
+        self.scene_model: VideoModel = scene_model_of(world)
         super().__init__(world, num_envs, *_spaces(world), render_mode, autoreset_mode, max_episode_steps)
 
     def _recorder(self, row: int) -> Any:
@@ -156,7 +157,7 @@ def video_config(**axes: Any) -> VideoConfig:
     return VideoConfig(**axes)
 
 
-def told(world: VideoWorld) -> VideoModel:
+def scene_model_of(world: VideoWorld) -> VideoModel:
     """What the agents are told about a sequence."""
     recording, config = world.recording, world.config
     return VideoModel(

@@ -10,18 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.arguments import check_fields
-from servotrack.envs.track.files.decoders import Frame
 from servotrack.envs.track.files.frames import SIDES, FrameSource, open_frames, resized
 from servotrack.envs.track.files.mot_files import MotFolder, SequenceInfo, find_mot_folder, read_mot_detections
 from servotrack.envs.track.files.recorded import PeopleInFrame, RecordedTracks, SequenceError, read_tracks
 from servotrack.envs.track.pedestrians.config import PedestrianConfig
 from servotrack.envs.track.pedestrians.world import PedestrianWorld
 from servotrack.estimators.detect.detections import Detections
-
-Array = NDArray[np.float64]
+from servotrack.estimators.types import Array, Image, Labels
 
 VIDEO_OBSERVATIONS = ("pixels", "detections")
 LONGEST = 3000
@@ -113,9 +110,9 @@ class Recording:
     height: int
     frame_rate: float
     horizon: int
-    open: Callable[[], Iterator[Frame]] | None
+    open: Callable[[], Iterator[Image]] | None
     scored: bool
-    ids: NDArray[np.int64]
+    ids: Labels
     boxes: Array
     visibility: Array
     detections: Array | None

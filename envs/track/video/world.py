@@ -9,13 +9,10 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.envs.track.files.decoders import Frame
 from servotrack.envs.track.files.recorded import SequenceError
 from servotrack.envs.track.people.world import PeopleWorld
 from servotrack.envs.track.video.recording import Recording, VideoConfig, load_recording
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from servotrack.estimators.types import Array, Image, Labels, Mask
 
 
 class VideoWorld(PeopleWorld):
@@ -45,7 +42,7 @@ class VideoWorld(PeopleWorld):
         blank = np.full((recording.height, recording.width, 3), 74, np.uint8)
         self.images = [blank] * count
         self._decodes = recording.open is not None and (pictures or recording.detections is None)
-        self._frames: list[Iterator[Frame]] = [iter(()) for _ in range(count)]
+        self._frames: list[Iterator[Image]] = [iter(()) for _ in range(count)]
         if recording.detections is None:
             self.observations: NDArray[Any] = np.zeros((count, *blank.shape), np.uint8)
         else:
@@ -138,7 +135,7 @@ class VideoWorld(PeopleWorld):
         """The frame an observer is at; after the last one that one again."""
         return min(int(self.steps[row]), self.recording.horizon - 1)
 
-    def _past(self, row: int) -> tuple[NDArray[np.int64], Array, Array]:
+    def _past(self, row: int) -> tuple[Labels, Array, Array]:
         recording, steps = self.recording, int(self.steps[row])
         return recording.ids[:steps], recording.boxes[:steps], recording.visibility[:steps]
 

@@ -12,7 +12,6 @@ import pytest
 
 import servotrack  # noqa: F401
 from servotrack.baselines.agents.learned.card import load_card
-from servotrack.baselines.agents.learned.contract import Rows
 from servotrack.baselines.agents.learned.jacobian import (
     ENTRIES,
     USUAL,
@@ -26,6 +25,7 @@ from servotrack.baselines.agents.registry import agent_card, create_agent
 from servotrack.baselines.agents.servo.jacobian_servo import servo_measurement
 from servotrack.baselines.evaluation.evaluate import run_episodes
 from servotrack.estimators.jacobian import Excitation, ServoController
+from servotrack.estimators.types import FloatArray
 
 SHORT: dict[str, Any] = {"level": 3, "horizon": 80}
 
@@ -34,7 +34,7 @@ def environment(count: int) -> Any:
     return gym.make_vec("UncalibServo-v0", num_envs=count, vectorization_mode="vector_entry_point", **SHORT)
 
 
-def silent(rows: Rows, memory: Rows) -> tuple[Rows, Rows]:
+def silent(rows: FloatArray, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.zeros((len(rows), ENTRIES), np.float32), memory
 
 
@@ -59,7 +59,7 @@ def test_a_network_that_knows_the_jacobian_servos_as_the_oracle_does() -> None:
     env = environment(5)
     world = env.unwrapped.world
 
-    def knowing(rows: Rows, memory: Rows) -> tuple[Rows, Rows]:
+    def knowing(rows: FloatArray, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         # The estimator turns with the memory that it has just made; its row tells by how much.
         matrix = turning(asked[0].encoding, world.joint_angles) @ world.privileged()["true_jacobian"]
         return (matrix / USUAL).reshape(-1, ENTRIES).astype(np.float32), memory
@@ -90,7 +90,7 @@ def test_one_arm_or_many() -> None:
     env = environment(3)
     rng = np.random.default_rng(1)
 
-    def wild(rows: Rows, memory: Rows) -> tuple[Rows, Rows]:
+    def wild(rows: FloatArray, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         return np.tanh(rows[:, :ENTRIES] + memory[:, :1]), 0.5 * memory + rows[:, :2].mean(axis=1, keepdims=True)
 
     servo = create_learned_servo(LearnedJacobian(wild, 1, ServoEncoding()), env, "pi")
@@ -122,7 +122,7 @@ def test_an_estimator_is_taught_and_goes_on_after_a_kill(tmp_path: Path) -> None
     pytest.importorskip("torch")
     from servotrack.baselines.evaluation.results import ResultsFolder
     from servotrack.baselines.training.dispatch import train
-    from servotrack.baselines.training.progress import Yardstick
+    from servotrack.baselines.training.progress import PeriodicEvaluation
     from servotrack.baselines.training.run import TrainingTask
     from servotrack.baselines.training.settings import TrainingSettings
 
@@ -139,7 +139,7 @@ def test_an_estimator_is_taught_and_goes_on_after_a_kill(tmp_path: Path) -> None
         measurements=4, hyper_parameters={"hidden": 32, "batch_size": 8, "n_epochs": 4, "learning_rate": 3e-3},
     )  # fmt: skip
     task = TrainingTask("UncalibServo-v0", SHORT, settings, 0, tmp_path / "run", tensorboard=False)
-    yard = Yardstick("UncalibServo-v0", SHORT, ResultsFolder(tmp_path / "classical"), episodes=10)
+    yard = PeriodicEvaluation("UncalibServo-v0", SHORT, ResultsFolder(tmp_path / "classical"), episodes=10)
     entries: list[dict[str, Any]] = []
     with pytest.raises(Killed):
         train(task, yard, on_entry=kill)

@@ -10,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 
 import servotrack  # noqa: F401
-from servotrack.baselines.agents.learned.contract import Rows
 from servotrack.baselines.agents.learned.set_prediction import (
     ANCHOR,
     FARTHEST,
@@ -18,13 +17,14 @@ from servotrack.baselines.agents.learned.set_prediction import (
     NEAR,
     NEIGHBOR,
     SPEED,
-    Recent,
+    ScanHistory,
     SetPredictor,
     SetWindow,
     ask,
     in_plane,
     place_now,
 )
+from servotrack.estimators.types import FloatArray
 
 WINDOW = SetWindow()
 CLEAN: dict[str, Any] = {
@@ -32,7 +32,7 @@ CLEAN: dict[str, Any] = {
 }  # fmt: skip
 
 
-def newest_ones(rows: Rows) -> Rows:
+def newest_ones(rows: FloatArray) -> FloatArray:
     """Answers of who takes every measurement of the newest scan for a target that stands still."""
     answers = np.zeros((len(rows), 5), np.float32)
     answers[:, 0] = np.where(rows[:, WINDOW.neighbors * NEIGHBOR] == 0.0, 5.0, -5.0)
@@ -41,11 +41,11 @@ def newest_ones(rows: Rows) -> Rows:
 
 def predictor(env: Any, network: Any = newest_ones) -> SetPredictor:
     space = getattr(env, "single_action_space", env.action_space)
-    return SetPredictor(network, WINDOW, env.unwrapped.told, space.shape[0], space.low, space.high)
+    return SetPredictor(network, WINDOW, env.unwrapped.scene_model, space.shape[0], space.low, space.high)
 
 
-def recent(rng: np.random.Generator, scans: int) -> Recent:
-    found = Recent.none(WINDOW, 2, 9)
+def recent(rng: np.random.Generator, scans: int) -> ScanHistory:
+    found = ScanHistory.none(WINDOW, 2, 9)
     for _ in range(scans):
         scan = np.zeros((2, 9, 3))
         for scene in range(2):
@@ -79,7 +79,7 @@ def test_a_row_holds_the_nearest_measurements_of_other_scans() -> None:
 def test_a_sensor_of_range_and_bearing_is_read_in_the_plane() -> None:
     sensor = np.array([-3000.0, 0.0])
     assert np.allclose(in_plane(np.array([[1000.0, np.pi / 2]]), sensor), [[-3000.0, 1000.0]])
-    seen = Recent.none(WINDOW, 1, 2).with_scan(np.array([[[1.0, 2000.0, 0.0], [0.0, 0.0, 0.0]]]), sensor)
+    seen = ScanHistory.none(WINDOW, 1, 2).with_scan(np.array([[[1.0, 2000.0, 0.0], [0.0, 0.0, 0.0]]]), sensor)
     asked = ask(WINDOW, seen, sensor, 0.005)
     assert asked.places.tolist() == [[-1000.0, 0.0]]
     assert np.allclose(asked.rows[0, -3:-1], [0.005 * 2000.0 / 25.0, 0.0])

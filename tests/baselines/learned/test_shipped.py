@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import servotrack  # noqa: F401
 from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard
-from servotrack.baselines.agents.learned.marker_network import OnnxEyes
+from servotrack.baselines.agents.learned.marker_network import MarkerNetwork
 from servotrack.baselines.agents.learned.network import LARGEST_NETWORK, OnnxNetwork
 from servotrack.baselines.agents.learned.shipped import shipped_agents, shipped_cards
 from servotrack.baselines.agents.protocol import world_of
@@ -73,7 +73,7 @@ def test_eyes_see_as_torch_does(path: Path) -> None:
     assert {name for name in weights if name not in ("columns", "rows")} <= set(stored)
     network.load_state_dict({name: stored.get(name, value) for name, value in weights.items()})
     images = np.random.default_rng(0).integers(256, size=(3, size, size, 3), dtype=np.uint8)
-    place, seen = OnnxEyes(path.parent / card.network, card).detect(images)
+    place, seen = MarkerNetwork(path.parent / card.network, card).detect(images)
     with torch.no_grad():
         expected, logit = network.eval()(torch.tensor(images))
     # Half a thousandth of a pixel: places are sums of products of up to 96 px in float32.

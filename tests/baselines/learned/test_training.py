@@ -39,7 +39,7 @@ from servotrack.baselines.training.comparison import compare
 from servotrack.baselines.training.dispatch import train
 from servotrack.baselines.training.encoded_env import EncodedVecEnv
 from servotrack.baselines.training.export import export, exportable_policy
-from servotrack.baselines.training.progress import Yardstick
+from servotrack.baselines.training.progress import PeriodicEvaluation
 from servotrack.baselines.training.reinforcement import create_model, policy_mode, restore
 from servotrack.baselines.training.run import CHECKPOINT, TrainingTask, load_checkpoint
 from servotrack.baselines.training.sb3 import StableBaselinesVecEnv
@@ -60,8 +60,8 @@ RECURRENT = replace(PPO, algorithm="recurrent_ppo", policy="MlpLstmPolicy", enco
 OFF_POLICY = {"learning_starts": 64, "buffer_size": 1000, "train_freq": 8, "batch_size": 32}
 
 
-def yardstick(folder: Path) -> Yardstick:
-    return Yardstick(ENV_ID, SHORT, ResultsFolder(folder / "classical"), episodes=4)
+def yardstick(folder: Path) -> PeriodicEvaluation:
+    return PeriodicEvaluation(ENV_ID, SHORT, ResultsFolder(folder / "classical"), episodes=4)
 
 
 @pytest.mark.parametrize(
@@ -319,7 +319,7 @@ def test_eyes_learn_and_see_what_they_have_learned(tmp_path: Path) -> None:
     )  # fmt: skip
     world: dict[str, Any] = {"level": 2, "horizon": 80, "image_size": 48}
     task = TrainingTask("UncalibServoPixels-v0", world, settings, 0, tmp_path / "eyes")
-    yard = Yardstick("UncalibServoPixels-v0", world, ResultsFolder(tmp_path / "classical"), episodes=2)
+    yard = PeriodicEvaluation("UncalibServoPixels-v0", world, ResultsFolder(tmp_path / "classical"), episodes=2)
     curve = train(task, yard)
     path = tmp_path / "eyes" / "agent.json"
     eyes = open_eyes(str(path))

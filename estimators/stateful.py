@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+
+from servotrack.estimators.types import Mask
 
 State = TypeVar("State")
 
 
-def select_rows(mask: NDArray[np.bool_], chosen: State, otherwise: State) -> State:
+def select_rows(mask: Mask, chosen: State, otherwise: State) -> State:
     """Rows of `chosen` where `mask` is true, else of `otherwise`.
 
     Args:
@@ -49,8 +50,8 @@ def copied(tree: State) -> State:
     return np.array(tree)  # type: ignore[return-value]
 
 
-class Online:
-    """An estimator with its state: `Online(estimator).step(measurement) -> estimate`.
+class Stateful:
+    """An estimator with its state: `Stateful(estimator).step(measurement) -> estimate`.
 
     Args:
         estimator: Anything with `initial(measurement)` and `step(state, measurement)`.
