@@ -1,4 +1,4 @@
-"""Observers of the tracking worlds: the contract of `predict`, batches, restarts, and that knowing more scores more."""
+"""Observers of points in clutter: the contract of `predict`, batches, restarts, and that knowing more scores more."""
 
 from __future__ import annotations
 
@@ -88,5 +88,7 @@ def test_identities_keep_their_rows() -> None:
 
 
 def test_a_servo_is_refused() -> None:
-    with pytest.raises(ValueError, match="needs a tracking world"):
+    with pytest.raises(
+        ValueError, match="needs an environment whose `unwrapped.scene_model` is a SceneModel; UncalibServo-v0 has none"
+    ):
         create_agent("gm-phd", gym.make("UncalibServo-v0"))

@@ -115,7 +115,7 @@ def test_unscored_answers_do_not_count_in_results():
 
 
 def test_another_world_is_refused():
-    with pytest.raises(ValueError, match=r"'hmm-row' needs a sonar world.*choose SonarTracking-v0"):
+    with pytest.raises(ValueError, match=r"'hmm-row' needs an environment.*SonarModel.*choose SonarTracking-v0"):
         create_agent("hmm-row", gym.make("ClutterTracking-v0"))
-    with pytest.raises(ValueError, match=r"'pmb' needs a tracking world.*choose ClutterTracking-v0"):
+    with pytest.raises(ValueError, match=r"'pmb' needs an environment.*is a SceneModel; SonarTracking-v0 has none"):
         create_agent("pmb", gym.make(ENV_ID))

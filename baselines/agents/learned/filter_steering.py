@@ -10,8 +10,8 @@ import numpy as np
 from gymnasium import spaces
 
 from servotrack.baselines.agents.clutter.catalog import observer_settings, steered_phd
-from servotrack.baselines.agents.clutter.observers import POSITION
-from servotrack.baselines.agents.row_patience import ReservedRows, allocate_rows, no_rows
+from servotrack.baselines.agents.row_reservation import ReservedRows, allocate_rows, no_rows
+from servotrack.baselines.agents.set_observer import POSITION
 from servotrack.envs.track.clutter.scene_model import SceneModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.rfs import RowAllocation

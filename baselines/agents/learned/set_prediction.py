@@ -10,9 +10,9 @@ import numpy as np
 from numba import njit
 from scipy.optimize import linear_sum_assignment
 
-from servotrack.baselines.agents.clutter.observers import POSITION
 from servotrack.baselines.agents.memory import remembered
-from servotrack.baselines.agents.row_patience import PATIENCE, ReservedRows, allocate_rows, no_rows
+from servotrack.baselines.agents.row_reservation import RESERVED_SCANS, ReservedRows, allocate_rows, no_rows
+from servotrack.baselines.agents.set_observer import POSITION
 from servotrack.envs.track.clutter.scene_model import SceneModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.rfs import RangeBearingModel, RowAllocation, SetEstimate
@@ -316,7 +316,7 @@ def _distinct(places: Array, probability: Array, merge: float) -> Labels:
 def _identify(tracks: Tracks, scene: int, found: Array, probability: Array) -> None:
     """Write what was found over the tracks that it belongs to, or into free rows, with new labels."""
     labels, states = tracks.labels[scene], tracks.states[scene]
-    labels[tracks.absent[scene] > PATIENCE] = 0
+    labels[tracks.absent[scene] > RESERVED_SCANS] = 0
     known = np.flatnonzero(labels > 0)
     apart = np.hypot(*(states[known][:, None, [0, 2]] - found[None, :, [0, 2]]).transpose(2, 0, 1))
     cost = np.where(apart < SAME, apart, 1e6)

@@ -1,4 +1,4 @@
-"""Detectors and trackers of people by name, made for a frame's size and rate: what commands and observers choose from.
+"""Detectors and trackers of people by name, created for a frame size and frame rate.
 
 The parameters were chosen on PETS 2009 S2.L1 and TUD-Campus; docs/video.md has the protocol.
 """
@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from servotrack.baselines.agents.people.trackers_package import PEERS, PeerTracker
 from servotrack.estimators.boxes import (
@@ -20,6 +21,7 @@ from servotrack.estimators.boxes import (
     RawDetections,
     centroid_model,
 )
+from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs import (
     GMPHD,
     PMB,
@@ -28,32 +30,42 @@ from servotrack.estimators.rfs import (
     MeasurementBirth,
     RawMeasurements,
     Reduction,
+    SetEstimate,
     Spawn,
 )
+from servotrack.estimators.types import Estimator
 
 Size = tuple[int, int]
 
+CentroidFilter: TypeAlias = GMPHD | GMCBMeMBer | PMB | GlobalNearestNeighbor | RawMeasurements
+
+BoxTracker: TypeAlias = "Estimator[Detections, Any, SetEstimate]"
+"""Tracker of boxes: the detections of a frame in, people with identities out."""
+
+Detector: TypeAlias = "Estimator[ArrayLike, Any, Detections]"
+"""Detector of people: a frame in, detections out."""
+
 REFERENCE_HEIGHT = 288.0
-"""Height of the frames, px, that lengths in the set filters' presets refer to."""
+"""Frame height that lengths in the set filters' presets refer to, px."""
 
 REFERENCE_AREA = 380.0 * 280.0
-"""Of paper 000's frames, px^2."""
+"""Area of paper 000's frames, px^2."""
 
 BODY_WIDTH = 14.0
-"""Of a person in frames of the reference height, px."""
+"""Width of a person in frames of the reference height, px."""
 
 REFERENCE_RATE = 10.0
-"""Frames per second that velocities in the set filters' presets refer to."""
+"""Frame rate that velocities in the set filters' presets refer to, 1/s."""
 
 PHD_REDUCTION = Reduction(prune=1e-3, merge=4.0, components=30)
 CBMEMBER_REDUCTION = Reduction(components=4, tracks=40, existence=1e-2)
 
 MEMORY = 2.0
-"""Time for which a lost identity can return, s."""
+"""Longest time after which a lost identity can return, s."""
 
 
-def create_tracker(name: str, frame_size: Size | None = None, frame_rate: float = 25.0) -> Any:
-    """A tracker of boxes.
+def create_tracker(name: str, frame_size: Size | None = None, frame_rate: float = 25.0) -> BoxTracker:
+    """Create a tracker of boxes.
 
     Args:
         name: One of `TRACKERS`.
@@ -62,7 +74,7 @@ def create_tracker(name: str, frame_size: Size | None = None, frame_rate: float 
 
     Raises:
         ValueError: An unknown name; a size or rate that is not positive.
-        ImportError: A peer whose package is not installed.
+        ImportError: A tracker of the package `trackers`, which is not installed.
     """
     _check_name("tracker", name, TRACKERS)
     if frame_size is not None and not min(frame_size) >= 1:
@@ -72,12 +84,12 @@ def create_tracker(name: str, frame_size: Size | None = None, frame_rate: float 
     return TRACKERS[name](frame_size, float(frame_rate))
 
 
-def create_detector(name: str, **parameters: Any) -> Any:
-    """A detector of people in frames.
+def create_detector(name: str, **parameters: Any) -> Detector:
+    """Create a detector of people in frames.
 
     Args:
         name: One of `DETECTORS`.
-        **parameters: Of the detector, beyond its preset.
+        **parameters: Parameters of the detector that differ from its preset.
 
     Raises:
         ValueError: An unknown name, or a parameter out of range.
@@ -87,10 +99,10 @@ def create_detector(name: str, **parameters: Any) -> Any:
 
 
 def phd_as_printed(spawn: bool = True) -> GMPHD:
-    """GM-PHD on centroids with paper 000's Table 1; births and spawning, which it does not give, are assumed.
+    """Create the GM-PHD filter of centroids with paper 000's Table 1; births and spawning are assumed.
 
     Args:
-        spawn: Whether targets may split (step 2.2): one term of weight 0.02 and a body's width.
+        spawn: True lets targets split (step 2.2): one term of weight 0.02 and the width of a body.
     """
     model = centroid_model(process_noise=4.0, measurement_noise=2.0)
     return GMPHD(
@@ -118,7 +130,7 @@ def _scale(size: Size | None) -> float:
 
 
 def _centroid_setting(size: Size | None, rate: float) -> dict[str, Any]:
-    """Arguments of the Gaussian set filters on centroids, lengths by the frame's height and rates by its own."""
+    """Return arguments of the Gaussian set filters of centroids, scaled to the frame's height and rate."""
     scale = _scale(size)
     pace = scale * REFERENCE_RATE / rate
     return {
@@ -130,7 +142,9 @@ def _centroid_setting(size: Size | None, rate: float) -> dict[str, Any]:
     }
 
 
-def _set_filter(filter_class: Callable[..., Any], reduction: Reduction) -> Callable[[Size | None, float], Any]:
+def _set_filter(
+    filter_class: Callable[..., GMPHD | GMCBMeMBer], reduction: Reduction
+) -> Callable[[Size | None, float], KeptIdentities]:
     def make(size: Size | None, rate: float) -> KeptIdentities:
         found = filter_class(**_centroid_setting(size, rate), reduction=reduction)
         return KeptIdentities(BoxSetFilter(found), memory=_frames(MEMORY, rate))
@@ -138,8 +152,8 @@ def _set_filter(filter_class: Callable[..., Any], reduction: Reduction) -> Calla
     return make
 
 
-def centroid_filter(name: str, frame_size: Size | None = None, frame_rate: float = 25.0) -> Any:
-    """A filter of `servotrack.estimators.rfs` for worlds whose measurements and answers are centroids.
+def centroid_filter(name: str, frame_size: Size | None = None, frame_rate: float = 25.0) -> CentroidFilter:
+    """Create a filter of `servotrack.estimators.rfs` for worlds whose measurements and answers are centroids.
 
     Args:
         name: "gm-phd", "gm-phd-paper", "gm-cbmember", "pmb", "kalman-hungarian" or "no-filter".
@@ -151,7 +165,7 @@ def centroid_filter(name: str, frame_size: Size | None = None, frame_rate: float
     """
     setting = _centroid_setting(frame_size, frame_rate)
     pace = _scale(frame_size) * REFERENCE_RATE / frame_rate
-    made: dict[str, Callable[[], Any]] = {
+    made: dict[str, Callable[[], CentroidFilter]] = {
         "gm-phd": lambda: GMPHD(**setting, reduction=PHD_REDUCTION),
         "gm-phd-paper": phd_as_printed,
         "gm-cbmember": lambda: GMCBMeMBer(**setting, reduction=CBMEMBER_REDUCTION),
@@ -171,7 +185,7 @@ def _peer(name: str) -> Callable[[Size | None, float], PeerTracker]:
     return lambda size, rate: PeerTracker(name, rate)
 
 
-TRACKERS: Mapping[str, Callable[[Size | None, float], Any]] = {
+TRACKERS: Mapping[str, Callable[[Size | None, float], BoxTracker]] = {
     "pmb": lambda size, rate: BoxPMB(frame_rate=rate, frame_size=size),
     "gm-phd": _set_filter(GMPHD, PHD_REDUCTION),
     "gm-phd-paper": _paper,
@@ -180,16 +194,16 @@ TRACKERS: Mapping[str, Callable[[Size | None, float], Any]] = {
     "no-filter": lambda size, rate: RawDetections(),
     **{name: _peer(name) for name in PEERS},
 }
-"""From a tracker's name to what makes it for a frame's size and rate."""
+"""Factory of each tracker, called with frame size and frame rate."""
 
 
-def _masked(**parameters: Any) -> Any:
+def _masked(**parameters: Any) -> Detector:
     from servotrack.estimators.detect import MaskedBackground
 
     return MaskedBackground(**parameters)
 
 
-def _masked_paper(**parameters: Any) -> Any:
+def _masked_paper(**parameters: Any) -> Detector:
     from dataclasses import replace
 
     from servotrack.estimators.detect import MaskedBackground
@@ -197,25 +211,25 @@ def _masked_paper(**parameters: Any) -> Any:
     return replace(MaskedBackground.paper(), **parameters)
 
 
-def _mog2(**parameters: Any) -> Any:
+def _mog2(**parameters: Any) -> Detector:
     from servotrack.estimators.detect import MOG2Background
 
     return MOG2Background(**parameters)
 
 
-def _knn(**parameters: Any) -> Any:
+def _knn(**parameters: Any) -> Detector:
     from servotrack.estimators.detect import KNNBackground
 
     return KNNBackground(**parameters)
 
 
-DETECTORS: Mapping[str, Callable[..., Any]] = {
+DETECTORS: Mapping[str, Callable[..., Detector]] = {
     "masked": _masked,
     "masked-paper": _masked_paper,
     "mog2": _mog2,
     "knn": _knn,
 }
-"""From a detector's name to what makes it."""
+"""Factory of each detector."""
 
 
 def _check_name(kind: str, name: str, known: Iterable[str]) -> None:

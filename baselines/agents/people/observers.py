@@ -1,4 +1,4 @@
-"""Agents of the worlds of people on video: a detector and a tracker behind `predict`, one scene after the other."""
+"""Observers of people on video: a detector and a tracker behind `predict`, scene by scene."""
 
 from __future__ import annotations
 
@@ -7,30 +7,37 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from servotrack.baselines.agents.clutter.observers import RawObserver, SetObserver
-from servotrack.baselines.agents.people.catalog import centroid_filter, create_detector, create_tracker
-from servotrack.baselines.agents.row_patience import ReservedRows, allocate_rows, no_rows
+from servotrack.baselines.agents.people.catalog import BoxTracker, centroid_filter, create_detector, create_tracker
+from servotrack.baselines.agents.row_reservation import (
+    ReservedRows,
+    allocate_rows,
+    join_scenes,
+    no_rows,
+    select_scene,
+)
+from servotrack.baselines.agents.set_observer import RawObserver, SetObserver
 from servotrack.envs.track.people.camera_model import VideoModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.boxes import DetectThenTrack, RawDetections, set_of_boxes
 from servotrack.estimators.detect import detections_from_boxes
-from servotrack.estimators.rfs import RowAllocation, SetEstimate
+from servotrack.estimators.detect.detections import Detections
+from servotrack.estimators.rfs import RawMeasurements, RowAllocation, SetEstimate
 from servotrack.estimators.stateful import add_axis, select_rows
-from servotrack.estimators.types import Array, Mask
+from servotrack.estimators.types import Array, Estimator, Mask
 
 BOX = (0, 1, 2, 3)
-"""Columns of a box that an answer holds: all."""
+"""Entries of a state that an answer holds: left, top, width, height."""
 
 TRACKER_NAMES: Mapping[str, str] = {"raw-measurements": "no-filter"}
-"""Agents whose tracker has another name; all others are called like theirs."""
+"""Tracker of each agent whose name differs from its tracker's."""
 
 
 class VideoObserverState(NamedTuple):
     """Memory of a `VideoObserver`.
 
     Attributes:
-        beliefs: The estimator's state of each of N scenes.
-        rows: Which identity owns which row of the answers.
+        beliefs: Estimator state of each of N scenes.
+        rows: Owners of the rows of the answers.
     """
 
     beliefs: tuple[Any, ...]
@@ -38,32 +45,32 @@ class VideoObserverState(NamedTuple):
 
 
 class DetectionRows:
-    """Fixed arrays of detections as a tracker takes them: a stage before any tracker of boxes.
+    """Converts fixed arrays of detections for a tracker of boxes.
 
     Args:
-        tracker: As in `servotrack.estimators.boxes`.
+        tracker: A tracker of `servotrack.estimators.boxes`.
     """
 
-    def __init__(self, tracker: Any) -> None:
+    def __init__(self, tracker: BoxTracker) -> None:
         self.tracker = tracker
 
     def initial(self, rows: Array) -> Any:
-        """State before the first frame."""
+        """Return the state before the first frame."""
         return self.tracker.initial(_detections(rows))
 
     def step(self, state: Any, rows: Array) -> tuple[Any, SetEstimate]:
-        """Fold one frame's rows in, existence and box each. Shape (M, 5)."""
+        """Process the rows of one frame, existence and box each, shape (M, 5)."""
         return self.tracker.step(state, _detections(rows))
 
 
 class TruePeople:
-    """Reports the true boxes under their true identities; privileged, and without memory."""
+    """Reports the true boxes under their true identities; privileged, without memory."""
 
     def initial(self, observation: Mapping[str, Array]) -> None:
-        """Nothing to remember."""
+        """Return None: there is no memory."""
 
     def step(self, state: None, observation: Mapping[str, Array]) -> tuple[None, SetEstimate]:
-        """Report who counts, hold who is hidden."""
+        """Report visible people; hold hidden ones with existence 0.1."""
         labels = observation["true_ids"].astype(np.int64)
         here = labels > 0
         boxes = np.asarray(observation["true_boxes"], dtype=np.float64)[here]
@@ -75,15 +82,21 @@ class VideoObserver:
     """An estimator of boxes behind `predict`: frames or detections in, sets of people out.
 
     Args:
-        estimator: With `initial(observation)` and `step(state, observation)` for one scene.
+        estimator: Estimator of one scene.
         space: Action space of one scene.
-        whole: Whether the estimator is given the whole dictionary of a privileged observation.
-        centers: Whether answers are the centers of boxes.
-        identities: Whether the estimator's identities last; if not, they are given rows in order.
+        whole: True passes the whole dictionary of a privileged observation to the estimator.
+        centers: True answers with the centers of boxes.
+        identities: True if the estimator's identities persist between frames; False fills rows in order.
     """
 
     def __init__(
-        self, estimator: Any, space: Any, *, whole: bool = False, centers: bool = False, identities: bool = True
+        self,
+        estimator: Estimator[Any, Any, SetEstimate],
+        space: Any,
+        *,
+        whole: bool = False,
+        centers: bool = False,
+        identities: bool = True,
     ) -> None:
         self.estimator = estimator
         self._low, self._high = space.low, space.high
@@ -100,14 +113,14 @@ class VideoObserver:
         """Answer a frame.
 
         Args:
-            observation: An image (H, W, 3) or rows (M, 5), or N of them; or a dictionary with that under `observation`
+            observation: Image (H, W, 3) or rows (M, 5), or N of them; or a dictionary with that under `observation`
                 and the truth beside it.
-            state: What the last call returned; None starts anew.
+            state: Result of the last call; None starts every scene anew.
             episode_start: Scenes that start anew. Shape (N,), or a scalar for a single observation.
-            deterministic: These agents always are.
+            deterministic: Ignored: the answer is always deterministic.
 
         Returns:
-            Shape (rows, 1 + d) or (N, rows, 1 + d); and the new state.
+            The answer, shape (rows, 1 + d) or (N, rows, 1 + d), and the new state.
         """
         scenes, single = self._scenes(observation)
         count = len(scenes)
@@ -140,7 +153,7 @@ class VideoObserver:
         return memory, answer
 
     def _scenes(self, observation: Any) -> tuple[list[Any], bool]:
-        """The observation of each scene, and whether there was one without a leading axis."""
+        """Return the observation of each scene, and True if it came without a leading axis."""
         parts = dict(observation) if isinstance(observation, Mapping) else {OBSERVATION_KEY: observation}
         shown = np.asarray(parts[OBSERVATION_KEY])
         # Images have three axes, sets two.
@@ -153,54 +166,43 @@ class VideoObserver:
         return [{key: value[k] for key, value in arrays.items()} for k in range(len(shown))], False
 
 
-def create_video_observer(env: Any, estimator: str, detector: str = "masked") -> Any:
-    """An observer for a world of people on video; only the spaces and what it tells its agents (`told`) are read.
+def create_video_observer(
+    env: Any, estimator: str, detector: str = "masked"
+) -> VideoObserver | SetObserver | RawObserver:
+    """Create an observer of people on video; only the environment's spaces and its `scene_model` are read.
 
     Args:
         env: An environment or vector environment whose `scene_model` is a `VideoModel`.
         estimator: A name from `agents.people.catalog.TRACKERS`, "raw-measurements" or "people-oracle".
-        detector: A name from `agents.people.catalog.DETECTORS`, for worlds that show frames.
+        detector: A name from `agents.people.catalog.DETECTORS`, used where the observation is an image.
 
     Raises:
-        ValueError: The environment tells no `VideoModel`, or an unknown name.
+        ValueError: An environment without a `VideoModel`, or an unknown name.
     """
-    told = getattr(env.unwrapped, "scene_model", None)
-    if not isinstance(told, VideoModel):
+    scene = getattr(env.unwrapped, "scene_model", None)
+    if not isinstance(scene, VideoModel):
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
         raise ValueError(
-            f"agent {estimator!r} needs a world of people on video; {name} is none: choose PedestrianTracking-v0 or "
-            "VideoTracking-v0, or another agent"
+            f"agent {estimator!r} needs an environment whose `unwrapped.scene_model` is a VideoModel; "
+            f"{name} has none: choose PedestrianTracking-v0 or VideoTracking-v0, or another agent"
         )
     space = getattr(env, "single_action_space", env.action_space)
     if estimator == "people-oracle":
-        return VideoObserver(TruePeople(), space, whole=True, centers=not told.answers_boxes)
+        return VideoObserver(TruePeople(), space, whole=True, centers=not scene.answers_boxes)
     name = TRACKER_NAMES.get(estimator, estimator)
-    if not told.answers_boxes:
-        found = centroid_filter(name, (told.width, told.height), told.frame_rate)
-        if name == "no-filter":
+    if not scene.answers_boxes:
+        found = centroid_filter(name, (scene.width, scene.height), scene.frame_rate)
+        if isinstance(found, RawMeasurements):
             return RawObserver(found, space.low, space.high)
         return SetObserver(found, space.shape[0], space.low, space.high)
-    tracker = create_tracker(name, (told.width, told.height), told.frame_rate)
-    sees = told.observation == "pixels"
-    made = DetectThenTrack(create_detector(detector), tracker) if sees else DetectionRows(tracker)
+    tracker = create_tracker(name, (scene.width, scene.height), scene.frame_rate)
+    made: Estimator[Any, Any, SetEstimate] = DetectionRows(tracker)
+    if scene.observation == "pixels":
+        made = DetectThenTrack(create_detector(detector), tracker)
     return VideoObserver(made, space, identities=not isinstance(tracker, RawDetections))
 
 
-def select_scene(rows: ReservedRows, k: int) -> ReservedRows:
-    """The rows of one scene, with an axis of one."""
-    return ReservedRows(type(rows.rows)(rows.rows.label[k : k + 1]), rows.absent[k : k + 1], rows.states[k : k + 1])
-
-
-def join_scenes(memories: list[ReservedRows]) -> ReservedRows:
-    """The rows of several scenes."""
-    return ReservedRows(
-        type(memories[0].rows)(np.concatenate([memory.rows.label for memory in memories])),
-        np.concatenate([memory.absent for memory in memories]),
-        np.concatenate([memory.states for memory in memories]),
-    )
-
-
-def _detections(rows: Array) -> Any:
+def _detections(rows: Array) -> Detections:
     return detections_from_boxes(rows[rows[:, 0] >= 0.5, 1:])
 
 

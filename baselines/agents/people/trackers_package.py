@@ -1,6 +1,6 @@
-"""Trackers of the PyPI package `trackers` behind our contract, so that a user's favourite runs on our worlds.
+"""Adapter that runs trackers of the PyPI package `trackers` (optional) on our worlds.
 
-They learn in place: a state can be stepped from once. The package is optional.
+Their trackers change in place: only the newest state can be stepped from.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ PEERS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "bot-sort": ("BoTSORTTracker", {"enable_cmc": False}),
     "c-biou": ("CBIoUTracker", {}),
 }
-"""From our name to the package's class and the arguments that differ from its defaults."""
+"""Class in the package, and the arguments that differ from its defaults, by our name."""
 
 
 class _Model:
-    """The package's tracker and the number of frames it was stepped through."""
+    """A tracker of the package and the number of frames that it has processed."""
 
     def __init__(self, tracker: Any) -> None:
         self.tracker = tracker
@@ -39,8 +39,8 @@ class PeerState(NamedTuple):
     """State of a `PeerTracker`.
 
     Attributes:
-        model: Shared by all states of a sequence: only the last one can be stepped from.
-        frames: Number of frames seen.
+        model: Tracker that all states of a sequence share: only the newest state can be stepped from.
+        frames: Number of frames processed.
     """
 
     model: _Model
@@ -65,21 +65,23 @@ class PeerTracker:
 
     def __post_init__(self) -> None:
         if self.name not in PEERS:
-            raise ValueError(f"no peer is called {self.name!r}; known are {', '.join(PEERS)}")
+            raise ValueError(
+                f"no tracker of the package trackers is called {self.name!r}; known are {', '.join(PEERS)}"
+            )
         _package("trackers")
         _package("supervision")
 
     def initial(self, detections: Detections) -> PeerState:
-        """A new tracker; the detections are not looked at."""
+        """Return the state of a new tracker; the detections are ignored."""
         class_name, parameters = PEERS[self.name]
         made = getattr(_package("trackers"), class_name)(frame_rate=self.frame_rate, **parameters)
         return PeerState(_Model(made), 0)
 
     def step(self, state: PeerState, detections: Detections) -> tuple[PeerState, SetEstimate]:
-        """Let the tracker see a frame; the state before is used up.
+        """Process a frame. The state before cannot be stepped from again.
 
         Raises:
-            ValueError: Detections that are not finite, or a state that was stepped from before.
+            ValueError: Detections that are not finite, or a state that is not the newest.
         """
         check_detections(detections)
         model = state.model

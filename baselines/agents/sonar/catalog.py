@@ -1,96 +1,106 @@
-"""The trackers of bearings behind the agents' names, made of what a sonar world tells its agents."""
+"""Trackers of bearings by name, created from the environment's `SonarModel`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Literal, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from servotrack.envs.track.sonar.array_model import SonarModel
+from servotrack.estimators.rfs import SetEstimate
 from servotrack.estimators.sonar import HMMBearings
 from servotrack.estimators.sonar.nulling import ViterbiNulling
 from servotrack.estimators.sonar.peaks import PeakKalmanHungarian, PeakNearestNeighbor, PeakTracker
+from servotrack.estimators.sonar.record import BearingTrack
+from servotrack.estimators.types import Array, Estimator
 
-FASTEST = 2.0
-"""Bearing rates that trackers are made for, deg/s; grids go at least one step beyond rest."""
-
+FASTEST_RATE = 2.0
+"""Largest bearing rate that trackers search, deg/s. Grids of rates hold at least one step on both sides of zero."""
 
 SHORTEST_WINDOW = 20
-"""Rows."""
+"""Smallest number of rows of a tracker's window."""
 
 
-def fitting_rates(told: SonarModel) -> tuple[float, ...]:
-    """Rates up to `FASTEST` whose steps fit the beams: half a step of the rate moves a target by one beam, deg/s."""
-    step = 2.0 * float(told.looks[1] - told.looks[0]) / told.period
-    most = max(1, round(FASTEST / step))
+class BearingTracker(Estimator[Array, Any, SetEstimate], Protocol):
+    """Tracker of bearings: row by row, or over a whole record."""
+
+    def track(self, record: ArrayLike, times: ArrayLike | None = None) -> list[BearingTrack]:
+        """Return the tracks of a whole record, shape (rows, beams); `times` are those of its rows, s."""
+
+
+def fitting_rates(scene: SonarModel) -> tuple[float, ...]:
+    """Return rates up to `FASTEST_RATE`, deg/s; half a step of the rate moves a target by one beam per row."""
+    step = 2.0 * float(scene.looks[1] - scene.looks[0]) / scene.period
+    most = max(1, round(FASTEST_RATE / step))
     return tuple((step * np.arange(-most, most + 1)).tolist())
 
 
-def _hmm(likelihood: Any) -> Callable[[SonarModel], HMMBearings]:
-    def make(told: SonarModel) -> HMMBearings:
+def _hmm(likelihood: Literal["row", "cell"]) -> Callable[[SonarModel], HMMBearings]:
+    def make(scene: SonarModel) -> HMMBearings:
         return HMMBearings(
             likelihood,
-            array=told.array,
-            band=told.band,
-            shading=told.shading,  # type: ignore[arg-type]
-            beams=len(told.looks),
-            snapshots=told.averages // len(told.band.frequencies),
-            period=told.period,
-            rates=fitting_rates(told),
-            lag=told.lag,
-            window=_window(told),
+            array=scene.array,
+            band=scene.band,
+            shading=scene.shading,  # type: ignore[arg-type]
+            beams=len(scene.looks),
+            snapshots=scene.averages // len(scene.band.frequencies),
+            period=scene.period,
+            rates=fitting_rates(scene),
+            lag=scene.lag,
+            window=_window(scene),
         )
 
     return make
 
 
-def _viterbi(told: SonarModel) -> ViterbiNulling:
+def _viterbi(scene: SonarModel) -> ViterbiNulling:
     return ViterbiNulling(
-        beams=len(told.looks),
-        averages=told.averages,
-        period=told.period,
-        rates=fitting_rates(told),
-        lag=told.lag,
-        window=_window(told),
+        beams=len(scene.looks),
+        averages=scene.averages,
+        period=scene.period,
+        rates=fitting_rates(scene),
+        lag=scene.lag,
+        window=_window(scene),
     )
 
 
 def _peaks(tracker: type[PeakTracker]) -> Callable[[SonarModel], PeakTracker]:
-    def make(told: SonarModel) -> PeakTracker:
-        return tracker(beams=len(told.looks), averages=told.averages, period=told.period, lag=told.lag)
+    def make(scene: SonarModel) -> PeakTracker:
+        return tracker(beams=len(scene.looks), averages=scene.averages, period=scene.period, lag=scene.lag)
 
     return make
 
 
-def _window(told: SonarModel) -> int:
-    """Rows that an answer looks at, before and after the one that it is for."""
-    return max(SHORTEST_WINDOW, 2 * told.lag)
+def _window(scene: SonarModel) -> int:
+    """Return the number of rows before and after a row that its estimate uses."""
+    return max(SHORTEST_WINDOW, 2 * scene.lag)
 
 
-TRACKERS: Mapping[str, Callable[[SonarModel], Any]] = {
+TRACKERS: Mapping[str, Callable[[SonarModel], BearingTracker]] = {
     "hmm-row": _hmm("row"),
     "hmm-cell": _hmm("cell"),
     "viterbi": _viterbi,
     "peak-nearest-neighbor": _peaks(PeakNearestNeighbor),
     "peak-kalman-hungarian": _peaks(PeakKalmanHungarian),
 }
-"""From an observer's name to what makes its tracker."""
+"""Factory of each observer's tracker."""
 
 
-def sonar_tracker(name: str, told: SonarModel) -> Any:
-    """A tracker of bearings for a world.
+def sonar_tracker(name: str, scene: SonarModel) -> BearingTracker:
+    """Create a tracker of bearings.
 
     Args:
         name: One of `TRACKERS`.
-        told: What agents are told.
+        scene: Parameters of the receiver that agents receive.
 
     Returns:
-        As in `servotrack.estimators.sonar`: `track` takes a whole record, `initial` and `step` one row after the other.
+        The tracker: `track` takes a whole record, `initial` and `step` take it row by row.
 
     Raises:
         ValueError: An unknown name.
     """
     if name not in TRACKERS:
         raise ValueError(f"no tracker of bearings is called {name!r}; known are {', '.join(TRACKERS)}")
-    return TRACKERS[name](told)
+    return TRACKERS[name](scene)

@@ -1,4 +1,4 @@
-"""Agents of the sonar world: a tracker of bearings behind `predict`, one scene after the other."""
+"""Observers of bearings: a tracker behind `predict`, scene by scene."""
 
 from __future__ import annotations
 
@@ -7,24 +7,29 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from servotrack.baselines.agents.people.observers import join_scenes, select_scene
-from servotrack.baselines.agents.row_patience import ReservedRows, allocate_rows, no_rows
-from servotrack.baselines.agents.sonar.catalog import sonar_tracker
+from servotrack.baselines.agents.row_reservation import (
+    ReservedRows,
+    allocate_rows,
+    join_scenes,
+    no_rows,
+    select_scene,
+)
+from servotrack.baselines.agents.sonar.catalog import BearingTracker, sonar_tracker
 from servotrack.envs.track.sonar.array_model import SonarModel
 from servotrack.estimators.rfs import RowAllocation, SetEstimate
 from servotrack.estimators.stateful import add_axis, select_rows
 from servotrack.estimators.types import Array, Mask
 
 BEARING = (0,)
-"""Where a state holds the bearing."""
+"""Entry of a state that holds the bearing."""
 
 
 class SonarObserverState(NamedTuple):
     """Memory of a `SonarObserver`.
 
     Attributes:
-        beliefs: The tracker's state of each of N scenes.
-        rows: Which identity owns which row of the answers.
+        beliefs: Tracker state of each of N scenes.
+        rows: Owners of the rows of the answers.
     """
 
     beliefs: tuple[Any, ...]
@@ -35,13 +40,13 @@ class SonarObserver:
     """A tracker of bearings behind `predict`: records in, sets of bearings out.
 
     Args:
-        tracker: With `initial(record)` and `step(state, record)`, which returns the new state and a `SetEstimate` whose
-            states begin with the bearing in deg, of the record `lag` before the newest.
+        tracker: Tracker of `servotrack.estimators.sonar`. Its states begin with the bearing in deg, for the record
+            `lag` before the newest.
         low: Lowest answer, shape (rows, 2); answers are clipped to the action space.
         high: Highest answer, shape (rows, 2).
     """
 
-    def __init__(self, tracker: Any, low: Array, high: Array) -> None:
+    def __init__(self, tracker: BearingTracker, low: Array, high: Array) -> None:
         self.tracker = tracker
         self._low, self._high = low, high
         self._allocation = RowAllocation(len(low), BEARING)
@@ -56,16 +61,16 @@ class SonarObserver:
         """Answer a record.
 
         Args:
-            observation: Beam powers over their noise level, shape (beams,), or (N, beams) for N scenes.
-            state: What the last call returned; None starts anew.
+            observation: Beam powers divided by their noise level, shape (beams,), or (N, beams) for N scenes.
+            state: Result of the last call; None starts every scene anew.
             episode_start: Scenes that start anew. Shape (N,), or a scalar for a single observation.
-            deterministic: These agents always are.
+            deterministic: Ignored: the answer is always deterministic.
 
         Returns:
-            Shape (rows, 2) or (N, rows, 2); and the new state.
+            The answer, shape (rows, 2) or (N, rows, 2), and the new state.
 
         Raises:
-            ValueError: As the tracker does.
+            ValueError: A record that the tracker refuses.
         """
         records = np.asarray(observation, dtype=np.float64)
         single = records.ndim == 1
@@ -89,10 +94,10 @@ class SonarObserver:
 
 
 class BearingOracle:
-    """Reports the true bearings, target i in row i; privileged, and without memory.
+    """Reports the true bearings, target i in row i; privileged, without memory.
 
     Args:
-        rows: Rows of an answer.
+        rows: Number of rows of an answer.
     """
 
     def __init__(self, rows: int) -> None:
@@ -113,30 +118,31 @@ class BearingOracle:
         return answer, None
 
 
-def create_sonar_observer(env: Any, tracker: str) -> Any:
-    """An observer for the sonar world, of which only the spaces and what it tells its agents (`told`) are read.
+def create_sonar_observer(env: Any, tracker: str) -> SonarObserver | BearingOracle:
+    """Create an observer of bearings; only the environment's spaces and its `scene_model` are read.
 
     Args:
-        env: A `SonarTracking-v0` environment or vector environment.
-        tracker: A name of `servotrack.baselines.agents.sonar.catalog`, or "bearing-oracle".
+        env: An environment or vector environment whose `scene_model` is a `SonarModel`.
+        tracker: A name of `agents.sonar.catalog.TRACKERS`, or "bearing-oracle".
 
     Raises:
-        ValueError: The environment is no sonar world, or the tracker is unknown.
+        ValueError: An environment without a `SonarModel`, or an unknown tracker.
     """
-    told = getattr(env.unwrapped, "scene_model", None)
-    if not isinstance(told, SonarModel):
+    scene = getattr(env.unwrapped, "scene_model", None)
+    if not isinstance(scene, SonarModel):
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
         raise ValueError(
-            f"agent {tracker!r} needs a sonar world; {name} is none: choose SonarTracking-v0, or another agent"
+            f"agent {tracker!r} needs an environment whose `unwrapped.scene_model` is a SonarModel; {name} has none: "
+            "choose SonarTracking-v0, or another agent"
         )
     space = getattr(env, "single_action_space", env.action_space)
     if tracker == "bearing-oracle":
         return BearingOracle(space.shape[0])
-    return SonarObserver(sonar_tracker(tracker, told), space.low, space.high)
+    return SonarObserver(sonar_tracker(tracker, scene), space.low, space.high)
 
 
 def _of_one(estimate: SetEstimate) -> SetEstimate:
-    """The bearings of an estimate, with an axis of one scene."""
+    """Return the bearings of an estimate, with a leading axis of one scene."""
     values = {name: np.asarray(getattr(estimate, name)) for name in SetEstimate.__dataclass_fields__}
     values |= {name: values[name][:, :1] for name in ("states", "held_states")}
     values["covariances"] = values["covariances"][:, :1, :1]
