@@ -33,23 +33,10 @@ HEAVY = {
     "onnxruntime",
 }  # fmt: skip
 OPTIONAL = {"torch", "stable_baselines3", "sb3_contrib", "onnx", "pygame", "mujoco", "pytest"}
-TRAINING = (
-    "command",
-    "course",
-    "curriculum",
-    "curves",
-    "encoded_env",
-    "export",
-    "eyes_training",
-    "jacobian_training",
-    "reinforcement",
-    "set_training",
-    "student",
-    "supervised",
-    "training",
-)
-LEARNED = {"servotrack.baselines.training.sb3", *(f"servotrack.baselines.agents.learned.{name}" for name in TRAINING)}
-FOR_OTHER_ENVIRONMENTS = {"servotrack.baselines.speed.stone_soup"}
+TRAINING = "servotrack.baselines.training"
+"""The only package that imports torch, Stable-Baselines3, sb3_contrib or onnx."""
+OTHER_INTERPRETERS = {"servotrack.baselines.speed.stone_soup"}
+"""Scripts of the speed benchmark that run in the virtual environment of the library they are compared with."""
 CACHES = {"__pycache__", ".mypy_cache", ".ruff_cache"}
 SECTIONS = [
     "Description",
@@ -112,14 +99,15 @@ def test_import_is_light() -> None:
     assert not HEAVY & set(modules)
 
 
-def test_no_module_needs_an_optional_library_to_be_imported() -> None:
-    modules = [
+def test_no_module_outside_training_needs_an_optional_library_to_be_imported() -> None:
+    modules = {
         ".".join([name, *path.relative_to(ROOT / folder).with_suffix("").parts])
         for name, folder in ROOMS.items()
         for path in (ROOT / folder).rglob("*.py")
         if path.stem not in {"__init__", "__main__"}
-    ]
-    names = sorted(set(modules) - LEARNED - FOR_OTHER_ENVIRONMENTS)
+    }
+    assert modules > OTHER_INTERPRETERS
+    names = sorted(name for name in modules - OTHER_INTERPRETERS if not name.startswith(f"{TRAINING}."))
     probe = (
         f"import importlib, sys; [importlib.import_module(name) for name in {names}]; "
         "print(*{name.partition('.')[0] for name in sys.modules})"

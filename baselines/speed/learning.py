@@ -33,34 +33,6 @@ def subjects() -> list[Subject]:
     ]
 
 
-def training(adapter: bool) -> Callable[[float], float]:
-    """Environment steps per second of PPO with the same policy in either kind of vector environment."""
-    import gymnasium as gym
-    import torch
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.env_util import make_vec_env
-    from stable_baselines3.common.logger import Logger
-
-    from servotrack.baselines.training.sb3 import StableBaselinesVecEnv
-
-    torch.set_num_threads(1)
-    if adapter:
-        mode = gym.vector.AutoresetMode.SAME_STEP
-        env: Any = StableBaselinesVecEnv(gym.make_vec(ENV_ID, num_envs=NUM_ENVS, autoreset_mode=mode), info_keys=())
-    else:
-        env = make_vec_env(ENV_ID, NUM_ENVS)
-    model = PPO("MultiInputPolicy", env, n_steps=64, batch_size=2048, n_epochs=5, seed=0, device="cpu")
-    model.set_logger(Logger(None, []))  # Its own makes a folder among the temporary files for each call of learn.
-
-    def run(duration: float) -> float:
-        steps, start = model.num_timesteps, time.perf_counter()
-        while (elapsed := time.perf_counter() - start) < duration:
-            model.learn(64 * NUM_ENVS, reset_num_timesteps=False)
-        return (model.num_timesteps - steps) / elapsed
-
-    return run
-
-
 def answering(name: str, level: int, alone: bool) -> Callable[[float], float]:
     """Answers of a shipped agent per second, of its network alone or of `predict`."""
     import gymnasium as gym
@@ -101,10 +73,11 @@ def answering(name: str, level: int, alone: bool) -> Callable[[float], float]:
 
 if __name__ == "__main__":
     kind, *rest = sys.argv[1:]
-    measure = (
-        training(kind == "adapter")
-        if kind in ("adapter", "dummy")
-        else answering(rest[0], int(rest[1]), alone=kind == "session")
-    )
+    if kind in ("adapter", "dummy"):
+        from servotrack.baselines.training.ppo_speed import ppo_speed
+
+        measure = ppo_speed(ENV_ID, NUM_ENVS, adapter=kind == "adapter")
+    else:
+        measure = answering(rest[0], int(rest[1]), alone=kind == "session")
     measure(WARM_UP)
     serve(measure)
