@@ -15,13 +15,12 @@ from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard
 from servotrack.baselines.agents.learned.marker_network import MarkerNetwork
 from servotrack.baselines.agents.learned.network import LARGEST_NETWORK, OnnxNetwork
 from servotrack.baselines.agents.learned.shipped import shipped_agents, shipped_cards
-from servotrack.baselines.agents.protocol import world_of
 from servotrack.baselines.agents.registry import AGENTS, create_agent
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.bench import suite_of
 from servotrack.baselines.evaluation.evaluate import run_episodes
 from servotrack.baselines.leaderboard.agents_table import agents_grid, shipped_grid
-from servotrack.baselines.leaderboard.measures import JUDGMENTS
+from servotrack.baselines.worlds import world_of_id
 
 CARDS = shipped_cards()
 TUNE = seeds.take("tune", 60, 70_000)
@@ -45,7 +44,7 @@ def test_a_card_tells_how_its_agent_came_about(path: Path) -> None:
     training = card.training
     assert len(training["runs"]) >= 3 and card.steps >= sum(run["steps"] for run in training["runs"])
     assert training["seed"] in [run["seed"] for run in training["runs"]]
-    headline = JUDGMENTS[world_of(card.env_id)].headline
+    headline = world_of_id(card.env_id).headline
     sign = 1.0 if headline.high_is_good else -1.0
     best = max(training["runs"], key=lambda run: run["score"] if "score" in run else sign * run[headline.column])
     assert best["seed"] == training["seed"] and training["curve"][-1] == {k: v for k, v in best.items() if k != "seed"}
@@ -62,13 +61,13 @@ EYES = [path for path, card in CARDS.items() if card.encoding["kind"] == "marker
 @pytest.mark.parametrize("path", EYES, ids=lambda path: path.stem)
 def test_eyes_see_as_torch_does(path: Path) -> None:
     onnx, torch = pytest.importorskip("onnx"), pytest.importorskip("torch")
-    from servotrack.baselines.training.marker import EyesNetwork
+    from servotrack.baselines.training.marker import MarkerConvNet
 
     card = CARDS[path]
     model = onnx.load_model(str(path.parent / card.network))
     stored = {value.name: torch.tensor(onnx.numpy_helper.to_array(value)) for value in model.graph.initializer}
     size = card.encoding["image_size"]
-    network = EyesNetwork(card.training["settings"]["hyper_parameters"]["channels"], size)
+    network = MarkerConvNet(card.training["settings"]["hyper_parameters"]["channels"], size)
     weights = network.state_dict()
     assert {name for name in weights if name not in ("columns", "rows")} <= set(stored)
     network.load_state_dict({name: stored.get(name, value) for name, value in weights.items()})
@@ -226,7 +225,7 @@ def test_the_estimator_that_learned_is_nearer_than_the_kalman_filter_under_the_s
 
 
 def test_steering_adds_to_a_filter_that_only_expects_births_anywhere() -> None:
-    """At level 5; at levels 6 and 7 it does not, as docs/learned-tracking.md says."""
+    """At level 5; at levels 6 and 7 it does not, as docs/results/learned-tracking.md says."""
     steered, steady = (
         np.array(
             [row["return"] for row in run_episodes("ClutterTracking-v0", AGENTS[name], TUNE[:16], {"level": 5})[0]]
