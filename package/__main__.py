@@ -29,7 +29,7 @@ def main() -> None:
     import gymnasium as gym
 
     import servotrack  # noqa: F401
-    from servotrack.baselines.evaluation.results import ResultsError
+    from servotrack.baselines.reporting.files import ResultsError
 
     # Agents of the user's own ("module:callable") lie where the user stands.
     sys.path.insert(0, "")

@@ -15,24 +15,8 @@ Observation: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
 Information = Literal["model-free", "structure", "prior", "calibrated", "privileged", "undeclared"]
 """What an agent was told: nothing; the model's structure; the randomization's ranges; this very system; the truth."""
 
-World = Literal["servo", "clutter", "video", "color", "sonar", "follow"]
-"""Kinds of worlds: a robot; points in clutter; boxes of people in frames, rendered or real; a box of a colored object;
-bearings; a robot that follows one of many."""
-
-
-def world_of(env_id: str) -> World:
-    """Which kind of world an id is; ids of other packages count as servos."""
-    return _WORLDS.get(env_id.partition("-v")[0].rpartition(":")[2], "servo")
-
-
-_WORLDS: Mapping[str, World] = {
-    "ClutterTracking": "clutter",
-    "PedestrianTracking": "video",
-    "VideoTracking": "video",
-    "ColorTracking": "color",
-    "SonarTracking": "sonar",
-    "PedestrianServo": "follow",
-}
+TRUTH = frozenset({"truth"})
+"""Value of `requires` for agents that see the truth."""
 
 
 @runtime_checkable
@@ -88,21 +72,21 @@ class AgentCard:
     requires: frozenset[str] = frozenset()
     tuning_steps: int | None = None
     laws: bool = False
-    worlds: frozenset[World] = frozenset({"servo"})
+    worlds: frozenset[str] = frozenset({"servo"})
     in_default_suite: bool = True
-    information_in: Mapping[World, Information] = field(default_factory=dict)
+    information_in: Mapping[str, Information] = field(default_factory=dict)
     trained_in: Mapping[str, int] | None = None
 
-    def as_record(self, env_id: str, environment: str) -> dict[str, Any]:
+    def as_record(self, kind: str, environment: str) -> dict[str, Any]:
         """What results in an environment keep of it.
 
         Args:
-            env_id: Gymnasium id.
+            kind: Kind of world.
             environment: Id and arguments in one line.
         """
         return {
             "summary": self.summary,
-            "information": self.information_in.get(world_of(env_id), self.information),
+            "information": self.information_in.get(kind, self.information),
             "requires": sorted(self.requires),
             "tuning_steps": (self.trained_in or {}).get(environment, self.tuning_steps),
         }

@@ -7,6 +7,7 @@ from typing import Any
 from servotrack.baselines.agents.clutter.observers import create_clutter_observer
 from servotrack.baselines.agents.people.observers import create_video_observer
 from servotrack.baselines.agents.protocol import Agent
+from servotrack.baselines.worlds import public_attribute
 from servotrack.envs.track.clutter.scene_model import SceneModel
 from servotrack.envs.track.people.camera_model import VideoModel
 
@@ -24,7 +25,7 @@ def create_observer(env: Any, estimator: str, hidden_markov: bool = False, extra
     Raises:
         ValueError: An environment without a `SceneModel` or `VideoModel`, or an unknown estimator.
     """
-    scene = getattr(env.unwrapped, "scene_model", None)
+    scene = public_attribute(env, "scene_model")
     if isinstance(scene, VideoModel):
         return create_video_observer(env, estimator)
     if not isinstance(scene, SceneModel):

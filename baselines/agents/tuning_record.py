@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from servotrack.baselines.agents.servo.tuning_grid import BORROWED, GRIDS, UNTUNED
-from servotrack.baselines.evaluation.results import ResultsError, atomic_path, read_document
+from servotrack.baselines.reporting.files import ResultsError, atomic_path, read_document
 
 FORMAT = "servotrack-tuning"
 FORMAT_VERSION = 1

@@ -10,13 +10,14 @@ from typing import Any
 
 import gymnasium as gym
 from joblib import Parallel, delayed
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress
 
-from servotrack.baselines.agents.protocol import world_of
 from servotrack.baselines.agents.registry import AGENTS, agent_card
 from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.evaluation.evaluate import evaluate
-from servotrack.baselines.evaluation.results import CellResults, ResultsFolder, describe_environment, provenance
+from servotrack.baselines.evaluation.provenance import provenance
+from servotrack.baselines.evaluation.results import CellResults, ResultsFolder
+from servotrack.baselines.worlds import describe_environment, kind_of_id
 
 DEFAULT_LEVELS = (0, 1, 2, 3, 4, 5)
 DEFAULT_EPISODES = 100
@@ -39,8 +40,8 @@ class Cell:
 
 def default_agents(env_id: str = "UncalibServo-v0") -> list[str]:
     """Every registered agent that is measured in a world by default, in the table's order."""
-    world = world_of(env_id)
-    return [name for name, card in AGENTS.items() if card.in_default_suite and world in card.worlds]
+    kind = kind_of_id(env_id)
+    return [name for name, card in AGENTS.items() if card.in_default_suite and kind in card.worlds]
 
 
 def suite_of(
@@ -86,9 +87,11 @@ def _has_network(name: str, env_id: str, kwargs: Mapping[str, Any]) -> bool:
 
 
 def _has_levels(env_id: str) -> bool:
-    entry = gym.spec(env_id).entry_point
+    """True if the id takes a `level` and is registered without one."""
+    spec = gym.spec(env_id)
+    entry = spec.entry_point
     creator = gym.envs.registration.load_env_creator(entry) if isinstance(entry, str) else entry
-    return creator is not None and "level" in inspect.signature(creator).parameters
+    return creator is not None and "level" in inspect.signature(creator).parameters and "level" not in spec.kwargs
 
 
 def run_suite(
@@ -129,13 +132,6 @@ def run_suite(
     _measure_times(cells, folder, chosen, progress)
     loaded = [folder.load(cell.env_id, cell.env_kwargs, cell.agent) for cell in cells]
     return [result for result in loaded if result is not None]
-
-
-def progress_bars() -> Progress:
-    """Bars for the terminal, with counts and times."""
-    return Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
-    )
 
 
 def _evaluated(

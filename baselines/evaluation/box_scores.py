@@ -1,4 +1,4 @@
-"""What the benchmark keeps of an episode in the color world."""
+"""Scores of single-object tracking episodes: IoU per step; AUC, precision and failures of the whole."""
 
 from __future__ import annotations
 
@@ -14,28 +14,31 @@ _WHOLE = ("auc", "precision", "failures")
 
 
 class BoxScoreRecorder:
-    """Collects the scores that a color world's infos tell, step by step.
+    """Collects the scores in the infos of a single-object vector environment, step by step.
 
     Args:
         rows: Number of episodes side by side.
+        observation: Not read.
+        max_steps: Not read.
     """
 
-    def __init__(self, rows: int) -> None:
+    def __init__(self, rows: int, observation: Any = None, max_steps: int | None = None) -> None:
         self._overlaps: list[Array] = []
         self._whole: list[Row] = [{} for _ in range(rows)]
 
-    def record(self, info: Mapping[str, Any], ending: Mask) -> None:
-        """Take one step's infos in.
+    def record(self, observation: Any, info: Mapping[str, Any], ending: Mask) -> None:
+        """Add the infos of one step.
 
         Args:
-            info: Of the vector environment.
+            observation: Not read.
+            info: Info of the vector environment.
             ending: Rows whose episode ends with this step, shape (N,).
         """
         self._overlaps.append(np.array(info["iou"], dtype=np.float64))
-        told = np.asarray(info.get("_auc", np.zeros(len(ending), np.bool_)))
-        for row in np.flatnonzero(ending & told).tolist():
+        reported = np.asarray(info.get("_auc", np.zeros(len(ending), np.bool_)))
+        for row in np.flatnonzero(ending & reported).tolist():
             self._whole[row] = {name: float(info[name][row]) for name in _WHOLE}
 
     def columns(self, row: int, length: int) -> Row:
-        """One episode's columns: mean IoU; AUC, precision and failures where the episode was told whole."""
+        """Columns of one episode: mean IoU; AUC, precision and failures where the whole episode was scored."""
         return {"iou": float(np.mean([step[row] for step in self._overlaps[:length]])), **self._whole[row]}

@@ -12,14 +12,9 @@ import numpy as np
 from servotrack.baselines.agents.protocol import Agent, AgentCard
 from servotrack.baselines.agents.registry import agent_card, create_agent
 from servotrack.baselines.evaluation.episodes import EpisodeRecorder
-from servotrack.baselines.evaluation.results import (
-    CellResults,
-    ResultsFolder,
-    Row,
-    describe_environment,
-    plain,
-    provenance,
-)
+from servotrack.baselines.evaluation.provenance import provenance
+from servotrack.baselines.evaluation.results import CellResults, ResultsFolder, Row
+from servotrack.baselines.worlds import describe_environment, kind_of_id, plain
 from servotrack.estimators.types import Mask
 
 CHUNK = 100
@@ -67,12 +62,14 @@ def evaluate(
     if chunk is not None and chunk < 1:
         raise ValueError(f"chunk must be at least 1, got {chunk}")
     card = agent if isinstance(agent, AgentCard) else agent_card(agent)
+    kind = kind_of_id(env_id)
     cell = (folder.load(env_id, kwargs, card.name) if folder else None) or CellResults(
         env_id,
         plain(kwargs),
         card.name,
-        card.as_record(env_id, describe_environment(env_id, kwargs)),
+        card.as_record(kind, describe_environment(env_id, kwargs)),
         provenance=record or provenance(),
+        kind=kind,
     )
     done = set(cell.seeds)
     todo = [seed for seed in seeds if seed not in done]
@@ -142,8 +139,8 @@ def run_episodes(
     env = make_vector(env_id, len(seeds), env_kwargs, privileged=card.privileged)
     try:
         agent: Agent = create_agent(card, env)
-        observation, info = env.reset(seed=list(seeds))
-        recorder = EpisodeRecorder(seeds, env, observation, info)
+        observation, _ = env.reset(seed=list(seeds))
+        recorder = EpisodeRecorder(seeds, env, observation)
         state: Any = None
         starts: Mask = np.ones(len(seeds), dtype=bool)
         while not recorder.finished:

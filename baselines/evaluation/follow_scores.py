@@ -1,4 +1,4 @@
-"""What the benchmark keeps of an episode in which one person is to be followed."""
+"""Scores of episodes in which the arm follows one person: time on target, identity errors, losses."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from servotrack.estimators.types import Mask
 
 
 class FollowScoreRecorder:
-    """Collects what the following world's infos tell, step by step.
+    """Collects the counts in the infos of a following vector environment, step by step.
 
     Args:
         rows: Number of episodes side by side.
-        max_steps: Steps of a full episode; those that an early end leaves out are neither on target nor at anybody.
+        observation: Not read.
+        max_steps: Steps of a full episode. Steps after an early end count as neither on target nor at another person.
 
     Raises:
         ValueError: The environment has no limit of steps.
     """
 
-    def __init__(self, rows: int, max_steps: int | None) -> None:
+    def __init__(self, rows: int, observation: Any, max_steps: int | None) -> None:
         if max_steps is None:
             raise ValueError("an episode must have a limit of steps; register the environment with max_episode_steps")
         self._max_steps = max_steps
@@ -30,11 +31,12 @@ class FollowScoreRecorder:
         self._right: list[Mask] = []
         self._whole: list[Row] = [{} for _ in range(rows)]
 
-    def record(self, info: Mapping[str, Any], ending: Mask) -> None:
-        """Take one step's infos in.
+    def record(self, observation: Any, info: Mapping[str, Any], ending: Mask) -> None:
+        """Add the infos of one step.
 
         Args:
-            info: Of the vector environment.
+            observation: Not read.
+            info: Info of the vector environment.
             ending: Rows whose episode ends with this step, shape (N,).
         """
         self._wrong.append(np.array(info["identity_error"], dtype=np.bool_))
@@ -44,7 +46,7 @@ class FollowScoreRecorder:
             self._whole[row]["kept"] = bool(info["kept"][row])
 
     def columns(self, row: int, length: int) -> Row:
-        """One episode's columns: shares of the whole time, times lost; success: the person was kept to the end."""
+        """Columns of one episode: shares of the whole time, times lost; success if the person was kept to the end."""
         kept = bool(self._whole[row]["kept"]) and length == self._max_steps
         wrong = sum(int(step[row]) for step in self._wrong[:length])
         right = sum(int(step[row]) for step in self._right[:length])

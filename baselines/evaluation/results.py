@@ -6,33 +6,22 @@ leaves half a file. Rows are episodes; whoever wants a mean computes it (`servot
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
-import os
-import platform
 import re
-import shlex
-import sys
-import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from datetime import datetime, timezone
-from functools import lru_cache
-from importlib import metadata
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from servotrack.baselines.evaluation.provenance import code_version
+from servotrack.baselines.reporting.files import ResultsError, atomic_path, read_document, temporary_in
+from servotrack.baselines.worlds import WORLDS, describe_environment, kind_of_id, plain
+
 FORMAT = "servotrack-results"
 FORMAT_VERSION = 1
-RECORDED_PACKAGES = ("gymnasium", "numpy", "scipy", "numba", "pymunk", "opencv-python-headless")
 
 Row = dict[str, Any]
-
-
-class ResultsError(Exception):
-    """A results folder or file that cannot be used; the message names the path and the remedy."""
 
 
 @dataclass
@@ -43,11 +32,12 @@ class CellResults:
         env_id: Gymnasium id.
         env_kwargs: Arguments of the environment.
         agent: Name of the agent.
-        card: What the agent was told: `information`, `requires`, `tuning_steps`, `summary`.
+        card: What the agent may know and what it cost: `information`, `requires`, `tuning_steps`, `summary`.
         max_steps: Steps of a full episode.
         rows: One dictionary per episode; `seed` is the key.
         step_seconds: Durations of single `predict` calls from a pass of its own, unbatched; empty if not measured.
         provenance: Versions, machine, command, creation time (UTC).
+        kind: Kind of world, a key of `servotrack.baselines.worlds.WORLDS`; "" for that of the id.
     """
 
     env_id: str
@@ -58,6 +48,12 @@ class CellResults:
     rows: list[Row] = field(default_factory=list)
     step_seconds: list[float] = field(default_factory=list)
     provenance: dict[str, Any] = field(default_factory=dict)
+    kind: str = ""
+
+    def __post_init__(self) -> None:
+        self.kind = self.kind or kind_of_id(self.env_id)
+        if self.kind not in WORLDS:
+            raise ValueError(f"kind must be one of {', '.join(WORLDS)}, got {self.kind!r}")
 
     @property
     def seeds(self) -> list[int]:
@@ -75,97 +71,11 @@ class CellResults:
         return [by_seed[seed] for seed in seeds if seed in by_seed]
 
 
-def plain(env_kwargs: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments as a results file gives them back, tuples as lists.
-
-    Raises:
-        ValueError: An argument that JSON cannot hold.
-    """
-    try:
-        return json.loads(json.dumps(dict(env_kwargs)))
-    except TypeError as error:
-        raise ValueError(
-            f"env_kwargs must be numbers, texts, and lists of them, got {env_kwargs!r} ({error})"
-        ) from error
-
-
-def describe_environment(env_id: str, env_kwargs: Mapping[str, Any]) -> str:
-    """Id and arguments in one line, for titles and folder names."""
-    arguments = plain(env_kwargs)
-    return ",".join([env_id, *(f"{key}={arguments[key]}" for key in sorted(arguments))])
-
-
-@lru_cache(maxsize=1)
-def code_version() -> str:
-    """The package's version and a digest of the sources that decide what an episode's row holds."""
-    digest = hashlib.sha256()
-    for room in ("envs", "estimators", "baselines"):
-        folder = Path(str(find_spec(f"servotrack.{room}").origin)).parent  # type: ignore[union-attr]
-        # Tables and figures may change without making the rows stale.
-        for source in sorted(p for p in folder.rglob("*.py") if "leaderboard" not in p.parts):
-            digest.update(source.relative_to(folder).as_posix().encode())
-            digest.update(source.read_bytes())
-    return f"{metadata.version('servotrack')}+{digest.hexdigest()[:12]}"
-
-
-def provenance() -> dict[str, Any]:
-    """Versions, machine, command and time of the present process."""
-    versions = {"python": platform.python_version()}
-    for package in RECORDED_PACKAGES:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            versions[package] = metadata.version(package)
-    versions["servotrack"] = code_version()
-    return {
-        "versions": versions,
-        "machine": {
-            "system": platform.platform(),
-            "processor": platform.processor() or platform.machine(),
-            "cores": os.cpu_count(),
-        },
-        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-    }
-
-
 def _file_name(text: str) -> str:
     readable = re.sub(r"[^A-Za-z0-9=,.+_-]+", "_", text)
     if readable == text and len(text) <= 100:
         return text
     return f"{readable[:80]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
-
-
-def _temporary_in(folder: Path, suffix: str) -> Path:
-    """A new empty file in `folder`, which is made where it is missing; ResultsError when that cannot be."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=".unfinished-", suffix=suffix, dir=folder)
-    except (FileExistsError, NotADirectoryError) as error:
-        raise ResultsError(f"{folder} cannot be a folder: a file has that name; choose another folder") from error
-    except OSError as error:
-        raise ResultsError(
-            f"{folder} is not writable ({error.strerror}); change its permissions or choose another folder"
-        ) from error
-    os.close(handle)
-    return Path(name)
-
-
-@contextlib.contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its place when the block succeeds and vanishes when it fails.
-
-    Raises:
-        ResultsError: The folder is a file, read-only, or otherwise not writable.
-    """
-    temporary = _temporary_in(path.parent, path.suffix)
-    try:
-        yield temporary
-        umask = os.umask(0)
-        os.umask(umask)
-        # mkstemp makes files that only their owner can read.
-        temporary.chmod(0o666 & ~umask)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 class ResultsFolder:
@@ -189,7 +99,7 @@ class ResultsFolder:
         Raises:
             ResultsError: The folder cannot be made or written.
         """
-        _temporary_in(self.path, "").unlink()
+        temporary_in(self.path, "").unlink()
 
     def file_of(self, env_id: str, env_kwargs: Mapping[str, Any], agent: str) -> Path:
         """Where a cell lies."""
@@ -256,35 +166,6 @@ def check_version(path: Path, cell: CellResults) -> None:
         )
 
 
-def read_document(path: Path, kind: str, version: int, otherwise: str, remedy: str) -> dict[str, Any]:
-    """Read a JSON file that says of itself what it is.
-
-    Args:
-        path: The file.
-        kind: What its `format` has to be.
-        version: What its `format_version` has to be.
-        otherwise: What it is where `format` is another.
-        remedy: What to do about a file that is not usable.
-
-    Raises:
-        ResultsError: The file is unreadable, corrupt, foreign or of another format version.
-    """
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ResultsError(f"{path} cannot be read ({error.strerror}); check its permissions") from error
-    except ValueError as error:
-        raise ResultsError(f"{path} is corrupt ({error}); {remedy}") from error
-    if not isinstance(document, dict) or document.get("format") != kind:
-        raise ResultsError(f"{path} is {otherwise}; {remedy}")
-    if document.get("format_version") != version:
-        raise ResultsError(
-            f"{path} has format version {document.get('format_version')}, this servotrack reads {version}; "
-            f"use the servotrack that wrote it, or {remedy}"
-        )
-    return document
-
-
 def read_cell(path: Path) -> CellResults:
     """Read one file.
 
@@ -297,7 +178,11 @@ def read_cell(path: Path) -> CellResults:
     missing = [name for name in names if name not in document]
     if missing:
         raise ResultsError(f"{path} is corrupt (no {', '.join(missing)}); {remedy}")
-    cell = CellResults(**{name: document[name] for name in names})
+    try:
+        # Files of version 0.1.0 name no kind: theirs follows from the id.
+        cell = CellResults(**{name: document[name] for name in names}, kind=document.get("kind", ""))
+    except ValueError as error:
+        raise ResultsError(f"{path} cannot be used ({error}); {remedy}") from error
     seeds = [row.get("seed") if isinstance(row, dict) else None for row in cell.rows]
     if None in seeds or len(set(seeds)) != len(seeds) or "versions" not in cell.provenance:
         raise ResultsError(f"{path} is corrupt (rows without a seed of their own, or no versions); {remedy}")

@@ -1,4 +1,4 @@
-"""What the benchmark keeps of an episode in a tracking world."""
+"""Scores of tracking episodes: OSPA, GOSPA and counts per step, OSPA(2) and MOT metrics of the whole."""
 
 from __future__ import annotations
 
@@ -12,26 +12,29 @@ from servotrack.estimators.types import Array, Mask
 
 _MEANS = ("ospa", "gospa")
 _WHOLE = ("ospa2", "mota", "idf1", "hota")
-"""Told once, at an episode's end; the last three where answers are boxes."""
+"""Reported once, at the end of an episode; the last three where answers are boxes."""
 
 
 class SetScoreRecorder:
-    """Collects the scores that a tracking world's infos tell, step by step.
+    """Collects the scores in the infos of a tracking vector environment, step by step.
 
     Args:
         rows: Number of episodes side by side.
+        observation: Not read.
+        max_steps: Not read.
     """
 
-    def __init__(self, rows: int) -> None:
+    def __init__(self, rows: int, observation: Any = None, max_steps: int | None = None) -> None:
         self._steps: dict[str, list[Array]] = {name: [] for name in (*_MEANS, "cardinality_error")}
         self._scored: list[Mask] = []
         self._whole: list[Row] = [{} for _ in range(rows)]
 
-    def record(self, info: Mapping[str, Any], ending: Mask) -> None:
-        """Take one step's infos in.
+    def record(self, observation: Any, info: Mapping[str, Any], ending: Mask) -> None:
+        """Add the infos of one step.
 
         Args:
-            info: Of the vector environment.
+            observation: Not read.
+            info: Info of the vector environment.
             ending: Rows whose episode ends with this step, shape (N,).
 
         Raises:
@@ -45,15 +48,15 @@ class SetScoreRecorder:
             values.append(np.array(info[name], dtype=np.float64))
         self._scored.append(np.array(info.get("scored", np.ones(len(ending), np.bool_))))
         for name in _WHOLE:
-            told = np.asarray(info.get(f"_{name}", np.zeros(len(ending), np.bool_)))
-            for row in np.flatnonzero(ending & told).tolist():
+            reported = np.asarray(info.get(f"_{name}", np.zeros(len(ending), np.bool_)))
+            for row in np.flatnonzero(ending & reported).tolist():
                 self._whole[row][name] = float(info[name][row])
 
     def columns(self, row: int, length: int) -> Row:
-        """One episode's columns: means over its scored steps, and what its end told of the whole."""
-        scored = np.array([told[row] for told in self._scored[:length]])
+        """Columns of one episode: means over its scored steps, and the scores of the whole."""
+        scored = np.array([step[row] for step in self._scored[:length]])
         if not scored.any():
-            raise ValueError("no step was scored: an episode has to be longer than the lag of its answers")
+            raise ValueError("no step was scored: `horizon` must exceed `lag`")
         steps = {name: np.array([v[row] for v in values[:length]])[scored] for name, values in self._steps.items()}
         found: Row = {name: float(np.mean(steps[name])) for name in _MEANS}
         errors = steps["cardinality_error"]

@@ -1,8 +1,9 @@
-"""Watch an agent in a window, or drive an arm by keyboard."""
+"""Watch an agent in a window or on film, or drive an arm by keyboard."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -10,12 +11,42 @@ import numpy as np
 
 from servotrack.baselines.agents.registry import agent_card, create_agent
 from servotrack.baselines.evaluation.evaluate import make_single, show_belief
-from servotrack.estimators.types import FloatArray
+from servotrack.baselines.reporting.film import check_film_path, write_film
+from servotrack.estimators.types import FloatArray, Image
 
 KEYS = {"right": (0, 1.0), "left": (0, -1.0), "up": (1, 1.0), "down": (1, -1.0)}
 """Arrow keys: which joint, which way."""
 KEY_RATE = 0.5
 """Fraction of the joint rate limit that a held key commands."""
+
+
+def film_episode(
+    env_id: str, agent: str, path: Path, env_kwargs: Mapping[str, Any] | None = None, seed: int | None = None
+) -> int:
+    """Write a film of one episode, whole or not at all.
+
+    Args:
+        env_id: Gymnasium id with `rgb_array` rendering.
+        agent: What `create_agent` takes.
+        path: Ends in .webm, .mp4 or .avi.
+        env_kwargs: Arguments of the environment.
+        seed: Of the episode.
+
+    Returns:
+        Number of frames.
+
+    Raises:
+        ValueError: Another suffix, or an environment that draws nothing.
+        FilmError: OpenCV cannot write this format here.
+    """
+    check_film_path(path)
+    card = agent_card(agent)
+    env = make_single(env_id, {**(env_kwargs or {}), "render_mode": "rgb_array"}, privileged=card.privileged)
+    try:
+        rate = float(env.metadata.get("render_fps", 20))
+        return write_film(_episode_frames(env, create_agent(card, env), seed), path, rate)
+    finally:
+        env.close()
 
 
 def watch(env_id: str, agent: str, env_kwargs: Mapping[str, Any], seed: int | None = None) -> None:
@@ -77,3 +108,25 @@ def key_action(held: frozenset[str], joints: int) -> FloatArray:
         if key in held:
             action[joint] += way * KEY_RATE
     return action
+
+
+def _episode_frames(env: Any, agent: Any, seed: int | None) -> Iterator[Image]:
+    observation, _ = env.reset(seed=seed)
+    state: Any = None
+    over = False
+    while not over:
+        yield _frame(env)
+        action, state = agent.predict(
+            observation, state=state, episode_start=np.asarray(state is None), deterministic=True
+        )
+        show_belief(env, state)
+        observation, _, terminated, truncated, _ = env.step(action)
+        over = terminated or truncated
+    yield _frame(env)
+
+
+def _frame(env: Any) -> Image:
+    frame = env.render()
+    if not isinstance(frame, np.ndarray) or frame.ndim != 3:
+        raise ValueError(f"{env.spec.id} must draw rgb_array frames to be filmed, got {type(frame).__name__}")
+    return frame

@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-from typing import get_args
-
 from servotrack.baselines.agents.learned.card import LearnedCard
 from servotrack.baselines.agents.learned.shipped import SHIPPED, shipped_cards
-from servotrack.baselines.agents.protocol import World
 from servotrack.baselines.agents.registry import AGENTS
-from servotrack.baselines.leaderboard.table import Grid
+from servotrack.baselines.reporting.grid import Grid
+from servotrack.baselines.worlds import WORLDS
 
 
 def agents_grid(world: str = "") -> Grid:
     """All agents, or those of one kind of world.
 
+    Args:
+        world: A kind of `servotrack.baselines.worlds.WORLDS`; "" for all.
+
     Raises:
-        ValueError: No kind of world has that name.
+        ValueError: An unknown kind.
     """
-    known = get_args(World)
-    if world and world not in known:
-        raise ValueError(f"world must be one of {', '.join(known)}, got {world!r}")
+    if world and world not in WORLDS:
+        raise ValueError(f"world must be one of {', '.join(WORLDS)}, got {world!r}")
     rows = [
         [card.name, card.information, ", ".join(sorted(card.worlds)), card.summary]
         for card in AGENTS.values()
         if not world or world in card.worlds
     ]
-    return Grid(["agent", "told", "worlds", "what it is"], rows, 4)
+    return Grid(["agent", "information", "worlds", "summary"], rows, 4)
 
 
 def shipped_grid() -> Grid:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servotrack.baselines.evaluation.results import atomic_path
-from servotrack.baselines.leaderboard.summary import LOWER_ANCHOR, UPPER_ANCHOR, TaskSummary
+from servotrack.baselines.leaderboard.summary import TaskSummary
+from servotrack.baselines.reporting.figure import STYLE
+from servotrack.baselines.worlds import ScoreAnchors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,22 +29,6 @@ FAMILY_COLORS = {
 """Cold colors for agents that know no model, warm ones for those that know the structure, black for the privileged."""
 SUCCESS_COLORS = ("#ffffff", "#e4f1ee", "#a9d6cb", "#6bbcab")
 """From no success to nothing but success."""
-STYLE: dict[Any, Any] = {
-    "font.family": "sans-serif",
-    "font.size": 8.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.6,
-    "axes.labelsize": 8.0,
-    "axes.titlesize": 8.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.edgecolor": "#444444",
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "savefig.dpi": 220,
-    "svg.hashsalt": "servotrack",
-}
 
 
 def level_tasks(tasks: Sequence[TaskSummary], env_id: str | None = None) -> list[TaskSummary]:
@@ -79,13 +63,11 @@ def draw_levels(tasks: Sequence[TaskSummary]) -> Figure:
     return figure
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure in the format of the path's suffix, whole or not at all."""
-    import matplotlib as mpl
-
-    metadata = {"Date": None} if path.suffix == ".svg" else {"CreationDate": None} if path.suffix == ".pdf" else {}
-    with mpl.rc_context(STYLE), atomic_path(path) as temporary:
-        figure.savefig(temporary, format=path.suffix[1:], metadata=metadata)
+def _anchors(tasks: Sequence[TaskSummary]) -> ScoreAnchors:
+    """Anchors of the score; tasks with scores have them."""
+    anchors = tasks[0].world.anchors
+    assert anchors is not None
+    return anchors
 
 
 def _names(tasks: Sequence[TaskSummary]) -> list[str]:
@@ -93,7 +75,7 @@ def _names(tasks: Sequence[TaskSummary]) -> list[str]:
     scores: dict[str, list[float]] = {}
     for task in tasks:
         for row in task.rows:
-            if row.score is not None and row.agent != LOWER_ANCHOR:
+            if row.score is not None and row.agent != _anchors(tasks).lower:
                 scores.setdefault(row.agent, []).append(row.score.value)
     return sorted(scores, key=lambda name: -float(np.mean(scores[name])))
 
@@ -110,7 +92,7 @@ def _styles(tasks: Sequence[TaskSummary], names: Sequence[str]) -> dict[str, dic
         styles[name] = {
             "color": colors[index % len(colors)],
             "ls": "--" if privileged else "-",
-            "lw": 1.1 if name == UPPER_ANCHOR else 1.4,
+            "lw": 1.1 if name == _anchors(tasks).upper else 1.4,
         }
     return styles
 

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from html import escape
 
 from servotrack.baselines.leaderboard.summary import TaskSummary
-from servotrack.baselines.leaderboard.table import NOTE, Grid, caveat, headline_grids, overview_grid, task_grid
+from servotrack.baselines.leaderboard.table import NOTE, caveat, headline_grids, overview_grid, task_grid
+from servotrack.baselines.reporting.grid import Grid
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1d2733; background: #fbfbf9; }

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from servotrack.baselines.evaluation.results import atomic_path
-from servotrack.baselines.leaderboard.figure import draw_levels, level_tasks, save_figure
+from servotrack.baselines.leaderboard.figure import draw_levels, level_tasks
 from servotrack.baselines.leaderboard.page import html_page
 from servotrack.baselines.leaderboard.summary import TaskSummary
 from servotrack.baselines.leaderboard.table import markdown_report
+from servotrack.baselines.reporting.figure import save_figure
+from servotrack.baselines.reporting.files import atomic_path
 
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 

@@ -7,15 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from servotrack.baselines.agents.protocol import world_of
 from servotrack.baselines.evaluation import statistics
 from servotrack.baselines.evaluation.results import CellResults
 from servotrack.baselines.evaluation.statistics import Interval, PairedDifference
-from servotrack.baselines.leaderboard.measures import JUDGMENTS, Judgment
+from servotrack.baselines.worlds import RANDOM_AGENT, WORLDS, World
 from servotrack.estimators.types import Array
-
-LOWER_ANCHOR, UPPER_ANCHOR = "random", "oracle"
-BOUND = "informed-bound"
 
 
 @dataclass(frozen=True)
@@ -68,7 +64,8 @@ class TaskSummary:
         env_id: Gymnasium id.
         level: The argument `level` where it is the only one, else None.
         rows: Best first.
-        deterministic: Whether all episodes of every agent but the random one came out the same.
+        deterministic: True if all episodes of every agent but the random one came out the same.
+        world: Record of its kind: metrics, reference agent, anchors of the score.
     """
 
     environment: str
@@ -76,11 +73,12 @@ class TaskSummary:
     level: int | None
     rows: tuple[AgentSummary, ...]
     deterministic: bool
+    world: World
 
     @property
-    def judgment(self) -> Judgment:
-        """How its agents are compared."""
-        return JUDGMENTS[world_of(self.env_id)]
+    def bound(self) -> AgentSummary | None:
+        """The row that "x bound" divides by."""
+        return None if self.world.anchors is None else self.row(self.world.anchors.bound)
 
     def row(self, agent: str) -> AgentSummary | None:
         """The row of an agent, if it has one."""
@@ -140,17 +138,18 @@ def overall(tasks: Sequence[TaskSummary]) -> list[OverallSummary]:
 
 def _summarize_task(name: str, cells: list[CellResults], step_seconds: dict[tuple[str, str], float]) -> TaskSummary:
     by_agent = {cell.agent: cell for cell in cells}
-    rows = [_summarize_cell(cell, by_agent, step_seconds) for cell in cells]
+    world = WORLDS[cells[0].kind]
+    rows = [_summarize_cell(cell, world, by_agent, step_seconds) for cell in cells]
     compared = [row for row in rows if row.difference is not None]
     adjusted = statistics.holm([row.difference.p_value for row in compared if row.difference is not None])
     p_of = {row.agent: p for row, p in zip(compared, adjusted, strict=True)}
     rows = [replace(row, adjusted_p=p_of.get(row.agent)) for row in rows]
     kwargs = cells[0].env_kwargs
     level = kwargs["level"] if set(kwargs) == {"level"} else None
-    acting = [cell for cell in cells if cell.agent != LOWER_ANCHOR and len(cell.rows) > 1]
+    acting = [cell for cell in cells if cell.agent != RANDOM_AGENT and len(cell.rows) > 1]
     deterministic = bool(acting) and all(len({row["return"] for row in cell.rows}) == 1 for cell in acting)
     env_id = cells[0].env_id
-    headline = JUDGMENTS[world_of(env_id)].headline
+    headline = world.headline
 
     def rank(row: AgentSummary) -> float:
         if row.score is not None:
@@ -160,21 +159,22 @@ def _summarize_task(name: str, cells: list[CellResults], step_seconds: dict[tupl
             return -row.mean_return.value
         return -mean.value if headline.high_is_good else mean.value
 
-    return TaskSummary(name, env_id, level, tuple(sorted(rows, key=rank)), deterministic)
+    return TaskSummary(name, env_id, level, tuple(sorted(rows, key=rank)), deterministic, world)
 
 
 def _summarize_cell(
     cell: CellResults,
+    world: World,
     by_agent: dict[str, CellResults],
     step_seconds: dict[tuple[str, str], float],
 ) -> AgentSummary:
-    judgment = JUDGMENTS[world_of(cell.env_id)]
-    measured = {measure.column: _mean_of(cell, measure.column) for measure in judgment.shown}
+    measured = {measure.column: _mean_of(cell, measure.column) for measure in world.shown}
     has_success = all("success" in row for row in cell.rows)
-    errors = _errors(cell)
+    errors = None if world.anchors is None else _column(cell, world.anchors.column)
     scores = None
-    if errors is not None and LOWER_ANCHOR in by_agent and UPPER_ANCHOR in by_agent:
-        anchors = [_errors(by_agent[anchor]) for anchor in (LOWER_ANCHOR, UPPER_ANCHOR)]
+    if world.anchors is not None and errors is not None:
+        ends = [by_agent.get(name) for name in (world.anchors.lower, world.anchors.upper)]
+        anchors = [None if end is None else _column(end, world.anchors.column) for end in ends]
         if anchors[0] is not None and anchors[1] is not None:
             scores = statistics.score(errors, anchors[0], anchors[1])
     return AgentSummary(
@@ -192,15 +192,11 @@ def _summarize_cell(
         worst_score=None if scores is None else statistics.worst_tenth(scores, high_is_bad=False),
         scores=scores,
         measures={column: mean for column, mean in measured.items() if mean is not None},
-        difference=_difference(cell, by_agent.get(judgment.reference), judgment.headline.column),
+        difference=_difference(cell, by_agent.get(world.reference), world.headline.column),
         adjusted_p=None,
         step_seconds=step_seconds.get((cell.env_id, cell.agent)),
         tuning_steps=cell.card["tuning_steps"],
     )
-
-
-def _errors(cell: CellResults) -> Array | None:
-    return _column(cell, "steady")
 
 
 def _column(cell: CellResults, name: str) -> Array | None:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
-
-from rich.table import Table
+from collections.abc import Sequence
 
 from servotrack.baselines.evaluation.statistics import Interval
-from servotrack.baselines.leaderboard.measures import Measure
 from servotrack.baselines.leaderboard.summary import (
-    BOUND,
     AgentSummary,
     OverallSummary,
     TaskSummary,
     overall,
 )
+from servotrack.baselines.reporting.grid import Grid, as_markdown
+from servotrack.baselines.worlds import RankingMetric
 
 SIGNIFICANCE = 0.05
 PRIVILEGED_MARK = "†"
@@ -24,24 +21,10 @@ NOTE = (
     f"{PRIVILEGED_MARK} sees the truth. Brackets: 95 % intervals. "
     "Differences are paired by seed against the agent that their column names; * marks those below p = 0.05 after "
     "Holm's correction. "
-    f"× bound: mean steady error over that of {BOUND}. "
+    f"× bound: mean steady error over that of the bound. "
     "Tuning steps: environment steps of `servotrack tune` or of training, on seeds of their own, without the trials by "
     "hand that came before; ? where nobody counted."
 )
-
-
-class Grid(NamedTuple):
-    """A table of strings.
-
-    Attributes:
-        headings: One per column.
-        rows: Cells.
-        words: How many columns from the left hold words and not numbers.
-    """
-
-    headings: list[str]
-    rows: list[list[str]]
-    words: int
 
 
 def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
@@ -50,7 +33,7 @@ def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
     Below those that took part in all tasks come those that did in some, such as learned ones, without a mean.
     """
     scored = [task for task in tasks if any(row.score for row in task.rows)]
-    headings = ["agent", "told", *(_short_name(task) for task in scored), "all (IQM)"]
+    headings = ["agent", "information", *(_short_name(task) for task in scored), "all (IQM)"]
     complete = overall(tasks)
     means = {summary.agent: _interval(summary.score, 2) for summary in complete}
     partial = {row.agent: row for task in scored for row in task.rows if row.score and row.agent not in means}
@@ -67,21 +50,21 @@ def headline_grid(tasks: Sequence[TaskSummary]) -> Grid:
 
     Below those that took part in all levels come those that did in some.
     """
-    headline = tasks[0].judgment.headline
+    headline = tasks[0].world.headline
     means: dict[str, list[Interval | None]] = {}
-    told: dict[str, AgentSummary] = {}
+    summaries: dict[str, AgentSummary] = {}
     for column, task in enumerate(tasks):
         for row in task.rows:
-            told[row.agent] = row
+            summaries[row.agent] = row
             means.setdefault(row.agent, [None] * len(tasks))[column] = row.measures.get(headline.column)
     total = {agent: sum(m.value for m in row if m is not None) for agent, row in means.items() if None not in row}
     order = sorted(total, key=lambda agent: total[agent], reverse=headline.high_is_good)
     rows = [
-        [_agent(told[agent]), told[agent].information]
+        [_agent(summaries[agent]), summaries[agent].information]
         + ["" if m is None else f"{m.value * headline.factor:.{headline.digits}f}" for m in means[agent]]
         for agent in [*order, *sorted(means.keys() - total)]
     ]
-    return Grid(["agent", "told", *(_short_name(task) for task in tasks)], rows, 2)
+    return Grid(["agent", "information", *(_short_name(task) for task in tasks)], rows, 2)
 
 
 def headline_grids(tasks: Sequence[TaskSummary]) -> list[tuple[str, Grid]]:
@@ -91,7 +74,7 @@ def headline_grids(tasks: Sequence[TaskSummary]) -> list[tuple[str, Grid]]:
         if task.level is not None and not any(row.score for row in task.rows):
             by_id.setdefault(task.env_id, []).append(task)
     return [
-        (f"{env_id}: mean {of_id[0].judgment.headline.title}", headline_grid(sorted(of_id, key=lambda t: t.level or 0)))
+        (f"{env_id}: mean {of_id[0].world.headline.title}", headline_grid(sorted(of_id, key=lambda t: t.level or 0)))
         for env_id, of_id in by_id.items()
         if len(of_id) > 1
     ]
@@ -100,12 +83,16 @@ def headline_grids(tasks: Sequence[TaskSummary]) -> list[tuple[str, Grid]]:
 def task_grid(task: TaskSummary) -> Grid:
     """One task in full."""
     servo = any(row.steady for row in task.rows)
-    judgment = task.judgment
-    shown = [] if servo else [m for m in judgment.shown if any(m.column in row.measures for row in task.rows)]
-    bound = task.row(BOUND)
-    against = f"− {judgment.reference} {judgment.headline.unit}".strip()
+    world = task.world
+    shown = (
+        []
+        if servo
+        else [m for m in world.shown if m.column != "return" and any(m.column in row.measures for row in task.rows)]
+    )
+    bound = task.bound
+    against = f"− {world.reference} {world.headline.unit}".strip()
     succeeds = servo or any(row.success for row in task.rows)
-    headings = ["agent", "told", "n", *(["success %"] if succeeds else [])]
+    headings = ["agent", "information", "n", *(["success %"] if succeeds else [])]
     headings += ["score", "worst tenth", "steady mm", against, "× bound"] if servo else ["return"]
     headings += [*(measure.title for measure in shown), against] if shown else []
     headings += ["µs/step", "tuning steps"]
@@ -118,7 +105,7 @@ def task_grid(task: TaskSummary) -> Grid:
             cells.append(_interval(row.score, 2) if row.score else "")
             cells.append("" if row.worst_score is None else f"{row.worst_score:.2f}")
             cells.append(_interval(row.steady, 1, 1e3) if row.steady else "")
-            cells.append(_difference(row, judgment.headline))
+            cells.append(_difference(row, world.headline))
             cells.append(
                 f"{row.steady.value / bound.steady.value:.2f}" if row.steady and bound and bound.steady else ""
             )
@@ -128,38 +115,11 @@ def task_grid(task: TaskSummary) -> Grid:
             cells += [
                 _interval(row.measures[m.column], m.digits, m.factor) if m.column in row.measures else "" for m in shown
             ]
-            cells.append(_difference(row, judgment.headline))
+            cells.append(_difference(row, world.headline))
         cells.append("" if row.step_seconds is None else f"{row.step_seconds * 1e6:.0f}")
         cells.append("?" if row.tuning_steps is None else f"{row.tuning_steps:,}")
         rows.append(cells)
     return Grid(headings, rows, 2)
-
-
-def as_rich(grid: Grid, title: str) -> Table:
-    """A grid for the terminal."""
-    table = Table(title=title, title_justify="left", header_style="bold", row_styles=["", "dim"], pad_edge=False)
-    for i, heading in enumerate(grid.headings):
-        table.add_column(heading, justify="left" if i < grid.words else "right", no_wrap=i == 0 and grid.words == 2)
-    for row in grid.rows:
-        table.add_row(*row)
-    return table
-
-
-def as_markdown(grid: Grid) -> str:
-    """A grid as a Markdown table."""
-    alignment = [":--" if i < grid.words else "--:" for i in range(len(grid.headings))]
-    lines = [grid.headings, alignment, *grid.rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
-
-
-def as_sections(grids: Mapping[str, Grid], heading: str) -> str:
-    """Tables under their titles as Markdown.
-
-    Args:
-        grids: By their titles.
-        heading: What begins a title, "##" for example.
-    """
-    return "\n".join(f"{heading} {title}\n\n{as_markdown(grid)}" for title, grid in grids.items())
 
 
 def markdown_overview(tasks: Sequence[TaskSummary], command: str, details: bool = False) -> str:
@@ -236,7 +196,7 @@ def _interval(interval: Interval, digits: int, factor: float = 1.0) -> str:
     return f"{value} [{low}, {high}]"
 
 
-def _difference(row: AgentSummary, measure: Measure) -> str:
+def _difference(row: AgentSummary, measure: RankingMetric) -> str:
     if row.difference is None or row.adjusted_p is None:
         return ""
     mark = "*" if row.adjusted_p < SIGNIFICANCE else ""

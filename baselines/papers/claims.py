@@ -9,8 +9,9 @@ from typing import Any, Literal, get_args
 
 import yaml
 
-from servotrack.baselines.evaluation.results import ResultsError, atomic_path
 from servotrack.baselines.evaluation.statistics import PairedDifference
+from servotrack.baselines.reporting.files import ResultsError, atomic_path
+from servotrack.baselines.reporting.grid import Grid
 
 Verdict = Literal["holds", "does not hold", "no difference", "open"]
 SHIPPED = Path(__file__).with_name("claims.yaml")
@@ -94,6 +95,16 @@ def fill(claims: Sequence[Claim], findings: Sequence[Claim]) -> list[Claim]:
         else claim
         for claim in claims
     ]
+
+
+def claims_grid(claims: Sequence[Claim]) -> Grid:
+    """Return the claims audit as a table."""
+    rows = []
+    for claim in claims:
+        effect = claim.effect
+        shown = "" if effect is None else f"{effect['value']} [{effect['low']}, {effect['high']}] {effect['unit']}"
+        rows.append([claim.claim, claim.verdict, shown, claim.finding or ""])
+    return Grid(["claim", "verdict", "effect", "finding"], rows, 4)
 
 
 def judge_smaller(difference: PairedDifference) -> Verdict:

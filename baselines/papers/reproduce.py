@@ -1,53 +1,109 @@
-"""The papers by name: whose experiments to run again, with ours beside them, and their claims to audit."""
+"""Look up a paper by name and run its reproduction: tables beside the paper's, and a verdict on each claim.
+
+Only the command line imports this module. Reproductions are imported by their "module:callable" when they run, so that
+`Paper`, `Request` and the tools that they share never import them back.
+"""
 
 from __future__ import annotations
 
-import shlex
+import difflib
+import importlib
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from rich.console import Console
 
-from servotrack.baselines.leaderboard.table import Grid
-from servotrack.baselines.papers.claims import Claim
+from servotrack.baselines.papers.request import Paper, Recording, Request
+
+_ROOM = "servotrack.baselines.papers"
+PAPERS: dict[str, Paper] = {
+    paper.name: paper
+    for paper in (
+        Paper(
+            "gm_phd_video",
+            "Wu and Hu 2010: Multi-target tracking based on Gaussian mixture PHD filter in video",
+            "GM-PHD filter on video",
+            f"{_ROOM}.gm_phd_video.report:reproduce",
+            20,
+            takes_recordings=True,
+            takes_into=True,
+        ),
+        Paper(
+            "monte_carlo_color",
+            "Zhang and Li 2008: Object tracking with Monte Carlo methods",
+            "Monte-Carlo color tracking",
+            f"{_ROOM}.monte_carlo_color.report:reproduce",
+            20,
+            takes_into=True,
+        ),
+        Paper(
+            "unscented_jacobian",
+            "Zhang 2011: Unscented Kalman filter for on-line estimation of Jacobian matrix",
+            "unscented Kalman filter of the image Jacobian",
+            f"{_ROOM}.unscented_jacobian.report:reproduce",
+            10,
+        ),
+        Paper(
+            "hmm_sonar",
+            "Jiang and Zhou 2016: Hidden Markov models for automatic detection and tracking of several targets",
+            "hidden Markov models on bearing-time records",
+            f"{_ROOM}.hmm_sonar.report:reproduce",
+            50,
+            takes_into=True,
+        ),
+        Paper(
+            "pairwise_markov",
+            "Zhang, Han, Lian and Zeng 2017: Cardinality balanced multi-target multi-Bernoulli filter for pairwise "
+            "Markov model",
+            "PHD and CBMeMBer filters under pairwise Markov models",
+            f"{_ROOM}.pairwise_markov.report:reproduce",
+            500,
+        ),
+        Paper(
+            "transfer",
+            "Transfer: rankings of trackers on rendered and on recorded people",
+            "rank correlation of trackers between rendered people and your sequences",
+            f"{_ROOM}.transfer:reproduce",
+            8,
+            takes_recordings=True,
+            takes_into=True,
+        ),
+    )
+}
+"""All papers by name. The first, second and fourth report a single run each; more are needed for intervals."""
+OLD_NAMES = {
+    "phd": "gm_phd_video",
+    "color": "monte_carlo_color",
+    "servo": "unscented_jacobian",
+    "sonar": "hmm_sonar",
+    "pmm": "pairwise_markov",
+}
+"""Earlier names and the present ones. Accepted for one release."""
 
 
-class Recording(NamedTuple):
-    """A real sequence of the user's.
+def find_paper(name: str) -> Paper:
+    """Return the paper called `name`; hyphens count as underscores.
 
-    Attributes:
-        source: What `servotrack.envs.track.files.frames.open_frames` takes.
-        truth: File of its true tracks; None where the source is a MOTChallenge folder, which has them.
+    A name in `OLD_NAMES` prints its new name to stderr.
+
+    Raises:
+        ValueError: Unknown name; the message suggests near ones.
     """
-
-    source: str
-    truth: str | None
-
-
-class Request(NamedTuple):
-    """What is to be reproduced, and how.
-
-    Attributes:
-        output: Folder for the tables, figures and claims.
-        runs: Runs per algorithm; in "servo" only the particle filter's differ, by its own random numbers.
-        console: Where to print.
-        claims: Claims file to fill in; None for a copy of the shipped one in `output`.
-        recordings: The user's own sequences, for "phd" and "transfer".
-        into: A Markdown file with marks that the tables go into, too, for `TAKE_INTO`.
-    """
-
-    output: Path
-    runs: int
-    console: Console
-    claims: Path | None = None
-    recordings: tuple[Recording, ...] = ()
-    into: Path | None = None
+    wanted = name.replace("-", "_")
+    if wanted in OLD_NAMES:
+        print(f"servotrack: {name!r} is now called {OLD_NAMES[wanted]!r}", file=sys.stderr)
+        wanted = OLD_NAMES[wanted]
+    if wanted not in PAPERS:
+        near = difflib.get_close_matches(wanted, (*PAPERS, *OLD_NAMES), n=2)
+        names = " or ".join(repr(found) for found in dict.fromkeys(OLD_NAMES.get(found, found) for found in near))
+        hint = f"; did you mean {names}?" if near else ""
+        raise ValueError(f"paper must be one of {', '.join(PAPERS)}, got {name!r}{hint}")
+    return PAPERS[wanted]
 
 
 def reproduce_paper(
-    paper: str,
+    name: str,
     output: Path,
     runs: int | None,
     console: Console,
@@ -58,90 +114,31 @@ def reproduce_paper(
     """Reproduce one paper.
 
     Args:
-        paper: One of `PAPERS`.
+        name: Name in `PAPERS`.
         output: Folder for the tables, figures and claims.
-        runs: Runs per algorithm; None for as many as the paper has.
-        console: Where to print.
+        runs: Runs per algorithm; None for the paper's default. More runs narrow the intervals.
+        console: Console for the tables and the paths of the written files.
         claims_path: Claims file to fill in; None for a copy of the shipped one in `output`.
-        recordings: The user's own sequences, for "phd" and "transfer".
-        into: A Markdown file with marks: for "color" `<!-- paper001:begin -->` and `<!-- paper001:end -->`, for "phd"
-            likewise with paper000, for "sonar" with paper003, for "transfer" with transfer.
+        recordings: Sequences of the user, for papers with `takes_recordings`.
+        into: Markdown file with the marks `<!-- NAME:begin -->` and `<!-- NAME:end -->`, for papers with `takes_into`.
 
     Raises:
-        ValueError: Another paper, or recordings or a file for one that takes none.
+        ValueError: Unknown name, or recordings or a file for a paper that takes none.
         ResultsError: `output` cannot be written.
     """
-    if paper not in PAPERS:
-        raise ValueError(f"paper must be one of {', '.join(PAPERS)}, got {paper!r}")
-    if recordings and paper not in TAKE_RECORDINGS:
-        raise ValueError(f"--source goes with {' and '.join(TAKE_RECORDINGS)}, got it with {paper!r}; leave it out")
-    if into is not None and paper not in TAKE_INTO:
-        raise ValueError(f"--into goes with {' and '.join(TAKE_INTO)}, got it with {paper!r}; leave it out")
-    PAPERS[paper](
-        Request(output, DEFAULT_RUNS[paper] if runs is None else runs, console, claims_path, tuple(recordings), into)
+    paper = find_paper(name)
+    if recordings and not paper.takes_recordings:
+        _refuse("--source", paper, [other.name for other in PAPERS.values() if other.takes_recordings])
+    if into is not None and not paper.takes_into:
+        _refuse("--into", paper, [other.name for other in PAPERS.values() if other.takes_into])
+    module, _, function = paper.run.partition(":")
+    run: Callable[[Request], None] = getattr(importlib.import_module(module), function)
+    run(
+        Request(
+            paper, output, paper.default_runs if runs is None else runs, console, claims_path, tuple(recordings), into
+        )
     )
 
 
-def _reproduce_servo(request: Request) -> None:
-    from servotrack.baselines.papers.unscented_jacobian.report import reproduce_servo
-
-    reproduce_servo(request)
-
-
-def _reproduce_phd(request: Request) -> None:
-    from servotrack.baselines.papers.gm_phd_video.report import reproduce_phd
-
-    reproduce_phd(request)
-
-
-def _reproduce_transfer(request: Request) -> None:
-    from servotrack.baselines.papers.transfer import reproduce_transfer
-
-    reproduce_transfer(request)
-
-
-def _reproduce_color(request: Request) -> None:
-    from servotrack.baselines.papers.monte_carlo_color.report import reproduce_color
-
-    reproduce_color(request)
-
-
-def _reproduce_sonar(request: Request) -> None:
-    from servotrack.baselines.papers.hmm_sonar.report import reproduce_sonar
-
-    reproduce_sonar(request)
-
-
-def _reproduce_pmm(request: Request) -> None:
-    from servotrack.baselines.papers.pairwise_markov.report import reproduce_pmm
-
-    reproduce_pmm(request.output, request.runs, request.console, request.claims)
-
-
-PAPERS: dict[str, Callable[[Request], None]] = {
-    "servo": _reproduce_servo,
-    "phd": _reproduce_phd,
-    "color": _reproduce_color,
-    "sonar": _reproduce_sonar,
-    "pmm": _reproduce_pmm,
-    "transfer": _reproduce_transfer,
-}
-TAKE_RECORDINGS = ("phd", "transfer")
-TAKE_INTO = ("phd", "color", "sonar", "transfer")
-DEFAULT_RUNS = {"servo": 10, "phd": 20, "color": 20, "sonar": 50, "pmm": 500, "transfer": 8}
-"""As many as the paper has; papers 000, 001 and 003 have one each, which would say nothing about others."""
-
-
-def claims_grid(claims: Sequence[Claim]) -> Grid:
-    """The claims audit as a table."""
-    rows = []
-    for claim in claims:
-        effect = claim.effect
-        shown = "" if effect is None else f"{effect['value']} [{effect['low']}, {effect['high']}] {effect['unit']}"
-        rows.append([claim.claim, claim.verdict, shown, claim.finding or ""])
-    return Grid(["claim", "verdict", "effect", "finding"], rows, 4)
-
-
-def command_line() -> str:
-    """The command that this process runs."""
-    return shlex.join(["servotrack", *sys.argv[1:]])
+def _refuse(option: str, paper: Paper, takers: Sequence[str]) -> None:
+    raise ValueError(f"{option} goes with {', '.join(takers)}, got it with {paper.name!r}; leave it out")

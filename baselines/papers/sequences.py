@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from servotrack.baselines.papers.reproduce import Recording
+from servotrack.baselines.papers.request import Recording
 from servotrack.envs.track.files.frames import open_frames
 from servotrack.envs.track.files.recorded import read_tracks
 from servotrack.estimators.metrics import Track, tracks_from_rows

@@ -9,14 +9,14 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from servotrack.baselines.evaluation import seeds
-from servotrack.baselines.evaluation.bench import progress_bars
-from servotrack.baselines.evaluation.results import atomic_path
 from servotrack.baselines.evaluation.statistics import RESAMPLES, RESAMPLING_SEED
-from servotrack.baselines.leaderboard.table import Grid, as_rich, as_sections
 from servotrack.baselines.papers import sequences
 from servotrack.baselines.papers.gm_phd_video.experiment import Method, run_methods, scores
-from servotrack.baselines.papers.reproduce import Request, command_line
+from servotrack.baselines.papers.request import Request
 from servotrack.baselines.reporting.embed import embed
+from servotrack.baselines.reporting.files import atomic_path
+from servotrack.baselines.reporting.grid import Grid, as_rich, as_sections
+from servotrack.baselines.reporting.terminal import command_line, progress_bars
 from servotrack.estimators.types import Array
 
 DETECTORS = ("masked", "masked-paper", "mog2", "knn")
@@ -33,7 +33,7 @@ NOTE = (
 )
 
 
-def reproduce_transfer(request: Request) -> None:
+def reproduce(request: Request) -> None:
     """Rank all configurations on rendered scenes and on the user's sequences, and correlate the rankings."""
     output, console = request.output, request.console
     ranked: dict[str, Array] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from servotrack.baselines.evaluation.results import ResultsError, atomic_path
+from servotrack.baselines.reporting.files import ResultsError, atomic_path
 
 
 def embed(text: str, document: Path, name: str) -> None:

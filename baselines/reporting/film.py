@@ -1,19 +1,15 @@
-"""Films of agents at work."""
+"""Films, written frame by frame, whole or not at all."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from servotrack.baselines.agents.registry import agent_card, create_agent
-from servotrack.baselines.evaluation.evaluate import make_single, show_belief
-from servotrack.baselines.evaluation.results import atomic_path
+from servotrack.baselines.reporting.files import atomic_path
 from servotrack.estimators.types import Image
 
 CODECS = {".webm": "VP80", ".mp4": "mp4v", ".avi": "MJPG"}
@@ -22,35 +18,6 @@ CODECS = {".webm": "VP80", ".mp4": "mp4v", ".avi": "MJPG"}
 
 class FilmError(RuntimeError):
     """A film that cannot be written here."""
-
-
-def film_episode(
-    env_id: str, agent: str, path: Path, env_kwargs: Mapping[str, Any] | None = None, seed: int | None = None
-) -> int:
-    """Write a film of one episode, whole or not at all.
-
-    Args:
-        env_id: Gymnasium id with `rgb_array` rendering.
-        agent: What `create_agent` takes.
-        path: Ends in .webm, .mp4 or .avi.
-        env_kwargs: Arguments of the environment.
-        seed: Of the episode.
-
-    Returns:
-        Number of frames.
-
-    Raises:
-        ValueError: Another suffix, or an environment that draws nothing.
-        FilmError: OpenCV cannot write this format here.
-    """
-    check_film_path(path)
-    card = agent_card(agent)
-    env = make_single(env_id, {**(env_kwargs or {}), "render_mode": "rgb_array"}, privileged=card.privileged)
-    try:
-        rate = float(env.metadata.get("render_fps", 20))
-        return write_film(_episode_frames(env, create_agent(card, env), seed), path, rate)
-    finally:
-        env.close()
 
 
 def check_film_path(path: Path) -> None:
@@ -161,25 +128,3 @@ def _hushed() -> Iterator[None]:
     finally:
         os.dup2(kept, 2)
         os.close(kept)
-
-
-def _episode_frames(env: Any, agent: Any, seed: int | None) -> Iterator[Image]:
-    observation, _ = env.reset(seed=seed)
-    state: Any = None
-    over = False
-    while not over:
-        yield _frame(env)
-        action, state = agent.predict(
-            observation, state=state, episode_start=np.asarray(state is None), deterministic=True
-        )
-        show_belief(env, state)
-        observation, _, terminated, truncated, _ = env.step(action)
-        over = terminated or truncated
-    yield _frame(env)
-
-
-def _frame(env: Any) -> Image:
-    frame = env.render()
-    if not isinstance(frame, np.ndarray) or frame.ndim != 3:
-        raise ValueError(f"{env.spec.id} must draw rgb_array frames to be filmed, got {type(frame).__name__}")
-    return frame

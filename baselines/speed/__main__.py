@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from servotrack.baselines.evaluation.results import provenance
+from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.speed import accuracy, bearings, clutter, learning, speed, video
 
 

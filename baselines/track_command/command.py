@@ -12,8 +12,10 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn,
 from rich.text import Text
 
 from servotrack.baselines.agents.people.catalog import DETECTORS, create_detector, create_tracker
-from servotrack.baselines.evaluation.results import ResultsFolder, atomic_path, provenance
-from servotrack.baselines.leaderboard.table import Grid, as_markdown, as_rich
+from servotrack.baselines.evaluation.results import ResultsFolder
+from servotrack.baselines.reporting.files import atomic_path
+from servotrack.baselines.evaluation.provenance import provenance
+from servotrack.baselines.reporting.grid import Grid, as_markdown, as_rich
 from servotrack.baselines.track_command.inputs import FileInput, Input, PixelInput
 from servotrack.baselines.track_command.offline import OFFLINE_TRACKS, write_offline
 from servotrack.baselines.track_command.painter import BoxPainter

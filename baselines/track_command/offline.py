@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from servotrack.baselines.evaluation.results import atomic_path
+from servotrack.baselines.reporting.files import atomic_path
 from servotrack.envs.track.files.mot_files import mot_row
 from servotrack.envs.track.files.recorded import read_tracks
 from servotrack.estimators.boxes.offline import fill_gaps

@@ -12,7 +12,8 @@ import cv2
 import gymnasium as gym
 import numpy as np
 
-from servotrack.baselines.evaluation.results import ResultsError, ResultsFolder
+from servotrack.baselines.reporting.files import ResultsError
+from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.envs.track.files.mot_files import SequenceInfo, truth_row, write_seqinfo
 
 ENVIRONMENT = "PedestrianTracking-v0"

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from servotrack.baselines.evaluation.results import ResultsError
+from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.reporting.film import Film, FilmError
 from servotrack.baselines.track_command.inputs import Input, Step
 from servotrack.baselines.track_command.stopping import Interruption, SpaceGuard

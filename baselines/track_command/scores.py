@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from servotrack.baselines.leaderboard.table import Grid
+from servotrack.baselines.reporting.grid import Grid
 from servotrack.envs.track.files.recorded import RecordedTracks
 from servotrack.estimators.metrics import (
     Track,

@@ -12,13 +12,16 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from servotrack.baselines.agents.learned.card import LearnedCard, digest, load_card
-from servotrack.baselines.evaluation.results import ResultsFolder, atomic_path, code_version, describe_environment
+from servotrack.baselines.evaluation.provenance import code_version
+from servotrack.baselines.evaluation.results import ResultsFolder
+from servotrack.baselines.reporting.files import atomic_path
 from servotrack.baselines.training.curves import draw_curves
 from servotrack.baselines.training.dispatch import train
 from servotrack.baselines.training.export import write_card
 from servotrack.baselines.training.progress import PeriodicEvaluation
 from servotrack.baselines.training.run import AGENT, Entry, TrainingCurve, TrainingTask
 from servotrack.baselines.training.settings import TrainingSettings
+from servotrack.baselines.worlds import describe_environment
 
 
 @dataclass(frozen=True)
@@ -67,11 +70,11 @@ def run_training(request: TrainingRequest, console: Console) -> Path:
     Returns:
         The card of the agent.
     """
-    yardstick = _yardstick(request)
-    beside = " · ".join(f"{name} {_text(values)}" for name, values in yardstick.beside.items())
+    evaluation = _evaluation(request)
+    beside = " · ".join(f"{name} {_text(values)}" for name, values in evaluation.beside.items())
     console.print(f"{request.environment.name}: {request.settings.recipe}, measured on tune seeds beside {beside}")
     if request.jobs == 1:
-        curves = [_shown(request.task(seed), yardstick, console) for seed in request.seeds]
+        curves = [_shown(request.task(seed), evaluation, console) for seed in request.seeds]
     else:
         curves = []
         runs = Parallel(n_jobs=request.jobs, return_as="generator")(
@@ -82,20 +85,20 @@ def run_training(request: TrainingRequest, console: Console) -> Path:
             curves.append(curve)
     best = 0
     for i, curve in enumerate(curves):
-        if yardstick.better(curve.entries[-1], curves[best].entries[-1]):
+        if evaluation.better(curve.entries[-1], curves[best].entries[-1]):
             best = i
     path = _write_chosen(request, best, curves)
     figure = request.environment / f"{request.settings.recipe}.png"
     levels = "".join(f", {level}" for level in request.settings.levels if level != request.env_kwargs.get("level"))
     title = f"{request.settings.recipe}, {request.environment.name}{levels}"
-    draw_curves(curves, yardstick.beside, title, figure)
+    draw_curves(curves, evaluation.beside, title, figure)
     console.print(f"best: seed {request.seeds[best]}, {_text(curves[best].entries[-1])}")
     for written in (path, figure):
         console.print(str(written), soft_wrap=True)
     return path
 
 
-def _yardstick(request: TrainingRequest) -> PeriodicEvaluation:
+def _evaluation(request: TrainingRequest) -> PeriodicEvaluation:
     # Other code may have measured the classical agents for earlier runs; theirs are kept apart.
     folder = ResultsFolder(request.environment / "classical" / code_version())
     folder.check_writable()
@@ -106,10 +109,10 @@ def _alone(request: TrainingRequest, seed: int) -> TrainingCurve:
     """Runs in a worker process, which has to register the ids first."""
     import servotrack  # noqa: F401
 
-    return train(request.task(seed), _yardstick(request))
+    return train(request.task(seed), _evaluation(request))
 
 
-def _shown(task: TrainingTask, yardstick: PeriodicEvaluation, console: Console) -> TrainingCurve:
+def _shown(task: TrainingTask, evaluation: PeriodicEvaluation, console: Console) -> TrainingCurve:
     columns = (
         TextColumn("seed {task.fields[seed]}"), BarColumn(), TextColumn("{task.completed:,} of {task.total:,} steps"),
         TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.description}"),
@@ -120,7 +123,7 @@ def _shown(task: TrainingTask, yardstick: PeriodicEvaluation, console: Console) 
         def on_entry(entry: Entry) -> None:
             progress.update(bar, description=_text(entry))
 
-        return train(task, yardstick, lambda steps: progress.update(bar, completed=steps), on_entry)
+        return train(task, evaluation, lambda steps: progress.update(bar, completed=steps), on_entry)
 
 
 def _text(measured: Mapping[str, Any]) -> str:

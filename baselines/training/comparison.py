@@ -11,14 +11,12 @@ import numpy as np
 
 from servotrack.baselines.agents.learned.card import LearnedCard, load_card
 from servotrack.baselines.agents.learned.shipped import agent_in_file
-from servotrack.baselines.agents.protocol import world_of
 from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.evaluation.evaluate import evaluate
-from servotrack.baselines.evaluation.results import CellResults, ResultsFolder, describe_environment
+from servotrack.baselines.evaluation.results import CellResults, ResultsFolder
 from servotrack.baselines.evaluation.statistics import Interval, crossed_difference, score
-from servotrack.baselines.leaderboard.measures import JUDGMENTS, Measure
-from servotrack.baselines.leaderboard.summary import LOWER_ANCHOR, UPPER_ANCHOR
+from servotrack.baselines.worlds import RankingMetric, describe_environment, world_of_id
 
 ENOUGH = 10
 """Training runs that a claim about training needs."""
@@ -48,7 +46,7 @@ class Comparison:
     against: str
     runs: int
     episodes: int
-    headline: Measure
+    headline: RankingMetric
     of_runs: tuple[float, ...]
     of_other: float
     difference: Interval
@@ -119,7 +117,8 @@ def compare(
             return done
 
         runs, other = [cell(str(path)) for path in cards], cell(against)
-        anchors = [cell(name) for name in (LOWER_ANCHOR, UPPER_ANCHOR)] if world_of(card.env_id) == "servo" else []
+        ends = world_of_id(card.env_id).anchors
+        anchors = [] if ends is None else [cell(ends.lower), cell(ends.upper)]
         return _compared(describe_environment(card.env_id, env_kwargs), recipe, against, seeds, runs, other, anchors)
 
     return [at({**card.env_kwargs, "level": level}) for level in card.levels] or [at(card.env_kwargs)]
@@ -134,7 +133,7 @@ def _compared(
     other: CellResults,
     anchors: list[CellResults],
 ) -> Comparison:
-    headline = JUDGMENTS[world_of(other.env_id)].headline
+    headline = world_of_id(other.env_id).headline
 
     def column(of: CellResults, name: str) -> list[float]:
         return [float(row[name]) for row in of.select(seeds)]

@@ -39,7 +39,7 @@ class Curriculum(VecEnv):
         if not stages or not all(0 < len(stage) <= num_envs for stage in stages):
             raise ValueError(f"curriculum must have stages of 1 to n_envs={num_envs} stages each, got {stages!r}")
         self.num_envs = num_envs
-        self._make, self._lessons, self._stage_steps = make, stages, stage_steps
+        self._make, self._stages, self._stage_steps = make, stages, stage_steps
         self._first_seed, self._done = first_seed, done
         self._begin()
         super().__init__(num_envs, self._parts[0].observation_space, self._parts[0].action_space)
@@ -47,15 +47,15 @@ class Curriculum(VecEnv):
     @property
     def stage(self) -> int:
         """Number of the stage, from 0."""
-        return min(self._done // self._stage_steps, len(self._lessons) - 1)
+        return min(self._done // self._stage_steps, len(self._stages) - 1)
 
     def _begin(self) -> None:
         """The environments of the stage."""
         self._begun = self.stage
-        stages = self._lessons[self._begun]
+        stages = self._stages[self._begun]
         sizes = [len(part) for part in np.array_split(np.arange(self.num_envs), len(stages))]
         self._ends = np.cumsum(sizes)
-        self._parts = [self._make(lesson, size) for lesson, size in zip(stages, sizes, strict=True)]
+        self._parts = [self._make(level, size) for level, size in zip(stages, sizes, strict=True)]
         self.seed(self._first_seed(self._done))
 
     def seed(self, seed: int | None = None) -> list[int | None]:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from servotrack.baselines.evaluation.results import atomic_path
-from servotrack.baselines.leaderboard.figure import STYLE
+from servotrack.baselines.reporting.figure import STYLE
+from servotrack.baselines.reporting.files import atomic_path
 from servotrack.baselines.training.run import TrainingCurve
 
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from servotrack.baselines.training.jacobian import teach_jacobian
-from servotrack.baselines.training.marker import teach_eyes
+from servotrack.baselines.training.jacobian import train_jacobian
+from servotrack.baselines.training.marker import train_marker_network
 from servotrack.baselines.training.progress import PeriodicEvaluation
 from servotrack.baselines.training.reinforcement import reinforce
 from servotrack.baselines.training.run import Entry, TrainingCurve, TrainingRun, TrainingTask
-from servotrack.baselines.training.set_prediction import teach_sets
-from servotrack.baselines.training.student import teach
+from servotrack.baselines.training.set_prediction import train_set_predictor
+from servotrack.baselines.training.student import train_student
 
 
 def train(
     task: TrainingTask,
-    yardstick: PeriodicEvaluation,
+    evaluation: PeriodicEvaluation,
     on_steps: Callable[[int], None] = lambda steps: None,
     on_entry: Callable[[Entry], None] = lambda entry: None,
 ) -> TrainingCurve:
@@ -25,7 +25,7 @@ def train(
 
     Args:
         task: What to do.
-        yardstick: Measures the policy as it goes.
+        evaluation: Measures the policy as it goes.
         on_steps: Called with the environment steps so far.
         on_entry: Called with every measurement.
 
@@ -33,9 +33,9 @@ def train(
         ResultsError: The folder holds another training or cannot be written.
         ValueError: Hyper-parameters that the algorithm does not take, or an environment that it cannot learn in.
     """
-    course = TrainingRun(task, yardstick, on_steps, on_entry)
-    if not course.finished:
-        {"student": teach, "jacobian": teach_jacobian, "set": teach_sets, "eyes": teach_eyes}.get(
+    run = TrainingRun(task, evaluation, on_steps, on_entry)
+    if not run.finished:
+        {"student": train_student, "jacobian": train_jacobian, "set": train_set_predictor, "eyes": train_marker_network}.get(
             task.settings.algorithm, reinforce
-        )(course)
-    return course.curve
+        )(run)
+    return run.curve

@@ -14,7 +14,7 @@ from torch import nn
 
 from servotrack.baselines.agents.learned.card import LearnedCard, digest
 from servotrack.baselines.agents.learned.network import ACTION, MEMORY, NEXT_MEMORY, OBSERVATION
-from servotrack.baselines.evaluation.results import atomic_path
+from servotrack.baselines.reporting.files import atomic_path
 
 
 class PolicyMode(nn.Module):

@@ -24,9 +24,9 @@ from servotrack.baselines.training.supervised import (
     RecurrentNetwork,
     descend,
     explored,
-    lesson_seeds,
+    episode_seeds,
     prepare,
-    servo_lessons,
+    servo_environments,
     take_turns,
 )
 from servotrack.envs.servo.world import ServoWorld
@@ -87,7 +87,7 @@ class Records(NamedTuple):
     counted: torch.Tensor
 
 
-def teach_jacobian(course: TrainingRun) -> None:
+def train_jacobian(run: TrainingRun) -> None:
     """Train an estimator, from the beginning or from where the course was saved.
 
     Each iteration lets it servo in new episodes of the train range, and then shows it the analytic Jacobian of every
@@ -98,26 +98,26 @@ def teach_jacobian(course: TrainingRun) -> None:
         ResultsError: The checkpoint does not fit the hyper-parameters.
         ValueError: The environment is no servo of features, or a hyper-parameter is unknown.
     """
-    own = prepare(JacobianSettings, course)
-    task, settings = course.task, course.task.settings
-    env = servo_lessons(task)
+    own = prepare(JacobianSettings, run)
+    task, settings = run.task, run.task.settings
+    env = servo_environments(task)
     encoding, law = jacobian_encoding(settings.encoding)
     network = JacobianNetwork(encoding.size, own.hidden)
     optimizer = torch.optim.Adam(network.parameters())
-    explore = np.random.default_rng([task.seed, course.resume(network, optimizer)])
+    explore = np.random.default_rng([task.seed, run.resume(network, optimizer)])
     servo = create_learned_servo(LearnedJacobian(_running(network), own.hidden, encoding), env, law)
     guide = create_agent("kf", env)
     noises = cycle((0.0, own.exploration))
 
     def turn(steps: int) -> int:
         share = own.guided * (1.0 - steps / settings.n_timesteps)
-        records = _servo(env, servo, guide, share, lesson_seeds(task, steps), next(noises), explore)
+        records = _servo(env, servo, guide, share, episode_seeds(task, steps), next(noises), explore)
         _learn(network, optimizer, records, own)
         return int(records.counted.sum())
 
     try:
         exported = exportable_policy(network, encoding.size, own.hidden)
-        take_turns(course, network, optimizer, own.learning_rate, exported, turn)
+        take_turns(run, network, optimizer, own.learning_rate, exported, turn)
     finally:
         env.close()
 

@@ -30,7 +30,7 @@ KEPT = 30
 
 
 @dataclass(frozen=True)
-class EyesSettings:
+class MarkerSettings:
     """Hyper-parameters of eyes.
 
     Attributes:
@@ -44,7 +44,7 @@ class EyesSettings:
     learning_rate: float | str = "lin_2e-3"
 
 
-class EyesNetwork(nn.Module):
+class MarkerConvNet(nn.Module):
     """Three convolutions and a map whose softmax has its center of mass where the marker is.
 
     Args:
@@ -82,7 +82,7 @@ class EyesNetwork(nn.Module):
         return place, self.presence(strongest)[:, 0]
 
 
-def teach_eyes(course: TrainingRun) -> None:
+def train_marker_network(run: TrainingRun) -> None:
     """Train eyes, from the beginning or from where the course was saved.
 
     Arms move at random over episodes of the train range; the world knows where the marker was in each image.
@@ -91,17 +91,17 @@ def teach_eyes(course: TrainingRun) -> None:
         ResultsError: The checkpoint does not fit the hyper-parameters.
         ValueError: The environment gives no images, or a hyper-parameter is unknown.
     """
-    own = prepare(EyesSettings, course)
-    task, settings = course.task, course.task.settings
+    own = prepare(MarkerSettings, run)
+    task, settings = run.task, run.task.settings
     if task.env_id != "UncalibServoPixels-v0":
         raise ValueError(f"eyes learn in UncalibServoPixels-v0, got {task.env_id}")
     # Features without noise are where the marker is in the newest image, shutter and all.
     exact = {**task.env_kwargs, "pixel_noise": 0.0, "outlier_rate": 0.0, "dropout": 0.0}
     env: Any = gym.make_vec(task.env_id, num_envs=settings.n_envs, autoreset_mode=AutoresetMode.SAME_STEP, **exact)
     size = env.single_observation_space["image"].shape[0]
-    network = EyesNetwork(own.channels, size)
+    network = MarkerConvNet(own.channels, size)
     optimizer = torch.optim.Adam(network.parameters())
-    source = _Images(env, task, course.resume(network, optimizer))
+    source = _Images(env, task, run.resume(network, optimizer))
 
     def turn(steps: int) -> int:
         images, places, seen = (torch.from_numpy(part) for part in source.batch(own.batch_size))
@@ -114,7 +114,7 @@ def teach_eyes(course: TrainingRun) -> None:
 
     try:
         exported = Exportable(network, {IMAGE: torch.zeros(2, size, size, 3, dtype=torch.uint8)}, (PLACE, SEEN))
-        take_turns(course, network, optimizer, own.learning_rate, exported, turn)
+        take_turns(run, network, optimizer, own.learning_rate, exported, turn)
     finally:
         env.close()
 

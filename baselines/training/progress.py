@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from servotrack.baselines.agents.protocol import AgentCard, world_of
+from servotrack.baselines.agents.protocol import AgentCard
 from servotrack.baselines.agents.registry import AGENTS
 from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.results import CellResults, ResultsFolder
-from servotrack.baselines.leaderboard.measures import JUDGMENTS
-from servotrack.baselines.leaderboard.summary import LOWER_ANCHOR, UPPER_ANCHOR, AgentSummary, summarize
+from servotrack.baselines.leaderboard.summary import AgentSummary, summarize
+from servotrack.baselines.worlds import RANDOM_AGENT, world_of_id
 
 EPISODES = 100
 FIRST_SEED = 60_000
@@ -39,11 +39,12 @@ class PeriodicEvaluation:
         episodes: int = EPISODES,
         levels: Sequence[int] = (),
     ) -> None:
-        world = world_of(env_id)
-        self.env_id, self.headline = env_id, JUDGMENTS[world].headline
+        world = world_of_id(env_id)
+        self.env_id, self.headline = env_id, world.headline
         self._worlds = [{**env_kwargs, "level": level} for level in levels] or [dict(env_kwargs)]
         self._seeds = seed_ranges.take("tune", episodes, FIRST_SEED)
-        names = [name for name in (LOWER_ANCHOR, UPPER_ANCHOR, *BESIDE) if world in AGENTS[name].worlds]
+        anchors = (world.anchors.lower, world.anchors.upper) if world.anchors else (RANDOM_AGENT,)
+        names = [name for name in (*anchors, *BESIDE) if world.kind in AGENTS[name].worlds]
         self._references = [[self._cell(name, kwargs, folder) for name in names] for kwargs in self._worlds]
 
     @property

@@ -19,7 +19,7 @@ from torch import nn
 
 from servotrack.baselines.agents.learned.encoding import create_encoding
 from servotrack.baselines.evaluation import seeds as seed_ranges
-from servotrack.baselines.evaluation.results import ResultsError
+from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.training.curriculum import Curriculum
 from servotrack.baselines.training.encoded_env import EncodedVecEnv
 from servotrack.baselines.training.export import PolicyMode, exportable_policy
@@ -35,18 +35,18 @@ ACTIVATIONS: Mapping[str, type[nn.Module]] = {
 }
 
 
-def reinforce(course: TrainingRun) -> None:
+def reinforce(run: TrainingRun) -> None:
     """Train by reinforcement, from the beginning or from where the course was saved.
 
     Raises:
         ResultsError: The checkpoint does not fit the hyper-parameters.
         ValueError: Hyper-parameters that the algorithm does not take.
     """
-    task = course.task
-    model = create_model(task, course.curve.steps)
-    if course.checkpoint is not None:
-        restore(model, course.checkpoint, task.folder)
-    callback = _Measuring(course)
+    task = run.task
+    model = create_model(task, run.curve.steps)
+    if run.checkpoint is not None:
+        restore(model, run.checkpoint, task.folder)
+    callback = _Measuring(run)
     try:
         model.learn(
             task.settings.n_timesteps - model.num_timesteps,
@@ -176,23 +176,23 @@ def policy_mode(model: BaseAlgorithm) -> PolicyMode:
 class _Measuring(BaseCallback):
     """Measures and saves the policy between two rollouts, when nothing is half done."""
 
-    def __init__(self, course: TrainingRun) -> None:
+    def __init__(self, run: TrainingRun) -> None:
         super().__init__()
-        self.course = course
+        self.run = course
 
     def _on_step(self) -> bool:
         return True
 
     def _on_rollout_start(self) -> None:
-        self.course.on_steps(self.num_timesteps)
-        if self.course.is_due(self.num_timesteps):
+        self.run.on_steps(self.num_timesteps)
+        if self.run.is_due(self.num_timesteps):
             self._measure()
 
     def conclude(self) -> None:
         """Measure what the last update made."""
-        if self.num_timesteps > self.course.curve.steps:
+        if self.num_timesteps > self.run.curve.steps:
             self._measure()
-        self.course.on_steps(self.num_timesteps)
+        self.run.on_steps(self.num_timesteps)
 
     def _measure(self) -> None:
         saved: dict[str, Any] = {"parameters": self.model.get_parameters()}
@@ -202,6 +202,6 @@ class _Measuring(BaseCallback):
         policy = policy_mode(self.model)
         size = int(self.model.observation_space.shape[0])  # type: ignore[index]
         exported = exportable_policy(policy, size, policy.memory)
-        entry = self.course.measure(self.num_timesteps, exported, saved)
+        entry = self.run.measure(self.num_timesteps, exported, saved)
         for name, value in entry.items():
             self.logger.record(f"tune/{name}", value)

@@ -14,11 +14,12 @@ from torch import nn
 
 from servotrack.baselines.agents.learned.card import LearnedCard
 from servotrack.baselines.agents.learned.shipped import agent_in_file
-from servotrack.baselines.agents.protocol import world_of
-from servotrack.baselines.evaluation.results import ResultsError, atomic_path, describe_environment, plain, provenance
+from servotrack.baselines.evaluation.provenance import provenance
+from servotrack.baselines.reporting.files import ResultsError, atomic_path
 from servotrack.baselines.training.export import Exportable, write_agent
 from servotrack.baselines.training.progress import PeriodicEvaluation
 from servotrack.baselines.training.settings import TrainingSettings
+from servotrack.baselines.worlds import describe_environment, kind_of_id, plain
 
 AGENT, CHECKPOINT, TASK = "agent", "checkpoint.pt", "task.json"
 
@@ -81,7 +82,7 @@ class TrainingRun:
 
     Args:
         task: What to do.
-        yardstick: Measures the policy as it goes.
+        evaluation: Measures the policy as it goes.
         on_steps: Called with the environment steps so far.
         on_entry: Called with every measurement, those before an interruption included.
 
@@ -96,13 +97,13 @@ class TrainingRun:
     def __init__(
         self,
         task: TrainingTask,
-        yardstick: PeriodicEvaluation,
+        evaluation: PeriodicEvaluation,
         on_steps: Callable[[int], None] = lambda steps: None,
         on_entry: Callable[[Entry], None] = lambda entry: None,
     ) -> None:
         _claim(task)
         self.task, self.on_steps = task, on_steps
-        self._yardstick, self._on_entry = yardstick, on_entry
+        self._evaluation, self._on_entry = evaluation, on_entry
         self.checkpoint = load_checkpoint(task.folder)
         self.curve = TrainingCurve()
         if self.checkpoint is not None:
@@ -164,14 +165,14 @@ class TrainingRun:
             network=f"{AGENT}.onnx",
             sha256="",
             # Points in clutter come with what their filters are told.
-            information="calibrated" if world_of(task.env_id) == "clutter" else "prior",
+            information="calibrated" if kind_of_id(task.env_id) == "clutter" else "prior",
             levels=list(task.settings.levels),
             steps=steps,
             training={**task.as_record(), "curve": self.curve.entries, "provenance": self.curve.provenance},
         )
         write_agent(policy, card, folder)
         entry: Entry = {"steps": steps, "seconds": round(self._seconds, 1)}
-        entry |= self._yardstick.measure(agent_in_file(folder / f"{AGENT}.json"))
+        entry |= self._evaluation.measure(agent_in_file(folder / f"{AGENT}.json"))
         self.curve.entries.append(entry)
         with atomic_path(folder / CHECKPOINT) as temporary:
             torch.save({**saved, "steps": steps, "curve": json.dumps(vars(self.curve))}, temporary)

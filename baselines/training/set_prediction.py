@@ -22,7 +22,7 @@ from servotrack.baselines.agents.learned.set_prediction import (
 )
 from servotrack.baselines.training.export import exportable_policy
 from servotrack.baselines.training.run import TrainingRun
-from servotrack.baselines.training.supervised import descend, lesson_seeds, prepare, take_turns
+from servotrack.baselines.training.supervised import descend, episode_seeds, prepare, take_turns
 from servotrack.envs.track.clutter.episode import draw_episode
 from servotrack.envs.track.clutter.scene_model import SceneModel
 from servotrack.estimators.types import Array, FloatArray
@@ -102,29 +102,29 @@ class Examples(NamedTuple):
     age: torch.Tensor
 
 
-def teach_sets(course: TrainingRun) -> None:
+def train_set_predictor(run: TrainingRun) -> None:
     """Train a set predictor, from the beginning or from where the course was saved; one step is one scan.
 
     Raises:
         ResultsError: The checkpoint does not fit the hyper-parameters.
         ValueError: The environment shows no points in clutter, or a hyper-parameter is unknown.
     """
-    own = prepare(SetSettings, course)
-    task, settings = course.task, course.task.settings
+    own = prepare(SetSettings, run)
+    task, settings = run.task, run.task.settings
     env: Any = gym.make(task.env_id, **task.env_kwargs).unwrapped
     if not isinstance(getattr(env, "scene_model", None), SceneModel):
         raise ValueError(f"sets are predicted in worlds of points in clutter, got {task.env_id}")
     window = SetWindow.of(settings.encoding)
     network = SetNetwork(window.neighbors, own.hidden)
     optimizer = torch.optim.Adam(network.parameters())
-    chance = np.random.default_rng([task.seed, course.resume(network, optimizer)])
+    chance = np.random.default_rng([task.seed, run.resume(network, optimizer)])
 
     def turn(steps: int) -> int:
-        scenes = [draw_episode(env.config, seed) for seed in lesson_seeds(task, steps)]
+        scenes = [draw_episode(env.config, seed) for seed in episode_seeds(task, steps)]
         _learn(network, optimizer, _examples(window, scenes, env.scene_model, own.false_share, chance), own)
         return len(scenes) * int(env.config.horizon)
 
-    take_turns(course, network, optimizer, own.learning_rate, exportable_policy(network, window.size), turn)
+    take_turns(run, network, optimizer, own.learning_rate, exportable_policy(network, window.size), turn)
 
 
 def _examples(

@@ -17,9 +17,9 @@ from servotrack.baselines.training.supervised import (
     RecurrentNetwork,
     descend,
     explored,
-    lesson_seeds,
+    episode_seeds,
     prepare,
-    servo_lessons,
+    servo_environments,
     take_turns,
 )
 from servotrack.envs.servo.episode import LEAD
@@ -97,7 +97,7 @@ class StudentNetwork(RecurrentNetwork):
         return action[:, 0] - base, carried[0]
 
 
-class Lessons(NamedTuple):
+class StudentEpisodes(NamedTuple):
     """Episodes of the student, and what the teacher knows of them; N episodes of T steps.
 
     Attributes:
@@ -119,7 +119,7 @@ class Lessons(NamedTuple):
     gain: torch.Tensor
 
 
-def teach(course: TrainingRun) -> None:
+def train_student(run: TrainingRun) -> None:
     """Train a student, from the beginning or from where the course was saved.
 
     Each iteration lets the student act in new episodes of the train range and then improves every one of its actions by
@@ -130,23 +130,23 @@ def teach(course: TrainingRun) -> None:
         ResultsError: The checkpoint does not fit the hyper-parameters.
         ValueError: The environment is no servo of features, or a hyper-parameter is unknown.
     """
-    own = prepare(StudentSettings, course)
-    task, settings = course.task, course.task.settings
-    env = servo_lessons(task)
+    own = prepare(StudentSettings, run)
+    task, settings = run.task, run.task.settings
+    env = servo_environments(task)
     encoding = create_encoding(settings.encoding, env)
     network = StudentNetwork(encoding.size, own.hidden, residual="residual" in settings.encoding)
     optimizer = torch.optim.Adam(network.parameters())
-    explore = np.random.default_rng([task.seed, course.resume(network, optimizer)])
+    explore = np.random.default_rng([task.seed, run.resume(network, optimizer)])
     noises = cycle((0.0, own.exploration))
 
     def turn(steps: int) -> int:
-        stages = _act(env, encoding, network, lesson_seeds(task, steps), next(noises), explore)
-        _learn(network, optimizer, stages, own, env.unwrapped.config)
-        return int(stages.counted.sum())
+        episodes = _act(env, encoding, network, episode_seeds(task, steps), next(noises), explore)
+        _learn(network, optimizer, episodes, own, env.unwrapped.config)
+        return int(episodes.counted.sum())
 
     try:
         exported = exportable_policy(network, encoding.size, own.hidden)
-        take_turns(course, network, optimizer, own.learning_rate, exported, turn)
+        take_turns(run, network, optimizer, own.learning_rate, exported, turn)
     finally:
         env.close()
 
@@ -158,7 +158,7 @@ def _act(
     seeds: list[int],
     noise: float,
     explore: np.random.Generator,
-) -> Lessons:
+) -> StudentEpisodes:
     """One episode of the student per seed, with what the teacher knows written down beside."""
     world: ServoWorld = env.unwrapped.world
     count, length = len(seeds), world.config.warmup + world.config.horizon
@@ -185,18 +185,18 @@ def _act(
             memory = select_rows(ended, encoding.initial(observation), memory)
         alive &= ~ended
     tensors = (torch.from_numpy(part) for part in (rows, joints, before, following, counted, links, gain))
-    return Lessons(*tensors)
+    return StudentEpisodes(*tensors)
 
 
 def _learn(
-    network: StudentNetwork, optimizer: torch.optim.Optimizer, stages: Lessons, own: StudentSettings, config: Any
+    network: StudentNetwork, optimizer: torch.optim.Optimizer, episodes: StudentEpisodes, own: StudentSettings, config: Any
 ) -> None:
     """Some passes over the episodes."""
     # A motor obeys one substep late.
     late = 1.0 / config.substeps
     for _ in range(own.n_epochs):
-        for batch in torch.randperm(len(stages.rows)).split(own.batch_size):
-            part = Lessons(*(tensor[batch] for tensor in stages))
+        for batch in torch.randperm(len(episodes.rows)).split(own.batch_size):
+            part = StudentEpisodes(*(tensor[batch] for tensor in episodes))
             action, _ = network.actions(part.rows)
             rates = part.gain[:, None] * (late * part.before + (1.0 - late) * action)
             tool = _tool(part.joints + PERIOD * config.max_joint_rate * rates, part.links)

@@ -21,22 +21,22 @@ from servotrack.estimators.types import FloatArray
 Settings = TypeVar("Settings")
 
 
-def prepare(kind: type[Settings], course: TrainingRun) -> Settings:
+def prepare(kind: type[Settings], run: TrainingRun) -> Settings:
     """Give torch one thread and this run's random numbers, and read the training's own hyper-parameters.
 
     Raises:
         ValueError: A hyper-parameter that this training does not take.
     """
-    settings = course.task.settings
+    settings = run.task.settings
     torch.set_num_threads(1)
-    torch.manual_seed(course.task.seed + course.curve.steps)
+    torch.manual_seed(run.task.seed + run.curve.steps)
     try:
         return kind(**settings.hyper_parameters)
     except TypeError as error:
         raise ValueError(f"{settings.algorithm} does not take these hyper-parameters: {error}") from error
 
 
-def servo_lessons(task: TrainingTask) -> Any:
+def servo_environments(task: TrainingTask) -> Any:
     """The vector environment of a training whose teacher knows a servo's world.
 
     Raises:
@@ -92,14 +92,14 @@ class RecurrentNetwork(nn.Module):
         return self.head(torch.cat([remembered, rows], -1)), carried
 
 
-def lesson_seeds(task: TrainingTask, steps: int) -> list[int]:
+def episode_seeds(task: TrainingTask, steps: int) -> list[int]:
     """Seeds of the train range that this run has not had lately, one per environment."""
     first = 7919 * task.seed + steps
     return [seed_ranges.TRAIN[(first + i) % len(seed_ranges.TRAIN)] for i in range(task.settings.n_envs)]
 
 
 def take_turns(
-    course: TrainingRun,
+    run: TrainingRun,
     network: nn.Module,
     optimizer: torch.optim.Optimizer,
     learning_rate: float | str,
@@ -109,22 +109,22 @@ def take_turns(
     """Train until all steps are done.
 
     Args:
-        course: Measures and saves.
+        run: Measures and saves.
         network: That learns, as it was where the course was saved.
         optimizer: Of its weights.
         learning_rate: A number, or `lin_X`, which falls from X to 0.
         exported: The network as it is shipped.
         turn: Collects and learns once; environment steps before in, those that it took out.
     """
-    total, steps, rate = course.task.settings.n_timesteps, course.curve.steps, schedule(learning_rate)
+    total, steps, rate = run.task.settings.n_timesteps, run.curve.steps, schedule(learning_rate)
     while steps < total:
         for group in optimizer.param_groups:
             group["lr"] = rate(1.0 - steps / total) if callable(rate) else rate
         steps += turn(steps)
-        course.on_steps(steps)
-        if course.is_due(steps) or steps >= total:
+        run.on_steps(steps)
+        if run.is_due(steps) or steps >= total:
             saved: dict[str, Any] = {"network": network.state_dict(), "optimizer": optimizer.state_dict()}
-            course.measure(steps, exported, {"parameters": saved})
+            run.measure(steps, exported, {"parameters": saved})
 
 
 def descend(network: nn.Module, optimizer: torch.optim.Optimizer, loss: torch.Tensor, steepest: float = 1.0) -> None:

@@ -20,7 +20,9 @@ from servotrack.baselines.agents.servo.tuning_grid import BORROWED, GRIDS, Grid
 from servotrack.baselines.agents.tuning_record import Candidate, TunedAgent, TuningRecord, Values, resume_record
 from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.evaluation.evaluate import run_episodes
-from servotrack.baselines.evaluation.results import ResultsError, plain, provenance
+from servotrack.baselines.reporting.files import ResultsError
+from servotrack.baselines.worlds import plain
+from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.statistics import bootstrap_mean
 from servotrack.estimators.types import Array
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from servotrack.baselines.agents.registry import AGENTS
 from servotrack.baselines.agents.servo.tuning_grid import BORROWED, GRIDS, UNTUNED
 from servotrack.baselines.agents.tuning_record import TunedAgent, TuningRecord
-from servotrack.baselines.leaderboard.table import Grid, as_markdown
+from servotrack.baselines.reporting.grid import Grid, as_markdown
 
 
 def tuning_grid(record: TuningRecord) -> Grid:

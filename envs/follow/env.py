@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from servotrack.envs.follow.config import LEVEL_NAMES, FollowConfig, follow_config
 from servotrack.envs.follow.sensors import FollowSensors
 from servotrack.envs.follow.world import ON_TARGET, FollowWorld
+from servotrack.envs.servo.env import METADATA as SERVO_METADATA
 from servotrack.envs.servo.env import Observation, UncalibServoEnv
 from servotrack.envs.servo.episode import LEAD
 from servotrack.estimators.types import Array
@@ -17,6 +18,7 @@ from servotrack.estimators.types import Array
 if TYPE_CHECKING:
     from servotrack.envs.follow.recorder import Recorder
 
+METADATA: dict[str, Any] = SERVO_METADATA | {"servotrack_kind": "follow"}
 _COUNTED = ("time_on_target", "identity_error", "lost", "losses", "reacquisitions", "kept")
 """What the world counts and `info` holds under the same name."""
 
@@ -109,6 +111,8 @@ class PedestrianServoEnv(UncalibServoEnv):
 
     * v0: initial version
     """
+
+    metadata: ClassVar[dict[str, Any]] = METADATA  # type: ignore[misc]
 
     config: FollowConfig
     world: FollowWorld

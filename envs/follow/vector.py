@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 
 from servotrack.envs.follow.config import FollowConfig, follow_config
-from servotrack.envs.follow.env import level_caption, people_now, pictured
+from servotrack.envs.follow.env import METADATA, level_caption, people_now, pictured
 from servotrack.envs.follow.sensors import FollowSensors
 from servotrack.envs.follow.world import ON_TARGET, FollowWorld
 from servotrack.envs.servo.env import Observation
@@ -28,6 +28,8 @@ class PedestrianServoVectorEnv(UncalibServoVectorEnv):
         image_noise: As in `PedestrianServoEnv`.
         **arguments: As in `UncalibServoVectorEnv`, axes as in `PedestrianServoEnv`.
     """
+
+    metadata: ClassVar[dict[str, Any]] = METADATA  # type: ignore[misc]
 
     config: FollowConfig
     world: FollowWorld

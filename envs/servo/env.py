@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 
 Observation = dict[str, NDArray[Any]]
 
-METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": round(1 / PERIOD)}
+METADATA: dict[str, Any] = {
+    "servotrack_kind": "servo",
+    "render_modes": list(RENDER_MODES),
+    "render_fps": round(1 / PERIOD),
+}
 
 
 def action_space() -> gym.spaces.Box:

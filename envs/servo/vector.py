@@ -52,7 +52,7 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
             count,
             action_space(),
             self._single_observation_space(),
-            metadata=METADATA,
+            metadata=type(self).metadata,
             render_mode=render_mode,
             autoreset_mode=autoreset_mode,
             max_episode_steps=max_episode_steps,

@@ -67,9 +67,9 @@ def agents(
 ) -> None:
     """All agents by name, and what the learned ones among them cost to train."""
     from servotrack.baselines.leaderboard.agents_table import agents_grid, shipped_grid
-    from servotrack.baselines.leaderboard.table import as_markdown, as_rich
-    from servotrack.baselines.papers.reproduce import command_line
     from servotrack.baselines.reporting.embed import embed
+    from servotrack.baselines.reporting.grid import as_markdown, as_rich
+    from servotrack.baselines.reporting.terminal import command_line
 
     learned = shipped_grid()
     console().print(as_rich(agents_grid(world), "Agents"))
@@ -91,10 +91,9 @@ def compare(
     ] = None,
 ) -> None:
     """Whether training wins: all runs of a recipe against an agent, runs and episodes resampled, crossed."""
-    from servotrack.baselines.evaluation.bench import progress_bars
     from servotrack.baselines.evaluation.results import ResultsFolder
-    from servotrack.baselines.papers.reproduce import command_line
     from servotrack.baselines.reporting.embed import embed
+    from servotrack.baselines.reporting.terminal import command_line, progress_bars
     from servotrack.baselines.training.comparison import compare as run
 
     with progress_bars() as progress:

@@ -1,4 +1,4 @@
-"""The papers' tables, figures and claims."""
+"""The command `reproduce`: tables, figures and claims of the papers."""
 
 from __future__ import annotations
 
@@ -16,37 +16,48 @@ def reproduce(
     paper: Annotated[
         str,
         typer.Argument(
-            help="`servo`: paper 002, the UKF of the image Jacobian; `phd`: paper 000, GM-PHD on video; `color`: paper "
-            "001, Monte-Carlo color tracking; `sonar`: paper 003, bearing-time records; `pmm`: paper 004, set filters; "
-            "`transfer`: do rankings on rendered people predict those on your sequences?"
+            help="`gm_phd_video`: GM-PHD filter on video; `monte_carlo_color`: Monte-Carlo color tracking; "
+            "`unscented_jacobian`: unscented Kalman filter of the image Jacobian; `hmm_sonar`: hidden Markov models on "
+            "bearing-time records; `pairwise_markov`: PHD and CBMeMBer filters under pairwise Markov models; "
+            "`transfer`: rank correlation of trackers between rendered people and your sequences."
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for tables, figures and claims.")] = Path(
         "results/reproduce"
     ),
-    runs: Annotated[int | None, typer.Option(min=1, help="Runs per algorithm; default: as many as the paper.")] = None,
-    claims: Annotated[Path | None, typer.Option(help="Claims file to fill in; default: a copy in OUTPUT.")] = None,
+    runs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Runs per algorithm; more narrow the intervals. Default: 8 to 500, by paper."),
+    ] = None,
+    claims: Annotated[Path | None, typer.Option(help="Claims file to fill in. Default: a copy in OUTPUT.")] = None,
     source: Annotated[
         list[str] | None,
-        typer.Option("--source", "-s", help="For `phd` and `transfer`: your video or MOTChallenge folder; repeatable."),
+        typer.Option(
+            "--source",
+            "-s",
+            help="For `gm_phd_video` and `transfer`: your video or MOTChallenge folder. Repeatable.",
+        ),
     ] = None,
     truth: Annotated[
         list[str] | None,
-        typer.Option("--truth", "-t", help="CAVIAR XML or MOTChallenge gt.txt of each SOURCE, in their order."),
+        typer.Option("--truth", "-t", help="CAVIAR XML or MOTChallenge gt.txt of each SOURCE, in the same order."),
     ] = None,
     into: Annotated[
         Path | None,
         typer.Option(
-            help="For `phd`, `color`, `sonar`, `transfer`: also put the tables between the marks of a Markdown file."
+            help="Markdown file that also receives the tables, between the marks <!-- PAPER:begin --> and "
+            "<!-- PAPER:end -->. For `gm_phd_video`, `monte_carlo_color`, `hmm_sonar`, `transfer`."
         ),
     ] = None,
 ) -> None:
-    """A paper's tables and figures, ours beside the paper's, and its claims with a verdict each."""
-    from servotrack.baselines.papers.reproduce import Recording, reproduce_paper
+    """Reproduce a paper: tables and figures beside the paper's own, and a verdict on each of its claims."""
+    from servotrack.baselines.papers.reproduce import find_paper, reproduce_paper
+    from servotrack.baselines.papers.request import Recording
 
+    name = find_paper(paper).name
     sources = source or []
     truths: list[str | None] = [*truth] if truth else [None] * len(sources)
     if len(truths) != len(sources):
         raise ValueError(f"--truth goes with every --source or with none, got {len(truths)} for {len(sources)}")
     recordings = [Recording(s, t) for s, t in zip(sources, truths, strict=True)]
-    reproduce_paper(paper, output, runs, console(), claims, recordings, into)
+    reproduce_paper(name, output, runs, console(), claims, recordings, into)

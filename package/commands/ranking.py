@@ -38,11 +38,13 @@ def evaluate(
 ) -> None:
     """Run one agent in one environment, and print its row beside those that the folder holds already."""
     from servotrack.baselines.evaluation import seeds
-    from servotrack.baselines.evaluation.bench import progress_bars
     from servotrack.baselines.evaluation.evaluate import evaluate as run
-    from servotrack.baselines.evaluation.results import ResultsFolder, describe_environment
+    from servotrack.baselines.evaluation.results import ResultsFolder
     from servotrack.baselines.leaderboard.summary import summarize
-    from servotrack.baselines.leaderboard.table import as_rich, task_grid
+    from servotrack.baselines.leaderboard.table import task_grid
+    from servotrack.baselines.reporting.grid import as_rich
+    from servotrack.baselines.reporting.terminal import progress_bars
+    from servotrack.baselines.worlds import describe_environment
 
     kwargs = env_kwargs(level, settings)
     folder = ResultsFolder(results)
@@ -77,9 +79,10 @@ def bench(
     video: Annotated[bool, typer.Option(help="Film the best agent at level 3.")] = True,
 ) -> None:
     """The main job: agents x levels x seeds, then the leaderboard, a figure and a film. Resumes what was finished."""
-    from servotrack.baselines.evaluation.bench import progress_bars, run_suite, suite_of
+    from servotrack.baselines.evaluation.bench import run_suite, suite_of
     from servotrack.baselines.evaluation.results import ResultsFolder
     from servotrack.baselines.leaderboard.summary import summarize
+    from servotrack.baselines.reporting.terminal import progress_bars
 
     suite = suite_of(env, words(agents), levels_of(levels) if levels else None, env_kwargs(None, settings))
     folder = ResultsFolder(results)
@@ -103,8 +106,8 @@ def leaderboard(
     from servotrack.baselines.evaluation.results import ResultsFolder
     from servotrack.baselines.leaderboard.summary import summarize
     from servotrack.baselines.leaderboard.table import markdown_overview
-    from servotrack.baselines.papers.reproduce import command_line
     from servotrack.baselines.reporting.embed import embed
+    from servotrack.baselines.reporting.terminal import command_line
 
     tasks = summarize(ResultsFolder(results).load_all())
     film = results / "best.webm"
@@ -127,9 +130,9 @@ def tune(
     """Search the servo agents' hyper-parameters on tune seeds, and count the environment steps that it takes."""
     from servotrack.baselines.agents.servo.tuning_grid import GRIDS
     from servotrack.baselines.evaluation import seeds
-    from servotrack.baselines.evaluation.bench import progress_bars
-    from servotrack.baselines.leaderboard.table import as_rich
     from servotrack.baselines.reporting.embed import embed
+    from servotrack.baselines.reporting.grid import as_rich
+    from servotrack.baselines.reporting.terminal import progress_bars
     from servotrack.baselines.tuning.search import FIRST_SEED, TuningProtocol
     from servotrack.baselines.tuning.search import tune as run
     from servotrack.baselines.tuning.table import markdown_tuning, tuning_grid
@@ -151,8 +154,9 @@ def tune(
 
 def _show(tasks: list[TaskSummary], output: Path, film: Path | None, details: bool = False) -> None:
     from servotrack.baselines.leaderboard.report import write_report
-    from servotrack.baselines.leaderboard.table import NOTE, as_rich, headline_grids, overview_grid, task_grid
-    from servotrack.baselines.papers.reproduce import command_line
+    from servotrack.baselines.leaderboard.table import NOTE, headline_grids, overview_grid, task_grid
+    from servotrack.baselines.reporting.grid import as_rich
+    from servotrack.baselines.reporting.terminal import command_line
 
     screen = console()
     overviews = [("Mean score · success in percent", overview_grid(tasks)), *headline_grids(tasks)]
@@ -168,7 +172,7 @@ def _show(tasks: list[TaskSummary], output: Path, film: Path | None, details: bo
 
 def _film_best(tasks: list[TaskSummary], folder: Path) -> Path | None:
     from servotrack.baselines.evaluation import seeds
-    from servotrack.baselines.reporting.film import film_episode
+    from servotrack.baselines.evaluation.watch import film_episode
 
     task = next((task for task in tasks if task.level == FILMED_LEVEL), None)
     best = next((row for row in task.rows if not row.privileged), None) if task else None

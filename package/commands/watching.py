@@ -83,7 +83,7 @@ def render(
     seed: Annotated[int, typer.Option(min=0, help="Of the episode.")] = 0,
 ) -> None:
     """A rendered crowd as a MOTChallenge sequence: images and exact truth, for `track` and any other tracker."""
-    from servotrack.baselines.evaluation.bench import progress_bars
+    from servotrack.baselines.reporting.terminal import progress_bars
     from servotrack.baselines.track_command.rendered import render_sequence
 
     with progress_bars() as progress:
@@ -111,7 +111,7 @@ def play(
 
     kwargs = env_kwargs(level, settings)
     if video is not None:
-        from servotrack.baselines.reporting.film import film_episode
+        from servotrack.baselines.evaluation.watch import film_episode
 
         if agent is None:
             raise ValueError("--video needs an agent to film; add --agent lifted-kf")

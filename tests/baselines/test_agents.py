@@ -139,8 +139,8 @@ def test_only_those_who_ask_see_the_truth() -> None:
 
 def test_a_card_says_what_was_told_in_the_world_at_hand() -> None:
     card = AGENTS["pmb"]
-    assert card.as_record("ClutterTracking-v0", "")["information"] == "calibrated"
-    assert card.as_record("PedestrianTracking-v0", "")["information"] == "structure"
+    assert card.as_record("clutter", "")["information"] == "calibrated"
+    assert card.as_record("people", "")["information"] == "structure"
 
 
 def test_random_actions_depend_on_seed_step_and_row_alone() -> None:

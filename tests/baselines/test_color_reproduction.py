@@ -1,4 +1,4 @@
-"""Paper 001: films are kept and read again, foreign files refused, and the verdicts follow from the numbers."""
+"""The monte_carlo_color reproduction keeps its films, refuses foreign files, and derives verdicts from the numbers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from rich.progress import Progress
 import servotrack  # noqa: F401
 from servotrack.baselines.agents.color.catalog import color_tracker
 from servotrack.baselines.agents.color.tuning_grid import EPISODES, GRIDS, tuning_steps
-from servotrack.baselines.evaluation.results import ResultsError
 from servotrack.baselines.papers.claims import read_claims
 from servotrack.baselines.papers.monte_carlo_color import experiment, report
 from servotrack.baselines.papers.monte_carlo_color.experiment import (
@@ -31,6 +30,7 @@ from servotrack.baselines.papers.monte_carlo_color.findings import (
     sensitivity_grid,
 )
 from servotrack.baselines.papers.reproduce import reproduce_paper
+from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.tuning.color_search import mean_auc, search
 from servotrack.envs.track.color.config import LEVEL_NAMES
 
@@ -99,9 +99,9 @@ def test_tables_hold_every_tracker_and_every_value() -> None:
 
 
 def test_the_claims_are_on_the_list() -> None:
-    ours = {claim.id for claim in read_claims() if claim.paper == "001"}
+    ours = {claim.id for claim in read_claims() if claim.paper == "monte_carlo_color"}
     assert {claim.id for claim in findings(invented({}), SECONDS)} == ours
-    assert all(claim.command in (None, COMMAND) for claim in read_claims() if claim.paper == "001")
+    assert all(claim.command in (None, COMMAND) for claim in read_claims() if claim.paper == "monte_carlo_color")
 
 
 def test_figures_draw() -> None:
@@ -143,9 +143,11 @@ def test_the_report_is_written_and_put_into_a_document(tmp_path, monkeypatch) ->
     monkeypatch.setattr(report, "median_steps", lambda *_: SECONDS)
     monkeypatch.setattr(report, "draw_tracked", lambda *_: Figure())
     document = tmp_path / "page.md"
-    document.write_text("# Page\n<!-- paper001:begin -->\nstale\n<!-- paper001:end -->\n", encoding="utf-8")
-    reproduce_paper("color", tmp_path / "out", 2, Console(quiet=True), into=document)
-    page, alone = document.read_text(encoding="utf-8"), (tmp_path / "out" / "paper001.md").read_text(encoding="utf-8")
+    marks = "<!-- monte_carlo_color:begin -->\nstale\n<!-- monte_carlo_color:end -->"
+    document.write_text(f"# Page\n{marks}\n", encoding="utf-8")
+    reproduce_paper("monte-carlo-color", tmp_path / "out", 2, Console(quiet=True), into=document)
+    page = document.read_text(encoding="utf-8")
+    alone = (tmp_path / "out" / "monte_carlo_color.md").read_text(encoding="utf-8")
     assert "stale" not in page
     assert "### AUC by scenario" in page
     assert "\n## AUC by scenario" in alone
@@ -154,5 +156,5 @@ def test_the_report_is_written_and_put_into_a_document(tmp_path, monkeypatch) ->
     }
     filled = {claim.id: claim.verdict for claim in read_claims(tmp_path / "out" / "claims.yaml")}
     assert filled["color-plus-beats-both"] == "holds"
-    with pytest.raises(ValueError, match=r"--into goes with .*color.*, got it with 'servo'"):
-        reproduce_paper("servo", tmp_path, 1, Console(quiet=True), into=document)
+    with pytest.raises(ValueError, match=r"--into goes with .*color.*, got it with 'unscented_jacobian'"):
+        reproduce_paper("unscented_jacobian", tmp_path, 1, Console(quiet=True), into=document)

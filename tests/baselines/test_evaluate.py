@@ -19,7 +19,8 @@ import pytest
 import servotrack  # noqa: F401
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.bench import Cell, run_suite, suite_of
-from servotrack.baselines.evaluation.episodes import EpisodeRecorder, servo_errors
+from servotrack.baselines.evaluation.episodes import EpisodeRecorder
+from servotrack.baselines.evaluation.servo_scores import servo_errors
 from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.results import ResultsFolder
 
@@ -213,6 +214,6 @@ def test_a_suite_refuses_a_damaged_file_before_it_starts(tmp_path: Path) -> None
 def test_recorder_needs_a_limit_of_steps() -> None:
     env = gym.make_vec("CartPole-v1", num_envs=1, vectorization_mode="sync")
     env.spec.max_episode_steps = None
-    observation = {"time": np.zeros((1, 1))}
+    env.metadata = {"servotrack_kind": "servo"}
     with pytest.raises(ValueError, match="limit of steps"):
-        EpisodeRecorder([0], env, observation, {"tracking_error": np.zeros(1)})
+        EpisodeRecorder([0], env, {"time": np.zeros((1, 1))})

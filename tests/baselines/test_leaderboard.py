@@ -8,19 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from servotrack.baselines.evaluation.results import CellResults, ResultsError, atomic_path
+from servotrack.baselines.evaluation.results import CellResults
+from servotrack.baselines.evaluation.watch import film_episode
 from servotrack.baselines.leaderboard.figure import draw_levels, level_tasks
 from servotrack.baselines.leaderboard.report import write_report
 from servotrack.baselines.leaderboard.summary import overall, summarize
-from servotrack.baselines.leaderboard.table import (
-    as_markdown,
-    caveat,
-    markdown_overview,
-    markdown_report,
-    overview_grid,
-    task_grid,
-)
-from servotrack.baselines.reporting.film import film_episode, write_film
+from servotrack.baselines.leaderboard.table import caveat, markdown_overview, markdown_report, overview_grid, task_grid
+from servotrack.baselines.reporting.files import ResultsError, atomic_path
+from servotrack.baselines.reporting.film import write_film
+from servotrack.baselines.reporting.grid import as_markdown
 
 ERRORS = {"random": 0.5, "ukf": 0.005, "lifted-kf": 0.002, "oracle": 0.001}
 

@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from servotrack.baselines.evaluation.results import ResultsError
+from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.track_command.rendered import ENVIRONMENT, render_sequence
 from servotrack.envs.track.files.frames import open_frames
 from servotrack.envs.track.files.mot_files import find_mot_folder

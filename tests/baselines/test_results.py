@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from servotrack.baselines.evaluation.results import (
-    CellResults,
-    ResultsError,
-    ResultsFolder,
-    atomic_path,
-    provenance,
-    read_cell,
-)
+from servotrack.baselines.evaluation.provenance import digest_of_sources, provenance
+from servotrack.baselines.evaluation.results import CellResults, ResultsFolder, read_cell
+from servotrack.baselines.reporting.files import ResultsError, atomic_path
 
 ENV, KWARGS, AGENT = "UncalibServo-v0", {"level": 3}, "kf"
 
@@ -154,14 +151,39 @@ def test_arguments_that_json_changes_stay_one_environment(tmp_path: Path) -> Non
         folder.file_of(ENV, {"latency": object()}, AGENT)
 
 
-def test_the_version_follows_the_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import servotrack.baselines.evaluation.results as results
+@pytest.fixture
+def copied_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the sources whose files a test may edit, read by `digest_of_sources`."""
+    import servotrack.baselines.evaluation.provenance as provenance
 
-    room = tmp_path / "room"
-    room.mkdir()
-    (room / "__init__.py").write_text("")
-    monkeypatch.setattr(results, "find_spec", lambda name: SimpleNamespace(origin=str(room / "__init__.py")))
-    before = results.code_version.__wrapped__()
-    assert before == results.code_version.__wrapped__()
-    (room / "law.py").write_text("GAIN = 0.6\n")
-    assert before != results.code_version.__wrapped__()
+    for room in ("envs", "estimators", "baselines"):
+        shutil.copytree(Path(str(find_spec(f"servotrack.{room}").origin)).parent, tmp_path / room)  # type: ignore[union-attr]
+    monkeypatch.setattr(
+        provenance,
+        "find_spec",
+        lambda name: SimpleNamespace(origin=str(tmp_path / name.rpartition(".")[2] / "__init__.py")),
+    )
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("source", "stale"),
+    [
+        ("estimators/jacobian/kf.py", True),
+        ("envs/servo/world.py", True),
+        ("baselines/agents/servo/jacobian_servo.py", True),
+        ("baselines/agents/learned/networks/UncalibServo-v0-level3-ppo.onnx", True),
+        ("baselines/evaluation/servo_scores.py", True),
+        ("baselines/reporting/grid.py", False),
+        ("baselines/leaderboard/table.py", False),
+        ("baselines/papers/claims.py", False),
+        ("baselines/track_command/run.py", False),
+        ("baselines/worlds.py", False),
+    ],
+)
+def test_the_version_follows_the_sources_that_decide_a_row(source: str, stale: bool, copied_package: Path) -> None:
+    before = digest_of_sources()
+    assert before == digest_of_sources()
+    with (copied_package / source).open("ab") as file:
+        file.write(b"\n")
+    assert (before != digest_of_sources()) == stale

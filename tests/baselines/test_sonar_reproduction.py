@@ -1,4 +1,4 @@
-"""Paper 003's audit: scores of tracks worked out by hand, tables and files of a small run."""
+"""The hmm_sonar audit: scores of tracks worked out by hand, tables and files of a small run."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from servotrack.baselines.agents.sonar.catalog import sonar_tracker
-from servotrack.baselines.evaluation.bench import progress_bars
-from servotrack.baselines.evaluation.results import ResultsError
 from servotrack.baselines.papers.claims import read_claims
 from servotrack.baselines.papers.hmm_sonar import experiment
 from servotrack.baselines.papers.hmm_sonar.figures import draw_offsets
@@ -23,6 +21,8 @@ from servotrack.baselines.papers.hmm_sonar.findings import (
     trial_grid,
 )
 from servotrack.baselines.papers.hmm_sonar.scores import score_tracks
+from servotrack.baselines.reporting.files import ResultsError
+from servotrack.baselines.reporting.terminal import progress_bars
 from servotrack.estimators.metrics import Track
 
 
@@ -121,7 +121,7 @@ def test_every_condition_is_measured_with_every_method(found):
 
 
 def test_every_claim_of_the_paper_gets_a_verdict_and_every_table_its_rows(found):
-    shipped = {claim.id for claim in read_claims() if claim.paper == "003"}
+    shipped = {claim.id for claim in read_claims() if claim.paper == "hmm_sonar"}
     claims = findings(found, {1: 0.1, 2: 0.15, 4: 0.3})
     assert {claim.id for claim in claims} == shipped
     assert all(claim.finding and claim.command == COMMAND for claim in claims)

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
-from servotrack.baselines.evaluation.results import ResultsError
+from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.track_command import stopping
 from servotrack.baselines.track_command.inputs import FileInput, PixelInput
 from servotrack.baselines.track_command.painter import BoxPainter

@@ -16,8 +16,8 @@ from servotrack.baselines.agents.servo.hyper_parameters import value_at, with_va
 from servotrack.baselines.agents.servo.tuning_grid import BORROWED, GRIDS, UNTUNED
 from servotrack.baselines.agents.tuning_record import SHIPPED, TunedAgent, read_record
 from servotrack.baselines.evaluation.evaluate import run_episodes
-from servotrack.baselines.evaluation.results import ResultsError
 from servotrack.baselines.evaluation.seeds import TUNE
+from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.tuning import search as tuning
 from servotrack.baselines.tuning.search import (
     Measured,

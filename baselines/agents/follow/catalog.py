@@ -7,6 +7,7 @@ from typing import Any
 
 from servotrack.baselines.agents.follow.follow_servo import KEYS, FollowServo
 from servotrack.baselines.agents.servo.catalog import servo_controller
+from servotrack.baselines.worlds import public_attribute
 from servotrack.estimators.follow import PersonFollower
 
 PATIENCE = 60
@@ -25,7 +26,7 @@ def create_follow_agent(env: Any, told: tuple[str, ...] = (), identity: str = "t
         ValueError: The environment is another one, or observes the right person's features.
     """
     space = getattr(env, "single_observation_space", env.observation_space)
-    max_joint_rate = getattr(env.unwrapped, "max_joint_rate", None)
+    max_joint_rate = public_attribute(env, "max_joint_rate")
     keys = set(getattr(space, "spaces", ()))
     if max_joint_rate is None or not keys.issuperset(KEYS) or not keys & {"detections", "image"}:
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__

@@ -20,6 +20,7 @@ from servotrack.baselines.agents.memory import remembered
 from servotrack.baselines.agents.registry import create_agent
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo
 from servotrack.baselines.agents.servo.pixel_servo import PixelServo
+from servotrack.baselines.worlds import public_attribute
 from servotrack.estimators.types import FloatArray, Mask
 
 if TYPE_CHECKING:
@@ -214,7 +215,7 @@ def _predicting_sets(file: Path, card: LearnedCard, env: Any) -> SetPredictor:
     from servotrack.baselines.agents.learned.set_prediction import ANSWERS, SetPredictor, SetWindow
     from servotrack.envs.track.clutter.scene_model import SceneModel
 
-    network, scene = OnnxNetwork(file.parent / card.network, card), getattr(env.unwrapped, "scene_model", None)
+    network, scene = OnnxNetwork(file.parent / card.network, card), public_attribute(env, "scene_model")
     if not isinstance(scene, SceneModel):
         raise AgentFileError(f"{file} predicts sets of points in clutter, which this environment does not show")
     try:

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any, get_args
 
 from servotrack.baselines.agents.protocol import Information
-from servotrack.baselines.evaluation.results import ResultsError, describe_environment, read_document
+from servotrack.baselines.reporting.files import ResultsError, read_document
+from servotrack.baselines.worlds import describe_environment
 
 FORMAT = "servotrack-agent"
 FORMAT_VERSION = 1

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from servotrack.baselines.agents.learned.contract import Encoding, PlainAnswers
-from servotrack.baselines.agents.learned.marker_network import open_eyes
+from servotrack.baselines.agents.learned.marker_network import open_marker_network
 from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
 from servotrack.baselines.agents.registry import create_agent
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo, servo_measurement
@@ -172,7 +172,7 @@ class Residual(PlainAnswers):
 
 
 class SeenThrough(NamedTuple):
-    """Memory of `ThroughEyes`.
+    """Memory of `MarkerEncoding`.
 
     Attributes:
         seen: Of the eyes.
@@ -184,7 +184,7 @@ class SeenThrough(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ThroughEyes:
+class MarkerEncoding:
     """An encoding of features where there are images.
 
     Attributes:
@@ -252,7 +252,7 @@ def create_encoding(settings: Mapping[str, Any], env: Any, folder: Path | None =
     parts = {key: part for key, part in space.spaces.items() if key != "image"}
     seen = spaces.Dict({**parts, "features": parts["goal"], "visible": spaces.Box(0.0, 1.0, (1,))})
     behind_eyes = _of_features({key: value for key, value in settings.items() if key != "eyes"}, env, seen)
-    return ThroughEyes(MarkerFeatures(open_eyes(str(settings["eyes"]), folder)), behind_eyes)
+    return MarkerEncoding(MarkerFeatures(open_marker_network(str(settings["eyes"]), folder)), behind_eyes)
 
 
 def _of_features(settings: Mapping[str, Any], env: Any, space: spaces.Space[Any]) -> Encoding:

@@ -12,6 +12,7 @@ from gymnasium import spaces
 from servotrack.baselines.agents.clutter.catalog import observer_settings, steered_phd
 from servotrack.baselines.agents.row_reservation import ReservedRows, allocate_rows, no_rows
 from servotrack.baselines.agents.set_observer import POSITION
+from servotrack.baselines.worlds import public_attribute
 from servotrack.envs.track.clutter.scene_model import SceneModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.rfs import RowAllocation
@@ -153,7 +154,7 @@ def create_steering(env: Any) -> SteeringEncoding:
     Raises:
         ValueError: The environment is none.
     """
-    scene = getattr(env.unwrapped, "scene_model", None)
+    scene = public_attribute(env, "scene_model")
     if not isinstance(scene, SceneModel):
         raise ValueError(f"encoding steering reads scans of points in clutter, which {env.unwrapped} does not give")
     rows = getattr(env, "single_action_space", env.action_space).shape[0]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from servotrack.baselines.agents.learned.servo_encoding import PIXELS, ServoEncoding, ServoMemory
 from servotrack.baselines.agents.servo.catalog import LAWS
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo
+from servotrack.baselines.worlds import public_attribute
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState, present_estimate
 from servotrack.estimators.jacobian.contract import LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.controller import ServoController
@@ -132,7 +133,7 @@ def create_learned_servo(estimator: LearnedJacobian, env: Any, law: str) -> Jaco
         ValueError: No servo that the encoding can read.
     """
     ServoEncoding.check(getattr(env, "single_observation_space", env.observation_space))
-    rate = float(env.unwrapped.max_joint_rate)
+    rate = float(public_attribute(env, "max_joint_rate"))
     return JacobianServo(ServoController(estimator, law=LAWS[law](), max_joint_rate=rate))
 
 

@@ -65,7 +65,7 @@ class MarkerNetwork:
         return place.astype(np.float64).reshape(*batch, 2), (seen > 0.0).reshape(batch)
 
 
-def open_eyes(name: str, folder: Path | None = None) -> MarkerNetwork:
+def open_marker_network(name: str, folder: Path | None = None) -> MarkerNetwork:
     """Eyes by their name.
 
     Args:

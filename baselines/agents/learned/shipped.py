@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard, load_card
-from servotrack.baselines.agents.protocol import AgentCard, world_of
+from servotrack.baselines.agents.protocol import AgentCard
+from servotrack.baselines.worlds import kind_of_id, public_attribute
 
 SHIPPED = Path(__file__).parent / "networks"
 FACTORY = "servotrack.baselines.agents.learned.agent:create_learned_agent"
@@ -31,7 +32,7 @@ def shipped_agents() -> tuple[AgentCard, ...]:
             cards[0].information,
             cards[0].summary,
             parameters={"name": name},
-            worlds=frozenset(world_of(card.env_id) for card in cards),
+            worlds=frozenset(kind_of_id(card.env_id) for card in cards),
             trained_in={environment: card.steps for card in cards for environment in card.environments},
         )
         for name, cards in sorted(by_name.items())
@@ -52,7 +53,7 @@ def agent_in_file(path: Path) -> AgentCard:
         card.summary,
         parameters={"path": str(path)},
         tuning_steps=card.steps,
-        worlds=frozenset({world_of(card.env_id)}),
+        worlds=frozenset({kind_of_id(card.env_id)}),
     )
 
 
@@ -62,7 +63,7 @@ def shipped_file(name: str, env: Any) -> Path:
     Raises:
         AgentFileError: It was trained in others only; the message lists them.
     """
-    env_id, level = getattr(env.spec, "id", None), getattr(env.unwrapped, "level", None)
+    env_id, level = getattr(env.spec, "id", None), public_attribute(env, "level")
     trained = {path: card for path, card in shipped_cards().items() if card.name == name}
     for path, card in trained.items():
         if card.env_id == env_id and (level in card.levels if card.levels else level == card.env_kwargs.get("level")):

@@ -16,6 +16,7 @@ from servotrack.baselines.agents.row_reservation import (
     select_scene,
 )
 from servotrack.baselines.agents.set_observer import RawObserver, SetObserver
+from servotrack.baselines.worlds import public_attribute
 from servotrack.envs.track.people.camera_model import VideoModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.boxes import DetectThenTrack, RawDetections, set_of_boxes
@@ -179,7 +180,7 @@ def create_video_observer(
     Raises:
         ValueError: An environment without a `VideoModel`, or an unknown name.
     """
-    scene = getattr(env.unwrapped, "scene_model", None)
+    scene = public_attribute(env, "scene_model")
     if not isinstance(scene, VideoModel):
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
         raise ValueError(

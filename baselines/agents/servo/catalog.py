@@ -10,6 +10,7 @@ from servotrack.baselines.agents.servo.anchors import FixedJacobian, OracleJacob
 from servotrack.baselines.agents.servo.hyper_parameters import with_values
 from servotrack.baselines.agents.servo.jacobian_servo import OBSERVATION_KEYS, JacobianServo
 from servotrack.baselines.agents.servo.pixel_servo import PIXEL_KEYS, PixelServo
+from servotrack.baselines.worlds import public_attribute
 from servotrack.estimators.jacobian import (
     BroydenJacobian,
     CorrentropyNoise,
@@ -114,7 +115,7 @@ def create_servo_agent(
         ValueError: The environment is no servo; `values` do not fit the estimator.
     """
     space = getattr(env, "single_observation_space", env.observation_space)
-    max_joint_rate = getattr(env.unwrapped, "max_joint_rate", None)
+    max_joint_rate = public_attribute(env, "max_joint_rate")
     keys = set(getattr(space, "spaces", ()))
     sees_pixels = keys.issuperset(PIXEL_KEYS)
     if max_joint_rate is None or not (sees_pixels or keys.issuperset(OBSERVATION_KEYS)):

@@ -19,7 +19,7 @@ REFERENCE_SIZE = 480.0
 """Width of the image that features are rescaled to, px."""
 
 
-class Eyes(Protocol):
+class MarkerFinder(Protocol):
     """Finds the target's marker in images."""
 
     def detect(self, images: Any) -> tuple[Array, Mask]:
@@ -48,7 +48,7 @@ class MarkerFeatures:
         eyes: What finds the marker.
     """
 
-    eyes: Eyes = field(default_factory=MarkerDetector)
+    eyes: MarkerFinder = field(default_factory=MarkerDetector)
 
     def initial(self, observation: Mapping[str, Any]) -> SeenMemory:
         """Memory before the first image.
@@ -117,7 +117,7 @@ class PixelServo:
         eyes: Finds the marker.
     """
 
-    def __init__(self, servo: JacobianServo, eyes: Eyes | None = None) -> None:
+    def __init__(self, servo: JacobianServo, eyes: MarkerFinder | None = None) -> None:
         self.servo = servo
         self.features = MarkerFeatures(eyes or MarkerDetector())
 

@@ -15,6 +15,7 @@ from servotrack.baselines.agents.row_reservation import (
     select_scene,
 )
 from servotrack.baselines.agents.sonar.catalog import BearingTracker, sonar_tracker
+from servotrack.baselines.worlds import public_attribute
 from servotrack.envs.track.sonar.array_model import SonarModel
 from servotrack.estimators.rfs import RowAllocation, SetEstimate
 from servotrack.estimators.stateful import add_axis, select_rows
@@ -128,7 +129,7 @@ def create_sonar_observer(env: Any, tracker: str) -> SonarObserver | BearingOrac
     Raises:
         ValueError: An environment without a `SonarModel`, or an unknown tracker.
     """
-    scene = getattr(env.unwrapped, "scene_model", None)
+    scene = public_attribute(env, "scene_model")
     if not isinstance(scene, SonarModel):
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
         raise ValueError(

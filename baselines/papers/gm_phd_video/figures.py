@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.baselines.leaderboard.figure import STYLE
 from servotrack.baselines.papers.gm_phd_video.experiment import Outcome
+from servotrack.baselines.reporting.figure import STYLE
 from servotrack.estimators.types import Image, Labels
 
 if TYPE_CHECKING:

@@ -8,11 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.baselines.evaluation import seeds
-from servotrack.baselines.evaluation.bench import progress_bars
 from servotrack.baselines.evaluation.statistics import PairedDifference, bootstrap_mean, paired_difference
-from servotrack.baselines.leaderboard.table import Grid
 from servotrack.baselines.papers import sequences
-from servotrack.baselines.papers.claims import SHIPPED, Claim, Verdict, fill, judge_smaller, read_claims
+from servotrack.baselines.papers.claims import SHIPPED, Claim, Verdict, claims_grid, fill, judge_smaller, read_claims
 from servotrack.baselines.papers.gm_phd_video.experiment import (
     COUNTED_FRAMES,
     METHODS,
@@ -24,10 +22,13 @@ from servotrack.baselines.papers.gm_phd_video.experiment import (
 from servotrack.baselines.papers.gm_phd_video.figures import draw_counts, draw_frames
 from servotrack.baselines.papers.gm_phd_video.pictures import paper_pictures
 from servotrack.baselines.papers.publish import publish
-from servotrack.baselines.papers.reproduce import Request, claims_grid
+from servotrack.baselines.papers.request import Request
+from servotrack.baselines.reporting.grid import Grid
+from servotrack.baselines.reporting.terminal import progress_bars
 from servotrack.estimators.types import Array
 
-COMMAND = "servotrack reproduce phd"
+PAPER_NAME = "gm_phd_video"
+COMMAND = f"servotrack reproduce {PAPER_NAME}"
 PAPER, AS_PRINTED = "GM-PHD, table 1, our detector", "GM-PHD, table 1"
 TUNED, UNFILTERED = "GM-PHD, tuned", "no filter"
 SHOWN_COUNTS = (AS_PRINTED, UNFILTERED, PAPER, TUNED, "PMB")
@@ -64,7 +65,7 @@ class Measured(NamedTuple):
     filter: Array
 
 
-def reproduce_phd(request: Request) -> None:
+def reproduce(request: Request) -> None:
     """Reproduce paper 000; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`."""
     with progress_bars() as progress:
         bar = progress.add_task("rendered sequences", total=request.runs)
@@ -92,7 +93,7 @@ def reproduce_phd(request: Request) -> None:
         "figure2": draw_frames(pictures),
         "figure3": draw_counts(played[0].numbers, shown, played[0].frame_rate),
     }
-    publish(request, "000", tables, claims, f", {request.runs} sequences", NOTE, figures)
+    publish(request, tables, claims, f", {request.runs} sequences", NOTE, figures)
 
 
 def measure(outcomes: Sequence[Mapping[str, Outcome]], played: Sequence[sequences.Sequence]) -> dict[str, Measured]:
@@ -171,7 +172,7 @@ def _at_least(difference: PairedDifference) -> Verdict:
 
 
 def _finding(claim: str, verdict: Verdict, effect: dict[str, object] | None, finding: str) -> Claim:
-    return Claim(claim, "000", "", "", verdict, effect, finding, COMMAND)
+    return Claim(claim, PAPER_NAME, "", "", verdict, effect, finding, COMMAND)
 
 
 def _effect(difference: PairedDifference, unit: str, measured: str) -> dict[str, object]:

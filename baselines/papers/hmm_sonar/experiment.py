@@ -15,8 +15,9 @@ from rich.progress import Progress
 
 from servotrack.baselines.agents.sonar.catalog import sonar_tracker
 from servotrack.baselines.evaluation import seeds
-from servotrack.baselines.evaluation.results import ResultsError, atomic_path, code_version
+from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.papers.hmm_sonar.scores import RecordScores, score_tracks
+from servotrack.baselines.reporting.files import ResultsError, atomic_path
 from servotrack.envs.track.sonar.array_model import SonarModel, scene_model_of
 from servotrack.envs.track.sonar.config import SonarConfig, sonar_config
 from servotrack.envs.track.sonar.records import draw_record

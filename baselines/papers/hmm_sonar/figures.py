@@ -9,7 +9,6 @@ import numpy as np
 
 from servotrack.baselines.agents.sonar.catalog import sonar_tracker
 from servotrack.baselines.evaluation.statistics import bootstrap_mean
-from servotrack.baselines.leaderboard.figure import STYLE
 from servotrack.baselines.papers.hmm_sonar.experiment import (
     CELL,
     HUNGARIAN,
@@ -25,6 +24,7 @@ from servotrack.baselines.papers.hmm_sonar.experiment import (
     simulation,
 )
 from servotrack.baselines.papers.hmm_sonar.findings import TONE, coverage, in_time
+from servotrack.baselines.reporting.figure import STYLE
 from servotrack.envs.track.clutter.render import identity_color
 from servotrack.envs.track.sonar.array_model import scene_model_of
 from servotrack.envs.track.sonar.config import sonar_config

@@ -14,7 +14,6 @@ from servotrack.baselines.evaluation.statistics import (
     paired_difference,
     wilson_interval,
 )
-from servotrack.baselines.leaderboard.table import Grid
 from servotrack.baselines.papers.claims import Claim, Verdict
 from servotrack.baselines.papers.hmm_sonar.experiment import (
     CELL,
@@ -31,11 +30,13 @@ from servotrack.baselines.papers.hmm_sonar.experiment import (
     Measures,
     simulation,
 )
+from servotrack.baselines.reporting.grid import Grid
 from servotrack.estimators.types import Array
 
 Found = Mapping[str, Mapping[str, Measures]]
 
-COMMAND = "servotrack reproduce sonar"
+PAPER_NAME = "hmm_sonar"
+COMMAND = f"servotrack reproduce {PAPER_NAME}"
 TONE, BROADBAND = 0, 1
 """Columns of the paper's targets."""
 IN_TIME = 1.0
@@ -267,4 +268,4 @@ def _claim(
     if effect is not None:
         value, low, high = (float(f"{end:.3g}") + 0.0 for end in effect[:3])
         shown = {"value": value, "low": low, "high": high, "unit": unit, "measured": measured}
-    return Claim(claim, "003", "", "", verdict, shown, finding, COMMAND)
+    return Claim(claim, PAPER_NAME, "", "", verdict, shown, finding, COMMAND)

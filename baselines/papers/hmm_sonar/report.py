@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from servotrack.baselines.evaluation import seeds
-from servotrack.baselines.evaluation.bench import progress_bars
-from servotrack.baselines.papers.claims import SHIPPED, fill, read_claims
+from servotrack.baselines.papers.claims import SHIPPED, claims_grid, fill, read_claims
 from servotrack.baselines.papers.hmm_sonar.experiment import ROW, SIMULATIONS, growth_of_cost, plan, run_all
 from servotrack.baselines.papers.hmm_sonar.figures import draw_offsets, draw_paper, draw_trial
 from servotrack.baselines.papers.hmm_sonar.findings import (
@@ -15,7 +14,8 @@ from servotrack.baselines.papers.hmm_sonar.findings import (
     trial_grid,
 )
 from servotrack.baselines.papers.publish import publish
-from servotrack.baselines.papers.reproduce import Request, claims_grid
+from servotrack.baselines.papers.request import Request
+from servotrack.baselines.reporting.terminal import progress_bars
 
 NOTE = (
     "Records of SonarTracking-v0 on test seeds, beamformed from snapshots; all methods on the same ones, which they "
@@ -29,7 +29,7 @@ COST_RECORDS = 9
 """Records for each number of targets whose tracking is timed."""
 
 
-def reproduce_sonar(request: Request) -> None:
+def reproduce(request: Request) -> None:
     """Reproduce paper 003; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`.
 
     Args:
@@ -52,4 +52,4 @@ def reproduce_sonar(request: Request) -> None:
         "The sea trial's stand-in, and noise": trial_grid(found),
         "Claims": claims_grid([claim for claim in claims if claim.command == COMMAND]),
     }
-    publish(request, "003", tables, claims, f", {request.runs} records of each condition", NOTE, figures)
+    publish(request, tables, claims, f", {request.runs} records of each condition", NOTE, figures)

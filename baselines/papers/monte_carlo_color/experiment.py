@@ -13,7 +13,8 @@ from rich.progress import Progress
 
 from servotrack.baselines.agents.color.catalog import color_tracker
 from servotrack.baselines.evaluation import seeds
-from servotrack.baselines.evaluation.results import ResultsError, atomic_path, code_version
+from servotrack.baselines.evaluation.provenance import code_version
+from servotrack.baselines.reporting.files import ResultsError, atomic_path
 from servotrack.baselines.tuning.color_films import film, track
 from servotrack.envs.track.color.config import LEVEL_NAMES
 from servotrack.estimators.types import Array

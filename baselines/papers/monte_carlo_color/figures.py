@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from servotrack.baselines.agents.color.catalog import color_tracker
 from servotrack.baselines.evaluation.statistics import bootstrap_mean
-from servotrack.baselines.leaderboard.figure import STYLE
 from servotrack.baselines.papers.monte_carlo_color.experiment import (
     DEVIATIONS,
     HUES,
@@ -30,6 +29,7 @@ from servotrack.baselines.papers.monte_carlo_color.experiment import (
     threshold_name,
 )
 from servotrack.baselines.papers.monte_carlo_color.findings import end_sizes, over_scenarios
+from servotrack.baselines.reporting.figure import STYLE
 from servotrack.baselines.tuning.color_films import film, track
 from servotrack.envs.track.color.config import LEVEL_NAMES
 from servotrack.envs.track.color.render import ANSWER, TRUTH, draw_box

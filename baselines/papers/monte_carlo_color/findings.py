@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from servotrack.baselines.evaluation.statistics import Interval, PairedDifference, bootstrap_mean, paired_difference
-from servotrack.baselines.leaderboard.table import Grid
 from servotrack.baselines.papers.claims import Claim, Verdict, judge_smaller
 from servotrack.baselines.papers.monte_carlo_color.experiment import (
     DEVIATIONS,
@@ -26,13 +25,15 @@ from servotrack.baselines.papers.monte_carlo_color.experiment import (
     samples_name,
     threshold_name,
 )
+from servotrack.baselines.reporting.grid import Grid
 from servotrack.envs.track.color.config import LEVEL_NAMES
 from servotrack.envs.track.color.scoring import failures, precision, success_curve
 from servotrack.estimators.types import Array
 
 Found = Mapping[str, Mapping[str, Measures]]
 
-COMMAND = "servotrack reproduce color"
+PAPER_NAME = "monte_carlo_color"
+COMMAND = f"servotrack reproduce {PAPER_NAME}"
 FRAME_RATE = 25.0
 """What the paper calls real time: its video's frames per second."""
 TRACKED = 0.5
@@ -214,7 +215,7 @@ def _claim(
     if effect is not None:
         value, low, high = (float(f"{end:.3g}") + 0.0 for end in effect[:3])
         shown = {"value": value, "low": low, "high": high, "unit": unit, "measured": measured}
-    return Claim(claim, "001", "", "", verdict, shown, finding, COMMAND)
+    return Claim(claim, PAPER_NAME, "", "", verdict, shown, finding, COMMAND)
 
 
 def _interval(interval: Sequence[float]) -> str:

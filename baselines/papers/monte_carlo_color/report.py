@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from servotrack.baselines.evaluation import seeds
-from servotrack.baselines.evaluation.bench import progress_bars
-from servotrack.baselines.papers.claims import SHIPPED, fill, read_claims
+from servotrack.baselines.papers.claims import SHIPPED, claims_grid, fill, read_claims
 from servotrack.baselines.papers.monte_carlo_color.experiment import (
     SLOW_TRACKERS,
     TRACKERS,
@@ -22,7 +21,8 @@ from servotrack.baselines.papers.monte_carlo_color.findings import (
     sensitivity_grid,
 )
 from servotrack.baselines.papers.publish import publish
-from servotrack.baselines.papers.reproduce import Request, claims_grid
+from servotrack.baselines.papers.request import Request
+from servotrack.baselines.reporting.terminal import progress_bars
 
 NOTE = (
     "Films of ColorTracking-v0 on test seeds from the second on (the first one's were looked at before), 200 frames of "
@@ -34,7 +34,7 @@ NOTE = (
 )
 
 
-def reproduce_color(request: Request) -> None:
+def reproduce(request: Request) -> None:
     """Reproduce paper 001; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`.
 
     Args:
@@ -57,4 +57,4 @@ def reproduce_color(request: Request) -> None:
         "Claims": claims_grid([claim for claim in claims if claim.command == COMMAND]),
     }
     figures = {"success": draw_success(found), "figure4": tracked, "sensitivity": draw_sensitivity(found)}
-    publish(request, "001", tables, claims, f", {request.runs} films of each scenario", NOTE, figures)
+    publish(request, tables, claims, f", {request.runs} films of each scenario", NOTE, figures)

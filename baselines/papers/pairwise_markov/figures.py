@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.baselines.leaderboard.figure import STYLE
 from servotrack.baselines.papers.pairwise_markov.experiment import Measures, SingleRun
+from servotrack.baselines.reporting.figure import STYLE
 from servotrack.estimators.types import Array
 
 if TYPE_CHECKING:

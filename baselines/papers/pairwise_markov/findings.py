@@ -21,7 +21,8 @@ from servotrack.baselines.papers.pairwise_markov.plan import (
 )
 from servotrack.estimators.types import Array
 
-COMMAND = "servotrack reproduce pmm"
+PAPER_NAME = "pairwise_markov"
+COMMAND = f"servotrack reproduce {PAPER_NAME}"
 ALIKE = 0.05
 """Numbers of targets that differ by less are alike."""
 
@@ -134,7 +135,7 @@ def _against_zero(values: Array) -> PairedDifference:
 
 
 def _finding(claim: str, verdict: Any, effect: dict[str, Any] | None, finding: str) -> Claim:
-    return Claim(claim, "004", "", "", verdict, effect, finding, COMMAND)
+    return Claim(claim, PAPER_NAME, "", "", verdict, effect, finding, COMMAND)
 
 
 def _effect(difference: PairedDifference, unit: str, measured: str) -> dict[str, Any]:

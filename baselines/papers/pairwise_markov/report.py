@@ -2,16 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from rich.console import Console
-
 from servotrack.baselines.evaluation import seeds
-from servotrack.baselines.evaluation.bench import progress_bars
-from servotrack.baselines.evaluation.results import atomic_path
-from servotrack.baselines.leaderboard.figure import save_figure
-from servotrack.baselines.leaderboard.table import as_markdown, as_rich
-from servotrack.baselines.papers.claims import SHIPPED, fill, read_claims, write_claims
+from servotrack.baselines.papers.claims import SHIPPED, claims_grid, fill, read_claims
 from servotrack.baselines.papers.pairwise_markov import tables as grids
 from servotrack.baselines.papers.pairwise_markov.experiment import draw_runs, single_run, time_steps
 from servotrack.baselines.papers.pairwise_markov.figures import (
@@ -34,6 +26,9 @@ from servotrack.baselines.papers.pairwise_markov.plan import (
     shares,
 )
 from servotrack.baselines.papers.pairwise_markov.runs import run_all
+from servotrack.baselines.papers.publish import publish
+from servotrack.baselines.papers.request import Request
+from servotrack.baselines.reporting.terminal import progress_bars
 from servotrack.estimators.types import Array
 
 TIMED_RUNS = 6
@@ -47,16 +42,15 @@ NOTE = (
 )
 
 
-def reproduce_pmm(output: Path, runs: int, console: Console, claims_path: Path | None) -> None:
-    """Reproduce paper 004; arguments and errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`."""
-    from servotrack.baselines.papers.reproduce import claims_grid, command_line
-
+def reproduce(request: Request) -> None:
+    """Reproduce Zhang et al. 2017; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`."""
+    runs = request.runs
     conditions, wanted = all_conditions(), shares(runs)
     plan = [(condition, seeds.take("test", wanted[kind])) for kind, condition in conditions]
     first = seeds.take("test", 1)[0]
     paper_world = next(condition for _, condition in conditions if condition.name == clutter_name(PAPER_RATE))
     with progress_bars() as progress:
-        found = run_all(plan, output / "runs", progress)
+        found = run_all(plan, request.output / "runs", progress)
         bar = progress.add_task("timing", total=len(CLUTTER_RATES) + 1)
         timed = seeds.take("tune", TIMED_RUNS)
         seconds: dict[tuple[str, float], Array] = {}
@@ -67,7 +61,7 @@ def reproduce_pmm(output: Path, runs: int, console: Console, claims_path: Path |
             progress.advance(bar)
         seconds["SMC-PHD", PAPER_RATE] = time_steps(["SMC-PHD"], paper_world, timed[:2])["SMC-PHD"]
         progress.advance(bar)
-    claims = fill(read_claims(claims_path or SHIPPED), findings(found, seconds))
+    claims = fill(read_claims(request.claims or SHIPPED), findings(found, seconds))
     rates = [found[clutter_name(rate)] for rate in CLUTTER_RATES]
     sweep = [found[detection_name(p)] for p in DETECTION_PROBABILITIES]
     tables = {
@@ -91,33 +85,16 @@ def reproduce_pmm(output: Path, runs: int, console: Console, claims_path: Path |
         f"Identity, {wanted['part']} runs: OSPA(2) and trajectory GOSPA in m": grids.identity_grid(found["identity"]),
         "Claims": claims_grid([claim for claim in claims if claim.command == COMMAND]),
     }
-    for title, grid in tables.items():
-        console.print(as_rich(grid, title))
-    console.print(NOTE, style="dim")
-
-    written = [output / "paper004.md", claims_path or output / "claims.yaml"]
-    with atomic_path(written[0]) as temporary:
-        parts = [
-            f"# Paper 004\n\nWritten by `{command_line()}`: {runs} runs at each clutter rate, ",
-            f"{wanted['part']} ",
-        ]
-        parts += [f"in the sweep over p_D, {wanted['few']} per structure. {NOTE}\n\n"]
-        parts += [f"## {title}\n\n{as_markdown(grid)}\n" for title, grid in tables.items()]
-        temporary.write_text("".join(parts), encoding="utf-8")
-    write_claims(claims, written[1])
     example = single_run("CBMeMBer-PMM", paper_world, first)
     counted = draw_runs(paper_world.config, [first])[0].exists[:-1].sum(axis=1)
     at_paper = {name: found[clutter_name(PAPER_RATE)][name] for name in METHODS}
-    for name, figure in (
-        ("figure1", draw_truth(example, paper_world.config.half_width)),
-        ("figure2", draw_estimates(example, "CBMeMBer-PMM")),
-        ("figure3", draw_numbers(at_paper, counted)),
-        ("figure4", draw_errors(at_paper)),
-        ("sweep-clutter", draw_sweep(CLUTTER_RATES, rates, METHODS, "clutter per scan")),
-        ("sweep-detection", draw_sweep(DETECTION_PROBABILITIES, sweep, METHODS, "detection probability")),
-    ):
-        for suffix in (".png", ".svg"):
-            save_figure(figure, output / f"{name}{suffix}")
-            written.append(output / f"{name}{suffix}")
-    for path in written:
-        console.print(str(path), soft_wrap=True)
+    figures = {
+        "figure1": draw_truth(example, paper_world.config.half_width),
+        "figure2": draw_estimates(example, "CBMeMBer-PMM"),
+        "figure3": draw_numbers(at_paper, counted),
+        "figure4": draw_errors(at_paper),
+        "sweep-clutter": draw_sweep(CLUTTER_RATES, rates, METHODS, "clutter per scan"),
+        "sweep-detection": draw_sweep(DETECTION_PROBABILITIES, sweep, METHODS, "detection probability"),
+    }
+    scope = f": {runs} runs at each clutter rate, {wanted['part']} in the sweep over p_D, {wanted['few']} per structure"
+    publish(request, tables, claims, scope, NOTE, figures)

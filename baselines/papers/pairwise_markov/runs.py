@@ -12,8 +12,9 @@ import numpy as np
 from joblib import Parallel, delayed
 from rich.progress import Progress
 
-from servotrack.baselines.evaluation.results import ResultsError, atomic_path, code_version
+from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.papers.pairwise_markov.experiment import METHODS, Condition, Measures, run_condition
+from servotrack.baselines.reporting.files import ResultsError, atomic_path
 
 CHUNK = 25
 """Runs that are filtered as one batch and kept as one file."""

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from servotrack.baselines.leaderboard.table import Grid
 from servotrack.baselines.papers.pairwise_markov.experiment import NARROW_CUTOFF, Measures
 from servotrack.baselines.papers.pairwise_markov.plan import CLUTTER_RATES, METHODS, STRUCTURES, excess, run_means
+from servotrack.baselines.reporting.grid import Grid
 from servotrack.estimators.types import Array
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from servotrack.baselines.agents.servo.anchors import FixedJacobian
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo, servo_measurement
-from servotrack.baselines.evaluation.episodes import servo_errors
+from servotrack.baselines.evaluation.servo_scores import servo_errors
 from servotrack.estimators.jacobian import (
     Excitation,
     JacobianPrior,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from servotrack.baselines.leaderboard.figure import STYLE
 from servotrack.baselines.papers.unscented_jacobian.experiment import Run
+from servotrack.baselines.reporting.figure import STYLE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,16 +9,18 @@ import numpy as np
 from rich.progress import Progress
 
 from servotrack.baselines.evaluation import seeds
-from servotrack.baselines.evaluation.bench import progress_bars
 from servotrack.baselines.evaluation.statistics import PairedDifference, paired_difference
-from servotrack.baselines.leaderboard.table import Grid
-from servotrack.baselines.papers.claims import SHIPPED, Claim, fill, judge_smaller, read_claims
+from servotrack.baselines.papers.claims import SHIPPED, Claim, claims_grid, fill, judge_smaller, read_claims
 from servotrack.baselines.papers.publish import publish
-from servotrack.baselines.papers.reproduce import Request, claims_grid
+from servotrack.baselines.papers.request import Request
 from servotrack.baselines.papers.unscented_jacobian import experiment
 from servotrack.baselines.papers.unscented_jacobian.experiment import POSITIONING, TRACKING, WORLD, Run
 from servotrack.baselines.papers.unscented_jacobian.figures import draw_trajectories
+from servotrack.baselines.reporting.grid import Grid
+from servotrack.baselines.reporting.terminal import progress_bars
 
+PAPER_NAME = "unscented_jacobian"
+COMMAND = f"servotrack reproduce {PAPER_NAME}"
 ALGORITHMS = ("KF", "PF", "UKF", "UKF as printed")
 SCALES = (1.0, 3.0, 10.0)
 KAPPAS = (-5.0, 0.0, 1.0, 3.0)
@@ -32,7 +34,7 @@ ASSUMED = (
 )
 
 
-def reproduce_servo(request: Request) -> None:
+def reproduce(request: Request) -> None:
     """Reproduce paper 002; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`."""
     runs = request.runs
     seed = seeds.TEST[0]
@@ -56,7 +58,7 @@ def reproduce_servo(request: Request) -> None:
     claims = fill(
         read_claims(request.claims or SHIPPED), _findings(audited, tracking, positioning, open_loop, closed_loop)
     )
-    tables["Claims"] = claims_grid([claim for claim in claims if claim.paper == "002"])
+    tables["Claims"] = claims_grid([claim for claim in claims if claim.command == COMMAND])
     figures = {
         name: draw_trajectories({algorithm: found[algorithm][0] for algorithm in ALGORITHMS}, title)
         for name, found, title in (
@@ -64,7 +66,7 @@ def reproduce_servo(request: Request) -> None:
             ("figure4", tracking, "Tracking (paper 002, figure 4)"),
         )
     }
-    publish(request, "002", tables, claims, "", ASSUMED, figures)
+    publish(request, tables, claims, "", ASSUMED, figures)
 
 
 def _runs(env_id: str, runs: int, seed: int, progress: Progress) -> dict[str, list[Run]]:
@@ -203,7 +205,7 @@ def _findings(
 
 
 def _finding(claim: str, verdict: Any, effect: dict[str, Any] | None, finding: str) -> Claim:
-    return Claim(claim, "002", "", "", verdict, effect, finding, "servotrack reproduce servo")
+    return Claim(claim, PAPER_NAME, "", "", verdict, effect, finding, COMMAND)
 
 
 def _effect(difference: PairedDifference, measured: str) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 from gymnasium.vector import AutoresetMode
@@ -11,7 +11,9 @@ from servotrack.envs.arguments import check_count
 from servotrack.envs.track.clutter.config import LEVEL_NAMES, ClutterConfig, clutter_config
 from servotrack.envs.track.clutter.scene_model import SceneModel, scene_model_of
 from servotrack.envs.track.clutter.world import ClutterWorld
-from servotrack.envs.track.env import TrackEnv, TrackVectorEnv, set_space
+from servotrack.envs.track.env import METADATA, TrackEnv, TrackVectorEnv, set_space
+
+_METADATA = METADATA | {"servotrack_kind": "clutter"}
 
 
 class ClutterTrackingEnv(TrackEnv):
@@ -87,6 +89,8 @@ class ClutterTrackingEnv(TrackEnv):
     * v0: initial version
     """
 
+    metadata: ClassVar[dict[str, Any]] = _METADATA  # type: ignore[misc]
+
     def __init__(self, level: int = 0, *, render_mode: str | None = None, **axes: Any) -> None:
         self.config = clutter_config(level, **axes)
         self.level = level
@@ -113,6 +117,8 @@ class ClutterTrackingVectorEnv(TrackVectorEnv):
         max_episode_steps: Shortens episodes, as `gym.make`'s argument of that name does.
         **axes: As in `ClutterTrackingEnv`.
     """
+
+    metadata: ClassVar[dict[str, Any]] = _METADATA  # type: ignore[misc]
 
     def __init__(
         self,

@@ -16,7 +16,7 @@ from servotrack.envs.track.env import TrackEnv, TrackVectorEnv
 
 Observation = dict[str, NDArray[Any]]
 
-METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 25}
+METADATA: dict[str, Any] = {"servotrack_kind": "color", "render_modes": list(RENDER_MODES), "render_fps": 25}
 
 
 class ColorTrackingEnv(TrackEnv):

@@ -19,7 +19,7 @@ from servotrack.envs.track.pedestrians.config import (
 from servotrack.envs.track.pedestrians.world import PedestrianWorld
 from servotrack.envs.track.people.camera_model import VideoModel
 
-_METADATA = METADATA | {"render_fps": 25}
+_METADATA = METADATA | {"servotrack_kind": "people", "render_fps": 25}
 
 
 class PedestrianTrackingEnv(TrackEnv):

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from servotrack.envs.arguments import check_count
-from servotrack.envs.track.env import TrackEnv, TrackVectorEnv, set_space
+from servotrack.envs.track.env import METADATA, TrackEnv, TrackVectorEnv, set_space
 from servotrack.envs.track.sonar.array_model import SonarModel, scene_model_of
 from servotrack.envs.track.sonar.config import LEVEL_NAMES, SonarConfig, sonar_config
 from servotrack.envs.track.sonar.world import SonarWorld
+
+_METADATA = METADATA | {"servotrack_kind": "sonar"}
 
 
 class SonarTrackingEnv(TrackEnv):
@@ -91,6 +93,8 @@ class SonarTrackingEnv(TrackEnv):
     * v0: initial version
     """
 
+    metadata: ClassVar[dict[str, Any]] = _METADATA  # type: ignore[misc]
+
     def __init__(self, level: int = 0, *, render_mode: str | None = None, **axes: Any) -> None:
         self.config = sonar_config(level, **axes)
         self.level = level
@@ -117,6 +121,8 @@ class SonarTrackingVectorEnv(TrackVectorEnv):
         max_episode_steps: Shortens episodes, as `gym.make`'s argument of that name does.
         **axes: As in `SonarTrackingEnv`.
     """
+
+    metadata: ClassVar[dict[str, Any]] = _METADATA  # type: ignore[misc]
 
     def __init__(
         self,

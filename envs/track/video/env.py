@@ -15,7 +15,7 @@ from servotrack.envs.track.people.camera_model import VideoModel
 from servotrack.envs.track.video.recording import VideoConfig, detection_bounds
 from servotrack.envs.track.video.world import VideoWorld
 
-_METADATA = METADATA | {"render_fps": 25}
+_METADATA = METADATA | {"servotrack_kind": "people", "render_fps": 25}
 
 
 class VideoTrackingEnv(TrackEnv):

@@ -26,14 +26,15 @@ import torch
 from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard, digest, load_card
 from servotrack.baselines.agents.learned.encoding import create_encoding
 from servotrack.baselines.agents.learned.jacobian import jacobian_encoding
-from servotrack.baselines.agents.learned.marker_network import open_eyes
+from servotrack.baselines.agents.learned.marker_network import open_marker_network
 from servotrack.baselines.agents.learned.network import OnnxNetwork
 from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
 from servotrack.baselines.agents.learned.set_prediction import SetWindow
 from servotrack.baselines.agents.registry import agent_card, create_agent
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.evaluate import run_episodes
-from servotrack.baselines.evaluation.results import ResultsError, ResultsFolder
+from servotrack.baselines.evaluation.results import ResultsFolder
+from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.training.command import TrainingRequest, run_training
 from servotrack.baselines.training.comparison import compare
 from servotrack.baselines.training.dispatch import train
@@ -322,7 +323,7 @@ def test_eyes_learn_and_see_what_they_have_learned(tmp_path: Path) -> None:
     yard = PeriodicEvaluation("UncalibServoPixels-v0", world, ResultsFolder(tmp_path / "classical"), episodes=2)
     curve = train(task, yard)
     path = tmp_path / "eyes" / "agent.json"
-    eyes = open_eyes(str(path))
+    eyes = open_marker_network(str(path))
     env = gym.make_vec("UncalibServoPixels-v0", num_envs=16, pixel_noise=0.0, **world)
     observation, _ = env.reset(seed=list(range(100_000, 100_016)))
     place, seen = eyes.detect(observation["image"])

@@ -1,4 +1,4 @@
-"""Paper 004: it sees the scans of the environment, resumes, refuses foreign files, and finds what must be found."""
+"""The pairwise_markov experiment: scans of the environment, resuming, foreign files, and the expected ordering."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import pytest
 from rich.progress import Progress
 
 import servotrack  # noqa: F401
-from servotrack.baselines.evaluation.results import ResultsError
 from servotrack.baselines.papers.claims import read_claims
 from servotrack.baselines.papers.pairwise_markov.experiment import (
     METHODS,
@@ -20,6 +19,7 @@ from servotrack.baselines.papers.pairwise_markov.experiment import (
 from servotrack.baselines.papers.pairwise_markov.findings import COMMAND
 from servotrack.baselines.papers.pairwise_markov.plan import all_conditions, excess, run_means, shares
 from servotrack.baselines.papers.pairwise_markov.runs import run_all
+from servotrack.baselines.reporting.files import ResultsError
 from servotrack.estimators.metrics import ospa
 
 SHORT = {"horizon": 30}

@@ -1,4 +1,4 @@
-"""Paper 000's reproduction: from frames to counts, scores, claims and figures, on short sequences."""
+"""The gm_phd_video reproduction: from frames to counts, scores, claims and figures, on short sequences."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from servotrack.baselines.papers import reproduce, sequences, transfer
 from servotrack.baselines.papers.gm_phd_video import experiment, report
 from servotrack.baselines.papers.gm_phd_video.experiment import Method, Outcome, count_right, run_methods
 from servotrack.baselines.papers.gm_phd_video.figures import draw_counts
+from servotrack.baselines.papers.request import Recording
 from servotrack.estimators.metrics import Track
 
 
@@ -79,8 +80,8 @@ def test_counts_are_drawn_one_panel_per_method() -> None:
 
 def test_recordings_go_only_with_what_takes_them(tmp_path: Path) -> None:
     console = Console(file=io.StringIO())
-    with pytest.raises(ValueError, match="--source goes with phd and transfer"):
-        reproduce.reproduce_paper("servo", tmp_path, 1, console, None, [reproduce.Recording("a.avi", None)])
+    with pytest.raises(ValueError, match="--source goes with gm_phd_video, transfer, got it with 'hmm_sonar'"):
+        reproduce.reproduce_paper("hmm_sonar", tmp_path, 1, console, None, [Recording("a.avi", None)])
 
 
 def test_a_recording_ends_where_its_frames_end() -> None:
@@ -90,8 +91,10 @@ def test_a_recording_ends_where_its_frames_end() -> None:
 
 @pytest.mark.slow
 def test_the_whole_command(tmp_path: Path) -> None:
-    reproduce.reproduce_paper("phd", tmp_path, 1, Console(file=io.StringIO(), width=170))
-    assert {"paper000.md", "claims.yaml", "figure2.png", "figure3.svg"} <= {path.name for path in tmp_path.iterdir()}
+    reproduce.reproduce_paper("gm_phd_video", tmp_path, 1, Console(file=io.StringIO(), width=170))
+    assert {"gm_phd_video.md", "claims.yaml", "figure2.png", "figure3.svg"} <= {
+        path.name for path in tmp_path.iterdir()
+    }
 
 
 @pytest.mark.slow

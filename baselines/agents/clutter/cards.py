@@ -1,0 +1,49 @@
+"""Cards of the observers of points in clutter. Set filters also observe people on video."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from servotrack.baselines.agents.protocol import TRUTH, AgentCard, Information
+
+_SETS: dict[str, Any] = {
+    "worlds": frozenset({"clutter", "people"}),
+    # In clutter the parameters of the very sensor are known, on video only typical ones of people.
+    "information_in": {"people": "structure"},
+}
+
+
+def _observer(name: str, summary: str, information: Information = "calibrated", **fields: Any) -> AgentCard:
+    estimator = name.removesuffix("-hmm")
+    parameters: dict[str, Any] = {"estimator": estimator}
+    if estimator != name:
+        parameters["hidden_markov"] = True
+    return AgentCard(
+        name,
+        "servotrack.baselines.agents.tracking:create_observer",
+        information,
+        summary,
+        parameters=parameters,
+        **{"worlds": frozenset({"clutter"}), **fields},
+    )
+
+
+CARDS = (
+    _observer("gm-phd", "Gaussian-mixture PHD filter, pairwise Markov where the noises depend on each other", **_SETS),
+    _observer("gm-phd-hmm", "Gaussian-mixture PHD filter that takes the noises for independent"),
+    _observer("gm-phd-anywhere", "the same filter, that also expects a few births anywhere", in_default_suite=False),
+    _observer(
+        "gm-phd-counting",
+        "the same filter, its detection probability and clutter from what it counts, births anywhere",
+        in_default_suite=False,
+    ),
+    _observer("gm-cbmember", "cardinality-balanced multi-Bernoulli filter (paper 004)", **_SETS),
+    _observer("gm-cbmember-hmm", "the same with the noises taken for independent"),
+    _observer("pmb", "track-oriented Poisson multi-Bernoulli filter with belief propagation", **_SETS),
+    _observer("pmb-hmm", "the same with the noises taken for independent"),
+    _observer("smc-phd", "particle PHD filter with k-means extraction"),
+    _observer("gnn", "Kalman tracks, nearest neighbors by one assignment, 3-of-5 confirmation"),
+    _observer("gnn-hmm", "the same with the noises taken for independent"),
+    _observer("raw-measurements", "reports every measurement as a target", "model-free", worlds=_SETS["worlds"]),
+    _observer("association-oracle", "told which measurement is whose: Kalman filters", "privileged", requires=TRUTH),
+)

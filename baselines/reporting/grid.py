@@ -1,0 +1,49 @@
+"""Tables of strings, for the terminal (Rich) and for documents (Markdown)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from rich.table import Table
+
+
+class Grid(NamedTuple):
+    """A table of strings.
+
+    Attributes:
+        headings: One per column.
+        rows: Cells.
+        words: How many columns from the left hold words and not numbers.
+    """
+
+    headings: list[str]
+    rows: list[list[str]]
+    words: int
+
+
+def as_rich(grid: Grid, title: str) -> Table:
+    """A grid for the terminal."""
+    table = Table(title=title, title_justify="left", header_style="bold", row_styles=["", "dim"], pad_edge=False)
+    for i, heading in enumerate(grid.headings):
+        table.add_column(heading, justify="left" if i < grid.words else "right", no_wrap=i == 0 and grid.words == 2)
+    for row in grid.rows:
+        table.add_row(*row)
+    return table
+
+
+def as_markdown(grid: Grid) -> str:
+    """A grid as a Markdown table."""
+    alignment = [":--" if i < grid.words else "--:" for i in range(len(grid.headings))]
+    lines = [grid.headings, alignment, *grid.rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
+
+
+def as_sections(grids: Mapping[str, Grid], heading: str) -> str:
+    """Tables under their titles as Markdown.
+
+    Args:
+        grids: By their titles.
+        heading: What begins a title, "##" for example.
+    """
+    return "\n".join(f"{heading} {title}\n\n{as_markdown(grid)}" for title, grid in grids.items())
