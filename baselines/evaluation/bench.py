@@ -6,6 +6,7 @@ import inspect
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -92,6 +93,40 @@ def _has_levels(env_id: str) -> bool:
     entry = spec.entry_point
     creator = gym.envs.registration.load_env_creator(entry) if isinstance(entry, str) else entry
     return creator is not None and "level" in inspect.signature(creator).parameters and "level" not in spec.kwargs
+
+
+def bench(
+    env_id: str = "UncalibServo-v0",
+    agents: Sequence[str] | None = None,
+    levels: Sequence[int] | None = None,
+    *,
+    folder: str | Path,
+    episodes: int = DEFAULT_EPISODES,
+    split: str = "test",
+    jobs: int = -1,
+    settings: Mapping[str, Any] | None = None,
+) -> list[CellResults]:
+    """Evaluate agents on the levels of one environment; the Python face of `servotrack bench`.
+
+    Args:
+        env_id: Gymnasium id.
+        agents: Names, "module:callable" or files; None for the default suite of the kind of world.
+        levels: Levels; None for 0 to 5, or for the environment as it is where it has no levels.
+        folder: Results folder. Finished cells in it are not evaluated again.
+        episodes: Episodes per cell.
+        split: Seed range: "test" for reported numbers, "tune" while parameters are still being chosen.
+        jobs: Processes, as in joblib; -1 for all processors.
+        settings: Arguments of the environment besides its level.
+
+    Returns:
+        One cell per level and agent, for `servotrack.baselines.leaderboard.summary.summarize`.
+
+    Raises:
+        ValueError: An unknown agent, level or split.
+        ResultsError: The folder cannot be used.
+    """
+    cells = suite_of(env_id, agents, levels, settings)
+    return run_suite(cells, ResultsFolder(folder), episodes=episodes, split=split, jobs=jobs)
 
 
 def run_suite(
