@@ -10,10 +10,10 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from servotrack.envs.drawing.palette import Color
 from servotrack.estimators.types import FloatArray, Image
 
 Stroke = list[tuple[float, float]]
-Color = tuple[int, int, int]
 
 _DIGIT_HEIGHT = 7.0
 _SUPERSAMPLING = 8

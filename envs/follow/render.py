@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
+from servotrack.envs.drawing.palette import FLOOR, INK, PAPER, SOFT_INK, Color, fixed_point, mix
 from servotrack.envs.follow.looks import Looks
 from servotrack.envs.follow.painting import paint_panel
 from servotrack.envs.servo import backdrop as still
-from servotrack.envs.servo.backdrop import Color, fixed_point, mix
 from servotrack.envs.servo.exposure import trace_rays
 from servotrack.envs.servo.imaging import Rays, no_rays
 from servotrack.envs.servo.render import crosshair, draw_arm, light_footprint, round_corners, trail
@@ -111,8 +111,8 @@ def draw(scene: FollowScene) -> Image:
 def _draw_floor(panel: Image, scene: FollowScene, lit_floor: Image) -> None:
     reach = float(np.sum(scene.links))
     light_footprint(panel, still.floor_pixels(scene.footprint, reach), lit_floor)
-    trail(panel, still.floor_pixels(scene.person_trail, reach), still.FLOOR, still.TARGET)
-    trail(panel, still.floor_pixels(scene.tool_trail, reach), still.FLOOR, still.TOOL)
+    trail(panel, still.floor_pixels(scene.person_trail, reach), FLOOR, still.TARGET)
+    trail(panel, still.floor_pixels(scene.tool_trail, reach), FLOOR, still.TOOL)
     camera, view, rays = _panel_camera(round(reach, 6))
     crowd = np.ascontiguousarray(panel)
     looks = scene.looks
@@ -126,7 +126,7 @@ def _draw_floor(panel: Image, scene: FollowScene, lit_floor: Image) -> None:
     cv2.addWeighted(crowd, _ARM, panel, 1.0 - _ARM, 0.0, dst=panel)
     still.draw_legend(panel)
     _ring(panel, still.floor_pixels(scene.people[0], reach), _RING * still.floor_scale(reach), still.TARGET)
-    put_text(panel, f"{max(scene.time, 0.0):.1f} s", panel.shape[1] - 14, 20, still.SOFT_INK, align="right")
+    put_text(panel, f"{max(scene.time, 0.0):.1f} s", panel.shape[1] - 14, 20, SOFT_INK, align="right")
 
 
 @lru_cache(maxsize=16)
@@ -149,7 +149,7 @@ def _draw_camera(panel: Image, scene: FollowScene) -> None:
     side = panel.shape[0]
     scale = side / scene.camera_size
     cv2.resize(scene.camera_image, (side, side), dst=panel, interpolation=cv2.INTER_NEAREST)
-    trail(panel, scene.image_trail * scale, mix(still.FLOOR, still.LENS, 0.5), still.TARGET)
+    trail(panel, scene.image_trail * scale, mix(FLOOR, still.LENS, 0.5), still.TARGET)
     if scene.detections is not None:
         _draw_detections(panel, scene.detections, scale)
     crosshair(panel, scene.goal * scale)
@@ -190,20 +190,20 @@ def _distance_height(distance: Array | float) -> Array:
 def _distance_axes() -> Image:
     """The lower panel without anything that moves: up to 10 cm is on target, up to half a meter followed."""
     panel = np.empty((still.ERROR_PANEL.height, still.ERROR_PANEL.width, 3), np.uint8)
-    panel[:] = mix(still.PAPER, still.FLOOR, 0.45)
+    panel[:] = mix(PAPER, FLOOR, 0.45)
     left, right = still.ERROR_PLOT.left, still.ERROR_PLOT.left + still.ERROR_PLOT.width
     bottom = still.ERROR_PLOT.top + still.ERROR_PLOT.height
     for distance, label, strength in ((0.5, "0.5 m", 0.06), (0.1, "10 cm", 0.10)):
         row = round(float(_distance_height(distance)))
-        panel[row:bottom, left:right] = mix(still.PAPER, still.TOOL, strength)
-        panel[row, left:right] = mix(still.PAPER, still.TOOL, 0.45)
-        put_text(panel, label, left - 6, row + 3, still.SOFT_INK, height=6, weight=0.9, align="right")
+        panel[row:bottom, left:right] = mix(PAPER, still.TOOL, strength)
+        panel[row, left:right] = mix(PAPER, still.TOOL, 0.45)
+        put_text(panel, label, left - 6, row + 3, SOFT_INK, height=6, weight=0.9, align="right")
     for distance in (_SHORTEST, _LONGEST):
-        panel[round(float(_distance_height(distance))), left:right] = mix(still.PAPER, still.INK, 0.12)
-    put_text(panel, "distance", left, 14, still.SOFT_INK)
+        panel[round(float(_distance_height(distance))), left:right] = mix(PAPER, INK, 0.12)
+    put_text(panel, "distance", left, 14, SOFT_INK)
     for name, color, column, _ in _MARKS:
         panel[9:13, column : column + 4] = color
-        put_text(panel, name, column + 9, 14, still.SOFT_INK, height=6, weight=0.9)
+        put_text(panel, name, column + 9, 14, SOFT_INK, height=6, weight=0.9)
     return panel
 
 
@@ -216,6 +216,6 @@ def _draw_distance(panel: Image, scene: FollowScene) -> None:
             panel[row : row + 3, column : column + 2] = color
     if len(columns) > 1:
         curve = fixed_point(np.stack([columns, _distance_height(scene.distances)], axis=-1))
-        cv2.polylines(panel, [curve], False, still.INK, 1, cv2.LINE_AA, 4)
+        cv2.polylines(panel, [curve], False, INK, 1, cv2.LINE_AA, 4)
         cv2.circle(panel, curve[-1].tolist(), 45, still.TARGET, -1, cv2.LINE_AA, 4)
-    put_text(panel, f"{scene.distance:.2f} m", plot.left + plot.width, 14, still.INK, align="right")
+    put_text(panel, f"{scene.distance:.2f} m", plot.left + plot.width, 14, INK, align="right")

@@ -7,23 +7,27 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
+from servotrack.envs.drawing.palette import (
+    FLOOR,
+    FLOOR_GRID,
+    INK,
+    PAPER,
+    SOFT_INK,
+    TEAL,
+    VERMILION,
+    Color,
+    Panel,
+    fixed_point,
+    mix,
+)
 from servotrack.envs.servo.footprint import GRID_SPACING
 from servotrack.estimators.types import Array, FloatArray, Image, Labels
 
-Color = tuple[int, int, int]
-
-PAPER: Color = (250, 248, 244)
-FLOOR: Color = (236, 231, 222)
-FLOOR_GRID: Color = (222, 215, 203)
-INK: Color = (38, 50, 64)
-SOFT_INK: Color = (128, 136, 144)
-IVORY: Color = (253, 252, 249)
-TARGET: Color = (226, 85, 52)
+TARGET: Color = VERMILION
 DISTRACTOR: Color = (76, 112, 188)
-TOOL: Color = (20, 126, 130)
+TOOL: Color = TEAL
 LENS: Color = (27, 36, 46)
 LENS_GRID: Color = (49, 62, 75)
 LENS_INK: Color = (148, 160, 170)
@@ -31,19 +35,6 @@ GOAL: Color = (242, 240, 232)
 
 WIDTH, HEIGHT = 720, 416
 MARGIN = 16
-
-
-class Panel(NamedTuple):
-    """A rectangle of the picture, px."""
-
-    left: int
-    top: int
-    width: int
-    height: int
-
-    def of(self, image: NDArray) -> NDArray:
-        """The panel's part of an image, a view."""
-        return image[self.top : self.top + self.height, self.left : self.left + self.width]
 
 
 FLOOR_PANEL = Panel(MARGIN, MARGIN, 384, 384)
@@ -77,13 +68,6 @@ def error_height(error: Array | float) -> Array:
     low, high = ERROR_DECADES
     decade = np.log10(np.clip(error, 10.0**low, 10.0**high))
     return ERROR_PLOT.top + ERROR_PLOT.height * (high - decade) / (high - low)
-
-
-@lru_cache(maxsize=256)
-def mix(a: Color, b: Color, weight: float) -> Color:
-    """A color between `a` (weight 0) and `b` (weight 1)."""
-    red, green, blue = (round(x + (y - x) * weight) for x, y in zip(a, b, strict=True))
-    return (red, green, blue)
 
 
 class Backdrop(NamedTuple):
@@ -178,12 +162,3 @@ def _rounded_corners() -> tuple[Labels, FloatArray]:
         part[-radius:, :radius], part[-radius:, -radius:] = corner[::-1], corner[::-1, ::-1]
     rim = np.flatnonzero(opacity < 1.0)
     return rim, opacity.ravel()[rim, None]
-
-
-def fixed_point(points: Array) -> NDArray[np.int32]:
-    """Pixel coordinates (..., 2) as OpenCV's sub-pixel integers with four fractional bits.
-
-    Values are cut far outside any image, because OpenCV overflows beyond.
-    """
-    scaled = np.rint(np.multiply(points, 16.0))
-    return np.minimum(np.maximum(scaled, -64000.0), 64000.0).astype(np.int32)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
+from servotrack.envs.drawing.palette import FLOOR, INK, IVORY, PAPER, SOFT_INK, Color, fixed_point, mix
 from servotrack.envs.servo import backdrop as still
-from servotrack.envs.servo.backdrop import Color, fixed_point, mix
 from servotrack.estimators.types import Array, Image
 
 TRAIL_LENGTH = 126
@@ -95,7 +95,7 @@ def round_corners(image: Image, parts: still.Backdrop) -> None:
     """Give the panels their round corners, once they are drawn."""
     pixels = image.reshape(-1, 3)
     inside = pixels[parts.rim] * parts.rim_opacity
-    pixels[parts.rim] = np.rint(inside + np.array(still.PAPER) * (1.0 - parts.rim_opacity))
+    pixels[parts.rim] = np.rint(inside + np.array(PAPER) * (1.0 - parts.rim_opacity))
 
 
 def _draw_floor(panel: Image, scene: ServoScene, lit_floor: Image) -> None:
@@ -103,14 +103,14 @@ def _draw_floor(panel: Image, scene: ServoScene, lit_floor: Image) -> None:
     scale = still.floor_scale(reach) * reach
     if scene.footprint is not None:
         light_footprint(panel, still.floor_pixels(scene.footprint, reach), lit_floor)
-    trail(panel, still.floor_pixels(scene.target_trail, reach), still.FLOOR, still.TARGET)
-    trail(panel, still.floor_pixels(scene.tool_trail, reach), still.FLOOR, still.TOOL)
+    trail(panel, still.floor_pixels(scene.target_trail, reach), FLOOR, still.TARGET)
+    trail(panel, still.floor_pixels(scene.tool_trail, reach), FLOOR, still.TOOL)
 
     if scene.distractor is not None:
         _marker(panel, still.floor_pixels(scene.distractor, reach), 0.021 * scale, still.DISTRACTOR)
     draw_arm(panel, scene.links, scene.joint_angles)
     _marker(panel, still.floor_pixels(scene.target, reach), 0.021 * scale, still.TARGET)
-    put_text(panel, f"{max(scene.time, 0.0):.1f} s", panel.shape[1] - 14, 20, still.SOFT_INK, align="right")
+    put_text(panel, f"{max(scene.time, 0.0):.1f} s", panel.shape[1] - 14, 20, SOFT_INK, align="right")
 
 
 def light_footprint(panel: Image, corners: Array, lit_floor: Image) -> None:
@@ -119,7 +119,7 @@ def light_footprint(panel: Image, corners: Array, lit_floor: Image) -> None:
     mask = np.zeros(panel.shape[:2], dtype=np.uint8)
     cv2.fillPoly(mask, [outline], 255, cv2.LINE_8, 4)
     cv2.copyTo(lit_floor, mask, panel)
-    cv2.polylines(panel, [outline], True, mix(still.FLOOR, still.TOOL, 0.45), 1, cv2.LINE_AA, 4)
+    cv2.polylines(panel, [outline], True, mix(FLOOR, still.TOOL, 0.45), 1, cv2.LINE_AA, 4)
 
 
 def trail(panel: Image, points: Array, floor: Color, color: Color) -> None:
@@ -173,19 +173,19 @@ def _shadow(panel: Image, base: Array, elbow: Array, tool: Array, scale: float) 
 def _arm(panel: Image, base: Array, elbow: Array, tool: Array, heading: float, scale: float) -> None:
     """Base, two tapered links, joints, and the camera at the tool."""
     plate = 0.080 * scale
-    disc(panel, base, plate, mix(still.INK, still.PAPER, 0.62))
-    disc(panel, base, plate - 1.3, mix(still.FLOOR, still.PAPER, 0.35))
+    disc(panel, base, plate, mix(INK, PAPER, 0.62))
+    disc(panel, base, plate - 1.3, mix(FLOOR, PAPER, 0.35))
     _link(panel, base, elbow, 0.042 * scale, 0.033 * scale)
     _link(panel, elbow, tool, 0.033 * scale, 0.022 * scale)
     for joint, radius in ((base, 0.027 * scale), (elbow, 0.0215 * scale)):
-        disc(panel, joint, radius, still.INK)
-        disc(panel, joint, 0.5 * radius, still.IVORY)
+        disc(panel, joint, radius, INK)
+        disc(panel, joint, 0.5 * radius, IVORY)
     half = 0.036 * scale
     a, b = half * np.cos(heading), -half * np.sin(heading)
     body = fixed_point(tool + np.array([(a - b, b + a), (a + b, b - a), (b - a, -b - a), (-a - b, a - b)]))
     cv2.fillConvexPoly(panel, body, still.TOOL, cv2.LINE_AA, 4)
     cv2.polylines(panel, [body], True, still.TOOL, 2, cv2.LINE_AA, 4)
-    disc(panel, tool, 0.031 * scale, still.IVORY)
+    disc(panel, tool, 0.031 * scale, IVORY)
 
 
 def _link(panel: Image, start: Array, end: Array, start_width: float, end_width: float) -> None:
@@ -193,18 +193,18 @@ def _link(panel: Image, start: Array, end: Array, start_width: float, end_width:
     (x0, y0), (x1, y1) = start.tolist(), end.tolist()
     length = max(np.hypot(x1 - x0, y1 - y0), 1e-9)
     c, s = (x1 - x0) / length, (y1 - y0) / length
-    for color, grow in ((still.INK, 1.3), (still.IVORY, 0.0)):
+    for color, grow in ((INK, 1.3), (IVORY, 0.0)):
         a, b = start_width + grow, end_width + grow
         sides = [(x0 - s * a, y0 + c * a), (x1 - s * b, y1 + c * b), (x1 + s * b, y1 - c * b), (x0 + s * a, y0 - c * a)]
         cv2.fillConvexPoly(panel, fixed_point(np.array(sides)), color, cv2.LINE_AA, 4)
         disc(panel, start, a, color)
     a, b = 2.2 * start_width, 3.0 * end_width
     groove = np.array([(x0 + a * c, y0 + a * s), (x1 - b * c, y1 - b * s)])
-    cv2.polylines(panel, [fixed_point(groove)], False, mix(still.IVORY, still.INK, 0.20), 2, cv2.LINE_AA, 4)
+    cv2.polylines(panel, [fixed_point(groove)], False, mix(IVORY, INK, 0.20), 2, cv2.LINE_AA, 4)
 
 
 def _marker(panel: Image, center: Array, radius: float, color: Color) -> None:
-    disc(panel, center, radius + 1.5, still.IVORY)
+    disc(panel, center, radius + 1.5, IVORY)
     disc(panel, center, radius, color)
 
 
@@ -255,9 +255,9 @@ def _draw_error(panel: Image, scene: ServoScene) -> None:
     if len(history) > 1:
         columns = plot.left + plot.width * np.arange(len(history)) / (ERROR_SPAN - 1)
         curve = fixed_point(np.stack([columns, still.error_height(history)], axis=-1))
-        cv2.polylines(panel, [curve], False, still.INK, 1, cv2.LINE_AA, 4)
+        cv2.polylines(panel, [curve], False, INK, 1, cv2.LINE_AA, 4)
         cv2.circle(panel, curve[-1].tolist(), 45, still.TARGET, -1, cv2.LINE_AA, 4)
-    put_text(panel, _length(scene.tracking_error), plot.left + plot.width, 14, still.INK, align="right")
+    put_text(panel, _length(scene.tracking_error), plot.left + plot.width, 14, INK, align="right")
 
 
 def _length(meters: float) -> str:

@@ -10,6 +10,7 @@ from gymnasium.error import DependencyNotInstalled, ResetNeeded
 
 import servotrack  # noqa: F401
 from servotrack.envs.drawing.glyphs import put_text, text_width
+from servotrack.envs.drawing.palette import IVORY
 from servotrack.envs.drawing.viewer import Viewer
 from servotrack.envs.servo import backdrop as still
 from servotrack.envs.servo.footprint import camera_footprint, floor_lines
@@ -65,8 +66,8 @@ def test_target_tool_and_feature_are_where_the_geometry_puts_them():
     phi = JOINTS.sum()
     tool = 0.5 * np.array([np.cos(JOINTS[0]) + np.cos(phi), np.sin(JOINTS[0]) + np.sin(phi)])
     assert near(floor_color(image, [0.7, 0.3]), still.TARGET)
-    assert near(floor_color(image, tool), still.IVORY)
-    assert near(floor_color(image, [0.0, 0.0]), still.IVORY)
+    assert near(floor_color(image, tool), IVORY)
+    assert near(floor_color(image, [0.0, 0.0]), IVORY)
     assert near(camera_color(image, [300.0, 120.0]), still.TARGET)
 
 

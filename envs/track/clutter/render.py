@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
-from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, IVORY, PAPER, SOFT_INK, Color, Panel, mix
+from servotrack.envs.drawing.palette import FLOOR, FLOOR_GRID, INK, IVORY, PAPER, SOFT_INK, VERMILION, Color, Panel, mix
 from servotrack.estimators.types import Array, Image
 
 WIDTH, HEIGHT = 800, 544
@@ -30,7 +30,7 @@ _TITLE = 26
 _GRID_LINES = 8
 _BANDS = 5
 _SHIFT = 4
-_ERROR_COLOR: Color = (226, 85, 52)
+_ERROR_COLOR: Color = VERMILION
 _GOLDEN = 0.6180339887498949
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
-from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, PAPER, SOFT_INK, Color, Panel, mix
+from servotrack.envs.drawing.palette import FLOOR, FLOOR_GRID, INK, PAPER, SOFT_INK, Color, Panel, mix
 from servotrack.envs.track.color.world import ColorWorld
 from servotrack.estimators.types import Array, Image
 

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from servotrack.envs.drawing.glyphs import put_text, text_width
-from servotrack.envs.servo.backdrop import INK, IVORY, Color, mix
+from servotrack.envs.drawing.palette import INK, IVORY, Color, mix
 from servotrack.envs.track.clutter.render import TRAIL_LENGTH, identity_color
 from servotrack.estimators.types import Array, Image
 

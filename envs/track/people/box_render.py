@@ -9,7 +9,19 @@ import cv2
 import numpy as np
 
 from servotrack.envs.drawing.glyphs import put_text, text_width
-from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, PAPER, SOFT_INK, Color, Panel, fixed_point, mix
+from servotrack.envs.drawing.palette import (
+    FLOOR,
+    FLOOR_GRID,
+    INK,
+    PAPER,
+    SOFT_INK,
+    TEAL,
+    VERMILION,
+    Color,
+    Panel,
+    fixed_point,
+    mix,
+)
 from servotrack.envs.track.people.box_paint import BoxTrail, annotate, printable
 from servotrack.estimators.types import Array, Image
 
@@ -20,8 +32,8 @@ _PLOT_HEIGHT, _GAP = 112, 12
 _INSET, _TITLE = 14, 26
 _NARROWEST = 320  # of the picture's inner part, so that the plots have room
 _TRUTH_COLOR: Color = mix(FLOOR, INK, 0.38)
-_ERROR_COLOR: Color = (226, 85, 52)
-_NUMBER_COLOR: Color = (20, 126, 130)
+_ERROR_COLOR: Color = VERMILION
+_NUMBER_COLOR: Color = TEAL
 
 
 def _no_boxes() -> Array:

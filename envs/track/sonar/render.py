@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
-from servotrack.envs.servo.backdrop import FLOOR, FLOOR_GRID, INK, IVORY, PAPER, SOFT_INK, Color, Panel, mix
+from servotrack.envs.drawing.palette import FLOOR, FLOOR_GRID, INK, IVORY, PAPER, SOFT_INK, VERMILION, Color, Panel, mix
 from servotrack.envs.track.clutter.render import draw_curve, identity_color, write_value
 from servotrack.estimators.metrics import Track
 from servotrack.estimators.types import Array, Image
@@ -26,7 +26,7 @@ _NUMBER_PANEL = Panel(544, 16, 240, 248)
 _ERROR_PANEL = Panel(544, 280, 240, 248)
 _INSET, _TITLE = 14, 26
 _SHIFT = 4
-_ERROR_COLOR: Color = (226, 85, 52)
+_ERROR_COLOR: Color = VERMILION
 _BEARING_MARKS = (0, 30, 60, 90, 120, 150, 180)
 _PALE, _FAINTEST, _LOUDEST = 2.5, 15.0, 1000.0
 """Deviations of noise up to which all is nearly white; what is black is the loudest shown, but within these bounds."""
