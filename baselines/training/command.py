@@ -1,4 +1,4 @@
-"""The `train` command: several runs with progress beside the classical agents, and the best one with its card."""
+"""The `train` command: train several runs with a progress display, then export the best one with its card."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from servotrack.baselines.worlds import describe_environment
 
 @dataclass(frozen=True)
 class TrainingRequest:
-    """What to train.
+    """Arguments of the `train` command.
 
     Attributes:
         env_id: Gymnasium id.
         env_kwargs: Arguments of the environment.
         settings: Hyper-parameters.
-        seeds: One run each.
-        folder: Where runs lie, each in a folder of its own, and what the classical agents reach on the tune seeds.
-        jobs: Runs at a time.
-        name: Of the agent.
-        ship: Folder for the best run's network and card; None for that of the runs.
+        seeds: Seeds of the runs, one run each.
+        folder: Folder of runs, one subfolder each, and of the classical agents' results on the tune seeds.
+        jobs: Number of runs trained in parallel.
+        name: Name of the agent; None: the recipe's.
+        ship: Folder for the best run's network and card; None: that of the runs.
     """
 
     env_id: str
@@ -55,24 +55,26 @@ class TrainingRequest:
 
     @property
     def environment(self) -> Path:
-        """Folder of everything in this environment."""
+        """Folder of all runs in this environment."""
         return self.folder / describe_environment(self.env_id, self.env_kwargs)
 
     def task(self, seed: int) -> TrainingTask:
-        """One run."""
+        """Return the task of one run."""
         folder = self.environment / f"{self.settings.recipe}-seed{seed}"
         return TrainingTask(self.env_id, self.env_kwargs, self.settings, seed, folder)
 
 
 def run_training(request: TrainingRequest, console: Console) -> Path:
-    """Train all runs, resuming those that were interrupted, and write the agent that was best on the tune seeds.
+    """Train all runs, resume interrupted ones, and write the agent that is best on the tune seeds.
 
     Returns:
-        The card of the agent.
+        Path of the agent's card.
     """
     evaluation = _evaluation(request)
     beside = " · ".join(f"{name} {_text(values)}" for name, values in evaluation.beside.items())
-    console.print(f"{request.environment.name}: {request.settings.recipe}, measured on tune seeds beside {beside}")
+    console.print(
+        f"{request.environment.name}: {request.settings.recipe}, evaluated on tune seeds; for comparison {beside}"
+    )
     if request.jobs == 1:
         curves = [_shown(request.task(seed), evaluation, console) for seed in request.seeds]
     else:
@@ -99,14 +101,14 @@ def run_training(request: TrainingRequest, console: Console) -> Path:
 
 
 def _evaluation(request: TrainingRequest) -> PeriodicEvaluation:
-    # Other code may have measured the classical agents for earlier runs; theirs are kept apart.
+    # Earlier runs may have evaluated the classical agents with other code, so results are kept by code version.
     folder = ResultsFolder(request.environment / "classical" / code_version())
     folder.check_writable()
     return PeriodicEvaluation(request.env_id, request.env_kwargs, folder, levels=request.settings.levels)
 
 
 def _alone(request: TrainingRequest, seed: int) -> TrainingCurve:
-    """Runs in a worker process, which has to register the ids first."""
+    """Train one run in a worker process, which has to register the ids first."""
     import servotrack  # noqa: F401
 
     return train(request.task(seed), _evaluation(request))
@@ -132,7 +134,7 @@ def _text(measured: Mapping[str, Any]) -> str:
 
 
 def _write_chosen(request: TrainingRequest, best: int, curves: list[TrainingCurve]) -> Path:
-    """The network of the best run and a card that tells of all runs."""
+    """Write the network of the best run, and a card with the results of all runs."""
     source = request.task(request.seeds[best]).folder / f"{AGENT}.json"
     card = load_card(source)
     network = (source.parent / card.network).read_bytes()

@@ -1,4 +1,4 @@
-"""Whether training wins: several runs of one recipe against a classical agent, runs and episodes resampled, crossed."""
+"""Compare several training runs of one recipe with one agent; intervals resample runs and episodes, crossed."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from servotrack.baselines.evaluation.results import CellResults, ResultsFolder
 from servotrack.baselines.evaluation.statistics import Interval, crossed_difference, score
 from servotrack.baselines.worlds import RankingMetric, describe_environment, world_of_id
 
-ENOUGH = 10
-"""Training runs that a claim about training needs."""
+MIN_RUNS = 10
+"""Smallest number of training runs that supports a claim about training."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What several training runs reach, less what one agent does.
+    """Results of several training runs minus those of one agent.
 
     Attributes:
         environment: Id and arguments in one line.
-        recipe: What was trained.
-        against: The agent.
-        runs: How many trainings.
-        episodes: Each.
-        headline: The world's measure.
-        of_runs: Mean of the headline of each run.
-        of_other: Mean of the other agent's.
-        difference: Of the headline, runs less other.
-        score: Of the mean score; None where the world has none.
-        success: Of the success rate; None where there is none.
-        returned: Of the mean return.
+        recipe: Recipe of the runs.
+        against: Name of the agent.
+        runs: Number of training runs.
+        episodes: Number of episodes of each run.
+        headline: Ranking metric of the world.
+        of_runs: Mean headline metric of each run.
+        of_other: Mean headline metric of the agent.
+        difference: Difference of the headline metric, runs minus agent.
+        score: Difference of the mean score; None where the world has no score.
+        success: Difference of the success rate; None where the world has none.
+        returned: Difference of the mean return.
     """
 
     environment: str
@@ -55,7 +55,7 @@ class Comparison:
     returned: Interval
 
     def markdown(self) -> str:
-        """The comparison as a table."""
+        """Return the comparison as a Markdown table."""
         unit, factor, digits = self.headline.unit, self.headline.factor, self.headline.digits
         means = factor * np.array(self.of_runs)
         lines = [
@@ -74,7 +74,7 @@ class Comparison:
             if interval is not None
         ]  # fmt: skip
         note = f"{self.episodes} seeds; brackets: 95 % intervals, runs and episodes resampled, crossed." + (
-            "" if self.runs >= ENOUGH else f" Fewer than {ENOUGH} runs: no claim about training."
+            "" if self.runs >= MIN_RUNS else f" Fewer than {MIN_RUNS} runs: no claim about training."
         )
         return "\n".join([*lines, "", note, ""])
 
@@ -88,20 +88,20 @@ def compare(
     split: str = "test",
     on_run: Callable[[], None] = lambda: None,
 ) -> list[Comparison]:
-    """Evaluate all training runs of a recipe and an agent on the same seeds, at each level that it was trained for.
+    """Evaluate all training runs of a recipe and one agent on the same seeds, at each level of the training.
 
     Args:
-        folder: Of an environment, as `servotrack train` writes it.
-        recipe: Whose runs lie there.
-        against: Name of the other agent.
-        results: Keeps the episodes, so that an interrupted comparison goes on.
-        episodes: Per run and level.
-        split: Of the seeds.
-        on_run: Called after each.
+        folder: Folder of an environment, written by `servotrack train`.
+        recipe: Recipe of the runs.
+        against: Name of the agent.
+        results: Folder that keeps the episodes, so that an interrupted comparison resumes.
+        episodes: Number of episodes per run and level.
+        split: Seed range, "test" or "tune".
+        on_run: Called after each evaluation.
 
     Raises:
         ValueError: Fewer than two runs.
-        AgentFileError: A run whose agent cannot be used.
+        AgentFileError: A run whose agent file is invalid.
     """
     cards = sorted(folder.glob(f"{recipe}-seed*/agent.json"))
     if len(cards) < 2:

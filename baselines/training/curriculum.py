@@ -1,4 +1,4 @@
-"""Lessons of rising difficulty: environments of several levels side by side, and other ones later."""
+"""Curriculum of rising difficulty: environments of several levels side by side, replaced stage by stage."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ Indices = Any
 
 
 class Curriculum(VecEnv):
-    """Vector environments that are exchanged for others in the course of a training; episodes that run then are cut.
+    """Vector environments that are replaced at the end of each stage; running episodes are truncated then.
 
     Args:
-        make: Lesson and number of environments in, a vector environment out; all of the same spaces.
-        stages: Stages of the training, each of one or more stages side by side.
-        num_envs: Environments of a stage together.
-        stage_steps: Environment steps after which one stage follows the other.
-        first_seed: Environment steps in, the first seed of the environments that begin then out.
-        done: Environment steps that were done before.
+        make: Creates a vector environment from a level and a number of environments; all have the same spaces.
+        stages: Levels of each stage of the training, one or more side by side.
+        num_envs: Number of environments of a stage.
+        stage_steps: Environment steps of each stage.
+        first_seed: Returns the first seed of the environments of a stage, given the environment steps before it.
+        done: Environment steps done before, in a resumed training.
 
     Raises:
-        ValueError: No stage, an empty one, or more stages in a stage than environments.
+        ValueError: No stage, an empty one, or more levels in a stage than environments.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class Curriculum(VecEnv):
         done: int = 0,
     ) -> None:
         if not stages or not all(0 < len(stage) <= num_envs for stage in stages):
-            raise ValueError(f"curriculum must have stages of 1 to n_envs={num_envs} stages each, got {stages!r}")
+            raise ValueError(f"curriculum must have stages of 1 to n_envs={num_envs} levels each, got {stages!r}")
         self.num_envs = num_envs
         self._make, self._stages, self._stage_steps = make, stages, stage_steps
         self._first_seed, self._done = first_seed, done
@@ -46,11 +46,11 @@ class Curriculum(VecEnv):
 
     @property
     def stage(self) -> int:
-        """Number of the stage, from 0."""
+        """Index of the present stage, from 0."""
         return min(self._done // self._stage_steps, len(self._stages) - 1)
 
     def _begin(self) -> None:
-        """The environments of the stage."""
+        """Create the environments of the stage."""
         self._begun = self.stage
         stages = self._stages[self._begun]
         sizes = [len(part) for part in np.array_split(np.arange(self.num_envs), len(stages))]
@@ -59,7 +59,7 @@ class Curriculum(VecEnv):
         self.seed(self._first_seed(self._done))
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seeds of the environments at the next reset."""
+        """Set the seeds of the environments for the next reset."""
         given: list[int | None] = []
         for part, end in zip(self._parts, self._ends.tolist(), strict=True):
             given.extend(part.seed(None if seed is None else seed + end - part.num_envs))
@@ -70,12 +70,12 @@ class Curriculum(VecEnv):
         return np.concatenate([part.reset() for part in self._parts])
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Hand the actions out."""
+        """Pass the actions to the environments."""
         for part, own in zip(self._parts, np.split(actions, self._ends[:-1]), strict=True):
             part.step_async(own)
 
     def step_wait(self) -> Any:
-        """Step all rows; where a stage ends, all episodes do."""
+        """Step all rows. The end of a stage truncates all episodes."""
         stepped = [part.step_wait() for part in self._parts]
         observation, reward, done = (np.concatenate([step[i] for step in stepped]) for i in range(3))
         infos: list[dict[str, Any]] = [info for step in stepped for info in step[3]]
@@ -95,7 +95,7 @@ class Curriculum(VecEnv):
             part.close()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of every environment."""
+        """Return an attribute of every environment."""
         values = [value for part in self._parts for value in part.get_attr(attr_name)]
         return [values[row] for row in self._get_indices(indices)]
 
@@ -111,5 +111,5 @@ class Curriculum(VecEnv):
         return [value for part in self._parts for value in part.env_method(method_name, *method_args, **method_kwargs)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
-        """Whether environments have a wrapper."""
+        """Return True for each environment that has a wrapper of the class."""
         return [value for part in self._parts for value in part.env_is_wrapped(wrapper_class)]

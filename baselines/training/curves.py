@@ -1,4 +1,4 @@
-"""Learning curves of several runs, with the classical agents as lines to reach."""
+"""Plot the learning curves of several runs, with the classical agents as horizontal lines."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from servotrack.baselines.training.run import TrainingCurve
 def draw_curves(
     curves: Sequence[TrainingCurve], classical: Mapping[str, Mapping[str, float]], title: str, path: Path
 ) -> None:
-    """Write a figure: what each run reached on the tune seeds, over its environment steps.
+    """Write a figure of each run's metric on the tune seeds over environment steps.
 
     Args:
-        curves: One per run.
-        classical: Measures of the classical agents, by their names.
-        title: Above it.
+        curves: Learning curve of each run.
+        classical: Metrics of the classical agents by name.
+        title: Title of the figure.
         path: A .png file.
     """
     import matplotlib as mpl
@@ -41,7 +41,7 @@ def draw_curves(
             label = f"{name} {measures[measure]:.3g}"
             axes.axhline(measures[measure], color=shade, linestyle="--", linewidth=1.0, label=label)
         axes.set(xlabel="million environment steps", ylabel=f"mean {measure} on tune seeds", title=title)
-        # What matters is where the runs are beside the best line; lines far below are in the legend.
+        # The axis covers the runs and the best classical agent; lines far below appear in the legend only.
         seen = [entry[measure] for curve in curves for entry in curve.entries]
         seen += [measures[measure] for _, measures in ranked[:1]]
         room = max(max(seen) - min(seen), 1e-3)

@@ -1,4 +1,4 @@
-"""Training of one agent, by reinforcement or from what is known in training."""
+"""Train one agent, by reinforcement or by supervised learning from the simulator's state."""
 
 from __future__ import annotations
 
@@ -21,21 +21,24 @@ def train(
 ) -> TrainingCurve:
     """Train one agent, or finish a training that was interrupted.
 
-    The newest policy lies in the task's folder as `agent.onnx` with its card, always one that works.
+    After every evaluation the newest policy is in the task's folder as `agent.onnx` with its card.
 
     Args:
-        task: What to do.
-        evaluation: Measures the policy as it goes.
-        on_steps: Called with the environment steps so far.
-        on_entry: Called with every measurement.
+        task: Environment, settings and seed of the run.
+        evaluation: Evaluates the policy during training.
+        on_steps: Called with the number of environment steps done.
+        on_entry: Called with every evaluation.
 
     Raises:
         ResultsError: The folder holds another training or cannot be written.
-        ValueError: Hyper-parameters that the algorithm does not take, or an environment that it cannot learn in.
+        ValueError: Hyper-parameters that the algorithm does not take, or an environment that it does not support.
     """
     run = TrainingRun(task, evaluation, on_steps, on_entry)
     if not run.finished:
-        {"student": train_student, "jacobian": train_jacobian, "set": train_set_predictor, "eyes": train_marker_network}.get(
-            task.settings.algorithm, reinforce
-        )(run)
+        {
+            "student": train_student,
+            "jacobian": train_jacobian,
+            "set": train_set_predictor,
+            "eyes": train_marker_network,
+        }.get(task.settings.algorithm, reinforce)(run)
     return run.curve

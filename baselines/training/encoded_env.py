@@ -1,4 +1,4 @@
-"""A Stable-Baselines3 vector environment whose observations are encoded as learned agents see them."""
+"""A Stable-Baselines3 vector environment whose observations are encoded as in the exported agent."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Memory = TypeVar("Memory")
 
 
 class EncodedVecEnv(VecEnvWrapper):
-    """Rows of an encoding instead of observations; actions are clipped as the shipped agent clips them.
+    """Replaces observations by rows of an encoding; actions are clipped as in the exported agent.
 
     Args:
         venv: The environments.
-        encoding: What the learner sees.
+        encoding: Encoding of the observations.
     """
 
     def __init__(self, venv: VecEnv, encoding: Encoding) -> None:
@@ -48,7 +48,7 @@ class EncodedVecEnv(VecEnvWrapper):
         self.venv.step_async(self._action)
 
     def step_wait(self) -> Any:
-        """Step all rows; what an episode ended with is encoded, too."""
+        """Step all rows; terminal observations are encoded, too."""
         observation: Any
         observation, reward, done, infos = self.venv.step_wait()
         memory, action = self._memory, self._action
@@ -72,7 +72,7 @@ def _stacked(observations: list[Any]) -> Any:
 
 
 def _rows(memory: Memory, rows: NDArray[np.intp]) -> Memory:
-    """Some rows of an array, or of nested tuples of arrays."""
+    """Select rows of an array, or of nested tuples of arrays."""
     if isinstance(memory, tuple):
         parts = [_rows(part, rows) for part in memory]
         return type(memory)(*parts) if hasattr(memory, "_fields") else type(memory)(parts)  # type: ignore[return-value]

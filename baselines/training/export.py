@@ -1,4 +1,4 @@
-"""Policies of Stable-Baselines3 as ONNX files: what goes in is what the environment gives, normalization included."""
+"""Export policies to ONNX files, with the normalization of observations included."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from servotrack.baselines.reporting.files import atomic_path
 
 
 class PolicyMode(nn.Module):
-    """The mode of a policy, as a function of rows (and memory) alone.
+    """The mode of a policy as a function of rows and memory.
 
     Args:
-        policy: Of an algorithm of Stable-Baselines3 or sb3-contrib with a Box of actions.
-        mean: Of the rows, shape (size,); None where they are not normalized.
-        deviation: Of the rows.
-        clip: Normalized rows are clipped to this.
+        policy: Policy of an algorithm of Stable-Baselines3 or sb3-contrib with a Box of actions.
+        mean: Mean of the rows, shape (size,); None disables normalization.
+        deviation: Standard deviation of the rows, shape (size,).
+        clip: Bound of the absolute value of normalized rows.
     """
 
     mean: torch.Tensor
@@ -42,7 +42,7 @@ class PolicyMode(nn.Module):
             )
 
     def forward(self, observation: torch.Tensor, memory: torch.Tensor | None = None) -> Any:
-        """Actions (N, n), and the next memory (N, M) of a policy that has one."""
+        """Return actions (N, n), and the next memory (N, M) if the policy is recurrent."""
         if self.normalized:
             observation = torch.clamp((observation - self.mean) / self.deviation, -self.clip, self.clip)
         policy = self.policy
@@ -56,7 +56,7 @@ class PolicyMode(nn.Module):
             return policy.action_net(policy.mlp_extractor.forward_actor(features))
         actor = policy.actor
         features = actor.extract_features(observation, actor.features_extractor)
-        # SAC's mean is not squashed yet, TD3's is.
+        # The mean of SAC has no tanh yet, that of TD3 has.
         squashed = (
             torch.tanh(actor.mu(actor.latent_pi(features))) if hasattr(actor, "latent_pi") else actor.mu(features)
         )
@@ -72,13 +72,13 @@ class PolicyMode(nn.Module):
 
 
 class Exportable(NamedTuple):
-    """A module and what its ONNX file is to look like.
+    """A module and the layout of its ONNX file.
 
     Attributes:
-        network: The module; its arguments are the inputs in their order.
-        inputs: Examples of the inputs by their names, the first axis free.
-        outputs: Names.
-        memory: Numbers that it carries from step to step.
+        network: The module; its arguments are the inputs in order.
+        inputs: Example of each input by name; the first axis is the batch.
+        outputs: Names of the outputs.
+        memory: Size of the state that it carries from step to step, 0 for none.
     """
 
     network: nn.Module
@@ -88,7 +88,7 @@ class Exportable(NamedTuple):
 
 
 def exportable_policy(network: nn.Module, size: int, memory: int = 0) -> Exportable:
-    """A policy that maps rows (N, size), and memory (N, M) where M > 0, to actions, and the next memory."""
+    """Describe a policy that maps rows (N, size), and memory (N, M) if M > 0, to actions and the next memory."""
     if memory == 0:
         return Exportable(network, {OBSERVATION: torch.zeros(2, size)}, (ACTION,))
     inputs = {OBSERVATION: torch.zeros(2, size), MEMORY: torch.zeros(2, memory)}
@@ -96,11 +96,11 @@ def exportable_policy(network: nn.Module, size: int, memory: int = 0) -> Exporta
 
 
 def export(subject: Exportable, path: Path) -> bytes:
-    """Write a network, at once or not at all, and return what was written."""
+    """Write a network atomically and return the bytes of the file."""
     network, training = subject.network, subject.network.training
     network.eval()
     with atomic_path(path) as temporary, warnings.catch_warnings():
-        # The exporter that replaces this one takes fifteen times as long, and says the same.
+        # The newer dynamo exporter takes fifteen times as long for the same result.
         warnings.simplefilter("ignore")
         torch.onnx.export(
             network,
@@ -117,7 +117,7 @@ def export(subject: Exportable, path: Path) -> bytes:
 
 
 def write_agent(subject: Exportable, card: LearnedCard, folder: Path) -> LearnedCard:
-    """A network and its card, the network first: a card without its network is never seen.
+    """Write a network, then its card, so that a card never exists without its network.
 
     Returns:
         The card with the digest of the network.
@@ -129,6 +129,6 @@ def write_agent(subject: Exportable, card: LearnedCard, folder: Path) -> Learned
 
 
 def write_card(card: LearnedCard, folder: Path) -> None:
-    """The card beside its network."""
+    """Write the card next to its network."""
     with atomic_path((folder / card.network).with_suffix(".json")) as temporary:
         temporary.write_text(card.as_json(), encoding="utf-8")

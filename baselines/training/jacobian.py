@@ -1,4 +1,4 @@
-"""Supervised training of a Jacobian estimator: it servos, and is told afterwards what the Jacobian had been."""
+"""Supervised training of a Jacobian estimator: it servos, and the analytic Jacobian of every step is the label."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from servotrack.baselines.training.run import TrainingRun
 from servotrack.baselines.training.supervised import (
     RecurrentNetwork,
     descend,
-    explored,
     episode_seeds,
+    explored,
     prepare,
     servo_environments,
     take_turns,
@@ -38,13 +38,13 @@ class JacobianSettings:
     """Hyper-parameters of a Jacobian estimator.
 
     Attributes:
-        hidden: Numbers that its recurrent layer carries.
-        learning_rate: Of Adam; `lin_X` falls from X to 0.
+        hidden: Size of the recurrent layer's state.
+        learning_rate: Learning rate of Adam; `lin_X` falls linearly from X to 0.
         n_epochs: Passes over the episodes of one iteration.
-        batch_size: Episodes in a batch.
-        exploration: Noise of every other iteration's actions, relative to the action's size.
-        guided: Share of the episodes in which a Kalman filter servos at first; it falls to none.
-        floor: Errors well above this share of the Jacobian count logarithmically.
+        batch_size: Number of episodes in a batch.
+        exploration: Action noise in every other iteration, relative to the size of the action.
+        guided: Initial share of episodes in which a Kalman filter servos; it falls linearly to 0.
+        floor: Relative Jacobian error at which the loss changes from quadratic to logarithmic.
     """
 
     hidden: int = 64
@@ -57,18 +57,18 @@ class JacobianSettings:
 
 
 class JacobianNetwork(RecurrentNetwork):
-    """A recurrent network from rows to the entries of a Jacobian.
+    """A recurrent network that maps rows to the entries of a Jacobian.
 
     Args:
-        size: Numbers in a row.
-        hidden: Numbers that it carries.
+        size: Length of a row.
+        hidden: Size of the recurrent state.
     """
 
     def __init__(self, size: int, hidden: int) -> None:
         super().__init__(size, hidden, ENTRIES)
 
     def forward(self, observation: torch.Tensor, memory: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """One step, as it is exported: from rows (N, size) and memory (N, hidden) to entries and memory."""
+        """Return entries (N, 6) and the next memory for rows (N, size) and memory (N, hidden), as exported."""
         answer, carried = self.answers(observation[:, None], memory[None])
         return answer[:, 0], carried[0]
 
@@ -77,9 +77,9 @@ class Records(NamedTuple):
     """Episodes, N of T steps.
 
     Attributes:
-        rows: What the network saw. Shape (N, T, size).
-        entries: What it should have answered. Shape (N, T, 6).
-        counted: 1 while the episode lasted. Shape (N, T).
+        rows: Inputs of the network. Shape (N, T, size).
+        entries: True entries of the Jacobian. Shape (N, T, 6).
+        counted: 1 until the episode ends, then 0. Shape (N, T).
     """
 
     rows: torch.Tensor
@@ -88,15 +88,15 @@ class Records(NamedTuple):
 
 
 def train_jacobian(run: TrainingRun) -> None:
-    """Train an estimator, from the beginning or from where the course was saved.
+    """Train a Jacobian estimator, from the beginning or from the checkpoint.
 
-    Each iteration lets it servo in new episodes of the train range, and then shows it the analytic Jacobian of every
-    step: DAgger (Ross et al. 2011) with the oracle's answer as the label. At first a Kalman filter servos in some of
-    them, for an arm that does not move shows no Jacobian, and who has seen none does not move.
+    Each iteration lets the estimator servo in new episodes of the train range, then fits it to the analytic Jacobian of
+    every step: DAgger (Ross et al. 2011) with the oracle's answer as the label. At first a Kalman filter servos in some
+    episodes, because the Jacobian is observable only while the arm moves, and an untrained estimator hardly moves it.
 
     Raises:
         ResultsError: The checkpoint does not fit the hyper-parameters.
-        ValueError: The environment is no servo of features, or a hyper-parameter is unknown.
+        ValueError: An environment that does not observe features of a servo, or an unknown hyper-parameter.
     """
     own = prepare(JacobianSettings, run)
     task, settings = run.task, run.task.settings
@@ -123,7 +123,7 @@ def train_jacobian(run: TrainingRun) -> None:
 
 
 def _running(network: JacobianNetwork) -> Any:
-    """The network as it is now, as a function of arrays."""
+    """Return the network with its present weights as a function of arrays."""
 
     def answer(rows: FloatArray, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         with torch.no_grad():
@@ -136,7 +136,7 @@ def _running(network: JacobianNetwork) -> Any:
 def _servo(
     env: Any, servo: Any, guide: Any, share: float, seeds: list[int], noise: float, explore: np.random.Generator
 ) -> Records:
-    """One episode per seed, the first ones by the guide, with what the Jacobian was written down beside."""
+    """Run one episode per seed and record the true Jacobians; `guide` acts in the first `share` of them."""
     world: ServoWorld = env.unwrapped.world
     count, length = len(seeds), world.config.warmup + world.config.horizon
     estimator: LearnedJacobian = servo.controller.estimator
@@ -162,12 +162,12 @@ def _servo(
 
 
 def _learn(network: JacobianNetwork, optimizer: torch.optim.Optimizer, records: Records, own: JacobianSettings) -> None:
-    """Some passes over the episodes."""
+    """Train for `n_epochs` passes over the episodes."""
     for _ in range(own.n_epochs):
         for batch in torch.randperm(len(records.rows)).split(own.batch_size):
             part = Records(*(tensor[batch] for tensor in records))
             answer, _ = network.answers(part.rows)
-            # By joints and by time each, relative to how large they are.
+            # Errors of the joint columns and of the time column, each relative to the true size.
             wrong, true = ((x.unflatten(-1, (2, 3))) for x in (answer - part.entries, part.entries))
             by_joints = (wrong[..., :2] ** 2).sum((-2, -1)) / (true[..., :2] ** 2).sum((-2, -1)).clamp(min=0.01)
             by_time = (wrong[..., 2] ** 2).sum(-1) / (true[..., 2] ** 2).sum(-1).clamp(min=0.25)

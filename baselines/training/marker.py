@@ -1,4 +1,4 @@
-"""Eyes that learn from images whose truth is known: convolutions, and the center of mass of where they fire."""
+"""Supervised training of a marker detector: convolutions, and a soft-argmax over the score map."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from servotrack.baselines.training.run import TrainingRun, TrainingTask
 from servotrack.baselines.training.supervised import descend, prepare, take_turns
 
 STRIDE = 2
-"""Pixels of the image to one of the map."""
-NEARLY = 0.1
-"""Distances are not told apart below this, px."""
-EPISODE = 10
-"""Steps after which all arms start anew, with other cameras."""
-KEPT = 30
-"""Steps whose images a batch is drawn from: images of one step after the other are too much alike."""
+"""Image pixels per cell of the score map."""
+DISTANCE_FLOOR = 0.1
+"""Distance below which the loss is flat, px."""
+EPISODE_STEPS = 10
+"""Steps after which all arms are reset, with other cameras."""
+REPLAY_STEPS = 30
+"""Steps whose images a batch is drawn from. Raise it to make the images of a batch less correlated."""
 
 
 @dataclass(frozen=True)
 class MarkerSettings:
-    """Hyper-parameters of eyes.
+    """Hyper-parameters of a marker network.
 
     Attributes:
-        channels: Of each convolution.
-        batch_size: Images in a batch; one batch is learned for every step of the environments.
-        learning_rate: Of Adam; `lin_X` falls from X to 0.
+        channels: Channels of each convolution.
+        batch_size: Number of images in a batch; every step of the environments is followed by one batch.
+        learning_rate: Learning rate of Adam; `lin_X` falls linearly from X to 0.
     """
 
     channels: int = 12
@@ -45,10 +45,10 @@ class MarkerSettings:
 
 
 class MarkerConvNet(nn.Module):
-    """Three convolutions and a map whose softmax has its center of mass where the marker is.
+    """Three convolutions and a score map; the center of mass of its softmax is the marker's position.
 
     Args:
-        channels: Of each convolution.
+        channels: Channels of each convolution.
         image_size: Width and height of the images, px.
     """
 
@@ -73,7 +73,7 @@ class MarkerConvNet(nn.Module):
         self.register_buffer("rows", centers.repeat_interleave(cells))
 
     def forward(self, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Places (N, 2), px, and logits of being in view (N,), from images (N, S, S, 3), uint8."""
+        """Return positions (N, 2), px, and logits of being in view (N,) for images (N, S, S, 3), uint8."""
         fired = self.body(image.permute(0, 3, 1, 2).float() / 255.0 - 0.5)
         scores = self.map(fired).flatten(1)
         weights = torch.softmax(scores, 1)
@@ -83,19 +83,19 @@ class MarkerConvNet(nn.Module):
 
 
 def train_marker_network(run: TrainingRun) -> None:
-    """Train eyes, from the beginning or from where the course was saved.
+    """Train a marker network, from the beginning or from the checkpoint.
 
-    Arms move at random over episodes of the train range; the world knows where the marker was in each image.
+    Arms move at random over episodes of the train range; the labels are the true positions of the marker.
 
     Raises:
         ResultsError: The checkpoint does not fit the hyper-parameters.
-        ValueError: The environment gives no images, or a hyper-parameter is unknown.
+        ValueError: Another environment than UncalibServoPixels-v0, or an unknown hyper-parameter.
     """
     own = prepare(MarkerSettings, run)
     task, settings = run.task, run.task.settings
     if task.env_id != "UncalibServoPixels-v0":
-        raise ValueError(f"eyes learn in UncalibServoPixels-v0, got {task.env_id}")
-    # Features without noise are where the marker is in the newest image, shutter and all.
+        raise ValueError(f"marker training supports only UncalibServoPixels-v0, got {task.env_id}")
+    # Features without noise are the marker's position in the newest image, shutter effects included.
     exact = {**task.env_kwargs, "pixel_noise": 0.0, "outlier_rate": 0.0, "dropout": 0.0}
     env: Any = gym.make_vec(task.env_id, num_envs=settings.n_envs, autoreset_mode=AutoresetMode.SAME_STEP, **exact)
     size = env.single_observation_space["image"].shape[0]
@@ -106,7 +106,7 @@ def train_marker_network(run: TrainingRun) -> None:
     def turn(steps: int) -> int:
         images, places, seen = (torch.from_numpy(part) for part in source.batch(own.batch_size))
         place, logit = network(images)
-        distance = torch.sqrt(((place - places) ** 2).sum(1) + NEARLY**2)
+        distance = torch.sqrt(((place - places) ** 2).sum(1) + DISTANCE_FLOOR**2)
         loss = (distance * seen).sum() / seen.sum().clamp(min=1.0)
         loss = loss + nn.functional.binary_cross_entropy_with_logits(logit, seen)
         descend(network, optimizer, loss, steepest=5.0)
@@ -120,21 +120,21 @@ def train_marker_network(run: TrainingRun) -> None:
 
 
 class _Images:
-    """Images of arms that move at random, and where the marker is in them."""
+    """Images of arms that move at random, with the marker's position in each."""
 
     def __init__(self, env: Any, task: TrainingTask, steps: int) -> None:
         self._env, self._first = env, 7919 * task.seed + steps
         self._random = np.random.default_rng([task.seed, steps])
         self._left = 0
         self._action = np.zeros((env.num_envs, 2))
-        self._kept: deque[tuple[NDArray[Any], ...]] = deque(maxlen=KEPT)
-        while len(self._kept) < KEPT:
+        self._kept: deque[tuple[NDArray[Any], ...]] = deque(maxlen=REPLAY_STEPS)
+        while len(self._kept) < REPLAY_STEPS:
             self._kept.append(self._step())
 
     def batch(self, size: int) -> tuple[NDArray[Any], ...]:
-        """Images (size, S, S, 3), places (size, 2), px, and whether the marker is in view (size,)."""
+        """Return images (size, S, S, 3), positions (size, 2), px, and visibilities (size,), 1 in view, 0 outside."""
         self._kept.append(self._step())
-        steps = self._random.integers(KEPT, size=size)
+        steps = self._random.integers(REPLAY_STEPS, size=size)
         rows = self._random.integers(self._env.num_envs, size=size)
         return tuple(
             np.stack([self._kept[step][part][row] for step, row in zip(steps, rows, strict=True)]) for part in range(3)
@@ -145,7 +145,7 @@ class _Images:
         if self._left == 0:
             seeds = [seed_ranges.TRAIN[(self._first + i) % len(seed_ranges.TRAIN)] for i in range(count)]
             observation, _ = env.reset(seed=seeds)
-            self._first, self._left = self._first + count, EPISODE
+            self._first, self._left = self._first + count, EPISODE_STEPS
         else:
             drift = 0.9 * self._action + 0.3 * self._random.normal(size=(count, 2))
             self._action = np.clip(drift, -1.0, 1.0)

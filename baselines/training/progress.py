@@ -1,4 +1,4 @@
-"""What a learner is measured by while it learns: episodes on tune seeds, beside classical agents on the same."""
+"""Evaluate a policy during training on tune seeds, next to classical agents on the same seeds."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from servotrack.baselines.worlds import RANDOM_AGENT, world_of_id
 
 EPISODES = 100
 FIRST_SEED = 60_000
-"""Offset in the tune range, away from the seeds of tests and of `servotrack tune`."""
-BESIDE = ("kf", "lifted-kf", "latency-bank-lifted-kf", "gm-phd", "pmb", "phd-servo")
-"""Agents whose measures are shown beside the learner's, where they can act."""
+"""First seed in the tune range, apart from the seeds of tests and of `servotrack tune`."""
+CLASSICAL = ("kf", "lifted-kf", "latency-bank-lifted-kf", "gm-phd", "pmb", "phd-servo")
+"""Agents that are evaluated for comparison, in the worlds that they support."""
 
 
 class PeriodicEvaluation:
-    """Measures agents of one environment, or of several levels of it: then all measures are means over these.
+    """Evaluates agents in one environment, or in several levels of it; then all numbers are means over the levels.
 
     Args:
         env_id: Gymnasium id.
-        env_kwargs: Its arguments.
-        folder: Keeps what the classical agents reached.
-        episodes: Per agent and level.
-        levels: Of the environment; empty: that of `env_kwargs`.
+        env_kwargs: Arguments of the environment.
+        folder: Folder that keeps the results of the classical agents.
+        episodes: Number of episodes per agent and level.
+        levels: Levels of the environment; empty: the one in `env_kwargs`.
     """
 
     def __init__(
@@ -44,20 +44,20 @@ class PeriodicEvaluation:
         self._worlds = [{**env_kwargs, "level": level} for level in levels] or [dict(env_kwargs)]
         self._seeds = seed_ranges.take("tune", episodes, FIRST_SEED)
         anchors = (world.anchors.lower, world.anchors.upper) if world.anchors else (RANDOM_AGENT,)
-        names = [name for name in (*anchors, *BESIDE) if world.kind in AGENTS[name].worlds]
+        names = [name for name in (*anchors, *CLASSICAL) if world.kind in AGENTS[name].worlds]
         self._references = [[self._cell(name, kwargs, folder) for name in names] for kwargs in self._worlds]
 
     @property
     def beside(self) -> dict[str, dict[str, float]]:
-        """Measures of the classical agents, by their names."""
+        """Mean metrics of the classical agents by name."""
         found = [
-            {row.agent: self._measures(row) for row in summarize(cells)[0].rows if row.agent in BESIDE}
+            {row.agent: self._measures(row) for row in summarize(cells)[0].rows if row.agent in CLASSICAL}
             for cells in self._references
         ]
         return {agent: _means([measured[agent] for measured in found]) for agent in found[0]}
 
     def measure(self, agent: AgentCard) -> dict[str, float]:
-        """Means over the episodes: `return`, and where the world has them `score`, `success` and its headline."""
+        """Return means over the episodes: `return`, and if the world has them `score`, `success` and its headline."""
         found = []
         for kwargs, cells in zip(self._worlds, self._references, strict=True):
             row = summarize([*cells, self._cell(agent, kwargs)])[0].row(agent.name)
@@ -66,7 +66,7 @@ class PeriodicEvaluation:
         return _means(found)
 
     def better(self, one: Mapping[str, float], other: Mapping[str, float]) -> bool:
-        """Whether one measurement is better than another: by score, else by the headline, else by the return."""
+        """Return True if `one` beats `other` by score, else by the headline metric, else by the return."""
         for name, sign in (
             ("score", 1.0), (self.headline.column, 1.0 if self.headline.high_is_good else -1.0), ("return", 1.0)
         ):  # fmt: skip
@@ -91,5 +91,5 @@ class PeriodicEvaluation:
 
 
 def _means(measured: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Of each measure."""
+    """Return the mean of each metric."""
     return {name: sum(one[name] for one in measured) / len(measured) for name in measured[0]}

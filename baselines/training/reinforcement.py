@@ -1,4 +1,4 @@
-"""Training with Stable-Baselines3 on the vector environments."""
+"""Reinforcement learning with Stable-Baselines3 on the native vector environments."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ACTIVATIONS: Mapping[str, type[nn.Module]] = {
 
 
 def reinforce(run: TrainingRun) -> None:
-    """Train by reinforcement, from the beginning or from where the course was saved.
+    """Train by reinforcement learning, from the beginning or from the checkpoint.
 
     Raises:
         ResultsError: The checkpoint does not fit the hyper-parameters.
@@ -46,7 +46,7 @@ def reinforce(run: TrainingRun) -> None:
     model = create_model(task, run.curve.steps)
     if run.checkpoint is not None:
         restore(model, run.checkpoint, task.folder)
-    callback = _Measuring(run)
+    callback = _Evaluating(run)
     try:
         model.learn(
             task.settings.n_timesteps - model.num_timesteps,
@@ -61,11 +61,11 @@ def reinforce(run: TrainingRun) -> None:
 
 
 def create_model(task: TrainingTask, steps: int = 0) -> BaseAlgorithm:
-    """The algorithm with its environments, before the first step.
+    """Create the algorithm with its environments, before the first step.
 
     Args:
-        task: What to do.
-        steps: Done before an interruption; the environments' seeds go on from there.
+        task: Environment, settings and seed of the run.
+        steps: Environment steps done before an interruption; the environments' seeds continue from there.
     """
     settings = task.settings
     torch.set_num_threads(1)
@@ -90,15 +90,15 @@ def create_model(task: TrainingTask, steps: int = 0) -> BaseAlgorithm:
         env.close()
         raise ValueError(f"{settings.algorithm} does not take these hyper-parameters: {error}") from error
     if not task.tensorboard:
-        # The algorithm would make a folder among the temporary files to write nothing into.
+        # Without a logger the algorithm would create an empty folder among the temporary files.
         model.set_logger(Logger(None, []))
-    # After the algorithm, which gives the environments its own seed: runs would share most of their episodes.
+    # After the algorithm, which overwrites the environments' seeds with its own: runs would share most episodes.
     env.seed(_first_seed(task, steps))
     return model
 
 
 def _environments(task: TrainingTask, steps: int) -> Any:
-    """Encoded environments, those of the stages where there is a curriculum."""
+    """Create encoded environments; with a curriculum, those of its stages."""
     settings = task.settings
 
     def make(level: int | None, count: int) -> EncodedVecEnv:
@@ -121,7 +121,7 @@ def _environments(task: TrainingTask, steps: int) -> Any:
 
 
 def _first_seed(task: TrainingTask, steps: int) -> int:
-    """Where in the train range the environments' seeds begin; other ones after an interruption."""
+    """Return the first seed of the environments in the train range; it depends on the steps done."""
     room = len(seed_ranges.TRAIN) - task.settings.n_envs
     return seed_ranges.TRAIN.start + (7919 * task.seed + steps) % room
 
@@ -135,7 +135,7 @@ def _algorithm(name: str) -> Any:
 
 
 def _with_classes(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
-    """Activations by their names in rl-zoo3's files."""
+    """Replace the activation's name, as in rl-zoo3's files, by its class."""
     named = dict(policy_kwargs)
     name = named.get("activation_fn")
     if name is not None:
@@ -146,12 +146,12 @@ def _with_classes(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def restore(model: BaseAlgorithm, checkpoint: Mapping[str, Any], folder: Path) -> None:
-    """Weights, optimizers and running means as they were."""
+    """Restore weights, optimizers and running means from a checkpoint."""
     try:
         model.set_parameters(checkpoint["parameters"])
     except Exception as error:
         raise ResultsError(
-            f"{folder / CHECKPOINT} does not fit this training ({error}); move its folder away to begin anew"
+            f"{folder / CHECKPOINT} does not fit this training ({error}); move its folder away to start again"
         ) from error
     model.num_timesteps = int(checkpoint["steps"])
     for name, statistics in _running(model).items():
@@ -159,13 +159,13 @@ def restore(model: BaseAlgorithm, checkpoint: Mapping[str, Any], folder: Path) -
 
 
 def _running(model: BaseAlgorithm) -> dict[str, Any]:
-    """Running means of an algorithm whose environment is normalized."""
+    """Return the running means of an algorithm whose environment is normalized."""
     normalizer = model.get_vec_normalize_env()
     return {} if normalizer is None else {"observations": normalizer.obs_rms, "returns": normalizer.ret_rms}
 
 
 def policy_mode(model: BaseAlgorithm) -> PolicyMode:
-    """The policy as it is shipped."""
+    """Return the policy as it is exported."""
     normalizer = model.get_vec_normalize_env()
     if normalizer is None:
         return PolicyMode(model.policy)
@@ -173,12 +173,12 @@ def policy_mode(model: BaseAlgorithm) -> PolicyMode:
     return PolicyMode(model.policy, running.mean, np.sqrt(running.var + normalizer.epsilon), normalizer.clip_obs)
 
 
-class _Measuring(BaseCallback):
-    """Measures and saves the policy between two rollouts, when nothing is half done."""
+class _Evaluating(BaseCallback):
+    """Evaluates and saves the policy between two rollouts."""
 
     def __init__(self, run: TrainingRun) -> None:
         super().__init__()
-        self.run = course
+        self.run = run
 
     def _on_step(self) -> bool:
         return True
@@ -189,7 +189,7 @@ class _Measuring(BaseCallback):
             self._measure()
 
     def conclude(self) -> None:
-        """Measure what the last update made."""
+        """Evaluate the policy after the last update."""
         if self.num_timesteps > self.run.curve.steps:
             self._measure()
         self.run.on_steps(self.num_timesteps)

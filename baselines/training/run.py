@@ -1,4 +1,4 @@
-"""The course of a training, whatever is trained: measured, saved and exported as it goes, resumed after a kill."""
+"""One training run, whatever the algorithm: periodic evaluation, checkpoints, export, resuming after a kill."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class TrainingTask:
         env_id: Gymnasium id.
         env_kwargs: Arguments of the environment.
         settings: Hyper-parameters.
-        seed: Of weights, exploration and the environments, which take their seeds from the train range.
-        folder: Where everything of the run lies.
-        tensorboard: Whether to write TensorBoard's events beside it.
+        seed: Seed of weights and exploration. The environments' seeds are derived from it in the train range.
+        folder: Folder of all files of the run.
+        tensorboard: True also writes TensorBoard events.
     """
 
     env_id: str
@@ -47,7 +47,7 @@ class TrainingTask:
     tensorboard: bool = True
 
     def as_record(self) -> dict[str, Any]:
-        """What decides the run's course."""
+        """Return everything that determines the run."""
         return {
             "env_id": self.env_id,
             "env_kwargs": plain(self.env_kwargs),
@@ -58,13 +58,13 @@ class TrainingTask:
 
 @dataclass
 class TrainingCurve:
-    """What a run reached on tune seeds, and when.
+    """Learning curve of a run on tune seeds.
 
     Attributes:
         entries: One per evaluation: `steps`, `seconds` of training without the evaluations, and the numbers of
             `PeriodicEvaluation`.
         provenance: Versions, machine, command, creation time (UTC).
-        interruptions: How often the run was resumed.
+        interruptions: Number of times that the run was resumed.
     """
 
     entries: list[Entry] = field(default_factory=list)
@@ -73,22 +73,22 @@ class TrainingCurve:
 
     @property
     def steps(self) -> int:
-        """Environment steps so far."""
+        """Environment steps at the last evaluation."""
         return int(self.entries[-1]["steps"]) if self.entries else 0
 
 
 class TrainingRun:
-    """What is known of a run so far, and where it is written down.
+    """Progress of a run: its learning curve and its checkpoint on disk.
 
     Args:
-        task: What to do.
-        evaluation: Measures the policy as it goes.
-        on_steps: Called with the environment steps so far.
-        on_entry: Called with every measurement, those before an interruption included.
+        task: Environment, settings and seed of the run.
+        evaluation: Evaluates the policy during training.
+        on_steps: Called with the number of environment steps done.
+        on_entry: Called with every evaluation, those before an interruption included.
 
     Attributes:
-        checkpoint: What `save` wrote last; None where nothing was saved yet.
-        curve: The measurements.
+        checkpoint: Newest checkpoint of an interrupted run; None in a new one.
+        curve: The learning curve.
 
     Raises:
         ResultsError: The task's folder holds another training, or a checkpoint that cannot be read.
@@ -117,14 +117,14 @@ class TrainingRun:
 
     @property
     def finished(self) -> bool:
-        """Whether all steps are done."""
+        """True if all steps are done."""
         return self.curve.steps >= self.task.settings.n_timesteps
 
     def resume(self, network: nn.Module, optimizer: torch.optim.Optimizer) -> int:
-        """Give a network and its optimizer back what the checkpoint holds of them, and return the steps that were done.
+        """Restore a network and its optimizer from the checkpoint and return the environment steps done.
 
         Raises:
-            ResultsError: The checkpoint is that of another network.
+            ResultsError: A checkpoint of another network.
         """
         if self.checkpoint is None:
             return 0
@@ -139,19 +139,19 @@ class TrainingRun:
         return int(self.checkpoint["steps"])
 
     def is_due(self, steps: int) -> bool:
-        """Whether it is time to measure and to save."""
+        """Return True if the next evaluation and checkpoint are due."""
         return steps >= self.curve.steps + max(1, self.task.settings.n_timesteps // self.task.settings.measurements)
 
     def measure(self, steps: int, policy: Exportable, saved: Mapping[str, Any]) -> Entry:
-        """Export, measure and save a policy; what is measured is what would be shipped.
+        """Export a policy, evaluate the exported file and write a checkpoint.
 
         Args:
-            steps: Environment steps so far.
-            policy: What was learned.
-            saved: What it takes to go on: tensors and numbers.
+            steps: Environment steps done.
+            policy: The policy.
+            saved: Content of the checkpoint: tensors and numbers.
 
         Returns:
-            The measurement.
+            The evaluation.
         """
         self._seconds += time.perf_counter() - self._since
         task, folder = self.task, self.task.folder
@@ -164,7 +164,7 @@ class TrainingRun:
             encoding=plain(task.settings.encoding),
             network=f"{AGENT}.onnx",
             sha256="",
-            # Points in clutter come with what their filters are told.
+            # Points in clutter come with the parameters that filters receive, in `scene_model`.
             information="calibrated" if kind_of_id(task.env_id) == "clutter" else "prior",
             levels=list(task.settings.levels),
             steps=steps,
@@ -182,7 +182,7 @@ class TrainingRun:
 
 
 def _claim(task: TrainingTask) -> None:
-    """Say in the folder which training it holds; refuse one that holds another."""
+    """Write the task into its folder; raise if the folder holds another one."""
     path, mine = task.folder / TASK, task.as_record()
     if path.exists():
         if json.loads(path.read_text(encoding="utf-8")) != mine:
@@ -195,7 +195,7 @@ def _claim(task: TrainingTask) -> None:
 
 
 def load_checkpoint(folder: Path) -> dict[str, Any] | None:
-    """The last checkpoint: tensors, numbers and text only, nothing is unpickled."""
+    """Return the newest checkpoint, None if there is none. It holds tensors, numbers and text; nothing is unpickled."""
     path = folder / CHECKPOINT
     if not path.exists():
         return None
@@ -206,4 +206,4 @@ def load_checkpoint(folder: Path) -> dict[str, Any] | None:
         reason = "it lacks parameters or curve"
     except Exception as error:  # torch raises what its readers raise
         reason = str(error).splitlines()[0]
-    raise ResultsError(f"{path} is no checkpoint ({reason}); move its folder away to begin anew")
+    raise ResultsError(f"{path} is not a checkpoint ({reason}); move its folder away to start again")

@@ -1,6 +1,6 @@
-"""A Gymnasium vector environment as a Stable-Baselines3 one, without a detour through single environments.
+"""Adapter from a Gymnasium vector environment to a Stable-Baselines3 `VecEnv`, without single environments between.
 
-Import this module only where Stable-Baselines3 is wanted: it is an optional dependency.
+Stable-Baselines3 is an optional dependency: importing this module without it raises ImportError.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class StableBaselinesVecEnv(VecEnv):
     Args:
         env: A vector environment in autoreset mode SAME_STEP, as Stable-Baselines3 resets: an episode's last
             observation is in `infos[i]["terminal_observation"]`.
-        info_keys: Which infos to hand on, all by default. Splitting them into one dictionary per row costs time,
-            so leave out what nobody reads.
+        info_keys: Names of the infos to pass on, all by default. Splitting them into one dictionary per row costs
+            time, so leave out unused ones.
 
     Raises:
         ValueError: Another autoreset mode.
@@ -78,7 +78,7 @@ class StableBaselinesVecEnv(VecEnv):
         final_observations = info.pop("final_obs", None)
         final_info = info.pop("final_info", None)
         infos = self._split(self._wanted(info))
-        # Nearly every step ends no episode; only the rows that ended need the second look.
+        # Most steps end no episode; only rows that ended need more work.
         for row in np.flatnonzero(done):
             if final_info is not None:
                 infos[row] = _row_of(self._wanted(final_info), int(row))
@@ -92,12 +92,12 @@ class StableBaselinesVecEnv(VecEnv):
         self.env.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """One frame per row."""
+        """Return one frame per row."""
         frames: Any = self.env.render()
         return [None] * self.num_envs if frames is None else list(frames)
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of the vector environment, which all rows share."""
+        """Return an attribute of the vector environment, the same for all rows."""
         value = getattr(self.env, attr_name) if hasattr(self.env, attr_name) else getattr(self.env.unwrapped, attr_name)
         return [value for _ in self._get_indices(indices)]
 
@@ -123,7 +123,7 @@ class StableBaselinesVecEnv(VecEnv):
         return [result for _ in range(self.num_envs)]
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: Indices = None) -> list[bool]:  # type: ignore[type-arg]
-        """Single-environment wrappers never sit in a vector environment of this kind."""
+        """Return False for every row: a native vector environment has no single-environment wrappers."""
         return [False for _ in self._get_indices(indices)]
 
     def _refuse_part(self, name: str, indices: Indices) -> None:
@@ -138,27 +138,27 @@ class StableBaselinesVecEnv(VecEnv):
         return {key: value for key, value in info.items() if key.removeprefix("_") in self._info_keys}
 
     def _split(self, info: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """One dictionary per row from a dictionary of arrays with masks."""
+        """Split a dictionary of arrays with masks into one dictionary per row."""
         rows: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for key, values in info.items():
             if key.startswith("_"):
                 continue
             mask = np.asarray(info.get(f"_{key}", True))
-            everyone = bool(mask.all())
+            complete = bool(mask.all())
             if isinstance(values, Mapping):
                 for row, part in enumerate(self._split(values)):
-                    if everyone or mask[row]:
+                    if complete or mask[row]:
                         rows[row][key] = part
                 continue
-            # Lists of Python numbers are several times faster to walk than arrays.
+            # Iterating lists of Python numbers is several times faster than arrays.
             listed = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else values
-            for row in range(self.num_envs) if everyone else np.flatnonzero(mask).tolist():
+            for row in range(self.num_envs) if complete else np.flatnonzero(mask).tolist():
                 rows[row][key] = listed[row]
         return rows
 
 
 def _row_of(info: Mapping[str, Any], row: int) -> dict[str, Any]:
-    """One row of a dictionary of arrays with masks."""
+    """Return one row of a dictionary of arrays with masks."""
     chosen: dict[str, Any] = {}
     for key, values in info.items():
         if (

@@ -1,4 +1,4 @@
-"""Supervised training of a set predictor on scenes of the train range, where the truth is known."""
+"""Supervised training of a set predictor on simulated scenes of the train range."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class SetSettings:
 
     Attributes:
         hidden: Width of the layers.
-        learning_rate: Of Adam; `lin_X` falls from X to 0.
+        learning_rate: Learning rate of Adam; `lin_X` falls linearly from X to 0.
         n_epochs: Passes over the measurements of one iteration.
-        batch_size: Measurements in a batch.
-        false_share: Share of the measurements that are nobody's, or of somebody who is gone, that is learned from.
+        batch_size: Number of measurements in a batch.
+        false_share: Share of the clutter, and of the measurements of vanished targets, that is trained on.
     """
 
     hidden: int = 48
@@ -48,12 +48,12 @@ class SetSettings:
 
 
 class SetNetwork(nn.Module):
-    """From a measurement and its neighbors to whether it is a target's, and where that one is.
+    """Classifies a measurement by its neighbors and regresses its target's position and velocity.
 
-    The neighbors are a set: they look at each other once, and are pooled.
+    The neighbors are a set: one layer of self-attention, then pooling.
 
     Args:
-        neighbors: Of a measurement.
+        neighbors: Number of neighbors of a measurement.
         hidden: Width of the layers.
     """
 
@@ -69,7 +69,7 @@ class SetNetwork(nn.Module):
         )  # fmt: skip
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Answers (A, 5) to rows (A, size)."""
+        """Return answers (A, 5) to rows (A, size)."""
         around = observation[:, : self.neighbors * NEIGHBOR].reshape(-1, self.neighbors, NEIGHBOR)
         own = observation[:, self.neighbors * NEIGHBOR :]
         there = around[..., NEIGHBOR - 1 :]
@@ -83,15 +83,15 @@ class SetNetwork(nn.Module):
 
 
 class Examples(NamedTuple):
-    """Measurements with the truth, A of them.
+    """Measurements with labels, A of them.
 
     Attributes:
-        rows: Shape (A, size).
-        true: Whether each is of a target that is still there. Shape (A,).
-        weight: How many like it each stands for. Shape (A,).
-        offsets: From the measurement to where its target is now, shape (A, 2), m.
-        velocities: Of that one, shape (A, 2), m/s.
-        age: Of the measurement, scans. Shape (A,).
+        rows: Inputs of the network. Shape (A, size).
+        true: 1 if the measurement's target still exists, else 0. Shape (A,).
+        weight: Number of measurements that each stands for, 1 / `false_share` where only a share is kept. Shape (A,).
+        offsets: Present position of the target minus the measurement, shape (A, 2), m.
+        velocities: Velocity of the target, shape (A, 2), m/s.
+        age: Age of the measurement, scans. Shape (A,).
     """
 
     rows: torch.Tensor
@@ -103,17 +103,17 @@ class Examples(NamedTuple):
 
 
 def train_set_predictor(run: TrainingRun) -> None:
-    """Train a set predictor, from the beginning or from where the course was saved; one step is one scan.
+    """Train a set predictor, from the beginning or from the checkpoint; one step is one scan.
 
     Raises:
         ResultsError: The checkpoint does not fit the hyper-parameters.
-        ValueError: The environment shows no points in clutter, or a hyper-parameter is unknown.
+        ValueError: An environment without points in clutter, or an unknown hyper-parameter.
     """
     own = prepare(SetSettings, run)
     task, settings = run.task, run.task.settings
     env: Any = gym.make(task.env_id, **task.env_kwargs).unwrapped
     if not isinstance(getattr(env, "scene_model", None), SceneModel):
-        raise ValueError(f"sets are predicted in worlds of points in clutter, got {task.env_id}")
+        raise ValueError(f"set prediction needs an environment whose `scene_model` is a SceneModel, got {task.env_id}")
     window = SetWindow.of(settings.encoding)
     network = SetNetwork(window.neighbors, own.hidden)
     optimizer = torch.optim.Adam(network.parameters())
@@ -128,10 +128,10 @@ def train_set_predictor(run: TrainingRun) -> None:
 
 
 def _examples(
-    window: SetWindow, scenes: list[Any], told: SceneModel, false_share: float, chance: np.random.Generator
+    window: SetWindow, scenes: list[Any], scene_model: SceneModel, false_share: float, chance: np.random.Generator
 ) -> Examples:
-    """All measurements of targets, and some of the others, of every scan of some scenes."""
-    sensor, bearing_noise = sensor_of(told)
+    """Return all measurements of targets, and a share of the others, of every scan of some scenes."""
+    sensor, bearing_noise = sensor_of(scene_model)
     measured = np.stack([scene.measurements for scene in scenes])
     source = np.stack([scene.source for scene in scenes])
     states, exists = np.stack([scene.states for scene in scenes]), np.stack([scene.exists for scene in scenes])
@@ -154,7 +154,7 @@ def _examples(
 
 
 def _learn(network: SetNetwork, optimizer: torch.optim.Optimizer, examples: Examples, own: SetSettings) -> None:
-    """Some passes over the measurements."""
+    """Train for `n_epochs` passes over the measurements."""
     for _ in range(own.n_epochs):
         for batch in torch.randperm(len(examples.rows)).split(own.batch_size):
             part = Examples(*(tensor[batch] for tensor in examples))

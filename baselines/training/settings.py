@@ -1,4 +1,4 @@
-"""Hyper-parameters of training: one YAML file per environment, in the form of rl-zoo3's."""
+"""Hyper-parameters of training: one YAML file per environment, in the format of rl-zoo3."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ import yaml
 
 FOLDER = Path(__file__).parent / "hyper_parameters"
 SUPERVISED = ("student", "jacobian", "set", "eyes")
-"""Trainings that are none of reinforcement; see the modules of these names in this folder."""
+"""Supervised algorithms: servo policy, Jacobian estimator, set predictor, marker network (`eyes`)."""
 ALGORITHMS = ("ppo", "a2c", "sac", "td3", "recurrent_ppo", "tqc", *SUPERVISED)
-"""Those of Stable-Baselines3 and sb3-contrib, then those of `student`, `jacobian_training`, `set_training` and
-`eyes_training` of this folder."""
+"""Algorithms of Stable-Baselines3 and sb3-contrib, then the supervised ones."""
 _OWN = (
     "algorithm", "n_envs", "n_timesteps", "policy", "normalize", "encoding", "curriculum", "measurements", "summary"
 )  # fmt: skip
@@ -24,21 +23,21 @@ _ZOO_ONLY = ("env_wrapper", "vec_env_wrapper", "frame_stack", "callback", "norma
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """How one agent is trained.
+    """Settings of the training of one agent.
 
     Attributes:
         recipe: Key in the file.
         algorithm: One of `ALGORITHMS`.
-        n_envs: Environments side by side.
+        n_envs: Number of environments side by side.
         n_timesteps: Environment steps of a run.
         policy: Name of Stable-Baselines3's policy class.
-        normalize: Whether rows are normalized by their running mean and deviation.
-        encoding: What `create_encoding` takes.
-        curriculum: Levels that are trained in, one stage of equally many steps after the other, each of one or more
-            levels side by side; empty: the environment's own level.
-        measurements: On tune seeds in the course of a run; as often the run is saved.
-        summary: Of the agent, one line for people.
-        hyper_parameters: Keywords of the algorithm.
+        normalize: True normalizes rows by their running mean and deviation.
+        encoding: Encoding of observations; see `create_encoding`.
+        curriculum: Levels of each stage, one or more side by side; stages have equally many steps. Empty: the
+            environment's own level.
+        measurements: Number of evaluations on tune seeds in a run, each followed by a checkpoint.
+        summary: Description of the agent in one line.
+        hyper_parameters: Keyword arguments of the algorithm.
     """
 
     recipe: str
@@ -54,13 +53,13 @@ class TrainingSettings:
     hyper_parameters: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check what can be checked without Stable-Baselines3."""
+        """Check values, as far as possible without Stable-Baselines3."""
         if self.algorithm not in ALGORITHMS:
             raise ValueError(f"algorithm must be one of {', '.join(ALGORITHMS)}, got {self.algorithm!r}")
         for name in ("n_envs", "n_timesteps", "measurements"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or int(value) != value or value < 1:
-                raise ValueError(f"{name} must be a whole number from 1 on, got {value!r}")
+                raise ValueError(f"{name} must be a whole number >= 1, got {value!r}")
             object.__setattr__(self, name, int(value))
         self._check_curriculum()
 
@@ -72,32 +71,32 @@ class TrainingSettings:
         ):
             raise ValueError(f"curriculum must be a list of stages, each a list of levels, got {stages!r}")
         if stages and self.algorithm in SUPERVISED:
-            raise ValueError(f"curriculum is for reinforcement learning, not for {self.algorithm}")
+            raise ValueError(f"curriculum is supported by reinforcement learning only, got it with {self.algorithm}")
         object.__setattr__(self, "curriculum", tuple(tuple(stage) for stage in stages))
 
     @property
     def levels(self) -> tuple[int, ...]:
-        """Levels that an agent is trained for, where they are more than one: those of the last stage."""
+        """Levels of the last stage if they are more than one, else (): those that the agent is trained for."""
         last = self.curriculum[-1] if self.curriculum else ()
         return last if len(last) > 1 else ()
 
     def as_record(self) -> dict[str, Any]:
-        """As JSON can hold it."""
+        """Return the settings as JSON can hold them."""
         return asdict(self)
 
 
 def load_settings(env_id: str, recipe: str, level: int | None = None, path: Path | None = None) -> TrainingSettings:
-    """Settings of an environment from its file; those of its level where the file has any.
+    """Read the settings of an environment from its file, those of its level if the file has any.
 
     Args:
         env_id: Gymnasium id.
-        recipe: Key in the file, or with " level=L" behind it: one of `ALGORITHMS`, or any name of a recipe that says
-            itself which `algorithm` it is for.
-        level: Of the environment.
-        path: A file of one's own.
+        recipe: Key in the file, where " level=L" may follow it: one of `ALGORITHMS`, or any other name if the entry
+            has an `algorithm`.
+        level: Level of the environment.
+        path: Another file than the package's.
 
     Raises:
-        ValueError: No file, no such key in it, or values that nobody can use.
+        ValueError: No file, no such key in it, or invalid values.
     """
     file = path or FOLDER / f"{env_id}.yml"
     try:
@@ -108,7 +107,7 @@ def load_settings(env_id: str, recipe: str, level: int | None = None, path: Path
             f"{file.name} cannot be read ({error.strerror}); give --settings FILE, there are files for {known}"
         ) from error
     except yaml.YAMLError as error:
-        raise ValueError(f"{file} is no YAML: {error}") from error
+        raise ValueError(f"{file} is not valid YAML: {error}") from error
     if not isinstance(document, dict):
         raise ValueError(f"{file} must map algorithms to hyper-parameters, got {type(document).__name__}")
     names = [recipe] if level is None else [f"{recipe} level={level}", recipe]
@@ -116,14 +115,14 @@ def load_settings(env_id: str, recipe: str, level: int | None = None, path: Path
     if not isinstance(chosen, dict):
         raise ValueError(f"{file} has no hyper-parameters for {recipe!r}, only for {', '.join(map(str, document))}")
     if strange := [name for name in _ZOO_ONLY if chosen.get(name)]:
-        raise ValueError(f"{file}: {', '.join(strange)} of rl-zoo3 has no meaning here; use encoding and --set")
+        raise ValueError(f"{file}: {', '.join(strange)} of rl-zoo3 is not supported; use encoding and --set")
     own = {name: chosen[name] for name in _OWN if name in chosen}
     rest = {name: _read(value) for name, value in chosen.items() if name not in own and name not in _ZOO_ONLY}
     return TrainingSettings(recipe, **{"algorithm": recipe, **own}, hyper_parameters=rest)
 
 
 def _read(value: Any) -> Any:
-    """A value of rl-zoo3: texts that look like Python are read as literals, `dict(...)` included, never evaluated."""
+    """Parse a value of rl-zoo3: `dict(...)` in a text is read as a literal and never evaluated."""
     if not isinstance(value, str) or not value.startswith("dict("):
         return value
     try:
@@ -143,7 +142,7 @@ def _literal(node: ast.expr) -> Any:
 
 
 def schedule(value: Any) -> Any:
-    """A learning rate or clip range as Stable-Baselines3 takes it: `lin_X` falls from X to 0 along the training."""
+    """Convert a learning rate or clip range for Stable-Baselines3: `lin_X` falls linearly from X to 0."""
     if not isinstance(value, str):
         return value
     kind, _, first = value.partition("_")

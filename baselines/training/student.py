@@ -1,4 +1,4 @@
-"""A student of a teacher that knows the future: trained on its own mistakes, by where the target will be next."""
+"""Supervised training of a servo policy by the distance to the target's next position, which the simulator knows."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from servotrack.baselines.training.run import TrainingRun
 from servotrack.baselines.training.supervised import (
     RecurrentNetwork,
     descend,
-    explored,
     episode_seeds,
+    explored,
     prepare,
     servo_environments,
     take_turns,
@@ -28,9 +28,9 @@ from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.stateful import select_rows
 
 ERRORS = 2
-"""Numbers of the turned error, with which a row begins."""
-FLOOR = 1e-3
-"""Distances are not told apart below this, m."""
+"""Entries of the rotated image error, with which a row begins."""
+DISTANCE_FLOOR = 1e-3
+"""Distance below which the loss is flat, m."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class StudentSettings:
     """Hyper-parameters of a student.
 
     Attributes:
-        hidden: Numbers that its recurrent layer carries.
-        learning_rate: Of Adam; `lin_X` falls from X to 0.
+        hidden: Size of the recurrent layer's state.
+        learning_rate: Learning rate of Adam; `lin_X` falls linearly from X to 0.
         n_epochs: Passes over the episodes of one iteration.
-        batch_size: Episodes in a batch.
-        exploration: Noise of every other iteration's actions, relative to the action's size.
+        batch_size: Number of episodes in a batch.
+        exploration: Action noise in every other iteration, relative to the size of the action.
         scale: Distance that costs ln 2, m: well below it the loss is linear, well above logarithmic.
     """
 
@@ -55,14 +55,14 @@ class StudentSettings:
 
 
 class StudentNetwork(RecurrentNetwork):
-    """A recurrent network whose answer is a matrix times the turned error and a feed-forward.
+    """A recurrent network whose action is a gain matrix times the rotated error, plus a feed-forward term.
 
-    For small errors it so answers in proportion, with a gain that depends on what it has seen.
+    For small errors the action is proportional to the error, with a gain that depends on the history.
 
     Args:
-        size: Numbers in a row.
-        hidden: Numbers that it carries.
-        residual: Whether a row ends with what a classical servo does, which the network then corrects.
+        size: Length of a row.
+        hidden: Size of the recurrent state.
+        residual: True if a row ends with the action of a classical servo, to which the network adds a correction.
     """
 
     def __init__(self, size: int, hidden: int, residual: bool) -> None:
@@ -74,14 +74,14 @@ class StudentNetwork(RecurrentNetwork):
             last.bias.zero_()
 
     def actions(self, rows: torch.Tensor, carried: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-        """Actions of whole sequences, limited in their direction.
+        """Return actions of whole sequences, scaled down to the limits with their direction kept.
 
         Args:
-            rows: Shape (N, T, size).
-            carried: Shape (1, N, hidden); None at the beginning.
+            rows: Inputs, shape (N, T, size).
+            carried: Recurrent state, shape (1, N, hidden); None at the beginning.
 
         Returns:
-            Shape (N, T, 2), and what is carried on.
+            Actions, shape (N, T, 2), and the recurrent state after them.
         """
         answer, carried = self.answers(rows, carried)
         gain = answer[..., : 2 * ERRORS].unflatten(-1, (2, ERRORS))
@@ -91,23 +91,23 @@ class StudentNetwork(RecurrentNetwork):
         return action / torch.clamp(action.abs().amax(-1, keepdim=True), min=1.0), carried
 
     def forward(self, observation: torch.Tensor, memory: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """One step, as it is exported: from rows (N, size) and memory (N, hidden) to corrections and memory."""
+        """Return corrections and the next memory for rows (N, size) and memory (N, hidden), as exported."""
         action, carried = self.actions(observation[:, None], memory[None])
         base = observation[:, -2:] if self.residual else 0.0
         return action[:, 0] - base, carried[0]
 
 
 class StudentEpisodes(NamedTuple):
-    """Episodes of the student, and what the teacher knows of them; N episodes of T steps.
+    """Episodes of the student with the true state of the simulator; N episodes of T steps.
 
     Attributes:
-        rows: What the student saw. Shape (N, T, size).
+        rows: Inputs of the student. Shape (N, T, size).
         joints: True joint angles, rad. Shape (N, T, 2).
         before: Actions of the step before. Shape (N, T, 2).
-        following: Where the target is a period later, m. Shape (N, T, 2).
-        counted: 1 while the episode lasted. Shape (N, T).
-        links: Lengths, m. Shape (N, 2).
-        gain: Of the motors. Shape (N, 2).
+        following: Position of the target one period later, m. Shape (N, T, 2).
+        counted: 1 until the episode ends, then 0. Shape (N, T).
+        links: Link lengths, m. Shape (N, 2).
+        gain: Gains of the motors. Shape (N, 2).
     """
 
     rows: torch.Tensor
@@ -120,15 +120,14 @@ class StudentEpisodes(NamedTuple):
 
 
 def train_student(run: TrainingRun) -> None:
-    """Train a student, from the beginning or from where the course was saved.
+    """Train a student, from the beginning or from the checkpoint.
 
-    Each iteration lets the student act in new episodes of the train range and then improves every one of its actions by
-    where the tool would have been a period later, and where the target was: DAgger (Ross et al. 2011) with the
-    distance itself as the loss.
+    Each iteration lets the student act in new episodes of the train range. Then it improves every action by the
+    distance between tool and target one period later: DAgger (Ross et al. 2011) with the distance itself as the loss.
 
     Raises:
         ResultsError: The checkpoint does not fit the hyper-parameters.
-        ValueError: The environment is no servo of features, or a hyper-parameter is unknown.
+        ValueError: An environment that does not observe features of a servo, or an unknown hyper-parameter.
     """
     own = prepare(StudentSettings, run)
     task, settings = run.task, run.task.settings
@@ -159,7 +158,7 @@ def _act(
     noise: float,
     explore: np.random.Generator,
 ) -> StudentEpisodes:
-    """One episode of the student per seed, with what the teacher knows written down beside."""
+    """Run one episode of the student per seed and record the true state of the simulator."""
     world: ServoWorld = env.unwrapped.world
     count, length = len(seeds), world.config.warmup + world.config.horizon
     observation, _ = env.reset(seed=seeds)
@@ -181,7 +180,7 @@ def _act(
         observation, _, terminated, truncated, _ = env.step(action)
         ended = terminated | truncated
         if ended.any():
-            # These rows no longer count; their memory only has to stand the clock that starts anew.
+            # These rows no longer count; their memory is reset because the clock starts anew.
             memory = select_rows(ended, encoding.initial(observation), memory)
         alive &= ~ended
     tensors = (torch.from_numpy(part) for part in (rows, joints, before, following, counted, links, gain))
@@ -189,10 +188,14 @@ def _act(
 
 
 def _learn(
-    network: StudentNetwork, optimizer: torch.optim.Optimizer, episodes: StudentEpisodes, own: StudentSettings, config: Any
+    network: StudentNetwork,
+    optimizer: torch.optim.Optimizer,
+    episodes: StudentEpisodes,
+    own: StudentSettings,
+    config: Any,
 ) -> None:
-    """Some passes over the episodes."""
-    # A motor obeys one substep late.
+    """Train for `n_epochs` passes over the episodes."""
+    # A motor takes up its command one substep late.
     late = 1.0 / config.substeps
     for _ in range(own.n_epochs):
         for batch in torch.randperm(len(episodes.rows)).split(own.batch_size):
@@ -200,12 +203,12 @@ def _learn(
             action, _ = network.actions(part.rows)
             rates = part.gain[:, None] * (late * part.before + (1.0 - late) * action)
             tool = _tool(part.joints + PERIOD * config.max_joint_rate * rates, part.links)
-            distance = torch.sqrt(((tool - part.following) ** 2).sum(-1) + FLOOR**2)
+            distance = torch.sqrt(((tool - part.following) ** 2).sum(-1) + DISTANCE_FLOOR**2)
             loss = (torch.log1p(distance / own.scale) * part.counted).sum() / part.counted.sum()
             descend(network, optimizer, loss)
 
 
 def _tool(joints: torch.Tensor, links: torch.Tensor) -> torch.Tensor:
-    """Where the tool is, m."""
+    """Return the position of the tool, m."""
     angles = torch.stack([joints[..., 0], joints.sum(-1)], -1)
     return torch.stack([(links[:, None] * f(angles)).sum(-1) for f in (torch.cos, torch.sin)], -1)

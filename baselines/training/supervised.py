@@ -1,4 +1,4 @@
-"""What all trainings from known answers share: turns of collecting and learning, measured and saved as they go."""
+"""The loop that all supervised trainings share: alternate data collection and updates, evaluate, checkpoint."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Settings = TypeVar("Settings")
 
 
 def prepare(kind: type[Settings], run: TrainingRun) -> Settings:
-    """Give torch one thread and this run's random numbers, and read the training's own hyper-parameters.
+    """Set torch to one thread and this run's seed, and return the training's own hyper-parameters.
 
     Raises:
         ValueError: A hyper-parameter that this training does not take.
@@ -37,10 +37,10 @@ def prepare(kind: type[Settings], run: TrainingRun) -> Settings:
 
 
 def servo_environments(task: TrainingTask) -> Any:
-    """The vector environment of a training whose teacher knows a servo's world.
+    """Create the vector environment of a training that reads a servo's simulated world.
 
     Raises:
-        ValueError: The environment is no servo of features.
+        ValueError: An environment that does not observe features of a servo.
     """
     env = gym.make_vec(
         task.env_id,
@@ -51,12 +51,14 @@ def servo_environments(task: TrainingTask) -> Any:
     )
     if type(getattr(env.unwrapped, "world", None)) is not ServoWorld:
         env.close()
-        raise ValueError(f"{task.settings.algorithm} learns in servo worlds with features only, got {task.env_id}")
+        raise ValueError(
+            f"{task.settings.algorithm} supports only servo environments that observe features, got {task.env_id}"
+        )
     return env
 
 
 def explored(action: FloatArray, noise: float, chance: np.random.Generator) -> FloatArray:
-    """Actions within [-1, 1] with noise relative to their size. Shape (N, n)."""
+    """Add noise relative to the size of the actions and clip to [-1, 1]. Shape (N, n)."""
     if noise > 0.0:
         size = 0.1 + np.abs(action).max(axis=1, keepdims=True)
         action = action + (noise * size * chance.normal(size=action.shape)).astype(np.float32)
@@ -64,12 +66,12 @@ def explored(action: FloatArray, noise: float, chance: np.random.Generator) -> F
 
 
 class RecurrentNetwork(nn.Module):
-    """A gated recurrent layer, and a head that sees what is remembered beside the newest row.
+    """A gated recurrent layer, and a head that reads its state and the newest row.
 
     Args:
-        size: Numbers in a row.
-        hidden: Numbers that it carries.
-        answers: Numbers in an answer.
+        size: Length of a row.
+        hidden: Size of the recurrent state.
+        answers: Length of an answer.
     """
 
     def __init__(self, size: int, hidden: int, answers: int) -> None:
@@ -79,21 +81,21 @@ class RecurrentNetwork(nn.Module):
         self.head = nn.Sequential(nn.Linear(hidden + size, hidden), nn.ReLU(), nn.Linear(hidden, answers))
 
     def answers(self, rows: torch.Tensor, carried: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-        """Answers to whole sequences.
+        """Return answers to whole sequences.
 
         Args:
-            rows: Shape (N, T, size).
-            carried: Shape (1, N, hidden); None at the beginning.
+            rows: Inputs, shape (N, T, size).
+            carried: Recurrent state, shape (1, N, hidden); None at the beginning.
 
         Returns:
-            Shape (N, T, answers), and what is carried on.
+            Answers, shape (N, T, answers), and the recurrent state after them.
         """
         remembered, carried = self.memory(self.entry(rows), carried)
         return self.head(torch.cat([remembered, rows], -1)), carried
 
 
 def episode_seeds(task: TrainingTask, steps: int) -> list[int]:
-    """Seeds of the train range that this run has not had lately, one per environment."""
+    """Return seeds of the train range that this run has not used recently, one per environment."""
     first = 7919 * task.seed + steps
     return [seed_ranges.TRAIN[(first + i) % len(seed_ranges.TRAIN)] for i in range(task.settings.n_envs)]
 
@@ -109,12 +111,12 @@ def take_turns(
     """Train until all steps are done.
 
     Args:
-        run: Measures and saves.
-        network: That learns, as it was where the course was saved.
-        optimizer: Of its weights.
-        learning_rate: A number, or `lin_X`, which falls from X to 0.
-        exported: The network as it is shipped.
-        turn: Collects and learns once; environment steps before in, those that it took out.
+        run: Evaluates the policy and saves checkpoints.
+        network: Network to train, restored from the checkpoint.
+        optimizer: Optimizer of its weights.
+        learning_rate: A number, or `lin_X`, which falls linearly from X to 0.
+        exported: The network as it is exported to ONNX.
+        turn: Collects data and updates once. Called with the environment steps done; returns the steps it added.
     """
     total, steps, rate = run.task.settings.n_timesteps, run.curve.steps, schedule(learning_rate)
     while steps < total:
@@ -128,7 +130,7 @@ def take_turns(
 
 
 def descend(network: nn.Module, optimizer: torch.optim.Optimizer, loss: torch.Tensor, steepest: float = 1.0) -> None:
-    """One step down a loss, of gradients no longer than `steepest`."""
+    """Take one optimizer step; gradients longer than `steepest` are scaled down to it."""
     optimizer.zero_grad()
     loss.backward()
     nn.utils.clip_grad_norm_(network.parameters(), steepest)

@@ -1,4 +1,4 @@
-"""Agents that learn: training them, listing them, and asking whether training wins."""
+"""Commands for learned agents: train, agents and compare."""
 
 from __future__ import annotations
 
@@ -21,28 +21,34 @@ from servotrack.commands.terms import (
 
 
 def train(
-    env: Annotated[str, typer.Argument(help="Gymnasium id with a vector environment of its own.")],
+    env: Annotated[str, typer.Argument(help="Gymnasium id with a vector_entry_point.")],
     algo: Annotated[
         str,
         typer.Option(
-            help="ppo, a2c, sac, td3, recurrent_ppo, tqc, student, jacobian, set, or a recipe's name in the file."
+            help="ppo, a2c, sac, td3, recurrent_ppo, tqc, student, jacobian, set, eyes, or a recipe of the file."
         ),
     ] = "ppo",
     level: Level = None,
     settings: Settings = None,
-    seeds: Annotated[str, typer.Option(help="One training run each, such as 0-2.")] = "0",
-    steps: Annotated[int | None, typer.Option(min=1, help="Environment steps of a run; default: the file's.")] = None,
+    seeds: Annotated[str, typer.Option(help="Seeds of the training runs, one run each, e.g. 0-2.")] = "0",
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Environment steps of a run. Default: those of the settings file.")
+    ] = None,
     hyper_parameters: Annotated[
-        Path | None, typer.Option("--settings", help="YAML in rl-zoo3's form; default: the package's for ENV.")
+        Path | None,
+        typer.Option("--settings", help="YAML file in the format of rl-zoo3. Default: the package's file for ENV."),
     ] = None,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder of runs; those that were interrupted there are resumed.")
+        Path, typer.Option("--output", "-o", help="Folder of runs. Interrupted runs in it are resumed.")
     ] = DEFAULT_RESULTS / "train",
-    name: Annotated[str | None, typer.Option(help="Of the agent; default: the algorithm's.")] = None,
-    ship: Annotated[Path | None, typer.Option(help="Folder for the best run's network and card.")] = None,
-    jobs: Annotated[int, typer.Option("--jobs", "-j", help="Runs at a time.")] = 1,
+    name: Annotated[str | None, typer.Option(help="Name of the trained agent. Default: the algorithm's name.")] = None,
+    ship: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the best run's network (ONNX) and card. Default: the folder of the runs."),
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", "-j", help="Number of runs trained in parallel.")] = 1,
 ) -> None:
-    """Train with Stable-Baselines3 (extra `rl`), measured beside the classical agents; writes ONNX and a card."""
+    """Train an agent (extra `rl`), evaluate it next to the classical agents, and write an ONNX file and its card."""
     from dataclasses import replace
 
     from servotrack.baselines.training.settings import load_settings
@@ -59,13 +65,15 @@ def train(
 
 
 def agents(
-    world: Annotated[str, typer.Option(help="servo, clutter, video, color, sonar or follow; default: all.")] = "",
+    world: Annotated[str, typer.Option(help="servo, clutter, people, color, sonar or follow. Default: all.")] = "",
     into: Annotated[
         Path | None,
-        typer.Option(help="A document for the learned ones, with <!-- agents:begin --> and <!-- agents:end -->."),
+        typer.Option(
+            help="Document for the table of learned agents, with <!-- agents:begin --> and <!-- agents:end -->."
+        ),
     ] = None,
 ) -> None:
-    """All agents by name, and what the learned ones among them cost to train."""
+    """List all agents, and the training cost of the learned ones."""
     from servotrack.baselines.leaderboard.agents_table import agents_grid, shipped_grid
     from servotrack.baselines.reporting.embed import embed
     from servotrack.baselines.reporting.grid import as_markdown, as_rich
@@ -79,18 +87,18 @@ def agents(
 
 
 def compare(
-    runs: Annotated[Path, typer.Argument(help="An environment's folder of training runs, results/train/ENV.")],
-    recipe: Annotated[str, typer.Argument(help="Whose runs: ppo, hybrid, ...")],
-    against: Annotated[str, typer.Argument(help="The agent to compare with.")],
+    runs: Annotated[Path, typer.Argument(help="Folder of an environment's training runs, e.g. results/train/ENV.")],
+    recipe: Annotated[str, typer.Argument(help="Recipe whose runs are compared, e.g. ppo or hybrid.")],
+    against: Annotated[str, typer.Argument(help="Agent to compare with.")],
     episodes: Episodes = 100,
     split: Split = "test",
     results: Results = DEFAULT_RESULTS / "compare",
     into: Annotated[
         Path | None,
-        typer.Option(help="A document that has the marks <!-- compare:begin --> and <!-- compare:end -->."),
+        typer.Option(help="Document for the table, with <!-- compare:begin --> and <!-- compare:end -->."),
     ] = None,
 ) -> None:
-    """Whether training wins: all runs of a recipe against an agent, runs and episodes resampled, crossed."""
+    """Compare all training runs of a recipe with one agent. The interval resamples training runs and episodes."""
     from servotrack.baselines.evaluation.results import ResultsFolder
     from servotrack.baselines.reporting.embed import embed
     from servotrack.baselines.reporting.terminal import command_line, progress_bars

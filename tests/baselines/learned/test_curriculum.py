@@ -80,7 +80,7 @@ def test_curricula_that_nobody_can_use_are_refused(curriculum: Any) -> None:
     fields = {"n_envs": 5, "encoding": {"kind": "servo"}}
     with pytest.raises(ValueError, match="curriculum must be a list of stages"):
         TrainingSettings("ppo", "ppo", curriculum=curriculum, **fields)
-    with pytest.raises(ValueError, match="not for student"):
+    with pytest.raises(ValueError, match="reinforcement learning only, got it with student"):
         TrainingSettings("student", "student", curriculum=((2,),), **fields)
 
 

@@ -150,6 +150,6 @@ def test_an_estimator_is_taught_and_goes_on_after_a_kill(tmp_path: Path) -> None
     path = tmp_path / "run" / "agent.json"
     assert load_card(path).memory == 32
     assert len(run_episodes("UncalibServo-v0", agent_card(str(path)), [100_000], SHORT)[0]) == 1
-    with pytest.raises(ValueError, match="jacobian learns in servo worlds"):
+    with pytest.raises(ValueError, match="jacobian supports only servo"):
         other = TrainingTask("PedestrianServo-v0", {"observation": "identity"}, settings, 0, tmp_path / "other")
         train(other, yard)

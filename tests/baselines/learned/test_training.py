@@ -61,7 +61,7 @@ RECURRENT = replace(PPO, algorithm="recurrent_ppo", policy="MlpLstmPolicy", enco
 OFF_POLICY = {"learning_starts": 64, "buffer_size": 1000, "train_freq": 8, "batch_size": 32}
 
 
-def yardstick(folder: Path) -> PeriodicEvaluation:
+def periodic_evaluation(folder: Path) -> PeriodicEvaluation:
     return PeriodicEvaluation(ENV_ID, SHORT, ResultsFolder(folder / "classical"), episodes=4)
 
 
@@ -122,20 +122,20 @@ def test_a_killed_training_goes_on_where_it_was_saved(tmp_path: Path) -> None:
             raise Killed
 
     with pytest.raises(Killed):
-        train(task, yardstick(tmp_path), on_entry=kill)
+        train(task, periodic_evaluation(tmp_path), on_entry=kill)
     saved = torch.load(tmp_path / "run" / CHECKPOINT, weights_only=True)
     assert saved["steps"] == seen[-1] < PPO.n_timesteps
     resumed: list[int] = []
-    curve = train(task, yardstick(tmp_path), on_entry=lambda entry: resumed.append(int(entry["steps"])))
+    curve = train(task, periodic_evaluation(tmp_path), on_entry=lambda entry: resumed.append(int(entry["steps"])))
     assert resumed[:5] == seen and resumed[-1] >= PPO.n_timesteps and sorted(set(resumed)) == resumed
     assert curve.interruptions == 1
     # Nothing is left to do.
-    assert train(task, yardstick(tmp_path)).entries == curve.entries
+    assert train(task, periodic_evaluation(tmp_path)).entries == curve.entries
 
 
 def test_a_resumed_model_is_the_one_that_was_saved(tmp_path: Path) -> None:
     task = TrainingTask(ENV_ID, SHORT, replace(PPO, normalize=True, n_timesteps=512), 0, tmp_path, tensorboard=False)
-    train(task, yardstick(tmp_path))
+    train(task, periodic_evaluation(tmp_path))
     checkpoint = load_checkpoint(tmp_path)
     assert checkpoint is not None
     models: list[Any] = [create_model(task), create_model(task)]
@@ -153,7 +153,7 @@ def test_same_seed_same_training(tmp_path: Path) -> None:
     curves = []
     for name in ("one", "two"):
         task = TrainingTask(ENV_ID, SHORT, replace(PPO, n_timesteps=512), 3, tmp_path / name, tensorboard=False)
-        curves.append([{**entry, "seconds": 0} for entry in train(task, yardstick(tmp_path)).entries])
+        curves.append([{**entry, "seconds": 0} for entry in train(task, periodic_evaluation(tmp_path)).entries])
     assert curves[0] == curves[1]
 
 
@@ -164,19 +164,20 @@ def test_a_checkpoint_that_would_run_code_is_refused(tmp_path: Path) -> None:
 
     task = TrainingTask(ENV_ID, SHORT, PPO, 0, tmp_path, tensorboard=False)
     (tmp_path / CHECKPOINT).write_bytes(pickle.dumps({"parameters": Evil(), "curve": ""}))
-    with pytest.raises(ResultsError, match="no checkpoint"):
-        train(task, yardstick(tmp_path))
+    with pytest.raises(ResultsError, match="not a checkpoint"):
+        train(task, periodic_evaluation(tmp_path))
     (tmp_path / CHECKPOINT).write_bytes(b"PK\x03\x04 truncated")
-    with pytest.raises(ResultsError, match="no checkpoint"):
-        train(task, yardstick(tmp_path))
+    with pytest.raises(ResultsError, match="not a checkpoint"):
+        train(task, periodic_evaluation(tmp_path))
 
 
 def test_a_folder_of_another_training_is_refused(tmp_path: Path) -> None:
     train(
-        TrainingTask(ENV_ID, SHORT, replace(PPO, n_timesteps=128), 0, tmp_path, tensorboard=False), yardstick(tmp_path)
+        TrainingTask(ENV_ID, SHORT, replace(PPO, n_timesteps=128), 0, tmp_path, tensorboard=False),
+        periodic_evaluation(tmp_path),
     )
     with pytest.raises(ResultsError, match="other settings"):
-        train(TrainingTask(ENV_ID, SHORT, PPO, 0, tmp_path, tensorboard=False), yardstick(tmp_path))
+        train(TrainingTask(ENV_ID, SHORT, PPO, 0, tmp_path, tensorboard=False), periodic_evaluation(tmp_path))
 
 
 def test_the_best_of_several_runs_gets_a_card_that_tells_of_all(tmp_path: Path) -> None:
@@ -240,8 +241,8 @@ def test_the_shipped_hyper_parameters_can_be_read() -> None:
         ("ppo: {policy_kwargs: \"dict(a=__import__('os').system('true'))\"}", "literals"),
         ("sac: {}", "only for sac"),
         ("[]", "must map"),
-        ("ppo: [", "no YAML"),
-        ("ppo: !!python/object/apply:os.system ['true']", "no YAML"),
+        ("ppo: [", "not valid YAML"),
+        ("ppo: !!python/object/apply:os.system ['true']", "not valid YAML"),
     ],
 )
 def test_bad_hyper_parameters_are_refused(text: str, message: str, tmp_path: Path) -> None:
@@ -284,8 +285,8 @@ def test_a_student_learns_and_goes_on_after_a_kill(residual: bool, tmp_path: Pat
     task = TrainingTask(ENV_ID, SHORT, settings, 0, tmp_path / "run")
     entries: list[dict[str, Any]] = []
     with pytest.raises(Killed):
-        train(task, yardstick(tmp_path), on_entry=kill)
-    curve = train(task, yardstick(tmp_path))
+        train(task, periodic_evaluation(tmp_path), on_entry=kill)
+    curve = train(task, periodic_evaluation(tmp_path))
     assert curve.entries[:2] == entries and curve.steps >= 8000 and curve.interruptions == 1
     card = load_card(tmp_path / "run" / "agent.json")
     assert card.memory == 16
@@ -308,9 +309,11 @@ def test_a_student_acts_step_by_step_as_in_a_whole_sequence() -> None:
 
 def test_a_student_is_refused_where_no_teacher_is(tmp_path: Path) -> None:
     settings = TrainingSettings("student", "student", n_envs=2, n_timesteps=10, encoding={"kind": "servo"})
-    yard = yardstick(tmp_path)
-    with pytest.raises(ValueError, match="student learns in servo worlds"):
-        train(TrainingTask("PedestrianServo-v0", {"observation": "identity"}, settings, 0, tmp_path / "run"), yard)
+    evaluation = periodic_evaluation(tmp_path)
+    with pytest.raises(ValueError, match="student supports only servo"):
+        train(
+            TrainingTask("PedestrianServo-v0", {"observation": "identity"}, settings, 0, tmp_path / "run"), evaluation
+        )
 
 
 def test_eyes_learn_and_see_what_they_have_learned(tmp_path: Path) -> None:
@@ -320,8 +323,8 @@ def test_eyes_learn_and_see_what_they_have_learned(tmp_path: Path) -> None:
     )  # fmt: skip
     world: dict[str, Any] = {"level": 2, "horizon": 80, "image_size": 48}
     task = TrainingTask("UncalibServoPixels-v0", world, settings, 0, tmp_path / "eyes")
-    yard = PeriodicEvaluation("UncalibServoPixels-v0", world, ResultsFolder(tmp_path / "classical"), episodes=2)
-    curve = train(task, yard)
+    evaluation = PeriodicEvaluation("UncalibServoPixels-v0", world, ResultsFolder(tmp_path / "classical"), episodes=2)
+    curve = train(task, evaluation)
     path = tmp_path / "eyes" / "agent.json"
     eyes = open_marker_network(str(path))
     env = gym.make_vec("UncalibServoPixels-v0", num_envs=16, pixel_noise=0.0, **world)
