@@ -27,7 +27,6 @@ PAPERS: dict[str, Paper] = {
             f"{_ROOM}.gm_phd_video.report:reproduce",
             20,
             takes_recordings=True,
-            takes_into=True,
         ),
         Paper(
             "monte_carlo_color",
@@ -35,7 +34,6 @@ PAPERS: dict[str, Paper] = {
             "Monte-Carlo color tracking",
             f"{_ROOM}.monte_carlo_color.report:reproduce",
             20,
-            takes_into=True,
         ),
         Paper(
             "unscented_jacobian",
@@ -50,7 +48,6 @@ PAPERS: dict[str, Paper] = {
             "hidden Markov models on bearing-time records",
             f"{_ROOM}.hmm_sonar.report:reproduce",
             50,
-            takes_into=True,
         ),
         Paper(
             "pairwise_markov",
@@ -67,7 +64,6 @@ PAPERS: dict[str, Paper] = {
             f"{_ROOM}.transfer:reproduce",
             8,
             takes_recordings=True,
-            takes_into=True,
         ),
     )
 }
@@ -120,17 +116,16 @@ def reproduce_paper(
         console: Console for the tables and the paths of the written files.
         claims_path: Claims file to fill in; None for a copy of the shipped one in `output`.
         recordings: Sequences of the user, for papers with `takes_recordings`.
-        into: Markdown file with the marks `<!-- NAME:begin -->` and `<!-- NAME:end -->`, for papers with `takes_into`.
+        into: Markdown file with the marks `<!-- NAME:begin -->` and `<!-- NAME:end -->` that also receives the tables.
 
     Raises:
-        ValueError: Unknown name, or recordings or a file for a paper that takes none.
+        ValueError: Unknown name, or recordings for a paper that takes none.
         ResultsError: `output` cannot be written.
     """
     paper = find_paper(name)
     if recordings and not paper.takes_recordings:
-        _refuse("--source", paper, [other.name for other in PAPERS.values() if other.takes_recordings])
-    if into is not None and not paper.takes_into:
-        _refuse("--into", paper, [other.name for other in PAPERS.values() if other.takes_into])
+        takers = " and ".join(other.name for other in PAPERS.values() if other.takes_recordings)
+        raise ValueError(f"--source goes with {takers}, got it with {paper.name!r}; leave it out")
     module, _, function = paper.run.partition(":")
     run: Callable[[Request], None] = getattr(importlib.import_module(module), function)
     run(
@@ -138,7 +133,3 @@ def reproduce_paper(
             paper, output, paper.default_runs if runs is None else runs, console, claims_path, tuple(recordings), into
         )
     )
-
-
-def _refuse(option: str, paper: Paper, takers: Sequence[str]) -> None:
-    raise ValueError(f"{option} goes with {', '.join(takers)}, got it with {paper.name!r}; leave it out")

@@ -12,13 +12,12 @@ class Paper(NamedTuple):
     """A paper that `servotrack reproduce` knows.
 
     Attributes:
-        name: Argument of the command. Also the paper's folder, its output file and its marks in a document.
+        name: Argument of the command; also names the folder, the output file and the marks in a document.
         title: Title in English, authors and year; heading of the output file.
         summary: Experiment in a few words, for the help text.
         run: Reproduction as "module:callable", imported only when it runs. Takes a `Request`.
         default_runs: Runs per algorithm without `--runs`. More runs narrow the intervals.
         takes_recordings: True if it also runs on the user's own sequences.
-        takes_into: True if its tables can be put into a Markdown document.
     """
 
     name: str
@@ -27,7 +26,6 @@ class Paper(NamedTuple):
     run: str
     default_runs: int
     takes_recordings: bool = False
-    takes_into: bool = False
 
     @property
     def command(self) -> str:
@@ -58,7 +56,7 @@ class Request(NamedTuple):
         console: Console for the tables and the paths of the written files.
         claims: Claims file to fill in; None for a copy of the shipped one in `output`.
         recordings: Sequences of the user, for papers with `takes_recordings`.
-        into: Markdown file with marks that also receives the tables, for papers with `takes_into`.
+        into: Markdown file with the marks `<!-- NAME:begin -->` and `<!-- NAME:end -->` that also receives the tables.
     """
 
     paper: Paper

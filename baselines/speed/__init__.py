@@ -1,1 +1,1 @@
-"""How fast the worlds and filters are beside others, and whether the agents reach the figures that were asked for."""
+"""Speed of environments and filters beside reference libraries, and accuracy targets of the agents."""

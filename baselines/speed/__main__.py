@@ -1,4 +1,4 @@
-"""`python -m servotrack.baselines.speed`: what `scripts/benchmark` runs."""
+"""Measure speed, or accuracy targets with `--accuracy`. `scripts/speed` runs this module."""
 
 from __future__ import annotations
 
@@ -13,65 +13,80 @@ from rich.console import Console
 from rich.progress import Progress
 
 from servotrack.baselines.evaluation.provenance import provenance
-from servotrack.baselines.speed import accuracy, bearings, clutter, learning, speed, video
+from servotrack.baselines.speed import accuracy, bearings, environments, learning, rates, set_filters, video
 
 
 def speed_report(
     pusht_python: str | None, stone_soup_python: str | None, rounds: int, seconds: float, console: Console
 ) -> str:
-    """The tables of rates: worlds and Jacobian filters, set filters, video, bearings, and learning."""
+    """Return the tables of rates: environments and Jacobian filters, set filters, video, bearings, and learning.
 
-    def table(rows: list[speed.Subject]) -> str:
+    Args:
+        pusht_python: Interpreter that has gym-pusht and pymunk<7; None if there is none.
+        stone_soup_python: Interpreter that has Stone Soup; None if there is none.
+        rounds: Measurements of each rate.
+        seconds: Duration of one measurement, s.
+        console: Console for the progress bars.
+    """
+
+    def table(rows: list[rates.Subject]) -> str:
         with Progress(console=console, transient=True) as progress:
             bar = progress.add_task("rates", total=len(rows) * rounds)
-            rates = speed.measure(rows, rounds, seconds, lambda name: progress.update(bar, advance=1, description=name))
-        return speed.table(rows, rates)
+            found = rates.measure(rows, rounds, seconds, lambda name: progress.update(bar, advance=1, description=name))
+        return rates.table(rows, found)
 
     with tempfile.TemporaryDirectory() as folder:
-        scans = clutter.write_scans(Path(folder) / "scans.npz")
+        scans = set_filters.write_scans(Path(folder) / "scans.npz")
         parts = [
-            f"## Speed\n\nMedian of {rounds} rounds of {seconds:g} s.\n\n{table(speed.subjects(pusht_python))}\n",
-            "## Set filters\n\nScans of paper 004's scenario filtered per second, a batch's runs added up.\n\n"
-            f"{table(clutter.subjects(scans, stone_soup_python))}\n",
+            f"## Environments\n\nMedian of {rounds} rounds of {seconds:g} s.\n\n"
+            f"{table(environments.subjects(pusht_python))}\n",
+            "## Set filters\n\nScans of pairwise_markov's scenario filtered per second, summed over a batch's runs.\n\n"
+            f"{table(set_filters.subjects(scans, stone_soup_python))}\n",
             "## Video\n\nFrames of 384 x 288 per second, one thread; 300 x 245 for the color trackers.\n\n"
             f"{table(video.subjects())}\n",
-            "## Bearings\n\nTargets followed per second through a minute of record, one thread; "
-            f"where that does not fall, cost is linear in the targets.\n\n{table(bearings.subjects())}\n",
+            "## Bearings\n\nTargets followed per second through a minute of record, one thread. "
+            f"Cost is linear in the number of targets if the rate stays constant.\n\n{table(bearings.subjects())}\n",
             "## Learning\n\nSteps of PPO with the same policy, and answers of shipped agents; one thread.\n\n"
             f"{table(learning.subjects())}\n",
         ]
         if stone_soup_python is not None:
-            found = clutter.errors(scans, stone_soup_python, sys.executable)
+            found = set_filters.errors(scans, stone_soup_python, sys.executable)
             listed = ", ".join(f"{name} {error:.3f} m" for name, error in found.items())
             parts.append(f"Mean OSPA (c = 100 m, p = 1) on the same scans: {listed}.\n")
     return "\n".join(parts)
 
 
 def accuracy_report(episodes: int, jobs: int, console: Console) -> str:
-    """The tables of wanted figures and of gaps to the informed bound."""
+    """Return the tables of accuracy targets and of gaps to the informed bound.
+
+    Args:
+        episodes: Test seeds per agent.
+        jobs: Processes that evaluate agents.
+        console: Console for the progress bar.
+    """
     with Progress(console=console, transient=True) as progress:
         bar = progress.add_task("agents", total=len(accuracy.cells()))
         found = accuracy.run(episodes, jobs, lambda: progress.advance(bar))
     return (
-        f"## Accuracy\n\n{episodes} test seeds each, 95 % intervals.\n\n{accuracy.wanted_table(found)}\n\n"
+        f"## Targets\n\n{episodes} test seeds each, 95 % intervals.\n\n{accuracy.target_table(found)}\n\n"
         f"## Level 6\n\n{accuracy.gap_table(found)}\n"
     )
 
 
-def heading() -> str:
-    """What the figures were measured with."""
+def heading(title: str) -> str:
+    """Return the title with date, machine and versions."""
     record = provenance()
     versions = ", ".join(f"{name} {version}" for name, version in record["versions"].items())
     load = f"; load average at the start {os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else ""
-    return f"# Benchmark\n\n{record['created']}, {platform.system()} on {os.cpu_count()} cores{load}. {versions}.\n"
+    return f"# {title}\n\n{record['created']}, {platform.system()} on {os.cpu_count()} cores{load}. {versions}.\n"
 
 
 def main() -> None:
-    """Measure, print, and write where asked to."""
-    parser = argparse.ArgumentParser(prog="scripts/benchmark", description=__doc__)
-    parser.add_argument("--accuracy", action="store_true", help="the agents' figures instead of rates")
+    """Measure, print the report, and write it to `--write`."""
+    parser = argparse.ArgumentParser(prog="scripts/speed", description=__doc__)
+    parser.add_argument("--accuracy", action="store_true", help="measure the agents' accuracy targets instead of rates")
     parser.add_argument("--rounds", type=int, default=7, help="measurements of each rate (default 7)")
-    parser.add_argument("--seconds", type=float, default=1.0, help="length of each, s (default 1)")
+    parser.add_argument("--seconds", type=float, default=1.0, help="duration of one measurement, s (default 1)")
     parser.add_argument("--episodes", type=int, default=1000, help="test seeds per agent (default 1000)")
     parser.add_argument("--jobs", type=int, default=2, help="processes that evaluate agents (default 2)")
     parser.add_argument("--pusht-python", help="interpreter that has gym-pusht and pymunk<7")
@@ -82,7 +97,7 @@ def main() -> None:
         if getattr(arguments, name) <= 0:
             parser.error(f"--{name} must be positive, got {getattr(arguments, name)}")
 
-    top, console = heading(), Console(stderr=True)
+    top, console = heading("Accuracy targets" if arguments.accuracy else "Speed"), Console(stderr=True)
     if arguments.accuracy:
         body = accuracy_report(arguments.episodes, arguments.jobs, console)
     else:

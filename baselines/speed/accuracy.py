@@ -1,4 +1,4 @@
-"""Whether the agents reach the figures that were asked for, on test seeds that nothing was tuned on."""
+"""Accuracy targets of the servo agents, measured on test seeds, which no tuning has seen."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Cells = Mapping[tuple[str, str], CellResults]
 
 @dataclass(frozen=True)
 class Task:
-    """A setting of the environment, and the figures wanted there.
+    """A setting of the environment and the targets there.
 
     Attributes:
-        name: As the tables show it.
+        name: Name in the tables.
         setting: Arguments of the environment.
-        ratios: Agent to the largest mean steady error wanted, over the oracle's.
-        successes: Agent to the lower end of Wilson's 95 % interval wanted.
+        ratios: Agent to the largest accepted mean steady error, as a multiple of the oracle's.
+        successes: Agent to the smallest accepted lower end of Wilson's 95 % interval.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Task:
 
     @property
     def agents(self) -> tuple[str, ...]:
-        """Every agent that has to run here."""
+        """All agents that the tables need here."""
         return (*self.ratios, "oracle", *(a for a in self.successes if a != "oracle" and a not in self.ratios))
 
 
@@ -52,12 +52,21 @@ HEAVY = Task("level 6", {"level": 6}, {}, {name: 0.0 for name in sorted({*defaul
 
 
 def cells() -> list[tuple[Task, str]]:
-    """Every pair of a task and an agent that the tables need."""
+    """Return all pairs of a task and an agent that the tables need."""
     return [(task, agent) for task in (*TASKS, HEAVY) for agent in task.agents]
 
 
 def run(count: int, jobs: int, on_cell: Callable[[], None]) -> Cells:
-    """Every cell over the first `count` test seeds, on `jobs` processes; `on_cell` is called after each."""
+    """Evaluate every cell on the first `count` test seeds.
+
+    Args:
+        count: Number of test seeds.
+        jobs: Processes.
+        on_cell: Called after each cell.
+
+    Returns:
+        Results, keyed by names of task and agent.
+    """
     episodes = seeds.take("test", count)
     parallel = joblib.Parallel(n_jobs=jobs, return_as="generator")
     results = parallel(
@@ -70,9 +79,9 @@ def run(count: int, jobs: int, on_cell: Callable[[], None]) -> Cells:
     return found
 
 
-def wanted_table(found: Cells) -> str:
-    """The figures wanted beside those measured, as Markdown."""
-    lines = ["| setting | agent | figure | measured | wanted | reached |", "|---|---|---|---|---|---|"]
+def target_table(found: Cells) -> str:
+    """Return the targets beside the measured values as a Markdown table."""
+    lines = ["| setting | agent | quantity | measured | target | met |", "|---|---|---|---|---|---|"]
     for task in TASKS:
         for agent, limit in task.ratios.items():
             ratio = float(steady(found[task.name, agent]).mean() / steady(found[task.name, "oracle"]).mean())
@@ -90,7 +99,7 @@ def wanted_table(found: Cells) -> str:
 
 
 def gap_table(found: Cells) -> str:
-    """Every agent's steady error at level 6, and its gap to the informed bound, paired by seed, as Markdown."""
+    """Return steady errors at level 6 and their gaps to the informed bound, paired by seed, as a Markdown table."""
     bound = found.get((HEAVY.name, BOUND))
     lines = ["| agent | mean steady error, mm | gap to the informed bound, mm | success |", "|---|---|---|---|"]
     rows = [(agent, found[HEAVY.name, agent]) for agent in HEAVY.agents]
@@ -106,14 +115,14 @@ def gap_table(found: Cells) -> str:
 
 
 def steady(cell: CellResults) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Mean tracking error of every episode after 3 s, m."""
+    """Mean tracking error of every episode after 3 s, shape (episodes,), m."""
     return np.array([row["steady"] for row in cell.rows])
 
 
 def success(cell: CellResults) -> statistics.Interval:
-    """Success rate with Wilson's 95 % interval."""
+    """Return the success rate with Wilson's 95 % interval."""
     return statistics.wilson_interval(sum(bool(row["success"]) for row in cell.rows), len(cell.rows))
 
 
-def _yes(reached: bool) -> str:
-    return "yes" if reached else "no"
+def _yes(met: bool) -> str:
+    return "yes" if met else "no"

@@ -1,7 +1,7 @@
-"""Steps of PPO through our adapter and through Stable-Baselines3's own, and answers of shipped agents per second.
+"""Training steps of PPO per second, with our adapter and with Stable-Baselines3's, and actions of shipped agents.
 
-`python learning.py adapter|dummy` trains; `python learning.py session|predict AGENT LEVEL` answers one observation at a
-time. Both are asked on demand, as `stepping` is for environments.
+`python learning.py adapter|dummy` trains. `python learning.py session|predict AGENT LEVEL` computes one action at a
+time. Both follow the protocol of `stepping.serve`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from servotrack.baselines.speed.speed import Subject
+from servotrack.baselines.speed.rates import Subject
 from servotrack.baselines.speed.stepping import WARM_UP, serve
 
 ENV_ID = "UncalibServo-v0"
@@ -20,11 +20,11 @@ BLOCK = 100
 
 
 def subjects() -> list[Subject]:
-    """The table's rows."""
+    """Return the rows of the table."""
     dummy = f"PPO training, {NUM_ENVS} environments, DummyVecEnv"
     remedy = "install the extra: pip install 'servotrack[rl]'"
     return [
-        Subject(dummy.replace("DummyVecEnv", "our adapter"), (__file__, "adapter"), peers={dummy: 1.8}, remedy=remedy),
+        Subject(dummy.replace("DummyVecEnv", "our adapter"), (__file__, "adapter"), ratios={dummy: 1.8}, remedy=remedy),
         Subject(dummy, (__file__, "dummy"), remedy=remedy),
         Subject("`ppo`, one observation, network alone", (__file__, "session", "ppo", "3"), 20_000.0),
         Subject("`ppo`, one observation, predict", (__file__, "predict", "ppo", "3"), 10_000.0),
@@ -34,7 +34,13 @@ def subjects() -> list[Subject]:
 
 
 def answering(name: str, level: int, alone: bool) -> Callable[[float], float]:
-    """Answers of a shipped agent per second, of its network alone or of `predict`."""
+    """Return a function that runs for a given time, s, and returns actions of a shipped agent per second.
+
+    Args:
+        name: Name of the agent.
+        level: Level of the environment.
+        alone: Time the network alone instead of `predict`.
+    """
     import gymnasium as gym
     import numpy as np
 

@@ -1,9 +1,9 @@
-"""Measure one environment's rate, on demand, in a process of its own.
+"""Process that measures the rate of one environment.
 
-Run as a script by `servotrack.baselines.speed.speed`, also with the interpreter of another virtual environment, so
-it imports nothing but Gymnasium, NumPy and what the job names. The job is one JSON argument with the fields of `Job`;
-"ready" is printed once everything is built and warm, then each line of standard input (a duration in seconds) is
-answered with a line that holds a rate.
+`servotrack.baselines.speed.rates` runs it as a script, also with the interpreter of another virtual environment.
+Therefore it imports only Gymnasium, NumPy and the module that the job names. The job is one JSON argument with the
+fields of `Job`. The process prints "ready" once everything is built and warm. Then it answers each line of standard
+input, a duration in seconds, with a line that holds a rate.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ WARM_UP = 0.5
 
 
 class Job(TypedDict):
-    """What to measure.
+    """Environment to measure.
 
     Attributes:
-        module: Imported first, so that it registers its ids.
+        module: Module that registers the id; imported first.
         env_id: Gymnasium id.
         kwargs: Arguments of the environment.
-        num_envs: 0 for a single environment, else the size of the vector environment.
-        mode: Its `vectorization_mode`.
-        counts: "steps", "silent" for steps with actions of zeros, where random ones would cost more to score than the
-            step costs, or "frames" for calls of `render` alone, with an untimed step between two.
+        num_envs: Size of the vector environment; 0 for a single environment.
+        mode: `vectorization_mode` of `gymnasium.make_vec`.
+        counts: "steps"; "silent" for steps with actions of zeros, if scoring random ones would cost more than the step;
+            or "frames" for calls of `render` alone, with an untimed step between two calls.
     """
 
     module: str
@@ -51,9 +51,9 @@ def serve(measure: Callable[[float], float]) -> None:
 
 
 def stepper(job: Job) -> Callable[[float], float]:
-    """A function that runs for a given time and returns steps (of all sub-environments) or frames per second.
+    """Return a function that runs for a given time, s, and returns steps of all sub-environments or frames per second.
 
-    Random actions are drawn beforehand; resets are part of the time.
+    Random actions are drawn beforehand. Resets count as part of the time.
     """
     import gymnasium as gym
 
@@ -67,7 +67,7 @@ def stepper(job: Job) -> Callable[[float], float]:
         env = gym.make(job["env_id"], **job["kwargs"])
         run = _frame_run(env) if job["counts"] == "frames" else _single_run(env, job["counts"] == "silent")
     if "cv2" in sys.modules:
-        # Rates are those of one thread; OpenCV takes all cores unless told.
+        # OpenCV uses all cores by default; rates are those of one thread.
         sys.modules["cv2"].setNumThreads(1)
     env.reset(seed=0)
     run(WARM_UP)

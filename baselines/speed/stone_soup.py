@@ -1,6 +1,7 @@
-"""Stone Soup's GM-PHD on stored scans: rates on demand, or estimates. Runs in an environment that has Stone Soup.
+"""Process that measures the rate of Stone Soup's GM-PHD filter on stored scans, or prints its estimates.
 
-Components and settings are those of our own filter: the same model, births, probabilities, pruning, merging and cap.
+It runs in a virtual environment that has Stone Soup. Settings are those of our own filter: the same model, births,
+probabilities, pruning, merging and largest number of components.
 """
 
 from __future__ import annotations
@@ -27,11 +28,15 @@ from stonesoup.updater.pointprocess import PHDUpdater
 START = datetime.datetime(2000, 1, 1)
 SURVIVAL, DETECTION, BIRTH_WEIGHT = 0.99, 0.98, 0.03
 GATE = 4.13
-"""Mahalanobis distance that 2e-4 of the measurements of a plane exceed: the gate our filter ties to p_D = 0.98."""
+"""Mahalanobis distance that a share of 2e-4 of two-dimensional measurements exceed: our filter's gate at p_D = 0.98."""
 
 
 class StoneSoupPHD:
-    """The filter with the stored scans' model."""
+    """GM-PHD filter with the model of the stored scans.
+
+    Args:
+        stored: Arrays that `set_filters.write_scans` wrote.
+    """
 
     def __init__(self, stored: Any) -> None:
         sigma_v, sigma_w = (float(value) for value in stored["noise"])
@@ -52,7 +57,7 @@ class StoneSoupPHD:
         self.sites = stored["sites"]
 
     def run(self, scans: list[Any]) -> list[list[list[float]]]:
-        """Filter all scans; positions reported after each."""
+        """Filter all scans and return the positions reported after each one, m."""
         mixture: list[Any] = []
         answers = []
         for k, scan in enumerate(scans):
@@ -76,7 +81,7 @@ class StoneSoupPHD:
 
 
 def main(job: str, path: str) -> None:
-    """`rate FILE` answers every duration on standard input with scans per second; `estimates FILE` prints positions."""
+    """Serve scans per second with `rate FILE`; print positions as JSON with `estimates FILE`."""
     stored = np.load(path)
     scans = np.split(stored["scan"], np.cumsum(stored["count"])[:-1])
     phd = StoneSoupPHD(stored)

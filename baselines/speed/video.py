@@ -1,6 +1,6 @@
-"""Detectors, trackers of boxes and of color on rendered frames, beside OpenCV's: frames per second.
+"""Frames per second of detectors, box trackers and color trackers on rendered frames, beside OpenCV's.
 
-`python video.py detector|filter|both|color|mog2 NAME` answers on demand, as `stepping` does for environments.
+`python video.py detector|filter|both|color|mog2 NAME` follows the protocol of `stepping.serve`.
 """
 
 from __future__ import annotations
@@ -16,30 +16,31 @@ import gymnasium as gym
 import numpy as np
 
 from servotrack.baselines.evaluation.seeds import TEST
-from servotrack.baselines.speed.speed import Subject, environment
+from servotrack.baselines.speed.environments import stepping_command
+from servotrack.baselines.speed.rates import Subject
 from servotrack.baselines.speed.stepping import WARM_UP, serve
 from servotrack.estimators.types import Array, Image
 
 VIDEO = Path(__file__)
 FRAMES = 250
 SIX_PEOPLE: dict[str, Any] = {"level": 5, "script": "random", "people": 6.0}
-"""Every axis of the picture on, with six people on average."""
+"""All disturbances of the image on, with six people on average."""
 MOG2, MIL = "OpenCV's MOG2, mask alone", "OpenCV's MIL"
 
 
 def subjects() -> list[Subject]:
-    """Rows of the table of rates: frames per second at 384 x 288, of the color trackers at 300 x 245, one thread."""
+    """Return the rows of the table: frames per second at 384 x 288 px, color trackers at 300 x 245 px, one thread."""
     pedestrians = "PedestrianTracking-v0"
 
-    def row(kind: str, name: str, title: str, wanted: float = 0.0, peers: dict[str, float] | None = None) -> Subject:
-        return Subject(title, (str(VIDEO), kind, name), wanted, peers or {})
+    def row(kind: str, name: str, title: str, target: float = 0.0, ratios: dict[str, float] | None = None) -> Subject:
+        return Subject(title, (str(VIDEO), kind, name), target, ratios or {})
 
     return [
-        Subject(f"{pedestrians}, default scene", environment(pedestrians, silent=True), 1_000.0),
+        Subject(f"{pedestrians}, default scene", stepping_command(pedestrians, silent=True), 1_000.0),
         Subject(
-            f"{pedestrians}, six people, every axis on", environment(pedestrians, silent=True, **SIX_PEOPLE), 400.0
+            f"{pedestrians}, six people, every axis on", stepping_command(pedestrians, silent=True, **SIX_PEOPLE), 400.0
         ),
-        Subject(f"{pedestrians}, default scene, 16 random boxes scored", environment(pedestrians)),
+        Subject(f"{pedestrians}, default scene, 16 random boxes scored", stepping_command(pedestrians)),
         row("detector", "masked", "detector `masked`", 950.0),
         row("detector", "masked-paper", "detector `masked-paper`"),
         row("filter", "gm-phd", "filter `gm-phd`", 2_000.0),
@@ -53,7 +54,7 @@ def subjects() -> list[Subject]:
 
 
 def pedestrian_frames(count: int = FRAMES) -> list[Image]:
-    """Frames of the default scene, held in memory so that only what works on them is timed."""
+    """Return frames of the default scene, kept in memory so that rendering is not timed."""
     env = gym.make("PedestrianTracking-v0", horizon=count)
     assert env.action_space.shape is not None
     nothing = np.zeros(env.action_space.shape)
@@ -64,7 +65,7 @@ def pedestrian_frames(count: int = FRAMES) -> list[Image]:
 
 
 def color_frames(count: int = 150) -> tuple[list[Image], Array]:
-    """Frames of the color world's first scenario, and the first box."""
+    """Return frames of the color world's first scenario, and the true box of the first frame."""
     env = gym.make("ColorTracking-v0")
     observation, _ = env.reset(seed=TEST[0])
     frames, box = [observation["frame"]], observation["first_box"]
@@ -76,14 +77,14 @@ def color_frames(count: int = 150) -> tuple[list[Image], Array]:
 
 
 def steps(kind: str, name: str) -> tuple[Callable[[], Any], int]:
-    """A function that works through all frames once, and how many there are.
+    """Return a function that processes all frames once, and the number of frames.
 
     Args:
-        kind: What is measured.
-        name: Of the detector, filter or tracker.
+        kind: Part that is measured: detector, filter, both, color or mog2.
+        name: Name of the detector, filter or tracker.
 
     Raises:
-        ValueError: An unknown kind.
+        ValueError: Unknown kind.
     """
     if kind == "color":
         return _color_steps(name)
@@ -120,7 +121,7 @@ def _color_steps(name: str) -> tuple[Callable[[], Any], int]:
 
 
 def _run(estimator: Any, first: Any, stream: Sequence[Any]) -> list[Any]:
-    """Answers of an estimator to a whole stream."""
+    """Estimates of an estimator for a whole stream of measurements."""
     state, answers = estimator.initial(stream[0] if first is None else first), []
     for measurement in stream:
         state, answer = estimator.step(state, measurement)
@@ -134,7 +135,7 @@ def _drain(call: Callable[[Any], Any], frames: Sequence[Image]) -> None:
 
 
 def timer(kind: str, name: str) -> Callable[[float], float]:
-    """A function that runs for a given time and returns frames per second."""
+    """Return a function that runs for a given time, s, and returns frames per second."""
     cv2.setNumThreads(1)
     once, count = steps(kind, name)
 

@@ -46,7 +46,7 @@ def reproduce(
         Path | None,
         typer.Option(
             help="Markdown file that also receives the tables, between the marks <!-- PAPER:begin --> and "
-            "<!-- PAPER:end -->. For `gm_phd_video`, `monte_carlo_color`, `hmm_sonar`, `transfer`."
+            "<!-- PAPER:end -->."
         ),
     ] = None,
 ) -> None:

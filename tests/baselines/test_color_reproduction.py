@@ -156,5 +156,3 @@ def test_the_report_is_written_and_put_into_a_document(tmp_path, monkeypatch) ->
     }
     filled = {claim.id: claim.verdict for claim in read_claims(tmp_path / "out" / "claims.yaml")}
     assert filled["color-plus-beats-both"] == "holds"
-    with pytest.raises(ValueError, match=r"--into goes with .*color.*, got it with 'unscented_jacobian'"):
-        reproduce_paper("unscented_jacobian", tmp_path, 1, Console(quiet=True), into=document)

@@ -80,7 +80,7 @@ def test_counts_are_drawn_one_panel_per_method() -> None:
 
 def test_recordings_go_only_with_what_takes_them(tmp_path: Path) -> None:
     console = Console(file=io.StringIO())
-    with pytest.raises(ValueError, match="--source goes with gm_phd_video, transfer, got it with 'hmm_sonar'"):
+    with pytest.raises(ValueError, match="--source goes with gm_phd_video and transfer, got it with 'hmm_sonar'"):
         reproduce.reproduce_paper("hmm_sonar", tmp_path, 1, console, None, [Recording("a.avi", None)])
 
 

@@ -1,4 +1,4 @@
-"""The benchmark's machinery: rates come from processes of their own, and what is missing is said instead of failing."""
+"""Speed measurement: rates come from separate processes, and a missing reference is named instead of failing."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from servotrack.baselines.evaluation.results import CellResults
-from servotrack.baselines.speed import accuracy, bearings, speed, stepping
-from servotrack.baselines.speed.speed import Rate, Subject
+from servotrack.baselines.speed import accuracy, bearings, environments, rates, stepping
+from servotrack.baselines.speed.environments import stepping_command
+from servotrack.baselines.speed.rates import Rate, Subject
 
 
 def _silent(name: str) -> None:
@@ -19,7 +20,7 @@ def _silent(name: str) -> None:
 
 @pytest.mark.parametrize(("num_envs", "kwargs"), [(4, {}), (0, {"render_mode": "rgb_array"})])
 def test_vectors_and_frames_have_rates(num_envs: int, kwargs: dict[str, str]) -> None:
-    _, job = speed.environment("UncalibServo-v0", num_envs, level=0, **kwargs)
+    _, job = stepping_command("UncalibServo-v0", num_envs, level=0, **kwargs)
     assert stepping.stepper(json.loads(job))(0.02) > 0
 
 
@@ -27,28 +28,32 @@ def test_targets_that_stand_apart_are_all_followed() -> None:
     assert bearings.tracking(4)(0.02) > 0
 
 
-def test_rates_come_from_processes_and_a_peer_that_is_not_there_is_named() -> None:
+def test_rates_come_from_processes_and_a_missing_reference_is_named() -> None:
     rows = [
-        Subject("single", speed.environment("UncalibServo-v0", level=0), wanted=1.0, peers={"peer": 2.0}),
-        Subject("updates", (str(speed.FILTERING), "8")),
-        Subject("peer", speed.environment("Nobody-v0", module="nobody_has_this"), remedy="install nobody_has_this"),
+        Subject("single", stepping_command("UncalibServo-v0", level=0), target=1.0, ratios={"reference": 2.0}),
+        Subject("updates", (str(environments.JACOBIAN_PROCESS), "8")),
+        Subject(
+            "reference",
+            stepping_command("Missing-v0", module="missing_module"),
+            remedy="install missing_module",
+        ),
         Subject("elsewhere", (), python=None, remedy="make .venv-elsewhere"),
     ]
-    rates = speed.measure(rows, rounds=2, seconds=0.02, on_measured=_silent)
-    assert all(len(rates[name].rounds) == 2 and min(rates[name].rounds) > 0 for name in ("single", "updates"))
-    table = speed.table(rows, rates)
-    assert "missing: install nobody_has_this" in table
+    found = rates.measure(rows, rounds=2, seconds=0.02, on_measured=_silent)
+    assert all(len(found[name].rounds) == 2 and min(found[name].rounds) > 0 for name in ("single", "updates"))
+    table = rates.table(rows, found)
+    assert "missing: install missing_module" in table
     assert "missing: make .venv-elsewhere" in table
-    assert "yes, peers missing" in table
+    assert "yes, references missing" in table
 
 
-def test_a_rate_is_reached_with_one_of_its_peers_ratios() -> None:
-    rows = [Subject("ours", (), wanted=100.0, peers={"a": 6.0, "b": 0.5}), Subject("a", ()), Subject("b", ())]
+def test_a_rate_is_met_with_one_of_its_ratios() -> None:
+    rows = [Subject("ours", (), target=100.0, ratios={"a": 6.0, "b": 0.5}), Subject("a", ()), Subject("b", ())]
     peers = {"a": Rate((50.0,)), "b": Rate((100.0,))}
-    assert speed.table(rows, {"ours": Rate((90.0, 120.0, 110.0)), **peers}).splitlines()[2].endswith("| yes |")
-    assert speed.table(rows, {"ours": Rate((90.0, 91.0, 110.0)), **peers}).splitlines()[2].endswith("| no |")
+    assert rates.table(rows, {"ours": Rate((90.0, 120.0, 110.0)), **peers}).splitlines()[2].endswith("| yes |")
+    assert rates.table(rows, {"ours": Rate((90.0, 91.0, 110.0)), **peers}).splitlines()[2].endswith("| no |")
     slow = {"a": Rate((50.0,)), "b": Rate((1000.0,))}
-    assert speed.table(rows, {"ours": Rate((110.0,)), **slow}).splitlines()[2].endswith("| no |")
+    assert rates.table(rows, {"ours": Rate((110.0,)), **slow}).splitlines()[2].endswith("| no |")
 
 
 def _cell(agent: str, errors: np.ndarray, successes: int) -> CellResults:
@@ -56,13 +61,13 @@ def _cell(agent: str, errors: np.ndarray, successes: int) -> CellResults:
     return CellResults(accuracy.ENV_ID, {}, agent, {}, rows=rows)
 
 
-def test_wanted_figures_are_computed_from_episodes() -> None:
+def test_targets_are_computed_from_episodes() -> None:
     errors = np.full(1000, 0.002)
     found = {
         (task.name, agent): _cell(agent, errors if agent != "oracle" else errors / 2, 980)
         for task, agent in accuracy.cells()
     }
-    lines = accuracy.wanted_table(found).splitlines()
+    lines = accuracy.target_table(found).splitlines()
     assert any("| kf |" in line and "| 2.000 | at most 2.5 | yes |" in line for line in lines)
     assert any("| lifted-kf |" in line and "| 2.000 | at most 1.5 | no |" in line for line in lines)
     # Wilson's lower end of 980 of 1000 is 0.969: enough for 0.93 and 0.96, not for 0.97.
@@ -81,7 +86,7 @@ def test_gaps_are_paired_with_the_informed_bound() -> None:
 
 
 def test_stepping_needs_nothing_of_the_project() -> None:
-    source = speed.STEPPING.read_text(encoding="utf-8")
+    source = environments.STEPPING.read_text(encoding="utf-8")
     imported = {
         line.split()[1].partition(".")[0] for line in source.splitlines() if line.startswith(("import", "from"))
     }

@@ -1,4 +1,7 @@
-"""Measure the Kalman Jacobian estimator's rate on a batch of arms, on demand, as `stepping` does for environments."""
+"""Process that measures the rate of the Kalman Jacobian estimator on a batch of arms.
+
+`python jacobian_process.py BATCH` follows the protocol of `stepping.serve`.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ PERIOD = 0.05
 
 
 def updater(batch: int) -> Callable[[float], float]:
-    """A function that runs for a given time and returns measurements folded in per second, all rows counted.
+    """Return a function that runs for a given time, s, and returns measurements processed per second, over all rows.
 
     Args:
         batch: Number of arms (two joints, one image point each).

@@ -1,4 +1,7 @@
-"""Measure the rate of a set filter on demand, as `stepping` does for environments, or print its estimates."""
+"""Process that measures the rate of a set filter, or prints its estimates.
+
+Rates follow the protocol of `stepping.serve`.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,12 @@ CROWD_HALF_WIDTH = 2000.0
 
 
 def scenario_filter(kind: str, stored: Any) -> Any:
-    """The filter that knows the stored scans' model."""
+    """Return a filter with the model of the stored scans.
+
+    Args:
+        kind: Name in `FILTERS`.
+        stored: Arrays that `set_filters.write_scans` wrote.
+    """
     sites = np.asarray(stored["sites"])
     means = np.zeros((len(sites), 4))
     means[:, [0, 2]] = sites
@@ -32,14 +40,14 @@ def scenario_filter(kind: str, stored: Any) -> Any:
 
 
 def stored_scans(stored: Any, batch: int) -> list[Array]:
-    """Scans of one run as plain lists of measurements, or of a batch of runs as rows with existence."""
+    """Return scans of one run as arrays (m, 2), or of a batch of runs as rows (batch, M, 3) with existence first."""
     if batch == 1:
         return np.split(stored["scan"], np.cumsum(stored["count"])[:-1])
     return list(np.swapaxes(stored["rows"][:batch], 0, 1))
 
 
 def crowd(kind: str) -> tuple[Any, list[Array]]:
-    """A filter and scans of 100 targets over the whole region, alive all the time."""
+    """Return a filter and scans of 100 targets that exist all the time, spread over the whole region."""
     rng = np.random.default_rng(0)
     model = constant_velocity(5.0, 1.5)
     states = np.zeros((CROWD, 4))
@@ -52,14 +60,14 @@ def crowd(kind: str) -> tuple[Any, list[Array]]:
         seen = states[rng.random(CROWD) < 0.98][:, [0, 2]]
         false = rng.uniform(-CROWD_HALF_WIDTH, CROWD_HALF_WIDTH, (rng.poisson(CROWD_CLUTTER), 2))
         scans.append(rng.permutation(np.concatenate([seen + rng.normal(0.0, 1.5, seen.shape), false])))
-    # Five components a target, as paper 004's preset has at its own size.
+    # Five components per target, as in the preset of pairwise_markov.
     size = {"components": 5 * CROWD} if kind == "GMPHD" else {"components": 5, "tracks": 5 * CROWD}
     kappa = CROWD_CLUTTER / (2.0 * CROWD_HALF_WIDTH) ** 2
     return FILTERS[kind](model, birth, clutter_intensity=kappa, reduction=Reduction(**size)), scans
 
 
 def filterer(filter_: Any, scans: Sequence[Array], batch: int) -> Callable[[float], float]:
-    """A function that runs for a given time and returns scans filtered per second, those of all runs counted."""
+    """Return a function that runs for a given time, s, and returns scans filtered per second, summed over runs."""
 
     def run(duration: float) -> float:
         done, start = 0, time.perf_counter()
@@ -75,7 +83,7 @@ def filterer(filter_: Any, scans: Sequence[Array], batch: int) -> Callable[[floa
 
 
 def estimates(filter_: Any, scans: Sequence[Array]) -> list[list[list[float]]]:
-    """Positions reported after each scan."""
+    """Return the positions reported after each scan, m."""
     state, answers = filter_.initial(scans[0]), []
     for scan in scans:
         state, estimate = filter_.step(state, scan)
@@ -84,7 +92,7 @@ def estimates(filter_: Any, scans: Sequence[Array]) -> list[list[list[float]]]:
 
 
 def main(job: str, kind: str, *rest: str) -> None:
-    """`scans KIND BATCH FILE` and `crowd KIND` serve rates, `estimates KIND FILE` prints positions as JSON."""
+    """Serve rates with `scans KIND BATCH FILE` or `crowd KIND`; print positions as JSON with `estimates KIND FILE`."""
     if job == "crowd":
         serve(filterer(*crowd(kind), 1))
         return
