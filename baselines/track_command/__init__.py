@@ -1,1 +1,1 @@
-"""`servotrack track`: a real sequence in; tracks, an annotated film and scores out."""
+"""`servotrack track`: track people in a real sequence, and write tracks, an annotated video and scores."""

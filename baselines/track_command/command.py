@@ -1,4 +1,4 @@
-"""What `servotrack track` does: opens the sequence, makes detector and tracker by name, runs, scores, reports."""
+"""The command `servotrack track`: open the sequence, create detector and tracker by name, run, score, report."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn,
 from rich.text import Text
 
 from servotrack.baselines.agents.people.catalog import DETECTORS, create_detector, create_tracker
+from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.files import atomic_path
-from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.reporting.grid import Grid, as_markdown, as_rich
 from servotrack.baselines.track_command.inputs import FileInput, Input, PixelInput
 from servotrack.baselines.track_command.offline import OFFLINE_TRACKS, write_offline
@@ -26,31 +26,33 @@ from servotrack.envs.track.files.mot_files import find_mot_folder
 from servotrack.envs.track.files.recorded import RecordedTracks, read_tracks
 
 FILE_DETECTOR = "file"
-"""Name for the detections that come with a MOTChallenge sequence."""
+"""Detector name that stands for the detections of a MOTChallenge sequence."""
 SCORES = "scores"
-"""Name of the files of scores, before .json and .md."""
+"""Name of the score files without .json and .md."""
 _FORMAT, _FORMAT_VERSION = "servotrack-track-scores", 1
 
 
 @dataclass(frozen=True)
 class TrackRequest:
-    """What is asked for.
+    """Arguments of `servotrack track`.
 
     Attributes:
         source: Video file, folder of images, MOTChallenge folder, or a camera's index.
-        out: Folder for what is written; None for results/track/ and the source's name.
-        detector: Name, `file` for a MOTChallenge sequence's own detections, or `auto`: those where there are any.
-        tracker: Name.
-        size: Frames are brought to this for the detector: `WxH`, `source`, or `fit` into 384 by 288 px.
-        truth: File of truth; None for the one in a MOTChallenge folder.
+        out: Folder for all output; None for results/track/ and the source's name.
+        detector: Name, or `file` for a MOTChallenge sequence's own detections. `auto`: `file` if it has
+            detections, else the first detector.
+        tracker: Name of the tracker.
+        size: Frame size for the detector: `WxH`, `source`, or `fit` into 384 by 288 px. Larger frames take
+            longer and show smaller people.
+        truth: File of true tracks; None for the one in a MOTChallenge folder, if any.
         match: Rule of `MATCH_RULES`.
         start: First frame, from 0.
-        frames: Most frames.
-        stride: Every so manieth frame.
-        background: Frames of a first pass that make the background; 0 for none.
-        offline: Whether to improve the tracks after the fact, too.
-        video: Whether to write the film.
-        show_truth: Whether the film shows true boxes.
+        frames: Largest number of frames; None for all.
+        stride: Use every stride-th frame.
+        background: Number of frames sampled in a first pass to initialize the background model. 0 disables the pass.
+        offline: If true, also write `tracks_offline.txt` with gaps filled and short tracks dropped.
+        video: If true, write the annotated video.
+        show_truth: If true, the video shows the true boxes, too.
     """
 
     source: str
@@ -70,18 +72,18 @@ class TrackRequest:
 
 
 def run_command(request: TrackRequest, console: Console) -> int:
-    """Track, write, score, report.
+    """Track a sequence, write the tracks, score them, and report.
 
     Args:
-        request: What is asked for.
-        console: Where is reported.
+        request: Arguments of the command.
+        console: Console for progress, scores and paths.
 
     Returns:
-        The exit code: 0; 1 where something broke on the way and what was tracked until then is kept; 128 and the
-        signal's number where one ended it.
+        Exit code: 0 for success; 1 if an error stopped the run (tracks up to it are kept); 128 plus the number of the
+        signal that stopped it.
 
     Raises:
-        ValueError: A name or number that is not known, or a source or truth that cannot be used.
+        ValueError: Unknown name, number out of range, or a source or truth that cannot be used.
         ResultsError: The folder cannot be written.
     """
     if request.match not in MATCH_RULES:
@@ -100,7 +102,7 @@ def run_command(request: TrackRequest, console: Console) -> int:
         bar = progress.add_task(f"{detector} + {request.tracker}", total=source.length)
         run = track(source, tracker, out, painter, on_frame=lambda: progress.advance(bar))
         progress.update(bar, total=len(run.frames), completed=len(run.frames))
-    # Scoring an hour takes memory, which these need no more.
+    # Free memory: scoring an hour of tracks takes a lot of it.
     frame_rate = source.frame_rate
     del painter, tracker, source
     found = {request.tracker: out / TRACKS}
@@ -109,20 +111,20 @@ def run_command(request: TrackRequest, console: Console) -> int:
         run.files.append(out / OFFLINE_TRACKS)
     if truth is not None:
         if not len(truth.ids):
-            run.warnings.append("the truth holds no boxes: whatever was reported counts as false")
+            run.warnings.append("the truth holds no boxes: every reported box counts as false")
         _score(request, detector, truth, run, found, out, console)
     for name in (OFFLINE_TRACKS, FILM, SCORES + ".json", SCORES + ".md"):
-        # What an earlier run left would be taken for this one's.
+        # Files of an earlier run would be mistaken for this one's.
         if out / name not in run.files:
             (out / name).unlink(missing_ok=True)
     return _report(run, console)
 
 
 class _RateColumn(ProgressColumn):
-    """Frames per second."""
+    """Column of frames per second."""
 
     def render(self, task: Task) -> Text:
-        """Of the last seconds while it runs, of all at the end."""
+        """Return the rate of the last seconds while the task runs, and of the whole task at the end."""
         rate = task.finished_speed or task.speed
         return Text("" if rate is None else f"{rate:.0f} frames/s", style="cyan")
 
@@ -147,7 +149,7 @@ def _truth(request: TrackRequest) -> RecordedTracks | None:
 
 
 def _open(request: TrackRequest, length: int) -> tuple[Input, str]:
-    """The sequence with its detector, and the detector's name."""
+    """Return the sequence with its detector, and the detector's name."""
     name = request.detector
     if name == "auto":
         sequence = find_mot_folder(request.source) if Path(request.source).is_dir() else None
@@ -193,13 +195,13 @@ def _score(
     out: Path,
     console: Console,
 ) -> None:
-    """Score what was written, print the table and write it as Markdown and JSON."""
+    """Score the written tracks, print the table, and write it as Markdown and JSON."""
     scores: dict[str, TrackScores] = {
         name: score_tracks(truth, read_tracks(path), run.frames, request.match) for name, path in found.items()
     }
     grids = [score_grid(one, name) for name, one in scores.items()]
     grid = Grid(grids[0].headings, [row for one in grids for row in one.rows], grids[0].words)
-    note = f"A match: {MATCH_RULES[request.match].summary}. Ratios in percent; all true boxes count, hidden ones too."
+    note = f"Match: {MATCH_RULES[request.match].summary}. Ratios in percent. All true boxes count, hidden ones too."
     console.print(as_rich(grid, f"{Path(request.source).name}: {detector}"))
     console.print(note, style="dim", highlight=False)
     record = {
@@ -222,7 +224,7 @@ def _score(
 
 
 def _report(run: TrackRun, console: Console) -> int:
-    """Say what was kept, what stopped it and what is to be known; the exit code."""
+    """Print files, warnings, rate and the reason for an early end; return the exit code."""
     for path in run.files:
         console.print(str(path), soft_wrap=True)
     for warning in run.warnings:

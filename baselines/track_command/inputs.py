@@ -1,4 +1,4 @@
-"""What is tracked: frames with a detector of motion, or a MOTChallenge sequence's own detections, step by step."""
+"""Input of a tracker, step by step: frames with a detector, or a MOTChallenge sequence's own detections."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from servotrack.baselines.agents.people.catalog import Detector
 from servotrack.envs.track.files.frames import SIDES, FrameSource, open_frames, resize, resized
 from servotrack.envs.track.files.mot_files import SequenceInfo, find_mot_folder, read_mot_detections
 from servotrack.envs.track.files.recorded import SequenceError
@@ -15,19 +16,20 @@ from servotrack.estimators.detect.detections import Detections, detections_from_
 from servotrack.estimators.types import Image
 
 _BACKGROUND_SPACING = 25
-"""Frames between two of the first pass, at most: an hour's light is not one background."""
+"""Largest spacing of the frames of the first pass. Wider sampling would mix different light into one background."""
 _FITTED = (384, 288)
+"""Largest frame for `fit`, px."""
 NOMINAL_RATE = 25.0
-"""Frames per second where the source does not tell."""
+"""Frame rate if the source has none, 1/s."""
 
 
 class Step(NamedTuple):
-    """One frame and what was found in it.
+    """One frame and its detections.
 
     Attributes:
-        number: The source's frame, from 0.
-        picture: As decoded, RGB; None where there are only detections.
-        detections: In working px.
+        number: Number of the frame in the source, from 0.
+        picture: Decoded RGB frame; None if the source has only detections.
+        detections: Detections in working px.
     """
 
     number: int
@@ -36,15 +38,15 @@ class Step(NamedTuple):
 
 
 class Input(Protocol):
-    """A sequence, ready to be tracked.
+    """Sequence that can be tracked.
 
     Attributes:
-        name: For titles.
-        frame_rate: Of the steps, per second.
-        length: Expected number of steps; None where unknown. It may be wrong.
-        source_size: Width and height of the source's pictures, px; None where unknown.
+        name: Name for titles.
+        frame_rate: Steps per second.
+        length: Expected number of steps; None if unknown. Container headers may be wrong about it.
+        source_size: Width and height of the source's frames, px; None if unknown.
         scale: Source px per working px, horizontally and vertically.
-        warning: Why the steps ended early; empty where they did not.
+        warning: Reason why the steps ended early; empty if they did not.
     """
 
     name: str
@@ -55,34 +57,34 @@ class Input(Protocol):
 
     @property
     def warning(self) -> str:
-        """See above."""
+        """Reason why the steps ended early; empty if they did not."""
 
     def __iter__(self) -> Iterator[Step]:
-        """The steps."""
+        """Yield the steps."""
 
 
 class PixelInput:
-    """Frames that a detector searches.
+    """Frames with the detections of a detector.
 
     Args:
-        source: As `open_frames` takes it.
-        detector: With `initial(frames)` and `step(state, frame)`.
-        size: Width and height that the detector works at, px; "source" for the source's own; "fit" for the largest of
-            its shape that fits into 384 by 288 px, where the detectors' parameters were chosen.
-        start: First frame.
-        count: Most frames.
-        stride: Every so manieth frame.
-        background: Frames, spaced over the first minute, of which a first pass makes the detector's background; 0 to
-            start from the first frame. A camera has no first pass.
+        source: Source that `open_frames` accepts.
+        detector: Detector of people.
+        size: Width and height that the detector works at, px; "source" for the source's own; "fit" for the largest size
+            of its shape within 384 by 288 px, for which the detectors' parameters were chosen.
+        start: First frame, from 0.
+        count: Largest number of frames; None for all.
+        stride: Use every stride-th frame.
+        background: Number of frames, at most 25 frames apart, that a first pass gives to the detector as background. 0
+            starts from the first frame. A camera has no first pass.
 
     Raises:
-        SequenceError: As `open_frames`.
+        SequenceError: The source cannot be opened.
     """
 
     def __init__(
         self,
         source: str | Path,
-        detector: Any,
+        detector: Detector,
         size: tuple[int, int] | str = "fit",
         *,
         start: int = 0,
@@ -104,11 +106,11 @@ class PixelInput:
 
     @property
     def warning(self) -> str:
-        """Why the frames ended early; empty where they did not."""
+        """Reason why the frames ended early; empty if they did not."""
         return self._frames.warning
 
     def __iter__(self) -> Iterator[Step]:
-        """Decode, resize, detect."""
+        """Decode, resize and detect; yield one step per frame."""
         state: Any = self._detector.initial(self._first_pass()) if self._background else None
         try:
             for k, picture in enumerate(self._frames):
@@ -128,25 +130,26 @@ class PixelInput:
         try:
             found.extend(resize(picture, self._size) for picture in spaced)
         except SequenceError:
-            # Tracking comes to the same place, and keeps what lies before it.
+            # Tracking stops at the same frame, and keeps the frames before it.
             if not found:
                 raise
         return found
 
 
 class FileInput:
-    """The detections that come with a MOTChallenge sequence; its images, where there are any, are for the film.
+    """Detections of a MOTChallenge sequence. Its images, if any, serve only for the video.
 
     Args:
-        folder: Of the sequence.
-        pictures: Whether images are wanted.
-        length: Steps at least, such as those of the truth: detections do not tell where a sequence ends.
-        start: First frame.
-        count: Most frames.
-        stride: Every so manieth frame.
+        folder: Folder of the sequence.
+        pictures: If true, read the images, too.
+        length: Smallest number of steps, such as the length of the truth. Detections alone do not show where a sequence
+            ends.
+        start: First frame, from 0.
+        count: Largest number of frames; None for all.
+        stride: Use every stride-th frame.
 
     Raises:
-        SequenceError: No detections there, or bad ones.
+        SequenceError: Missing or invalid detections.
     """
 
     scale = (1.0, 1.0)
@@ -167,7 +170,7 @@ class FileInput:
         self._found = read_mot_detections(sequence.detections)
         self._numbers = range(start, max([length, *(step + 1 for step in self._found)]), stride)[:count]
         if not len(self._numbers):
-            raise SequenceError(f"{sequence.detections} holds nothing from frame {start} on")
+            raise SequenceError(f"{sequence.detections} holds no detections from frame {start} on")
         self._frames: FrameSource | None = None
         if pictures and sequence.images is not None:
             self._frames = open_frames(folder, start=start, count=len(self._numbers), stride=stride)
@@ -178,11 +181,11 @@ class FileInput:
 
     @property
     def warning(self) -> str:
-        """Why the images ended early; empty where they did not."""
+        """Reason why the images ended early; empty if they did not."""
         return "" if self._frames is None else self._frames.warning
 
     def __iter__(self) -> Iterator[Step]:
-        """Detections, with the images as far as there are any."""
+        """Yield the detections of each frame, with its image if there is one."""
         nothing = detections_from_boxes(np.zeros((0, 4)))
         pictures = iter(()) if self._frames is None else iter(self._frames)
         for number in self._numbers:

@@ -1,4 +1,7 @@
-"""Tracks improved after the fact, in a file of their own: nobody could have reported them in time."""
+"""Offline post-processing of tracks: gap filling and removal of fragments.
+
+The result is written to a separate file because it is not causal.
+"""
 
 from __future__ import annotations
 
@@ -15,20 +18,21 @@ from servotrack.estimators.metrics.tracks import Track
 
 OFFLINE_TRACKS = "tracks_offline.txt"
 _LONGEST_GAP = 1.0
+"""Longest gap that is filled, s."""
 _SHORTEST_TRACK = 0.3
-"""Of a gap that is filled and of a track that is kept, s."""
+"""Shortest track that is kept, s."""
 
 
 def write_offline(online: Path, frames: Sequence[int], frame_rate: float) -> Path:
-    """Fill gaps of up to a second by straight lines, and drop tracks of less than 0.3 s.
+    """Fill gaps of up to 1 s by linear interpolation, and drop tracks shorter than 0.3 s.
 
     Args:
-        online: The file of tracks as they were reported; the new one is written beside it.
-        frames: The frames that were tracked, from 0, increasing.
-        frame_rate: Of these, per second.
+        online: File of the tracks as reported. The new file is written into the same folder.
+        frames: Numbers of the tracked frames, from 0, increasing.
+        frame_rate: Tracked frames per second.
 
     Returns:
-        The file written.
+        Path of the new file.
     """
     numbers = np.asarray(frames, dtype=np.int64)
     found = read_tracks(online)

@@ -1,4 +1,4 @@
-"""The film's pictures: frames with boxes in identity colors and trails, and the number of people over time."""
+"""Frames of the annotated video: boxes and trails in identity colors, and the number of people over time."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.types import Image
 
 _CANVAS = 74
-"""Gray level where a sequence has no images."""
+"""Gray level of the canvas for a sequence without images."""
 
 
 class BoxPainter:
-    """Paints what a tracker reports into the source's pictures; a sequence without images gets a plain canvas.
+    """Draw the boxes that a tracker reports into the source's frames, or onto a gray canvas if it has none.
 
     Args:
-        size: Width and height of the source's pictures, px.
-        truth: Of the sequence, for the curve of the true number; None where it is unknown.
-        show_truth: Whether true boxes are drawn, too.
+        size: Width and height of the source's frames, px.
+        truth: True tracks, for the curve of the true number; None if unknown.
+        show_truth: If true, draw the true boxes, too.
     """
 
     def __init__(self, size: tuple[int, int], truth: RecordedTracks | None = None, show_truth: bool = False) -> None:
@@ -32,7 +32,7 @@ class BoxPainter:
         self._recorder = BoxRecorder()
 
     def __call__(self, step: Step, estimate: SetEstimate) -> Image:
-        """The picture of one frame."""
+        """Return the annotated frame."""
         width, height = self._size
         picture = step.picture
         if picture is None:

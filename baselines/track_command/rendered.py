@@ -1,4 +1,4 @@
-"""A rendered scene as a MOTChallenge sequence, for `servotrack track` and for trackers from elsewhere."""
+"""Render a pedestrian scene as a MOTChallenge sequence, for `servotrack track` and any other tracker."""
 
 from __future__ import annotations
 
@@ -12,41 +12,41 @@ import cv2
 import gymnasium as gym
 import numpy as np
 
-from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.evaluation.results import ResultsFolder
+from servotrack.baselines.reporting.files import ResultsError
 from servotrack.envs.track.files.mot_files import SequenceInfo, truth_row, write_seqinfo
 
 ENVIRONMENT = "PedestrianTracking-v0"
 QUALITY = 95
-"""Of the JPEG images."""
+"""JPEG quality of the images."""
 
 
 def render_sequence(
     folder: Path, axes: Mapping[str, Any], seed: int, on_frame: Callable[[int], None] | None = None
 ) -> int:
-    """Write img1/, gt/gt.txt and seqinfo.ini of an episode; the folder appears only when it is complete.
+    """Write img1/, gt/gt.txt and seqinfo.ini of an episode. The folder appears only once it is complete.
 
-    People of whom less than a fifth can be seen have flag 0 in gt.txt: they do not count.
+    People with less than a fifth visible have flag 0 in gt.txt, so that they do not count.
 
     Args:
-        folder: To be made; an earlier rendered sequence there is replaced.
-        axes: Keywords of `PedestrianTracking-v0`, `level` among them.
-        seed: Of the episode.
-        on_frame: Called with the number of frames to come, after each.
+        folder: New folder. An earlier rendered sequence there is replaced.
+        axes: Keywords of `PedestrianTracking-v0`, including `level`.
+        seed: Seed of the episode.
+        on_frame: Called after each frame with the number of frames left.
 
     Returns:
         Number of frames.
 
     Raises:
-        ValueError: A keyword out of range, or an observation other than pixels.
-        ResultsError: A folder that holds anything else, or cannot be written.
+        ValueError: Keyword out of range, or an observation other than pixels.
+        ResultsError: The folder contains other files, or cannot be written.
     """
     if axes.get("observation", "pixels") != "pixels":
         raise ValueError(f"observation must be 'pixels' for a sequence of images, got {axes['observation']!r}")
     if folder.exists() and not (folder / "seqinfo.ini").is_file() and (folder.is_file() or any(folder.iterdir())):
-        raise ResultsError(f"{folder} holds something that is no rendered sequence; choose another folder")
+        raise ResultsError(f"{folder} holds files that are not a rendered sequence; choose another folder")
     env = gym.make(ENVIRONMENT, **axes)
-    told: Any = env.get_wrapper_attr("scene_model")
+    scene: Any = env.get_wrapper_attr("scene_model")
     horizon = int(env.get_wrapper_attr("config").horizon)
     ResultsFolder(folder.parent).check_writable()
     growing = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
@@ -76,7 +76,7 @@ def render_sequence(
         (growing / "gt" / "gt.txt").write_text("".join(rows), encoding="ascii")
         write_seqinfo(
             growing / "seqinfo.ini",
-            SequenceInfo(folder.name, "img1", told.frame_rate, horizon, told.width, told.height),
+            SequenceInfo(folder.name, "img1", scene.frame_rate, horizon, scene.width, scene.height),
         )
         if folder.exists():
             shutil.rmtree(folder)
@@ -92,5 +92,5 @@ def render_sequence(
 def _write_image(path: Path, image: Any) -> None:
     coded, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     if not coded:
-        raise ResultsError(f"{path} cannot be coded as JPEG")
+        raise ResultsError(f"{path} cannot be encoded as JPEG")
     path.write_bytes(data.tobytes())

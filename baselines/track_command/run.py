@@ -1,4 +1,4 @@
-"""The run behind `servotrack track`: from a sequence to tracks and film; what ends it early loses nothing."""
+"""Run of `servotrack track`: from a sequence to tracks and video. An early end keeps all tracked frames."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from servotrack.baselines.agents.people.catalog import BoxTracker
 from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.reporting.film import Film, FilmError
 from servotrack.baselines.track_command.inputs import Input, Step
@@ -26,25 +27,25 @@ _FILM_RATES = (1.0, 60.0)
 
 
 class Painter(Protocol):
-    """Draws a frame of the film."""
+    """Draws a frame of the video."""
 
     def __call__(self, step: Step, estimate: SetEstimate) -> Image:
-        """The picture, RGB, always of one size."""
+        """Return the RGB frame. All frames have the same size."""
 
 
 @dataclass
 class TrackRun:
-    """What a run did.
+    """Outcome of a run.
 
     Attributes:
-        frames: The source's frames that were tracked, from 0.
-        rows: Boxes written.
-        seconds: Duration.
-        stopped: Why it ended before the sequence did; empty where it did not.
+        frames: Numbers of the tracked frames, from 0.
+        rows: Number of boxes written.
+        seconds: Duration, s.
+        stopped: Reason why the run ended before the sequence; empty if it did not.
         signal: Number of the signal that stopped it; 0 for none.
-        error: What broke; None where nothing did.
-        warnings: For the user.
-        files: Written, whole and valid.
+        error: Error that stopped it; None without one.
+        warnings: Warnings for the user.
+        files: Files written, complete and valid.
     """
 
     frames: list[int] = field(default_factory=list)
@@ -64,7 +65,7 @@ class TrackRun:
 
 def track(
     source: Input,
-    tracker: Any,
+    tracker: BoxTracker,
     out: Path,
     painter: Painter | None = None,
     on_frame: Callable[[], None] = lambda: None,
@@ -72,18 +73,18 @@ def track(
     """Track a sequence.
 
     Args:
-        source: The sequence.
-        tracker: With `initial(detections)` and `step(state, detections)`.
+        source: Sequence with detections.
+        tracker: Tracker of boxes.
         out: Folder for `tracks.txt` and, with a painter, `tracks.mp4`.
-        painter: Draws the film; None for no film.
+        painter: Draws the video; None for no video.
         on_frame: Called after every frame.
 
     Returns:
-        What was done, also where a broken source, a full disk or a signal ended it.
+        Outcome of the run, also if a broken source, a full disk or a signal ended it.
 
     Raises:
-        ResultsError: `out` cannot be made or written, or films cannot.
-        SequenceError: The source broke before the first frame was tracked.
+        ResultsError: `out` cannot be created or written, or videos cannot be encoded.
+        SequenceError: The source is broken before the first tracked frame.
     """
     run = TrackRun()
     started = time.perf_counter()
@@ -107,7 +108,7 @@ def track(
                 raise
             run.error, run.stopped = error, str(error)
         except FilmError as error:
-            raise ResultsError(f"{error}; or leave the film out (--no-video)") from error
+            raise ResultsError(f"{error}; or write no video (--no-video)") from error
     run.seconds, run.rows = time.perf_counter() - started, tracks.rows
     run.warnings.extend([source.warning] if source.warning else [])
     run.files.append(out / TRACKS)
@@ -116,8 +117,8 @@ def track(
     return run
 
 
-def _estimates(source: Input, tracker: Any) -> Iterator[tuple[Step, SetEstimate]]:
-    """Every step with the tracks in it, in the source's px."""
+def _estimates(source: Input, tracker: BoxTracker) -> Iterator[tuple[Step, SetEstimate]]:
+    """Yield every step with its tracks, in the source's px."""
     factor = np.array([*source.scale, *source.scale])
     state: Any = None
     for step in source:
@@ -128,7 +129,7 @@ def _estimates(source: Input, tracker: Any) -> Iterator[tuple[Step, SetEstimate]
 
 
 class _Filming:
-    """Draws and writes the film, the writing in a thread of its own; draws nothing where no film is wanted."""
+    """Draws the video and encodes it in a separate thread; does nothing without a film."""
 
     def __init__(self, film: Film | None, painter: Painter | None, pool: ThreadPoolExecutor) -> None:
         self._film, self._painter, self._pool = film, painter, pool
@@ -136,7 +137,7 @@ class _Filming:
         self.count = 0
 
     def show(self, step: Step, estimate: SetEstimate) -> None:
-        """Draw the frame, and write it when the one before is written."""
+        """Draw the frame, wait for the previous one to be written, and start writing this one."""
         if self._film is None or self._painter is None:
             return
         picture = self._painter(step, estimate)
@@ -145,7 +146,7 @@ class _Filming:
         self.count += 1
 
     def finish(self) -> None:
-        """Wait for the frame that is being written; raises what went wrong there."""
+        """Wait for the frame that is being written, and raise its error, if any."""
         if self._writing is not None:
             self._writing.result()
 
@@ -156,13 +157,13 @@ def _filming(source: Input, out: Path, painter: Painter | None) -> Iterator[_Fil
         with ThreadPoolExecutor(1) as pool:
             yield _Filming(None, None, pool)
         return
-    # The pool is waited for before the film is closed.
+    # The pool shuts down before the film is closed.
     with Film(out / FILM, float(np.clip(source.frame_rate, *_FILM_RATES))) as film, ThreadPoolExecutor(1) as pool:
         yield _Filming(film, painter, pool)
 
 
 def _keep_film(path: Path, run: TrackRun) -> None:
-    """Keep the film if it plays: OpenCV does not tell that its file could not be finished."""
+    """Keep the video if it can be read: OpenCV reports no error if its file could not be finished."""
     import cv2
 
     capture = cv2.VideoCapture(str(path))
@@ -172,4 +173,4 @@ def _keep_film(path: Path, run: TrackRun) -> None:
         run.files.append(path)
         return
     path.unlink(missing_ok=True)
-    run.warnings.append(f"{path} could not be finished and was removed; the tracks are whole")
+    run.warnings.append(f"{path} could not be finished and was removed; the tracks are complete")

@@ -1,4 +1,4 @@
-"""Scores of tracks against a sequence's truth, as a table and as numbers."""
+"""Scores of tracks against the truth of a sequence, as numbers and as a table."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from servotrack.estimators.types import Array, Labels
 
 
 class MatchRule(NamedTuple):
-    """When an estimate is a person.
+    """Rule that matches estimated boxes to true ones.
 
     Attributes:
-        distances: Of true and estimated boxes.
-        cutoff: Distance at which similarity is 0; the c of OSPA.
-        threshold: Similarity from which CLEAR MOT and IDF1 count a match.
-        summary: One line for people.
+        distances: Function of true boxes (n, 4) and estimated boxes (m, 4) that returns distances (n, m).
+        cutoff: Distance at which similarity is 0; the c of OSPA. A larger value accepts coarser matches.
+        threshold: Smallest similarity that CLEAR MOT and IDF1 count as a match.
+        summary: Description for tables.
     """
 
     distances: Callable[[Array, Array], Array]
@@ -43,18 +43,18 @@ MATCH_RULES = {
 
 
 class TrackScores(NamedTuple):
-    """How well a sequence was tracked; ratios from 0 to 1, MOTA possibly below 0.
+    """Scores of one tracker on one sequence. Ratios are from 0 to 1; MOTA may be negative.
 
     Attributes:
         frames: Number of frames.
         count_accuracy: Share of frames with the right number of people.
-        mota: Bernardin and Stiefelhagen (2008).
-        idf1: Ristani et al. (2016).
-        hota: Luiten et al. (2021).
-        ospa: Mean over frames, in units of the rule's distance, cut at its cutoff.
-        identity_switches: Of CLEAR MOT.
-        false_positives: Of CLEAR MOT.
-        misses: Of CLEAR MOT.
+        mota: CLEAR MOT accuracy, Bernardin and Stiefelhagen (2008).
+        idf1: Identity F1, Ristani et al. (2016).
+        hota: Higher order tracking accuracy, Luiten et al. (2021).
+        ospa: Mean OSPA over frames, in units of the rule's distance, at most its cutoff.
+        identity_switches: Identity switches of CLEAR MOT.
+        false_positives: False positives of CLEAR MOT.
+        misses: Misses of CLEAR MOT.
     """
 
     frames: int
@@ -71,16 +71,16 @@ class TrackScores(NamedTuple):
 def score_tracks(
     truth: RecordedTracks, found: RecordedTracks, frames: Sequence[int], match: str = "iou"
 ) -> TrackScores:
-    """Score what was found in some frames. As on MOTChallenge every true box counts, hidden ones too.
+    """Score the tracks in the given frames. As on MOTChallenge every true box counts, hidden ones too.
 
     Args:
-        truth: Of the sequence.
-        found: By a tracker.
-        frames: The frames that were tracked, from 0, increasing.
-        match: Name of a rule.
+        truth: True tracks.
+        found: Tracks of a tracker.
+        frames: Numbers of the tracked frames, from 0, increasing.
+        match: Name in `MATCH_RULES`.
 
     Raises:
-        ValueError: No such rule, or no frames.
+        ValueError: Unknown rule, or no frames.
     """
     if match not in MATCH_RULES:
         raise ValueError(f"match must be one of {', '.join(MATCH_RULES)}, got {match!r}")
@@ -105,7 +105,7 @@ def score_tracks(
 
 
 def score_grid(scores: TrackScores, name: str) -> Grid:
-    """Scores as a table of one row."""
+    """Return the scores as a table of one row."""
     headings = ["tracker", "frames", "count right", "MOTA", "IDF1", "HOTA", "OSPA", "switches", "false", "missed"]
     percent = [scores.count_accuracy, scores.mota, scores.idf1, scores.hota]
     cells = [
@@ -119,7 +119,7 @@ def score_grid(scores: TrackScores, name: str) -> Grid:
 
 
 def _within(tracks: RecordedTracks, numbers: Labels) -> list[Track]:
-    """Tracks on the axis of the frames that were tracked; those that have nothing there are left out."""
+    """Tracks with steps counted in tracked frames; tracks outside of them are left out."""
     kept = []
     for track in tracks.tracks:
         at = np.searchsorted(numbers, track.steps)
@@ -130,9 +130,9 @@ def _within(tracks: RecordedTracks, numbers: Labels) -> list[Track]:
 
 
 def _by_frame(true: list[Track], estimated: list[Track], length: int, rule: MatchRule) -> tuple[float, float]:
-    """Share of frames with the right number, and mean OSPA."""
-    there, here = members_by_step(true, length, 4), members_by_step(estimated, length, 4)
-    right = np.array([len(a.rows) == len(b.rows) for a, b in zip(there, here, strict=True)])
+    """Share of frames with the right number of people, and mean OSPA."""
+    true_rows, found_rows = members_by_step(true, length, 4), members_by_step(estimated, length, 4)
+    right = np.array([len(a.rows) == len(b.rows) for a, b in zip(true_rows, found_rows, strict=True)])
     ospa = [
         float(
             score_distances(
@@ -142,7 +142,7 @@ def _by_frame(true: list[Track], estimated: list[Track], length: int, rule: Matc
                 rule.cutoff,
             ).ospa
         )
-        for a, b in zip(there, here, strict=True)
+        for a, b in zip(true_rows, found_rows, strict=True)
     ]
     # Rounding may leave a distance of equal boxes below 0.
     return float(right.mean()), max(float(np.mean(ospa)), 0.0)

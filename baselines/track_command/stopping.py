@@ -1,4 +1,4 @@
-"""Ctrl-C and the end of the disk: what stops a long run, told between two frames so that nothing is left half done."""
+"""Stop a long run on SIGINT, SIGTERM or a full disk, between two frames, so that output files stay valid."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from types import FrameType, TracebackType
 from typing import Any
 
 _RESERVE = 4 << 20
+"""Free disk space for data that encoders still buffer, bytes."""
 _PER_FRAME = 64
-"""Bytes that must stay free: for what encoders hold back, and for the film's index of some 50 bytes a frame."""
-_EVERY = 8
+"""Free disk space for the video's index, about 50 bytes per frame, bytes."""
+_CHECK_INTERVAL = 8
+"""Frames between two checks of the free disk space."""
 
 
 class Interruption:
-    """While its block runs, the first SIGINT or SIGTERM is only noted; the second one acts as ever.
+    """Context in which the first SIGINT or SIGTERM is only recorded. A second one acts as usual.
 
     Attributes:
-        signal: The number noted; 0 for none.
+        signal: Number of the recorded signal; 0 for none.
     """
 
     def __init__(self) -> None:
@@ -31,7 +33,7 @@ class Interruption:
         for number in (signal.SIGINT, signal.SIGTERM):
             try:
                 self._before[number] = signal.signal(number, self._note)
-            except ValueError:  # Only a main thread may listen.
+            except ValueError:  # Only the main thread may set handlers.
                 break
         return self
 
@@ -50,10 +52,10 @@ class Interruption:
 
 
 class SpaceGuard:
-    """Watches that the disk keeps room to finish what was begun: OpenCV does not tell that a film could not be written.
+    """Check that the disk keeps enough space to finish the files. OpenCV reports no error if a video cannot be written.
 
     Args:
-        folder: Where is written.
+        folder: Folder of the output files.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -61,12 +63,12 @@ class SpaceGuard:
         self._frames = 0
 
     def check(self) -> None:
-        """Call once for every frame.
+        """Check the free disk space; call once per frame.
 
         Raises:
-            OSError: Less than what finishing takes is free.
+            OSError: Too little space is left to finish the files.
         """
-        if self._frames % _EVERY == 0:
+        if self._frames % _CHECK_INTERVAL == 0:
             needed = _RESERVE + _PER_FRAME * self._frames
             free = shutil.disk_usage(self._folder).free
             if free < needed:

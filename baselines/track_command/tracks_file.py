@@ -1,4 +1,4 @@
-"""Tracks written while they come about, in MOTChallenge's format; whatever ends the run, the file is valid."""
+"""File of tracks in MOTChallenge format, written frame by frame. It is valid however the run ends."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ UNFINISHED = ".unfinished"
 
 
 class TracksFile:
-    """A file of tracks that grows frame by frame under a temporary name, and takes its own when the block ends.
+    """Context that writes tracks under a temporary name, and renames the file when the block ends.
 
-    The block may end by an error: the frames up to it are kept. Where there were none, an earlier file stays.
+    If the block ends by an error, the frames before it are kept. If there are none, an earlier file stays.
 
     Args:
-        path: The file. While it grows, `.unfinished` stands behind its name.
+        path: Path of the file. Until the block ends, `.unfinished` is appended to its name.
 
     Attributes:
-        rows: Written so far.
+        rows: Number of boxes written so far.
 
     Raises:
-        ResultsError: The folder cannot be made or written.
+        ResultsError: The folder cannot be created or written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -34,7 +34,7 @@ class TracksFile:
         self.rows = 0
         self._growing = path.with_name(path.name + UNFINISHED)
         self._good = 0
-        # Unbuffered, so that a failed write is known at once and by the frame that it belongs to.
+        # Unbuffered, so that a failed write is raised at once, in the frame that it belongs to.
         self._file = self._growing.open("wb", buffering=0)
 
     def __enter__(self) -> TracksFile:
@@ -42,7 +42,7 @@ class TracksFile:
 
     def __exit__(self, *error: Any) -> None:
         try:
-            # Half a frame is cut off again; that needs no space.
+            # Cut off a frame that was written in part; this needs no disk space.
             os.ftruncate(self._file.fileno(), self._good)
         finally:
             self._file.close()
@@ -55,11 +55,11 @@ class TracksFile:
         """Append one frame's tracks.
 
         Args:
-            frame: From 1.
+            frame: Frame number, from 1.
             estimate: Boxes in the source's px.
 
         Raises:
-            OSError: The disk is full, or a limit is reached.
+            OSError: The disk is full, or a file size limit is reached.
         """
         rows = [
             mot_row(frame, label, box, existence)

@@ -1,4 +1,4 @@
-"""Videos in and out, and episodes to look at."""
+"""The commands `track`, `render` and `play`: track a video, render a sequence, watch an episode."""
 
 from __future__ import annotations
 
@@ -16,15 +16,14 @@ from servotrack.commands.terms import (
 
 
 def track(
-    source: Annotated[
-        str, typer.Argument(help="Video file, folder of images, MOTChallenge sequence, or a camera's index.")
-    ],
+    source: Annotated[str, typer.Argument(help="Video file, folder of images, MOTChallenge folder, or camera index.")],
     detector: Annotated[
         str,
         typer.Option(
             "--detector",
             "-d",
-            help="masked, masked-paper, mog2, knn; `file`: a MOTChallenge sequence's det.txt; auto: that if any.",
+            help="masked, masked-paper, mog2, knn; `file`: det.txt of a MOTChallenge sequence; auto: `file` if it "
+            "exists, else masked.",
         ),
     ] = "auto",
     tracker: Annotated[
@@ -33,26 +32,41 @@ def track(
             "--tracker", "-t", help="pmb, gm-phd, gm-phd-paper, gm-cbmember, kalman-hungarian, no-filter, ..."
         ),
     ] = "pmb",
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder; default: results/track/NAME.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Output folder. Default: results/track/NAME.")] = None,
     size: Annotated[
-        str, typer.Option(help="What the detector sees: WxH, `source`, or `fit`: within 384x288 px.")
+        str, typer.Option(help="Frame size for the detector: WxH, `source`, or `fit`: within 384x288 px.")
     ] = "fit",
     truth: Annotated[
-        Path | None, typer.Option(help="MOTChallenge's gt.txt or CAVIAR's XML; a MOTChallenge folder's own is found.")
+        Path | None,
+        typer.Option(
+            help="True tracks, for scores: MOTChallenge gt.txt or CAVIAR XML. Default: gt.txt of a MOTChallenge folder."
+        ),
     ] = None,
-    match: Annotated[str, typer.Option(help="`iou`: at least 0.5; `centroid`: within 0.6 of the true height.")] = "iou",
+    match: Annotated[
+        str, typer.Option(help="Match rule: `iou`: at least 0.5; `centroid`: within 0.6 of the true height.")
+    ] = "iou",
     start: Annotated[int, typer.Option(min=0, help="First frame, from 0.")] = 0,
-    frames: Annotated[int | None, typer.Option(min=1, help="Most frames.")] = None,
-    stride: Annotated[int, typer.Option(min=1, help="Every so manieth frame.")] = 1,
+    frames: Annotated[int | None, typer.Option(min=1, help="Largest number of frames. Default: all.")] = None,
+    stride: Annotated[int, typer.Option(min=1, help="Use every N-th frame.")] = 1,
     background: Annotated[
         int,
-        typer.Option(min=0, help="Frames of a first pass over a file for the background; 0: none, strictly online."),
+        typer.Option(
+            min=0,
+            help="Number of frames sampled in a first pass to initialize the background model. 0 disables the pass "
+            "(strictly online).",
+        ),
     ] = 40,
-    offline: Annotated[bool, typer.Option("--offline", help="Also fill gaps after the fact, in a file apart.")] = False,
-    video: Annotated[bool, typer.Option(help="Write the annotated film.")] = True,
-    show_truth: Annotated[bool, typer.Option("--show-truth", help="Draw true boxes, too.")] = False,
+    offline: Annotated[
+        bool,
+        typer.Option(
+            "--offline",
+            help="Also write tracks_offline.txt: gaps up to 1 s interpolated, tracks under 0.3 s dropped.",
+        ),
+    ] = False,
+    video: Annotated[bool, typer.Option(help="Write the annotated video tracks.mp4.")] = True,
+    show_truth: Annotated[bool, typer.Option("--show-truth", help="Draw the true boxes into the video, too.")] = False,
 ) -> None:
-    """Real data in; MOTChallenge tracks, an annotated film and, where there is truth, scores out."""
+    """Track people in a real sequence; write MOTChallenge tracks, an annotated video and, with --truth, scores."""
     from servotrack.baselines.track_command.command import TrackRequest, run_command
 
     request = TrackRequest(
@@ -77,12 +91,12 @@ def track(
 
 
 def render(
-    out: Annotated[Path, typer.Argument(help="Folder of the sequence, to be made.")],
+    out: Annotated[Path, typer.Argument(help="New folder for the sequence.")],
     level: Annotated[int, typer.Option("--level", "-l", help="Level of PedestrianTracking-v0, 0 to 5.")] = 0,
     settings: Settings = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the episode.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 0,
 ) -> None:
-    """A rendered crowd as a MOTChallenge sequence: images and exact truth, for `track` and any other tracker."""
+    """Render people as a MOTChallenge sequence with images and exact truth, for `track` and any other tracker."""
     from servotrack.baselines.reporting.terminal import progress_bars
     from servotrack.baselines.track_command.rendered import render_sequence
 
@@ -98,15 +112,17 @@ def render(
 
 def play(
     env: Annotated[str, typer.Argument(help="Gymnasium id.")] = "UncalibServo-v0",
-    agent: Annotated[str | None, typer.Option("--agent", "-a", help="Whom to watch; none: drive by keyboard.")] = None,
+    agent: Annotated[
+        str | None, typer.Option("--agent", "-a", help="Agent to watch. Without one, drive the arm with the keyboard.")
+    ] = None,
     level: Level = None,
     settings: Settings = None,
-    seed: Annotated[int | None, typer.Option(help="Of the first episode.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the first episode.")] = None,
     video: Annotated[
-        Path | None, typer.Option(help="Write a film (.webm, .mp4, .avi) instead of opening a window.")
+        Path | None, typer.Option(help="Write a video (.webm, .mp4, .avi) instead of opening a window.")
     ] = None,
 ) -> None:
-    """Watch an agent, or drive the arm by keyboard (arrow keys; escape ends)."""
+    """Watch an agent, or drive the arm with the arrow keys (escape ends)."""
     from servotrack.baselines.evaluation.watch import drive, watch
 
     kwargs = env_kwargs(level, settings)
@@ -114,7 +130,7 @@ def play(
         from servotrack.baselines.evaluation.watch import film_episode
 
         if agent is None:
-            raise ValueError("--video needs an agent to film; add --agent lifted-kf")
+            raise ValueError("--video needs an agent; add --agent lifted-kf")
         frames = film_episode(env, agent, video, kwargs, seed)
         console().print(f"{video}: {frames} frames")
     elif agent is None:

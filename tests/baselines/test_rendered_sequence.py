@@ -48,7 +48,7 @@ def test_only_a_rendered_sequence_is_replaced(tmp_path: Path) -> None:
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene"]
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("all of it")
-    with pytest.raises(ResultsError, match=r"mine holds something that is no rendered sequence; choose another folder"):
+    with pytest.raises(ResultsError, match=r"mine holds files that are not a rendered sequence; choose another folder"):
         render_sequence(tmp_path / "mine", AXES, 0)
     with pytest.raises(ValueError, match="observation must be 'pixels'"):
         render_sequence(tmp_path / "new", {**AXES, "observation": "blobs"}, 0)

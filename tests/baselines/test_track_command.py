@@ -128,7 +128,7 @@ def test_detections_of_a_sequence_without_images_are_tracked(tmp_path):
     assert read_tracks(tmp_path / "out" / "tracks.txt").tracks[0].steps.tolist() == [1, 4]
     with pytest.raises(SequenceError, match=r"holds no det/det\.txt"):
         FileInput(tmp_path / "det")
-    with pytest.raises(SequenceError, match="nothing from frame 9 on"):
+    with pytest.raises(SequenceError, match="no detections from frame 9 on"):
         FileInput(tmp_path, start=9)
 
 
