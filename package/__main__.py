@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import Annotated
 
 import typer
 
@@ -13,25 +14,44 @@ from servotrack.commands.watching import play, render, track
 
 COMMANDS = (evaluate, bench, leaderboard, tune, reproduce, train, agents, compare, track, render, play)
 
+CONTEXT = {"help_option_names": ["-h", "--help"]}
+
 app = typer.Typer(
     name="servotrack",
-    help="Servo what you cannot calibrate, track what you cannot count.",
+    help="Evaluate controllers and trackers, track your own videos, reproduce papers, train agents.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings=CONTEXT,
     pretty_exceptions_show_locals=False,
 )
 for command in COMMANDS:
-    app.command()(command)
+    app.command(context_settings=CONTEXT)(command)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        import servotrack
+
+        typer.echo(f"servotrack {servotrack.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Options of the program itself."""
 
 
 def main() -> None:
-    """Run the command line; what a user can mend is told in one line, without a traceback."""
+    """Run the command line. Errors that the user can fix are printed as one line, without a traceback."""
     import gymnasium as gym
 
     import servotrack  # noqa: F401
     from servotrack.baselines.reporting.files import ResultsError
 
-    # Agents of the user's own ("module:callable") lie where the user stands.
+    # Agents of the user's own ("module:callable") lie in the working directory.
     sys.path.insert(0, "")
     try:
         app()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import inspect
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -127,6 +128,20 @@ def bench(
     """
     cells = suite_of(env_id, agents, levels, settings)
     return run_suite(cells, ResultsFolder(folder), episodes=episodes, split=split, jobs=jobs)
+
+
+def check_cell(env_id: str, agent: str, env_kwargs: Mapping[str, Any]) -> None:
+    """Refuse an unknown environment or agent before anything is computed.
+
+    Raises:
+        ValueError: An unknown id or name, with the nearest known one, or arguments that the environment refuses.
+    """
+    agent_card(agent)
+    if ":" not in env_id and env_id not in gym.registry:
+        near = difflib.get_close_matches(env_id, list(gym.registry), n=1, cutoff=0.5)
+        remedy = f"did you mean {near[0]!r}?" if near else "see gymnasium.pprint_registry()"
+        raise ValueError(f"no environment is called {env_id!r}; {remedy}")
+    gym.make(env_id, **env_kwargs).close()
 
 
 def run_suite(

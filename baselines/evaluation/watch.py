@@ -12,12 +12,18 @@ import numpy as np
 from servotrack.baselines.agents.registry import agent_card, create_agent
 from servotrack.baselines.evaluation.evaluate import make_single, show_belief
 from servotrack.baselines.reporting.film import check_film_path, write_film
+from servotrack.envs.drawing.glyphs import put_text
 from servotrack.estimators.types import FloatArray, Image
 
 KEYS = {"right": (0, 1.0), "left": (0, -1.0), "up": (1, 1.0), "down": (1, -1.0)}
 """Arrow keys: which joint, which way."""
 KEY_RATE = 0.5
 """Fraction of the joint rate limit that a held key commands."""
+
+CAPTION_HEIGHT = 28
+"""Height of the strip that names agent, level and seed, px."""
+CAPTION_PAPER, CAPTION_INK = (250, 250, 247), (29, 39, 51)
+CAPTION_SIGNS = frozenset("abcdefghijklmnopqrstuvwxyz0123456789 .:-+/%")
 
 
 def film_episode(
@@ -44,7 +50,10 @@ def film_episode(
     env = make_single(env_id, {**(env_kwargs or {}), "render_mode": "rgb_array"}, privileged=card.privileged)
     try:
         rate = float(env.metadata.get("render_fps", 20))
-        return write_film(_episode_frames(env, create_agent(card, env), seed), path, rate)
+        level = getattr(env.unwrapped, "level", None)
+        caption = f"{card.name}" + ("" if level is None else f"   level {level}") + f"   seed {seed}"
+        frames = _episode_frames(env, create_agent(card, env), seed)
+        return write_film((_captioned(frame, caption) for frame in frames), path, rate)
     finally:
         env.close()
 
@@ -130,3 +139,12 @@ def _frame(env: Any) -> Image:
     if not isinstance(frame, np.ndarray) or frame.ndim != 3:
         raise ValueError(f"{env.spec.id} must draw rgb_array frames to be filmed, got {type(frame).__name__}")
     return frame
+
+
+def _captioned(frame: Image, caption: str) -> Image:
+    """Frame with a line of text in a strip below it, shape (height + CAPTION_HEIGHT, width, 3)."""
+    strip = np.full((CAPTION_HEIGHT, frame.shape[1], 3), CAPTION_PAPER, dtype=np.uint8)
+    # The font of the pictures has digits, lower-case letters and a few signs.
+    text = "".join(sign if sign in CAPTION_SIGNS else " " for sign in caption.lower().replace("_", "-"))
+    put_text(strip, text, 12.0, CAPTION_HEIGHT - 9.0, CAPTION_INK, height=9.0)
+    return np.concatenate([frame, strip])

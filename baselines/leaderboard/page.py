@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from html import escape
 
 from servotrack.baselines.leaderboard.summary import TaskSummary
-from servotrack.baselines.leaderboard.table import NOTE, caveat, headline_grids, overview_grid, task_grid
+from servotrack.baselines.leaderboard.table import SAME_NOTE, caveat, headline_grids, note_of, overview_grid, task_grid
 from servotrack.baselines.reporting.grid import Grid
 
-_STYLE = """
+STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1d2733; background: #fbfbf9; }
 body { margin: 0 auto; max-width: 1180px; padding: 40px 24px; }
 h1 { font-size: 28px; margin: 0 0 4px; } h2 { font-size: 18px; margin: 40px 0 8px; }
@@ -42,15 +42,15 @@ def html_page(tasks: Sequence[TaskSummary], command: str, figure: str | None, vi
     parts = [
         '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>servotrack leaderboard</title>\n<style>\n{_STYLE}\n</style>",
+        f"<title>servotrack leaderboard</title>\n<style>\n{STYLE}\n</style>",
         "<h1>servotrack leaderboard</h1>",
-        f"<p>Written by <code>{escape(command)}</code>. {_code(NOTE)}</p>",
+        f"<p>Written by <code>{escape(command)}</code>. {_code(note_of(tasks))}</p>",
     ]
     if figure:
         parts.append(f'<img src="{escape(figure)}" alt="Score and success against level, one line per agent">')
     overview = overview_grid(tasks)
     if overview.rows:
-        parts += ["<h2>Overview</h2>", "<p>Mean score, and success in percent.</p>", _table(overview)]
+        parts += ["<h2>Overview</h2>", f"<p>Mean score · success in percent. {_code(SAME_NOTE)}</p>", _table(overview)]
     for title, grid in headline_grids(tasks):
         parts += [f"<h2>{escape(title)}</h2>", _table(grid)]
     if video:

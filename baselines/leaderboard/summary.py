@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -12,6 +14,9 @@ from servotrack.baselines.evaluation.results import CellResults
 from servotrack.baselines.evaluation.statistics import Interval, PairedDifference
 from servotrack.baselines.worlds import RANDOM_AGENT, WORLDS, World
 from servotrack.estimators.types import Array
+
+EQUAL_SCORE = 0.01
+"""Agents whose mean scores differ by less than this, and not significantly, share a row of the overview."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +34,8 @@ class AgentSummary:
         worst_error: Mean of the worst tenth of the steady errors, m.
         score: Mean score; 0 is random, 1 the oracle.
         worst_score: Mean of the worst tenth of the scores.
-        scores: Of all episodes, in the order of the rows.
+        scores: Scores of all episodes, in the order of `seeds`.
+        seeds: Seeds of the episodes.
         measures: Means over episodes of the world's measures, by column, in the rows' units.
         difference: The world's headline measure minus the reference's, paired by seed.
         adjusted_p: Its p-value after Holm's correction over the task's table.
@@ -48,6 +54,7 @@ class AgentSummary:
     score: Interval | None
     worst_score: float | None
     scores: Array | None
+    seeds: tuple[int, ...]
     measures: Mapping[str, Interval]
     difference: PairedDifference | None
     adjusted_p: float | None
@@ -87,13 +94,23 @@ class TaskSummary:
 
 @dataclass(frozen=True)
 class OverallSummary:
-    """An agent over all tasks: interquartile mean of its scores, and in how many episodes of all it succeeded."""
+    """An agent over all tasks.
+
+    Attributes:
+        agent: Name.
+        information: Information class.
+        privileged: True if it saw the truth.
+        score: Interquartile mean of its scores.
+        success: Success rate over all episodes.
+        worst_score: Mean over tasks of the mean of the worst tenth of its scores, which an interquartile mean hides.
+    """
 
     agent: str
     information: str
     privileged: bool
     score: Interval
     success: Interval
+    worst_score: float
 
 
 def summarize(cells: Iterable[CellResults]) -> list[TaskSummary]:
@@ -131,9 +148,62 @@ def overall(tasks: Sequence[TaskSummary]) -> list[OverallSummary]:
                 first.privileged,
                 statistics.stratified_interquartile_mean(scores),
                 statistics.wilson_interval(successes, sum(row.episodes for row in rows)),
+                float(np.mean([row.worst_score for row in rows if row.worst_score is not None])),
             )
         )
     return sorted(summaries, key=lambda summary: -summary.score.value)
+
+
+def fold_equal(
+    tasks: Sequence[TaskSummary], ranked: Sequence[OverallSummary]
+) -> list[tuple[OverallSummary, list[str]]]:
+    """Gather agents that cannot be told apart, so that they share a row.
+
+    An agent joins one above it of the same information class if in every task their scores are equal to the bit, or the
+    interval of their paired difference contains zero and the difference is below `EQUAL_SCORE`.
+
+    Args:
+        tasks: Tasks of `summarize`.
+        ranked: Agents of `overall`, best first.
+
+    Returns:
+        One agent per group, the one with the shortest name, best group first; and the names of the others.
+    """
+    groups: list[list[OverallSummary]] = []
+    for agent in ranked:
+        for group in groups:
+            same_class = group[0].information == agent.information
+            if same_class and all(_are_equal(task, group[0].agent, agent.agent) for task in tasks):
+                group.append(agent)
+                break
+        else:
+            groups.append([agent])
+    shown = [min(group, key=lambda agent: len(agent.agent)) for group in groups]
+    return [
+        (kept, [agent.agent for agent in group if agent is not kept]) for kept, group in zip(shown, groups, strict=True)
+    ]
+
+
+def _are_equal(task: TaskSummary, first: str, second: str) -> bool:
+    a, b = task.row(first), task.row(second)
+    if a is None or b is None or a.scores is None or b.scores is None:
+        return False
+    position = {seed: i for i, seed in enumerate(b.seeds)}
+    if set(a.seeds) != set(position):
+        return False
+    other = b.scores[[position[seed] for seed in a.seeds]]
+    if np.array_equal(a.scores, other):
+        return True
+    difference = statistics.bootstrap_mean(a.scores - other)
+    return abs(difference.value) < EQUAL_SCORE and difference.low <= 0.0 <= difference.high
+
+
+def stamp(cells: Iterable[CellResults]) -> str:
+    """Return the first 12 hexadecimal digits of the SHA-256 over all rows: equal for tables of the same results."""
+    digest = hashlib.sha256()
+    for cell in sorted(cells, key=lambda cell: (cell.environment, cell.agent)):
+        digest.update(json.dumps([cell.environment, cell.agent, cell.rows], sort_keys=True).encode())
+    return digest.hexdigest()[:12]
 
 
 def _summarize_task(name: str, cells: list[CellResults], step_seconds: dict[tuple[str, str], float]) -> TaskSummary:
@@ -191,6 +261,7 @@ def _summarize_cell(
         score=None if scores is None else statistics.bootstrap_mean(scores),
         worst_score=None if scores is None else statistics.worst_tenth(scores, high_is_bad=False),
         scores=scores,
+        seeds=tuple(cell.seeds),
         measures={column: mean for column, mean in measured.items() if mean is not None},
         difference=_difference(cell, by_agent.get(world.reference), world.headline.column),
         adjusted_p=None,

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 
 from servotrack.baselines.evaluation.statistics import Interval
 from servotrack.baselines.leaderboard.summary import (
+    EQUAL_SCORE,
     AgentSummary,
     OverallSummary,
     TaskSummary,
+    fold_equal,
     overall,
 )
 from servotrack.baselines.reporting.grid import Grid, as_markdown
@@ -16,32 +18,58 @@ from servotrack.baselines.worlds import RankingMetric
 
 SIGNIFICANCE = 0.05
 PRIVILEGED_MARK = "†"
-NOTE = (
-    "Score: ln(e_random/e) / ln(e_random/e_oracle), 0 is random, 1 the analytic Jacobian, more is possible. "
-    f"{PRIVILEGED_MARK} sees the truth. Brackets: 95 % intervals. "
-    "Differences are paired by seed against the agent that their column names; * marks those below p = 0.05 after "
-    "Holm's correction. "
-    f"× bound: mean steady error over that of the bound. "
-    "Tuning steps: environment steps of `servotrack tune` or of training, on seeds of their own, without the trials by "
-    "hand that came before; ? where nobody counted."
+BOUND_MARK = "× bound"
+SAME_NOTE = (
+    "Agents behind `same` have the scores of the row at every level: equal to the bit, or a difference below "
+    f"{EQUAL_SCORE:g} whose interval contains zero."
+)
+_COMMON_NOTE = (
+    f"{PRIVILEGED_MARK} sees the truth. Brackets: 95 % intervals. Differences are paired by seed against the agent "
+    "that their column names; * marks those below p = 0.05 after Holm's correction. Tuning steps: environment steps of "
+    "`servotrack tune` or of training, on seeds of their own, excluding earlier manual trials; ? = not recorded."
 )
 
 
-def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
-    """Agents against tasks: mean score and success rate in every cell, last the interquartile mean over tasks.
+def note_of(tasks: Sequence[TaskSummary]) -> str:
+    """Explain the columns of the tables of these tasks."""
+    anchors = next((task.world.anchors for task in tasks if task.world.anchors is not None), None)
+    if anchors is None:
+        return _COMMON_NOTE
+    low, high = anchors.lower, anchors.upper
+    return (
+        f"Score: ln(e_{low}/e) / ln(e_{low}/e_{high}), with e the mean steady error: 0 is {low}, 1 is {high} (the "
+        "analytic Jacobian), more is possible. Worst tenth: mean score of the worst tenth of the episodes. "
+        f"{BOUND_MARK}: mean steady error over that of {anchors.bound}. {_COMMON_NOTE}"
+    )
 
-    Below those that took part in all tasks come those that did in some, such as learned ones, without a mean.
+
+def missing_agents(task: TaskSummary) -> list[str]:
+    """Agents without which columns of a task's table stay empty: anchors of the score, bound, reference."""
+    anchors = task.world.anchors
+    needed = [] if anchors is None else [anchors.lower, anchors.upper, anchors.bound]
+    present = {row.agent for row in task.rows}
+    return [name for name in dict.fromkeys([*needed, task.world.reference]) if name not in present]
+
+
+def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
+    """Agents against tasks: mean score and success rate in every cell; last the worst tenth and the mean over tasks.
+
+    Agents that cannot be told apart share a row. Below those that took part in all tasks come those that took part in
+    some, such as learned ones, without a mean.
     """
     scored = [task for task in tasks if any(row.score for row in task.rows)]
-    headings = ["agent", "information", *(_short_name(task) for task in scored), "all (IQM)"]
-    complete = overall(tasks)
-    means = {summary.agent: _interval(summary.score, 2) for summary in complete}
-    partial = {row.agent: row for task in scored for row in task.rows if row.score and row.agent not in means}
-    shown: list[AgentSummary | OverallSummary] = [*complete, *(partial[name] for name in sorted(partial))]
+    headings = ["agent", "information", *(_short_name(task) for task in scored), "worst tenth", "all (IQM)"]
+    complete = fold_equal(scored, overall(tasks))
+    ranked = {name for kept, names in complete for name in (kept.agent, *names)}
+    partial = {row.agent: row for task in scored for row in task.rows if row.score and row.agent not in ranked}
     rows = []
-    for agent in shown:
-        cells = [_score_and_success(task.row(agent.agent)) for task in scored]
-        rows.append([_agent(agent), agent.information, *cells, means.get(agent.agent, "")])
+    for kept, names in complete:
+        name = _agent(kept) + (f" (same: {', '.join(names)})" if names else "")
+        cells = [_score_and_success(task.row(kept.agent)) for task in scored]
+        rows.append([name, kept.information, *cells, f"{kept.worst_score:.2f}", _interval(kept.score, 2)])
+    for agent in sorted(partial):
+        cells = [_score_and_success(task.row(agent)) for task in scored]
+        rows.append([_agent(partial[agent]), partial[agent].information, *cells, "", ""])
     return Grid(headings, rows, 2)
 
 
@@ -93,7 +121,7 @@ def task_grid(task: TaskSummary) -> Grid:
     against = f"− {world.reference} {world.headline.unit}".strip()
     succeeds = servo or any(row.success for row in task.rows)
     headings = ["agent", "information", "n", *(["success %"] if succeeds else [])]
-    headings += ["score", "worst tenth", "steady mm", against, "× bound"] if servo else ["return"]
+    headings += ["score", "worst tenth", "steady mm", against, BOUND_MARK] if servo else ["return"]
     headings += [*(measure.title for measure in shown), against] if shown else []
     headings += ["µs/step", "tuning steps"]
     rows = []
@@ -122,20 +150,24 @@ def task_grid(task: TaskSummary) -> Grid:
     return Grid(headings, rows, 2)
 
 
-def markdown_overview(tasks: Sequence[TaskSummary], command: str, details: bool = False) -> str:
+def markdown_overview(
+    tasks: Sequence[TaskSummary], command: str, details: bool = False, results_stamp: str = ""
+) -> str:
     """The overviews for a document of another kind, with the command that wrote them; "" where there are none.
 
     Args:
         tasks: From `summarize`.
         command: What the tables say they were written by.
-        details: Whether every task's own table follows, under a heading of the third level.
+        details: True to append every task's own table, under a heading of the third level.
+        results_stamp: Digest of the results (`summary.stamp`), which the figure of the same results carries too.
     """
-    parts = []
+    parts = [f"<!-- results {results_stamp} -->\n"] if results_stamp else []
     overview = overview_grid(tasks)
     if overview.rows:
         parts.append(
             f"{as_markdown(overview)}\nMean score · success in percent, up to {_most_episodes(tasks)} episodes each. "
-            f"Written by `{command}`. {NOTE}\n"
+            f"{SAME_NOTE} "
+            f"Written by `{command}`. {note_of(tasks)}\n"
         )
     for title, grid in headline_grids(tasks):
         parts.append(
@@ -144,7 +176,7 @@ def markdown_overview(tasks: Sequence[TaskSummary], command: str, details: bool 
         )
     if details:
         parts += [f"### {task.environment}\n\n{as_markdown(task_grid(task))}" for task in tasks]
-        parts.append(f"Written by `{command}`. {NOTE}\n")
+        parts.append(f"Written by `{command}`. {note_of(tasks)}\n")
     return "\n".join(parts)
 
 
@@ -154,10 +186,10 @@ def _most_episodes(tasks: Sequence[TaskSummary]) -> int:
 
 def markdown_report(tasks: Sequence[TaskSummary], command: str) -> str:
     """The whole leaderboard: the overview where there are scores, then every task."""
-    parts = ["# Leaderboard\n", f"Written by `{command}`. {NOTE}\n"]
+    parts = ["# Leaderboard\n", f"Written by `{command}`. {note_of(tasks)}\n"]
     overview = overview_grid(tasks)
     if overview.rows:
-        parts.append("## Overview\n\nMean score, and success in percent.\n\n" + as_markdown(overview))
+        parts.append("## Overview\n\nMean score · success in percent. " + SAME_NOTE + "\n\n" + as_markdown(overview))
     for title, grid in headline_grids(tasks):
         parts.append(f"## {title}\n\n{as_markdown(grid)}")
     for task in tasks:

@@ -28,10 +28,18 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure in the format of the path's suffix, whole or not at all."""
+def save_figure(figure: Figure, path: Path, results_stamp: str = "") -> None:
+    """Write a figure in the format of the path's suffix, whole or not at all.
+
+    Args:
+        figure: The figure.
+        path: File ending in .png, .svg or .pdf.
+        results_stamp: Digest of the results that the figure shows, kept in the file's metadata.
+    """
     import matplotlib as mpl
 
-    metadata = {"Date": None} if path.suffix == ".svg" else {"CreationDate": None} if path.suffix == ".pdf" else {}
+    date = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix, {})
+    subject = {".svg": "Description", ".pdf": "Subject"}.get(path.suffix, "Description")
+    metadata: dict[str, Any] = {**date, **({subject: f"results {results_stamp}"} if results_stamp else {})}
     with mpl.rc_context(STYLE), atomic_path(path) as temporary:
         figure.savefig(temporary, format=path.suffix[1:], metadata=metadata)

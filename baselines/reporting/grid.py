@@ -1,7 +1,10 @@
-"""Tables of strings, for the terminal (Rich) and for documents (Markdown)."""
+"""Tables of strings: for the terminal (Rich), documents (Markdown) and programs (JSON, CSV)."""
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -47,3 +50,20 @@ def as_sections(grids: Mapping[str, Grid], heading: str) -> str:
         heading: What begins a title, "##" for example.
     """
     return "\n".join(f"{heading} {title}\n\n{as_markdown(grid)}" for title, grid in grids.items())
+
+
+def as_json(tables: Mapping[str, Grid]) -> str:
+    """Return tables as one JSON object: per title a list of rows, each a dictionary by headings."""
+    rows = {title: [dict(zip(grid.headings, row, strict=True)) for row in grid.rows] for title, grid in tables.items()}
+    return json.dumps(rows, indent=1, ensure_ascii=False)
+
+
+def as_csv(tables: Mapping[str, Grid]) -> str:
+    """Return tables as CSV: the title in the column `table`, then the union of all headings in their order."""
+    headings = list(dict.fromkeys(heading for grid in tables.values() for heading in grid.headings))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, ["table", *headings], restval="", lineterminator="\n")
+    writer.writeheader()
+    for title, grid in tables.items():
+        writer.writerows({"table": title, **dict(zip(grid.headings, row, strict=True))} for row in grid.rows)
+    return text.getvalue()

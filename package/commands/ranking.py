@@ -1,7 +1,8 @@
-"""Agents against worlds: episodes, leaderboards, tuning."""
+"""Commands that evaluate and rank agents: evaluate, bench, leaderboard, tune."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,14 +11,17 @@ import typer
 from servotrack.commands.terms import (
     DEFAULT_RESULTS,
     Episodes,
+    Format,
     Jobs,
     Level,
     Results,
     Settings,
     Split,
-    console,
+    TableFormat,
     env_kwargs,
     levels_of,
+    print_notes,
+    print_tables,
     words,
 )
 
@@ -29,109 +33,146 @@ FILMED_LEVEL = 3
 
 def evaluate(
     env: Annotated[str, typer.Argument(help="Gymnasium id, such as UncalibServo-v0.")],
-    agent: Annotated[str, typer.Argument(help="Name, name+law, or module:callable.")],
+    agent: Annotated[str, typer.Argument(help="Name, name+law, a learned agent's file, or module:callable.")],
     level: Level = None,
     settings: Settings = None,
     episodes: Episodes = 100,
     split: Split = "test",
     results: Results = DEFAULT_RESULTS,
+    table_format: TableFormat = Format.table,
 ) -> None:
-    """Run one agent in one environment, and print its row beside those that the folder holds already."""
+    """Evaluate one agent in one environment. Prints its row next to the rows that the folder already holds."""
     from servotrack.baselines.evaluation import seeds
+    from servotrack.baselines.evaluation.bench import check_cell
     from servotrack.baselines.evaluation.evaluate import evaluate as run
     from servotrack.baselines.evaluation.results import ResultsFolder
     from servotrack.baselines.leaderboard.summary import summarize
-    from servotrack.baselines.leaderboard.table import task_grid
-    from servotrack.baselines.reporting.grid import as_rich
+    from servotrack.baselines.leaderboard.table import missing_agents, task_grid
     from servotrack.baselines.reporting.terminal import progress_bars
     from servotrack.baselines.worlds import describe_environment
 
     kwargs = env_kwargs(level, settings)
+    chosen = seeds.take(split, episodes)
+    check_cell(env, agent, kwargs)
     folder = ResultsFolder(results)
     folder.check_writable()
     with progress_bars() as progress:
         bar = progress.add_task(agent, total=episodes)
-        run(
-            env,
-            agent,
-            seeds.take(split, episodes),
-            kwargs,
-            folder=folder,
-            on_episodes=lambda count: progress.advance(bar, count),
-        )
+        run(env, agent, chosen, kwargs, folder=folder, on_episodes=lambda count: progress.advance(bar, count))
     name = describe_environment(env, kwargs)
     tasks = [task for task in summarize(folder.load_all()) if task.environment == name]
+    print_tables({task.environment: task_grid(task) for task in tasks}, table_format)
+    arguments = "".join(f" --set {key}={value}" for key, value in kwargs.items() if key != "level")
+    arguments += "" if level is None else f" --level {level}"
     for task in tasks:
-        console().print(as_rich(task_grid(task), task.environment))
+        if missing := missing_agents(task):
+            print_notes(
+                f"Columns without numbers need {' and '.join(missing)}: run `servotrack evaluate {env} {missing[0]}"
+                f"{arguments} --episodes {episodes} --results {results}`" + (", and so on." if missing[1:] else "."),
+                table_format=table_format,
+                style="dim",
+            )
 
 
 def bench(
-    results: Results = DEFAULT_RESULTS / "bench",
-    agents: Annotated[str, typer.Option("--agents", "-a", help="Comma-separated; default: all.")] = "",
-    levels: Annotated[
-        str, typer.Option("--levels", "-l", help="Such as 0-5 or 0,3; default: 0-5 where the world has levels.")
+    results: Annotated[
+        Path | None,
+        typer.Option(
+            "--results",
+            "-o",
+            help="Folder of results. Finished episodes in it are not run again. Default: results/bench/ENV.",
+        ),
+    ] = None,
+    agents: Annotated[
+        str, typer.Option("--agents", "-a", help="Comma-separated agents. Default: the suite of the kind of world.")
     ] = "",
-    env: Annotated[str, typer.Option("--env", help="Servo or tracking id.")] = "UncalibServo-v0",
+    levels: Annotated[
+        str,
+        typer.Option("--levels", "-l", help="Levels, such as 0-5 or 0,3. Default: 0-5 where the world has levels."),
+    ] = "",
+    env: Annotated[str, typer.Option("--env", help="Gymnasium id.")] = "UncalibServo-v0",
     settings: Settings = None,
     episodes: Episodes = 100,
     split: Split = "test",
     jobs: Jobs = -1,
-    video: Annotated[bool, typer.Option(help="Film the best agent at level 3.")] = True,
+    video: Annotated[bool, typer.Option(help="Write a video of the best agent at level 3.")] = True,
+    table_format: TableFormat = Format.table,
 ) -> None:
-    """The main job: agents x levels x seeds, then the leaderboard, a figure and a film. Resumes what was finished."""
+    """Evaluate agents on every level and seed, then write the leaderboard, a figure and a video.
+
+    Finished cells are skipped.
+    """
     from servotrack.baselines.evaluation.bench import run_suite, suite_of
     from servotrack.baselines.evaluation.results import ResultsFolder
+    from servotrack.baselines.leaderboard.index import write_index
     from servotrack.baselines.leaderboard.summary import summarize
     from servotrack.baselines.reporting.terminal import progress_bars
 
     suite = suite_of(env, words(agents), levels_of(levels) if levels else None, env_kwargs(None, settings))
-    folder = ResultsFolder(results)
+    output = results or DEFAULT_RESULTS / "bench" / env.rpartition(":")[2].replace("/", "-")
+    folder = ResultsFolder(output)
+    folder.check_writable()
     with progress_bars() as progress:
         cells = run_suite(suite, folder, episodes=episodes, split=split, jobs=jobs, progress=progress)
     tasks = summarize(cells)
-    film = _film_best(tasks, results) if video else None
-    _show(tasks, results, film)
+    film = _film_best(tasks, output) if video else None
+    _show(tasks, output, film, table_format=table_format)
+    if results is None:
+        print_notes(str(write_index(output.parent)), table_format=table_format)
 
 
 def leaderboard(
     results: Annotated[Path, typer.Argument(help="Folder of results.")],
-    output: Annotated[Path | None, typer.Option("--output", help="Where to write; default: into RESULTS.")] = None,
-    details: Annotated[bool, typer.Option(help="Every environment's own table, too, also in the document.")] = False,
+    output: Annotated[Path | None, typer.Option("--output", help="Output folder. Default: RESULTS.")] = None,
+    details: Annotated[
+        bool, typer.Option(help="Also print every environment's own table, and write it into the document.")
+    ] = False,
     into: Annotated[
         Path | None,
-        typer.Option(help="A document that has the marks <!-- leaderboard:begin --> and <!-- leaderboard:end -->."),
+        typer.Option(help="Document to update between <!-- leaderboard:begin --> and <!-- leaderboard:end -->."),
     ] = None,
+    figure: Annotated[
+        Path | None, typer.Option(help="Also write the figure of scores against level to this file (.png, .svg).")
+    ] = None,
+    table_format: TableFormat = Format.table,
 ) -> None:
-    """Tables, figure and page from a folder of results."""
+    """Write tables, figure and page from a folder of results."""
     from servotrack.baselines.evaluation.results import ResultsFolder
-    from servotrack.baselines.leaderboard.summary import summarize
+    from servotrack.baselines.leaderboard.figure import draw_levels, level_tasks
+    from servotrack.baselines.leaderboard.summary import stamp, summarize
     from servotrack.baselines.leaderboard.table import markdown_overview
     from servotrack.baselines.reporting.embed import embed
+    from servotrack.baselines.reporting.figure import save_figure
     from servotrack.baselines.reporting.terminal import command_line
 
-    tasks = summarize(ResultsFolder(results).load_all())
+    cells = ResultsFolder(results).load_all()
+    tasks = summarize(cells)
     film = results / "best.webm"
-    _show(tasks, output or results, film if output is None and film.exists() else None, details)
+    _show(tasks, output or results, film if output is None and film.exists() else None, details, table_format)
+    if figure is not None:
+        save_figure(draw_levels(level_tasks(tasks)), figure, stamp(cells))
     if into is not None:
-        embed(markdown_overview(tasks, command_line(), details), into, "leaderboard")
+        embed(markdown_overview(tasks, command_line(), details, stamp(cells)), into, "leaderboard")
 
 
 def tune(
-    agents: Annotated[list[str] | None, typer.Argument(help="Names; default: all with values of their own.")] = None,
+    agents: Annotated[
+        list[str] | None, typer.Argument(help="Agents to tune. Default: every agent that has tunable parameters.")
+    ] = None,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="The record; agents that an earlier one holds are skipped.")
+        Path, typer.Option("--output", "-o", help="Record to write. Agents that an earlier record holds are skipped.")
     ] = DEFAULT_RESULTS / "tuning.json",
     episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Tune seeds per level.")] = 16,
     into: Annotated[
         Path | None,
-        typer.Option(help="A document that has the marks <!-- tuning:begin --> and <!-- tuning:end -->."),
+        typer.Option(help="Document to update between <!-- tuning:begin --> and <!-- tuning:end -->."),
     ] = None,
+    table_format: TableFormat = Format.table,
 ) -> None:
-    """Search the servo agents' hyper-parameters on tune seeds, and count the environment steps that it takes."""
+    """Search the servo agents' hyper-parameters on tune seeds, and count the environment steps."""
     from servotrack.baselines.agents.servo.tuning_grid import GRIDS
     from servotrack.baselines.evaluation import seeds
     from servotrack.baselines.reporting.embed import embed
-    from servotrack.baselines.reporting.grid import as_rich
     from servotrack.baselines.reporting.terminal import progress_bars
     from servotrack.baselines.tuning.search import FIRST_SEED, TuningProtocol
     from servotrack.baselines.tuning.search import tune as run
@@ -147,27 +188,32 @@ def tune(
             on_agent=lambda name, settings: bars.append(progress.add_task(name, total=settings)) if settings else None,
             on_candidate=lambda: progress.advance(bars[-1]),
         )
-    console().print(as_rich(tuning_grid(record), str(output)))
+    print_tables({str(output): tuning_grid(record)}, table_format)
     if into is not None:
         embed(markdown_tuning(record), into, "tuning")
 
 
-def _show(tasks: list[TaskSummary], output: Path, film: Path | None, details: bool = False) -> None:
+def _show(
+    tasks: list[TaskSummary],
+    output: Path,
+    film: Path | None,
+    details: bool = False,
+    table_format: Format = Format.table,
+) -> None:
     from servotrack.baselines.leaderboard.report import write_report
-    from servotrack.baselines.leaderboard.table import NOTE, headline_grids, overview_grid, task_grid
-    from servotrack.baselines.reporting.grid import as_rich
+    from servotrack.baselines.leaderboard.table import headline_grids, note_of, overview_grid, task_grid
     from servotrack.baselines.reporting.terminal import command_line
 
-    screen = console()
-    overviews = [("Mean score · success in percent", overview_grid(tasks)), *headline_grids(tasks)]
-    overviews = [(title, grid) for title, grid in overviews if grid.rows]
-    for title, grid in overviews:
-        screen.print(as_rich(grid, title))
-    for task in tasks if details or not overviews else []:
-        screen.print(as_rich(task_grid(task), task.environment))
-    screen.print(NOTE, style="dim")
-    for path in [*write_report(tasks, output, command_line(), film), *([film] if film else [])]:
-        screen.print(str(path), soft_wrap=True)
+    overviews: Mapping[str, Any] = {
+        title: grid
+        for title, grid in [("Mean score · success in percent", overview_grid(tasks)), *headline_grids(tasks)]
+        if grid.rows
+    }
+    own = {task.environment: task_grid(task) for task in tasks} if details or not overviews else {}
+    print_tables({**overviews, **own}, table_format)
+    print_notes(note_of(tasks), table_format=table_format, style="dim")
+    paths = [*write_report(tasks, output, command_line(), film), *([film] if film else [])]
+    print_notes(*map(str, paths), table_format=table_format)
 
 
 def _film_best(tasks: list[TaskSummary], folder: Path) -> Path | None:

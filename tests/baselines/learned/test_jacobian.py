@@ -14,11 +14,11 @@ import servotrack  # noqa: F401
 from servotrack.baselines.agents.learned.card import load_card
 from servotrack.baselines.agents.learned.jacobian import (
     ENTRIES,
-    USUAL,
+    JACOBIAN_SCALE,
     LearnedJacobian,
     create_learned_servo,
+    image_rotation,
     jacobian_encoding,
-    turning,
 )
 from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
 from servotrack.baselines.agents.registry import agent_card, create_agent
@@ -51,7 +51,7 @@ def test_coordinates_are_those_of_the_encoding() -> None:
     # At level 3 a frame is of the present, so that the row's error is turned by the same angle.
     assert np.array_equal(observation["frame_time"], observation["time"])
     error = np.asarray(observation["features"]) - observation["goal"]
-    turned = turning(state.encoding, np.asarray(observation["joint_angles"], np.float64)) @ error[..., None]
+    turned = image_rotation(state.encoding, np.asarray(observation["joint_angles"], np.float64)) @ error[..., None]
     assert np.allclose(turned[..., 0], state.rows[:, :2], atol=1e-5)
 
 
@@ -61,8 +61,8 @@ def test_a_network_that_knows_the_jacobian_servos_as_the_oracle_does() -> None:
 
     def knowing(rows: FloatArray, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         # The estimator turns with the memory that it has just made; its row tells by how much.
-        matrix = turning(asked[0].encoding, world.joint_angles) @ world.privileged()["true_jacobian"]
-        return (matrix / USUAL).reshape(-1, ENTRIES).astype(np.float32), memory
+        matrix = image_rotation(asked[0].encoding, world.joint_angles) @ world.privileged()["true_jacobian"]
+        return (matrix / JACOBIAN_SCALE).reshape(-1, ENTRIES).astype(np.float32), memory
 
     class Spy(ServoEncoding):
         def step(self, memory: Any, observation: Any, action: Any) -> Any:

@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 import servotrack  # noqa: F401
 from servotrack.baselines.agents.learned.set_prediction import (
     ANCHOR,
-    FARTHEST,
     LENGTH,
-    NEAR,
     NEIGHBOR,
-    SPEED,
+    NEIGHBOR_DISTANCE,
+    NEIGHBOR_LIMIT,
+    NEIGHBOR_SPEED,
     ScanHistory,
     SetPredictor,
     SetWindow,
-    ask,
     in_plane,
-    place_now,
+    present_positions,
+    query_measurements,
 )
 from servotrack.estimators.types import FloatArray
 
@@ -58,40 +58,42 @@ def recent(rng: np.random.Generator, scans: int) -> ScanHistory:
 
 def test_a_row_holds_the_nearest_measurements_of_other_scans() -> None:
     seen = recent(np.random.default_rng(3), 15)
-    asked = ask(WINDOW, seen, None, 0.0)
-    assert len(asked.rows) == seen.number[:, : WINDOW.asked].sum()
-    for i in range(0, len(asked.rows), 7):
-        scene, age, place = asked.scene[i], asked.age[i], asked.places[i]
+    queries = query_measurements(WINDOW, seen, None, 0.0)
+    assert len(queries.rows) == seen.number[:, : WINDOW.asked].sum()
+    for i in range(0, len(queries.rows), 7):
+        scene, age, place = queries.scene[i], queries.age[i], queries.places[i]
         around = []
         for other in range(WINDOW.scans):
             for j in range(seen.number[scene, other] if other != age else 0):
                 apart = seen.places[scene, other, j] - place
-                scale = NEAR + SPEED * abs(other - age)
+                scale = NEIGHBOR_DISTANCE + NEIGHBOR_SPEED * abs(other - age)
                 around.append((np.hypot(*apart) / scale, *(apart / scale), (age - other) / 6.0))
-        around = [one for one in sorted(around) if one[0] <= FARTHEST][: WINDOW.neighbors]
-        cells = asked.rows[i, : WINDOW.neighbors * NEIGHBOR].reshape(-1, NEIGHBOR)
+        around = [one for one in sorted(around) if one[0] <= NEIGHBOR_LIMIT][: WINDOW.neighbors]
+        cells = queries.rows[i, : WINDOW.neighbors * NEIGHBOR].reshape(-1, NEIGHBOR)
         assert cells[:, 7].sum() == len(around)
         assert np.allclose(cells[: len(around), [0, 1, 6]], [one[1:] for one in around], atol=1e-5)
         assert not cells[len(around) :].any()
-        assert asked.rows[i, -ANCHOR] == age / WINDOW.asked
+        assert queries.rows[i, -ANCHOR] == age / WINDOW.asked
 
 
 def test_a_sensor_of_range_and_bearing_is_read_in_the_plane() -> None:
     sensor = np.array([-3000.0, 0.0])
     assert np.allclose(in_plane(np.array([[1000.0, np.pi / 2]]), sensor), [[-3000.0, 1000.0]])
     seen = ScanHistory.none(WINDOW, 1, 2).with_scan(np.array([[[1.0, 2000.0, 0.0], [0.0, 0.0, 0.0]]]), sensor)
-    asked = ask(WINDOW, seen, sensor, 0.005)
-    assert asked.places.tolist() == [[-1000.0, 0.0]]
-    assert np.allclose(asked.rows[0, -3:-1], [0.005 * 2000.0 / 25.0, 0.0])
+    queries = query_measurements(WINDOW, seen, sensor, 0.005)
+    assert queries.places.tolist() == [[-1000.0, 0.0]]
+    assert np.allclose(queries.rows[0, -3:-1], [0.005 * 2000.0 / 25.0, 0.0])
 
 
 def test_an_older_measurement_s_target_has_moved_on() -> None:
     seen = recent(np.random.default_rng(0), 4)
-    asked = ask(WINDOW, seen, None, 0.0)
-    answers = np.zeros((len(asked.rows), 5))
+    queries = query_measurements(WINDOW, seen, None, 0.0)
+    answers = np.zeros((len(queries.rows), 5))
     answers[:, 1], answers[:, 4] = 2.0, -0.5
-    places, velocities = place_now(asked, answers)
-    assert np.allclose(places - asked.places, np.stack([asked.age * 2.0 * LENGTH, 0 * asked.age - 0.5 * LENGTH], 1))
+    places, velocities = present_positions(queries, answers)
+    assert np.allclose(
+        places - queries.places, np.stack([queries.age * 2.0 * LENGTH, 0 * queries.age - 0.5 * LENGTH], 1)
+    )
     assert np.allclose(velocities, [2.0 * LENGTH, 0.0])
 
 
