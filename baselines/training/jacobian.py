@@ -11,11 +11,11 @@ import torch
 
 from servotrack.baselines.agents.learned.jacobian import (
     ENTRIES,
-    USUAL,
+    JACOBIAN_SCALE,
     LearnedJacobian,
     create_learned_servo,
+    image_rotation,
     jacobian_encoding,
-    turning,
 )
 from servotrack.baselines.agents.registry import create_agent
 from servotrack.baselines.training.export import exportable_policy
@@ -153,8 +153,8 @@ def _servo(
             action = np.where(guided[:, None], better, action)
         learned = state.estimator
         rows[:, k], counted[:, k] = learned.rows, alive
-        turned = turning(learned.encoding, np.asarray(observation["joint_angles"], np.float64)) @ true
-        entries[:, k] = (turned / USUAL).reshape(count, ENTRIES)
+        turned = image_rotation(learned.encoding, np.asarray(observation["joint_angles"], np.float64)) @ true
+        entries[:, k] = (turned / JACOBIAN_SCALE).reshape(count, ENTRIES)
         observation, _, terminated, truncated, _ = env.step(explored(action, noise, explore))
         started = terminated | truncated
         alive &= ~started

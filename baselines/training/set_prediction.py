@@ -17,7 +17,7 @@ from servotrack.baselines.agents.learned.set_prediction import (
     NEIGHBOR,
     ScanHistory,
     SetWindow,
-    ask,
+    query_measurements,
     sensor_of,
 )
 from servotrack.baselines.training.export import exportable_policy
@@ -139,15 +139,15 @@ def _examples(
     parts: list[tuple[FloatArray | Array, ...]] = []
     for k in range(measured.shape[1] - 1):
         recent = recent.with_scan(measured[:, k], sensor)
-        asked = ask(window, recent, sensor, bearing_noise)
-        whose = source[asked.scene, k - asked.age, asked.row]
+        queries = query_measurements(window, recent, sensor, bearing_noise)
+        whose = source[queries.scene, k - queries.age, queries.row]
         known = whose >= 0
-        there = known & exists[asked.scene, k, whose * known]
+        there = known & exists[queries.scene, k, whose * known]
         kept = there | (chance.random(len(there)) < false_share)
-        now = states[asked.scene, k, whose * known] * there[:, None]
-        offsets = (now[:, [0, 2]] - asked.places) * there[:, None]
+        now = states[queries.scene, k, whose * known] * there[:, None]
+        offsets = (now[:, [0, 2]] - queries.places) * there[:, None]
         weight = np.where(there, 1.0, 1.0 / false_share)
-        found = (asked.rows, there, weight, offsets, now[:, [1, 3]], asked.age)
+        found = (queries.rows, there, weight, offsets, now[:, [1, 3]], queries.age)
         parts.append(tuple(column[kept] for column in found))
     columns = (np.concatenate(column).astype(np.float32) for column in zip(*parts, strict=True))
     return Examples(*(torch.from_numpy(column) for column in columns))

@@ -1,1 +1,1 @@
-"""Agents that learned: what they see, how they are trained, and how they are shipped and run without torch."""
+"""Learned agents: encodings of observations, networks (ONNX, run without torch) and their cards."""

@@ -1,4 +1,4 @@
-"""Learned agents behind `predict`: an encoding and a network, no torch."""
+"""Learned agents behind `predict`: an encoding and a network, run without torch."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class LearnedState(NamedTuple):
     """Memory of a `LearnedAgent`, with a leading axis of N.
 
     Attributes:
-        encoding: Of the encoding.
-        network: Of the network. Shape (N, M).
-        action: What was done last. Shape (N, *action).
+        encoding: Memory of the encoding.
+        network: Memory of the network. Shape (N, M).
+        action: Last action. Shape (N, *action).
     """
 
     encoding: Any
@@ -45,13 +45,13 @@ class LearnedAgent:
     """A network that reads encoded observations.
 
     Args:
-        network: Rows (N, size) and memory (N, M) in, actions and memory out.
-        encoding: What it reads.
-        observation_space: Of one environment.
-        action_space: Of one environment, a Box.
+        network: Maps rows (N, size) and memory (N, M) to answers and the next memory.
+        encoding: Encoding of observations to rows.
+        observation_space: Observation space of one environment.
+        action_space: Action space of one environment, a Box.
 
     Raises:
-        AgentFileError: Network, encoding and spaces do not fit each other.
+        AgentFileError: Network, encoding and spaces do not match.
     """
 
     def __init__(
@@ -63,11 +63,11 @@ class LearnedAgent:
     ) -> None:
         if network.size != encoding.size:
             raise AgentFileError(
-                f"{network.path} reads rows of {network.size} numbers, its encoding gives {encoding.size} here"
+                f"{network.path} reads rows of {network.size} numbers, but its encoding gives {encoding.size} here"
             )
         answers = encoding.answer_space(action_space)
         if not isinstance(action_space, spaces.Box) or answers.shape != (network.actions,):
-            raise AgentFileError(f"{network.path} gives {network.actions} numbers, it takes an answer in {answers}")
+            raise AgentFileError(f"{network.path} gives {network.actions} numbers, but the answer must be in {answers}")
         self.network, self._encoding = network, encoding
         self._low, self._high = action_space.low, action_space.high
         space: Any = observation_space
@@ -84,16 +84,16 @@ class LearnedAgent:
         """Choose actions.
 
         Args:
-            observation: As the environment gives it, single or with a leading axis.
-            state: What the last call returned; None starts anew.
+            observation: Observation of the environment, single or with a leading axis.
+            state: Result of the last call; None starts anew.
             episode_start: Rows that start anew. Shape (N,), or a scalar for a single observation.
-            deterministic: These agents always are: they return the policy's mode.
+            deterministic: Ignored: the action is always the policy's mode.
 
         Returns:
             Actions with the observation's leading axis, and the new state.
 
         Raises:
-            ValueError: An entry of the observation is missing, has another shape, or is not finite where that matters.
+            ValueError: An entry of the observation that is missing, has another shape, or makes the row non-finite.
         """
         lead = self._leading_axis(observation)
         single, count = not lead, lead[0] if lead else 1
@@ -102,14 +102,14 @@ class LearnedAgent:
         state = remembered(state, episode_start, (count,), lambda: self._initial(observation, count))
         memory, rows = self._encoding.step(state.encoding, observation, state.action)
         if not np.isfinite(rows).all():
-            raise ValueError(_what_is_not_finite(observation))
+            raise ValueError(_non_finite_entry(observation))
         answer, carried = self.network(rows, state.network)
         memory, action = self._encoding.act(memory, answer)
         action = np.clip(action, self._low, self._high)
         return action[0] if single else action, LearnedState(memory, carried, action)
 
     def _leading_axis(self, observation: Any) -> tuple[int, ...]:
-        """() for a single observation, (N,) for N, whose entries all have the shapes of the space."""
+        """Return () for a single observation, (N,) for N of them; all entries must have the shapes of the space."""
         lead: tuple[int, ...] | None = None
         for key, shape in self._shapes.items():
             if key is not None and (not isinstance(observation, Mapping) or key not in observation):
@@ -135,8 +135,8 @@ def _named(key: str | None) -> str:
     return "observation" if key is None else f"observation {key}"
 
 
-def _what_is_not_finite(observation: Any) -> str:
-    """Which entry of an observation makes the rows of a network NaN or infinite."""
+def _non_finite_entry(observation: Any) -> str:
+    """Return the error message that names the entry of an observation that is NaN or infinite."""
     for key, part in observation.items() if isinstance(observation, Mapping) else [(None, observation)]:
         if len(bad := np.argwhere(~np.isfinite(part))):
             at = tuple(bad[0].tolist())
@@ -153,22 +153,22 @@ def _with_leading_axis(observation: Any) -> Any:
 def create_learned_agent(
     env: Any, path: str | None = None, name: str | None = None
 ) -> LearnedAgent | PixelServo | JacobianServo | SetPredictor:
-    """A learned agent for an environment.
+    """Create a learned agent for an environment.
 
     Args:
         env: A Gymnasium environment or vector environment.
-        path: Of a card or network.
-        name: Of a shipped agent instead: that of its networks is taken which was trained in this environment.
+        path: Path of a card or network.
+        name: Name of one of the package's agents, instead of `path`; its network for this environment is chosen.
 
     Raises:
-        AgentFileError: Files that cannot be used, or that do not fit the environment.
+        AgentFileError: Invalid files, or an agent that was trained for another environment.
     """
     file = shipped_file(name, env) if path is None and name is not None else Path(str(path))
     card = load_card(file)
     if card.encoding.get("kind") == "marker":
         servo = create_agent(str(card.encoding.get("servo")), env)
         if not isinstance(servo, PixelServo):
-            raise AgentFileError(f"{file} sees for a servo where images are observed, which this environment is not")
+            raise AgentFileError(f"{file} detects markers in images, which this environment does not observe")
         return PixelServo(servo.servo, MarkerNetwork(file.parent / card.network, card))
     if card.encoding.get("kind") == "jacobian":
         return _estimating(file, card, env)
@@ -176,7 +176,7 @@ def create_learned_agent(
         return _predicting_sets(file, card, env)
     spec = getattr(env, "spec", None)
     if spec is not None and card.encoding.get("kind") != "servo" and spec.id != card.env_id:
-        raise AgentFileError(f"{file} was trained in {card.env_id}, and cannot act in {spec.id}")
+        raise AgentFileError(f"{file} was trained in {card.env_id}, it cannot act in {spec.id}")
     observations = getattr(env, "single_observation_space", env.observation_space)
     actions = getattr(env, "single_action_space", env.action_space)
     try:
@@ -187,7 +187,7 @@ def create_learned_agent(
 
 
 def _estimating(file: Path, card: LearnedCard, env: Any) -> JacobianServo:
-    """A classical servo whose Jacobian a network estimates."""
+    """Create a classical servo whose Jacobian a network estimates."""
     from servotrack.baselines.agents.learned.jacobian import (
         ENTRIES,
         LearnedJacobian,
@@ -203,28 +203,30 @@ def _estimating(file: Path, card: LearnedCard, env: Any) -> JacobianServo:
         raise AgentFileError(f"{file} does not fit this environment: {error}") from error
     if (network.size, network.actions) != (encoding.size, ENTRIES):
         raise AgentFileError(
-            f"{network.path} maps {network.size} numbers to {network.actions}, a Jacobian needs {encoding.size} to "
+            f"{network.path} maps {network.size} numbers to {network.actions}, but a Jacobian needs {encoding.size} to "
             f"{ENTRIES} here"
         )
     return servo
 
 
 def _predicting_sets(file: Path, card: LearnedCard, env: Any) -> SetPredictor:
-    """An observer that asks a network of every measurement."""
-    # The set filters come with it, which servos do not need.
+    """Create an observer whose network classifies every measurement."""
+    # Imported here because it loads the set filters, which servos do not need.
     from servotrack.baselines.agents.learned.set_prediction import ANSWERS, SetPredictor, SetWindow
     from servotrack.envs.track.clutter.scene_model import SceneModel
 
     network, scene = OnnxNetwork(file.parent / card.network, card), public_attribute(env, "scene_model")
     if not isinstance(scene, SceneModel):
-        raise AgentFileError(f"{file} predicts sets of points in clutter, which this environment does not show")
+        raise AgentFileError(
+            f"{file} needs an environment whose `unwrapped.scene_model` is a SceneModel"
+        )
     try:
         window = SetWindow.of(card.encoding)
     except ValueError as error:
         raise AgentFileError(f"{file} does not fit this environment: {error}") from error
     if (network.size, network.actions, network.memory) != (window.size, ANSWERS, 0):
         raise AgentFileError(
-            f"{network.path} maps {network.size} numbers to {network.actions}, its window needs {window.size} to "
+            f"{network.path} maps {network.size} numbers to {network.actions}, but its window needs {window.size} to "
             f"{ANSWERS}, and no memory"
         )
     space = getattr(env, "single_action_space", env.action_space)

@@ -1,4 +1,4 @@
-"""The card beside a network: what it was trained in and how, and what it has to be given. JSON, never a pickle."""
+"""The card of a network: environment, encoding, training and provenance, in JSON."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from servotrack.baselines.worlds import describe_environment
 FORMAT = "servotrack-agent"
 FORMAT_VERSION = 1
 LARGEST_CARD = 2_000_000
-"""Bytes."""
+"""Largest accepted size of a card, bytes."""
 
 
 class AgentFileError(ResultsError):
-    """A learned agent's files cannot be used; the message names the file and what is wrong with it."""
+    """Invalid file of a learned agent; the message names the file and the reason."""
 
 
 @dataclass(frozen=True)
 class LearnedCard:
-    """All that is known of a learned agent besides its weights.
+    """Description of a learned agent, everything but its weights.
 
     Attributes:
-        name: Of the agent; several cards may share one, each for an environment of its own.
-        summary: One line for people.
-        env_id: Gymnasium id of the environment that it was trained in.
+        name: Name of the agent; several cards may share one, each for another environment.
+        summary: Description in one line.
+        env_id: Gymnasium id of the training environment.
         env_kwargs: Arguments of that environment.
-        encoding: What `servotrack.baselines.agents.learned.encoding.create_encoding` takes.
+        encoding: Settings of the encoding; see `servotrack.baselines.agents.learned.encoding.create_encoding`.
         network: File name of the ONNX file, in the card's folder.
-        sha256: Of that file.
-        memory: Numbers that the network carries from step to step, 0 for none.
-        information: What the agent was told.
-        levels: Of the environment, that it was trained in side by side; empty: that of `env_kwargs` only.
+        sha256: SHA-256 digest of that file.
+        memory: Size of the state that the network carries from step to step, 0 for none.
+        information: Information that the agent receives about the system.
+        levels: Levels of the environment that it was trained in; empty: the one in `env_kwargs` only.
         steps: Environment steps of its training, all runs together.
-        training: Algorithm, seed, hyper-parameters, command, versions, machine, the curve of the run that was chosen,
-            and the last measurement of every run.
+        training: Algorithm, seed, hyper-parameters, command, versions, machine, the curve of the chosen run, and the
+            last evaluation of every run.
     """
 
     name: str
@@ -63,13 +63,13 @@ class LearnedCard:
 
     @property
     def environments(self) -> list[str]:
-        """As `environment`, of all levels that it was trained in."""
+        """Id and arguments in one line, for each level that it was trained in."""
         return [describe_environment(self.env_id, {**self.env_kwargs, "level": level}) for level in self.levels] or [
             self.environment
         ]
 
     def as_json(self) -> str:
-        """The card as text."""
+        """Return the card as JSON text."""
         return json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION, **asdict(self)}, indent=1) + "\n"
 
 
@@ -86,11 +86,11 @@ def load_card(path: Path) -> LearnedCard:
         path: A JSON file, or the ONNX file beside it.
 
     Raises:
-        AgentFileError: No card, or not one of this format; the message says what is wrong.
+        AgentFileError: A missing or invalid card; the message gives the reason.
     """
     path = path.with_suffix(".json")
     if path.is_file() and path.stat().st_size > LARGEST_CARD:
-        raise AgentFileError(f"{path} has {path.stat().st_size} bytes, a card has at most {LARGEST_CARD}")
+        raise AgentFileError(f"{path} has {path.stat().st_size} bytes, more than the {LARGEST_CARD} allowed for a card")
     try:
         document = read_document(
             path, FORMAT, FORMAT_VERSION, "no card of a learned agent", "give the .json that `servotrack train` wrote"
@@ -102,7 +102,7 @@ def load_card(path: Path) -> LearnedCard:
     content = {name: value for name, value in document.items() if name not in ("format", "format_version")}
     required = {f.name for f in fields(LearnedCard) if f.default is MISSING and f.default_factory is MISSING}
     if wrong := [*(required - set(content)), *(set(content) - set(_TYPES))]:
-        raise AgentFileError(f"{path} lacks or does not know the fields {', '.join(sorted(wrong))}")
+        raise AgentFileError(f"{path} has missing or unknown fields {', '.join(sorted(wrong))}")
     for name, value in content.items():
         if not isinstance(value, _TYPES[name]) or isinstance(value, bool):
             raise AgentFileError(f"{path}: {name} must be a {_TYPES[name].__name__}, got {value!r}")
@@ -120,5 +120,5 @@ def load_card(path: Path) -> LearnedCard:
 
 
 def digest(content: bytes) -> str:
-    """SHA-256 of a network's file."""
+    """Return the SHA-256 digest of a network's file."""
     return hashlib.sha256(content).hexdigest()

@@ -1,4 +1,4 @@
-"""What goes into a learned agent's network, and what its answers do."""
+"""Contract between observations, a learned agent's network and the environment's actions."""
 
 from __future__ import annotations
 
@@ -11,49 +11,49 @@ from servotrack.estimators.types import FloatArray
 
 
 class Encoding(Protocol):
-    """A value; all memory is handed around, with a leading axis of N as everywhere."""
+    """Maps observations to rows for a network, and its answers to actions; memory is passed in and returned."""
 
     @property
     def size(self) -> int:
-        """Numbers in a row."""
+        """Length of a row."""
 
     def initial(self, observation: Any) -> Any:
-        """Memory before an episode whose first observation this is; `step` takes the same one again."""
+        """Return the memory before an episode; `step` then gets the same first observation again."""
 
     def step(self, memory: Any, observation: Any, action: FloatArray) -> tuple[Any, FloatArray]:
-        """Fold one observation in.
+        """Process one observation.
 
         Args:
-            memory: What the last call returned, or `initial`.
-            observation: A batch, as the environment gives it.
-            action: What was done since the last observation, zeros at the first. Shape (N, actions).
+            memory: Result of the last call, or of `initial`.
+            observation: Observation of the environment, a batch.
+            action: Action since the last observation, zeros at the first. Shape (N, actions).
 
         Returns:
             The new memory, and one row per environment, shape (N, size).
         """
 
     def answer_space(self, action_space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """Box of what the network answers, where the environment takes actions of a space."""
+        """Return the space of the network's answers for an action space of the environment."""
 
     def act(self, memory: Any, answer: FloatArray) -> tuple[Any, NDArray[Any]]:
-        """What is done.
+        """Convert the network's answer to actions.
 
         Args:
-            memory: What `step` returned.
-            answer: Of the network, shape (N, answers).
+            memory: Result of `step`.
+            answer: Answer of the network, shape (N, answers).
 
         Returns:
-            The new memory, and actions with a leading axis of N, which may lie beyond the bounds of their space.
+            The new memory, and actions with a leading axis of N, which may lie outside the bounds of their space.
         """
 
 
 class PlainAnswers:
-    """The network's answers are the actions."""
+    """Mixin: the network's answers are the actions."""
 
     def answer_space(self, action_space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """As `Encoding.answer_space`."""
+        """Return the action space; see `Encoding.answer_space`."""
         return action_space
 
     def act(self, memory: Any, answer: FloatArray) -> tuple[Any, NDArray[Any]]:
-        """As `Encoding.act`."""
+        """Return the answer as action; see `Encoding.act`."""
         return memory, answer

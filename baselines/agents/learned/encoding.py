@@ -1,4 +1,4 @@
-"""What a learned agent sees: each observation as one flat row of float32, with a memory of what came before."""
+"""Encodings of observations for learned agents: one flat row of float32 per observation, with a memory."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from servotrack.baselines.agents.learned.marker_network import open_marker_netwo
 from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
 from servotrack.baselines.agents.registry import create_agent
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo, servo_measurement
-from servotrack.baselines.agents.servo.pixel_servo import PIXEL_KEYS, MarkerFeatures, SeenMemory
+from servotrack.baselines.agents.servo.pixel_servo import PIXEL_KEYS, MarkerFeatures, MarkerMemory
 from servotrack.estimators.types import FloatArray, Mask
 
 
 @dataclass(frozen=True)
 class FlatEncoding(PlainAnswers):
-    """Everything that a Box, or a dictionary of them, holds, in the order of its keys, scaled to [-1, 1] by its bounds.
+    """All entries of a Box, or of a Dict of Boxes in the order of its keys, scaled to [-1, 1] by the bounds.
 
     Attributes:
-        low: Least values, in the order of the row.
-        high: Largest values.
+        low: Lower bounds, in the order of the row.
+        high: Upper bounds.
     """
 
     low: tuple[float, ...]
@@ -34,10 +34,10 @@ class FlatEncoding(PlainAnswers):
 
     @classmethod
     def of(cls, space: spaces.Space[Any]) -> FlatEncoding:
-        """The encoding of a space.
+        """Create the encoding of a space.
 
         Raises:
-            ValueError: The space is no Box and no Dict of Boxes, or is not bounded.
+            ValueError: A space that is not a bounded Box or a Dict of bounded Boxes.
         """
         boxes = list(space.spaces.values()) if isinstance(space, spaces.Dict) else [space]
         for box in boxes:
@@ -48,15 +48,15 @@ class FlatEncoding(PlainAnswers):
 
     @property
     def size(self) -> int:
-        """Numbers in a row."""
+        """Length of a row."""
         return len(self.low)
 
     def initial(self, observation: Any) -> tuple[()]:
-        """Nothing is remembered."""
+        """Return an empty memory."""
         return ()
 
     def step(self, memory: tuple[()], observation: Any, action: FloatArray) -> tuple[tuple[()], FloatArray]:
-        """As `Encoding.step`."""
+        """Process one observation; see `Encoding.step`."""
         parts = list(observation.values()) if isinstance(observation, Mapping) else [observation]
         row = np.concatenate([np.asarray(part, np.float64).reshape(len(part), -1) for part in parts], axis=1)
         low, high = np.array(self.low), np.array(self.high)
@@ -67,9 +67,9 @@ class StackMemory(NamedTuple):
     """Memory of `Stacked`.
 
     Attributes:
-        own: Of the encoding that is stacked.
-        rows: The newest rows, the last one the newest. Shape (N, frames, size).
-        fresh: Whether no row was seen yet. Shape (N,).
+        own: Memory of the stacked encoding.
+        rows: Last rows, the newest last. Shape (N, frames, size).
+        fresh: True before the first row. Shape (N,).
     """
 
     own: Any
@@ -79,11 +79,11 @@ class StackMemory(NamedTuple):
 
 @dataclass(frozen=True)
 class Stacked:
-    """The last few rows of another encoding side by side, the newest last; before the first one it repeats itself.
+    """Concatenates the last rows of another encoding, the newest last; at the start the first row is repeated.
 
     Attributes:
-        encoding: Whose rows.
-        frames: How many.
+        encoding: Encoding of a single row.
+        frames: Number of rows, at least 2.
     """
 
     encoding: Encoding
@@ -96,17 +96,17 @@ class Stacked:
 
     @property
     def size(self) -> int:
-        """Numbers in a row."""
+        """Length of a row."""
         return self.frames * self.encoding.size
 
     def initial(self, observation: Any) -> StackMemory:
-        """As `Encoding.initial`."""
+        """Return the memory before an episode; see `Encoding.initial`."""
         count = len(next(iter(observation.values())) if isinstance(observation, Mapping) else observation)
         rows = np.zeros((count, self.frames, self.encoding.size), np.float32)
         return StackMemory(self.encoding.initial(observation), rows, np.ones(count, np.bool_))
 
     def step(self, memory: StackMemory, observation: Any, action: FloatArray) -> tuple[StackMemory, FloatArray]:
-        """As `Encoding.step`."""
+        """Process one observation; see `Encoding.step`."""
         own, row = self.encoding.step(memory.own, observation, action)
         rows = np.concatenate([memory.rows[:, 1:], row[:, None]], axis=1)
         if memory.fresh.any():
@@ -114,11 +114,11 @@ class Stacked:
         return StackMemory(own, rows, np.zeros_like(memory.fresh)), rows.reshape(len(rows), -1)
 
     def answer_space(self, action_space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """As `Encoding.answer_space`."""
+        """Return the space of the network's answers; see `Encoding.answer_space`."""
         return self.encoding.answer_space(action_space)
 
     def act(self, memory: StackMemory, answer: FloatArray) -> tuple[StackMemory, NDArray[Any]]:
-        """As `Encoding.act`."""
+        """Convert the network's answer to actions; see `Encoding.act`."""
         own, action = self.encoding.act(memory.own, answer)
         return memory._replace(own=own), action
 
@@ -127,9 +127,9 @@ class ResidualMemory(NamedTuple):
     """Memory of `Residual`.
 
     Attributes:
-        own: Of the encoding.
-        servo: Of the classical servo.
-        action: What that one does. Shape (N, actions).
+        own: Memory of the encoding.
+        servo: State of the classical servo.
+        action: Action of the classical servo. Shape (N, actions).
     """
 
     own: Any
@@ -139,10 +139,10 @@ class ResidualMemory(NamedTuple):
 
 @dataclass(frozen=True)
 class Residual(PlainAnswers):
-    """What a classical servo would do beside another encoding's rows; the network corrects it.
+    """Appends a classical servo's action to another encoding's rows; the network's answer is a correction of it.
 
     Attributes:
-        encoding: Whose rows.
+        encoding: Encoding of the rows.
         servo: The classical agent.
     """
 
@@ -151,96 +151,98 @@ class Residual(PlainAnswers):
 
     @property
     def size(self) -> int:
-        """Numbers in a row: the action has as many as a planar arm has joints."""
+        """Length of a row: the encoding's and the action's, 2 for a planar arm."""
         return self.encoding.size + 2
 
     def initial(self, observation: Any) -> ResidualMemory:
-        """As `Encoding.initial`."""
+        """Return the memory before an episode; see `Encoding.initial`."""
         measurement: Any = servo_measurement(observation)
         action = np.zeros(measurement.joint_angles.shape, np.float32)
         return ResidualMemory(self.encoding.initial(observation), self.servo.controller.initial(measurement), action)
 
     def step(self, memory: ResidualMemory, observation: Any, action: FloatArray) -> tuple[ResidualMemory, FloatArray]:
-        """As `Encoding.step`."""
+        """Process one observation; see `Encoding.step`."""
         own, row = self.encoding.step(memory.own, observation, action)
         classical, servo = self.servo.predict(observation, memory.servo)
         return ResidualMemory(own, servo, classical), np.concatenate([row, classical], axis=1)
 
     def act(self, memory: ResidualMemory, answer: FloatArray) -> tuple[ResidualMemory, FloatArray]:
-        """As `Encoding.act`."""
+        """Convert the network's answer to actions; see `Encoding.act`."""
         return memory, memory.action + answer
 
 
-class SeenThrough(NamedTuple):
+class MarkerEncodingMemory(NamedTuple):
     """Memory of `MarkerEncoding`.
 
     Attributes:
-        seen: Of the eyes.
-        own: Of the encoding behind them.
+        seen: Newest detection of the marker.
+        own: Memory of the encoding of features.
     """
 
-    seen: SeenMemory
+    seen: MarkerMemory
     own: Any
 
 
 @dataclass(frozen=True)
 class MarkerEncoding:
-    """An encoding of features where there are images.
+    """Encoding of image observations: a marker detector, then an encoding of features.
 
     Attributes:
-        eyes: What makes features of images.
-        encoding: Whose rows.
+        features: Converts images to features.
+        encoding: Encoding of the features.
     """
 
-    eyes: MarkerFeatures
+    features: MarkerFeatures
     encoding: Encoding
 
     @property
     def size(self) -> int:
-        """Numbers in a row."""
+        """Length of a row."""
         return self.encoding.size
 
-    def initial(self, observation: Any) -> SeenThrough:
-        """As `Encoding.initial`."""
-        seen = self.eyes.initial(observation)
-        # What the first image shows is left to `step`; until then nothing has been seen.
+    def initial(self, observation: Any) -> MarkerEncodingMemory:
+        """Return the memory before an episode; see `Encoding.initial`."""
+        seen = self.features.initial(observation)
+        # `step` processes the first image; before it the marker counts as not visible.
         blind = {**observation, "features": seen.features, "visible": np.zeros_like(seen.frame_time)}
-        return SeenThrough(seen, self.encoding.initial(blind))
+        return MarkerEncodingMemory(seen, self.encoding.initial(blind))
 
-    def step(self, memory: SeenThrough, observation: Any, action: FloatArray) -> tuple[SeenThrough, FloatArray]:
-        """As `Encoding.step`."""
-        seen, features = self.eyes.step(memory.seen, observation)
+    def step(
+        self, memory: MarkerEncodingMemory, observation: Any, action: FloatArray
+    ) -> tuple[MarkerEncodingMemory, FloatArray]:
+        """Process one observation; see `Encoding.step`."""
+        seen, features = self.features.step(memory.seen, observation)
         own, rows = self.encoding.step(memory.own, features, action)
-        return SeenThrough(seen, own), rows
+        return MarkerEncodingMemory(seen, own), rows
 
     def answer_space(self, action_space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """As `Encoding.answer_space`."""
+        """Return the space of the network's answers; see `Encoding.answer_space`."""
         return self.encoding.answer_space(action_space)
 
-    def act(self, memory: SeenThrough, answer: FloatArray) -> tuple[SeenThrough, NDArray[Any]]:
-        """As `Encoding.act`."""
+    def act(self, memory: MarkerEncodingMemory, answer: FloatArray) -> tuple[MarkerEncodingMemory, NDArray[Any]]:
+        """Convert the network's answer to actions; see `Encoding.act`."""
         own, action = self.encoding.act(memory.own, answer)
         return memory._replace(own=own), action
 
 
 def create_encoding(settings: Mapping[str, Any], env: Any, folder: Path | None = None) -> Encoding:
-    """The encoding that a card or a file of hyper-parameters describes.
+    """Create the encoding that a card or a file of hyper-parameters describes.
 
     Args:
-        settings: `kind` ("servo", "steering" or "flat"), `frames` to stack, 1 for none, `residual`, the name of a
-            classical servo whose action the network corrects, `eyes`, those that find the marker where images are
-            observed, `follower`, the name of an agent that knows who is to be followed where many are seen, and what
-            the kind takes.
+        settings: `kind` ("servo", "steering" or "flat"); `frames`, number of rows to stack, 1 for none; `residual`,
+            name of a classical servo whose action the network corrects; `eyes`, name of a marker network for image
+            observations; `follower`, name of an agent that identifies the person to follow; and the arguments of the
+            kind.
         env: A Gymnasium environment or vector environment.
-        folder: Where eyes are looked for before they are among the shipped ones.
+        folder: Folder that is searched for marker networks before the package's own.
 
     Raises:
-        ValueError: An unknown kind, keyword or servo, or a space that the kind cannot read.
-        AgentFileError: Eyes that cannot be used.
+        ValueError: An unknown kind, keyword or servo, or a space that the kind does not support.
+        AgentFileError: A missing or invalid marker network.
     """
     space = getattr(env, "single_observation_space", env.observation_space)
     if "follower" in settings:
-        # Not before it is wanted: it brings the set filters and OpenCV with it.
+        # Imported here because it loads the set filters and OpenCV.
         from servotrack.baselines.agents.learned.follow_corrector import behind_follower
 
         behind = {key: value for key, value in settings.items() if key != "follower"}
@@ -248,11 +250,11 @@ def create_encoding(settings: Mapping[str, Any], env: Any, folder: Path | None =
     if "eyes" not in settings:
         return _of_features(settings, env, space)
     if not set(PIXEL_KEYS) <= set(getattr(space, "spaces", ())):
-        raise ValueError(f"eyes need the observations {', '.join(PIXEL_KEYS)}, got {space}")
+        raise ValueError(f"encoding with eyes needs the observations {', '.join(PIXEL_KEYS)}, got {space}")
     parts = {key: part for key, part in space.spaces.items() if key != "image"}
     seen = spaces.Dict({**parts, "features": parts["goal"], "visible": spaces.Box(0.0, 1.0, (1,))})
-    behind_eyes = _of_features({key: value for key, value in settings.items() if key != "eyes"}, env, seen)
-    return MarkerEncoding(MarkerFeatures(open_marker_network(str(settings["eyes"]), folder)), behind_eyes)
+    encoding = _of_features({key: value for key, value in settings.items() if key != "eyes"}, env, seen)
+    return MarkerEncoding(MarkerFeatures(open_marker_network(str(settings["eyes"]), folder)), encoding)
 
 
 def _of_features(settings: Mapping[str, Any], env: Any, space: spaces.Space[Any]) -> Encoding:

@@ -1,4 +1,4 @@
-"""A GM-PHD filter that a network steers: it sees what the filter counts, and sets the parameters of the next scan."""
+"""Steered GM-PHD filter: a network reads the filter's statistics and sets its parameters for the next scan."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from servotrack.estimators.rfs import RowAllocation
 from servotrack.estimators.rfs.steered import SteadyPHD, SteeredPHD, SteeredState, Steering, told_detection
 from servotrack.estimators.types import Array, FloatArray, Labels
 
-KNOBS = 3
-"""Numbers of the network's answer, each in [-1, 1]."""
+PARAMETERS = 3
+"""Length of the network's answer; its entries are in [-1, 1]."""
 DETECTION_REACH, CLUTTER_REACH, BIRTHS_REACH = 4.0, 2.5, 5.0
-"""What an answer of 1 adds to the log odds of p_D, to the logarithm of the clutter and to that of the births."""
-USUAL_BIRTHS = SteadyPHD.births
-"""Expected births where measurements are unexplained, for an answer of 0: who answers 0 is `SteadyPHD`."""
+"""Change of the log odds of p_D, the log clutter rate and the log births for an answer of 1."""
+DEFAULT_BIRTHS = SteadyPHD.births
+"""Expected births at unexplained measurements for an answer of 0, which makes the filter a `SteadyPHD`."""
 MEMORIES = (4.0, 30.0)
-"""Scans after which counts weigh 1/e."""
+"""Time constants of the fading means of the counts, scans."""
 COUNTS = 4
 """Entries of an `Account`."""
-PERIODS = 50.0
-"""Scans are counted in units of so many, to 2."""
+SCAN_UNIT = 50.0
+"""Unit of the number of scans in a row, which saturates at 2 units."""
 
 
 class SteeringMemory(NamedTuple):
     """Memory of a `SteeringEncoding`.
 
     Attributes:
-        belief: Of the filter.
-        rows: Which identity owns which row of the answer.
-        scan: The measurements that the next `act` folds in. Shape (N, M, 1 + m).
-        sums: What was counted, as it fades, and how many scans that are. Shape (N, memories, 5).
-        answer: Of the network, the last one. Shape (N, 3).
-        scans: So far. Shape (N,).
+        belief: State of the filter.
+        rows: Owners of the rows of the answer.
+        scan: Measurements that the next `act` processes. Shape (N, M, 1 + m).
+        sums: Fading sums of the counts (4) and of the number of scans (1). Shape (N, memories, 5).
+        answer: Last answer of the network. Shape (N, 3).
+        scans: Number of scans so far. Shape (N,).
     """
 
     belief: SteeredState
@@ -55,17 +55,17 @@ class SteeringMemory(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SteeringEncoding:
-    """What a steered filter counts, as rows; what a network answers, as parameters of the filter's next step.
+    """Encodes the statistics of a steered filter as rows, and the network's answers as parameters of its next step.
 
     A row holds the logarithms of the number of measurements and of the last step's `Account`; then for each memory the
     means of the account's entries, as logarithms, and the share of the expected targets that was explained; the last
-    answer; the logarithm of the clutter rate and the log odds of the detection probability that were told; and how
-    many scans there have been.
+    answer; the logarithm of the scene model's clutter rate and the log odds of its detection probability; and the
+    number of scans so far.
 
     Attributes:
         steered: The filter.
-        answer_rows: FloatArray of the environment's action.
-        clutter_rate: That was told.
+        answer_rows: Number of rows of the environment's action.
+        clutter_rate: Clutter rate of the scene model, measurements per scan.
     """
 
     steered: SteeredPHD
@@ -74,19 +74,19 @@ class SteeringEncoding:
 
     @property
     def size(self) -> int:
-        """Numbers in a row."""
-        return 1 + COUNTS + len(MEMORIES) * (COUNTS + 1) + KNOBS + 3
+        """Length of a row."""
+        return 1 + COUNTS + len(MEMORIES) * (COUNTS + 1) + PARAMETERS + 3
 
     def answer_space(self, action_space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """What the network answers."""
-        return spaces.Box(-1.0, 1.0, (KNOBS,), np.float32)
+        """Return the space of the network's answers."""
+        return spaces.Box(-1.0, 1.0, (PARAMETERS,), np.float32)
 
     @property
     def _allocation(self) -> RowAllocation:
         return RowAllocation(self.answer_rows, POSITION)
 
     def initial(self, observation: Any) -> SteeringMemory:
-        """As `Encoding.initial`."""
+        """Return the memory before an episode; see `Encoding.initial`."""
         scan = _scan(observation)
         count = len(scan)
         n = self.steered.filter.model.packed.observation.shape[1]
@@ -95,12 +95,12 @@ class SteeringEncoding:
             no_rows(self._allocation, count, n),
             scan,
             np.zeros((count, len(MEMORIES), COUNTS + 1)),
-            np.zeros((count, KNOBS)),
+            np.zeros((count, PARAMETERS)),
             np.zeros(count, np.int64),
         )
 
     def step(self, memory: SteeringMemory, observation: Any, action: Any) -> tuple[SteeringMemory, FloatArray]:
-        """As `Encoding.step`."""
+        """Process one observation; see `Encoding.step`."""
         scan = _scan(observation)
         counts = np.stack(memory.belief.account, axis=-1)
         seen = memory.sums[..., COUNTS:]
@@ -115,27 +115,27 @@ class SteeringEncoding:
             memory.answer,
             np.full((count, 1), np.log(self.clutter_rate)),
             np.full((count, 1), 0.5 * _log_odds(told_detection(self.steered))),
-            np.minimum(memory.scans / PERIODS, 2.0)[:, None],
+            np.minimum(memory.scans / SCAN_UNIT, 2.0)[:, None],
         ]
         return memory._replace(scan=scan), np.concatenate(parts, axis=1).astype(np.float32)
 
     def act(self, memory: SteeringMemory, answer: FloatArray) -> tuple[SteeringMemory, Array]:
-        """As `Encoding.act`: fold the scan in with the parameters that were answered, and report what is believed."""
-        knobs = np.clip(np.asarray(answer, np.float64), -1.0, 1.0)
-        belief, estimate = self.steered.step(memory.belief, memory.scan, self.steering(knobs))
+        """Process the scan with the answered parameters and report the estimate; see `Encoding.act`."""
+        answers = np.clip(np.asarray(answer, np.float64), -1.0, 1.0)
+        belief, estimate = self.steered.step(memory.belief, memory.scan, self.steering(answers))
         rows, reported = allocate_rows(self._allocation, memory.rows, estimate)
-        account = np.stack([*belief.account, np.ones(len(knobs))], axis=-1)
+        account = np.stack([*belief.account, np.ones(len(answers))], axis=-1)
         kept = np.exp(-1.0 / np.array(MEMORIES))
         sums = kept[:, None] * memory.sums + account[:, None]
-        return SteeringMemory(belief, rows, memory.scan, sums, knobs, memory.scans + 1), reported
+        return SteeringMemory(belief, rows, memory.scan, sums, answers, memory.scans + 1), reported
 
-    def steering(self, knobs: Array) -> Steering:
-        """Parameters that an answer means, shape (N, 3); 0 is what was told."""
-        odds = _log_odds(told_detection(self.steered)) + DETECTION_REACH * knobs[:, 0]
+    def steering(self, answers: Array) -> Steering:
+        """Return the parameters for answers of shape (N, 3); 0 keeps those of the scene model."""
+        odds = _log_odds(told_detection(self.steered)) + DETECTION_REACH * answers[:, 0]
         return Steering(
             np.minimum(1.0 / (1.0 + np.exp(-odds)), 0.9999),
-            np.exp(CLUTTER_REACH * knobs[:, 1]),
-            USUAL_BIRTHS * np.exp(BIRTHS_REACH * knobs[:, 2]),
+            np.exp(CLUTTER_REACH * answers[:, 1]),
+            DEFAULT_BIRTHS * np.exp(BIRTHS_REACH * answers[:, 2]),
         )
 
 
@@ -149,13 +149,15 @@ def _scan(observation: Any) -> Array:
 
 
 def create_steering(env: Any) -> SteeringEncoding:
-    """A steered filter for a world of points in clutter.
+    """Create the encoding of a steered filter for points in clutter.
 
     Raises:
-        ValueError: The environment is none.
+        ValueError: An environment without a `SceneModel`.
     """
     scene = public_attribute(env, "scene_model")
     if not isinstance(scene, SceneModel):
-        raise ValueError(f"encoding steering reads scans of points in clutter, which {env.unwrapped} does not give")
+        raise ValueError(
+            f"encoding steering needs an environment whose `unwrapped.scene_model` is a SceneModel, got {env.unwrapped}"
+        )
     rows = getattr(env, "single_action_space", env.action_space).shape[0]
     return SteeringEncoding(steered_phd(scene, observer_settings(rows)), rows, scene.clutter_rate)

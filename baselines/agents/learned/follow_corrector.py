@@ -1,4 +1,4 @@
-"""One person of many: a classical follower decides who it is, a network corrects how it servos on them."""
+"""Follow one person of a crowd: a classical follower identifies the person, a network corrects its servo action."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from servotrack.baselines.agents.servo.jacobian_servo import OBSERVATION_KEYS
 from servotrack.estimators.types import FloatArray
 
 
-class Following(NamedTuple):
+class FollowingMemory(NamedTuple):
     """Memory of `BehindFollower`.
 
     Attributes:
-        follow: Of the classical follower.
-        own: Of the encoding behind it.
-        action: What the classical follower does. Shape (N, actions).
+        follow: State of the classical follower.
+        own: Memory of the encoding behind it.
+        action: Action of the classical follower. Shape (N, actions).
     """
 
     follow: FollowServoState
@@ -32,11 +32,11 @@ class Following(NamedTuple):
 
 @dataclass(frozen=True)
 class BehindFollower(PlainAnswers):
-    """What a servo would see of the person whom a classical follower follows, and what that one does.
+    """Encodes the followed person's features as a servo would observe them, and the classical follower's action.
 
     Attributes:
         follower: The classical agent.
-        encoding: What is seen of the person.
+        encoding: Encoding of the person's features.
     """
 
     follower: FollowServo
@@ -44,31 +44,31 @@ class BehindFollower(PlainAnswers):
 
     @property
     def size(self) -> int:
-        """Numbers in a row: those of the encoding, what the follower does, and how long it has seen nobody."""
+        """Length of a row: the encoding's, the follower's action (2), and the time since the person was seen (1)."""
         return self.encoding.size + 3
 
-    def initial(self, observation: Any) -> Following:
-        """As `Encoding.initial`."""
+    def initial(self, observation: Any) -> FollowingMemory:
+        """Return the memory before an episode; see `Encoding.initial`."""
         follow = self.follower.initial(observation)
         own = self.encoding.initial(self._person(follow, observation))
-        return Following(follow, own, np.zeros(np.shape(observation["joint_angles"]), np.float32))
+        return FollowingMemory(follow, own, np.zeros(np.shape(observation["joint_angles"]), np.float32))
 
-    def step(self, memory: Following, observation: Any, action: FloatArray) -> tuple[Following, FloatArray]:
-        """As `Encoding.step`."""
+    def step(self, memory: FollowingMemory, observation: Any, action: FloatArray) -> tuple[FollowingMemory, FloatArray]:
+        """Process one observation; see `Encoding.step`."""
         classical, follow = self.follower.predict(observation, memory.follow)
         own, rows = self.encoding.step(memory.own, self._person(follow, observation), action)
         unseen = np.log1p(follow.person.unseen)[:, None].astype(np.float32)
-        return Following(follow, own, classical), np.concatenate([rows, classical, unseen], axis=1)
+        return FollowingMemory(follow, own, classical), np.concatenate([rows, classical, unseen], axis=1)
 
-    def act(self, memory: Following, answer: FloatArray) -> tuple[Following, FloatArray]:
-        """As `Encoding.act`."""
+    def act(self, memory: FollowingMemory, answer: FloatArray) -> tuple[FollowingMemory, FloatArray]:
+        """Convert the network's answer to actions; see `Encoding.act`."""
         return memory, memory.action + answer
 
     def _person(self, follow: FollowServoState, observation: Mapping[str, Any]) -> dict[str, Any]:
-        """What a servo would observe of the person, in the camera's pixels."""
+        """Return the observation of a servo on the person, in the camera's pixels."""
         newest = follow.frame_time >= np.asarray(observation["frame_time"])[:, 0]
         visible = newest & (follow.person.unseen == 0)
-        # In the order of a space's keys, as environments give them.
+        # In the order of the space's keys.
         return {
             "features": follow.belief,
             "frame_time": observation["frame_time"],
@@ -80,15 +80,15 @@ class BehindFollower(PlainAnswers):
 
 
 def behind_follower(name: str, env: Any, encoding_of: Callable[[spaces.Dict], Encoding]) -> BehindFollower:
-    """The encoding behind an agent that follows.
+    """Create the encoding behind an agent that follows a person.
 
     Args:
-        name: Of that agent.
+        name: Name of that agent.
         env: A Gymnasium environment or vector environment.
-        encoding_of: What is made of a servo's observation space.
+        encoding_of: Creates the encoding of a servo's observation space.
 
     Raises:
-        ValueError: Another kind of agent or environment, or as `encoding_of` does.
+        ValueError: Another kind of agent or environment, or an error of `encoding_of`.
     """
     follower = create_agent(name, env)
     if not isinstance(follower, FollowServo):

@@ -1,4 +1,4 @@
-"""A Jacobian estimator that learned: from what the image did when the arm moved to the total Jacobian, same law."""
+"""Learned Jacobian estimator: a recurrent network maps image motions and arm motions to the total Jacobian."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.baselines.agents.learned.servo_encoding import PIXELS, ServoEncoding, ServoMemory
+from servotrack.baselines.agents.learned.servo_encoding import ERROR_UNIT, ServoEncoding, ServoMemory
 from servotrack.baselines.agents.servo.catalog import LAWS
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo
 from servotrack.baselines.worlds import public_attribute
@@ -20,12 +20,12 @@ from servotrack.estimators.stateful import add_axis, first_row
 from servotrack.estimators.types import Array, FloatArray
 
 ENTRIES = 6
-"""Numbers of the network's answer: two image coordinates, turned, by two joints and time."""
-USUAL = np.array([2.0, 2.0, 1.0])
-"""What an answer of 1 means in each column, hundreds of px/rad and of px/s."""
+"""Length of the network's answer: two rotated image coordinates by two joints and time."""
+JACOBIAN_SCALE = np.array([2.0, 2.0, 1.0])
+"""Jacobian entry for an answer of 1, by column, hundreds of px/rad and of px/s."""
 DEFAULT_LAW = "pi"
-MOTION = 10.0
-"""Joint motions between two observations are given to the encoding this much larger, rad."""
+MOTION_SCALE = 10.0
+"""Factor of the joint motion between two observations in the encoding's action, 1/rad."""
 
 
 class LearnedJacobianState(NamedTuple):
@@ -33,10 +33,10 @@ class LearnedJacobianState(NamedTuple):
 
     Attributes:
         alignment: Encoder history and newest frame.
-        encoding: Of the rows.
-        network: What the network carries. Shape (*batch, M).
-        joints: Of the last observation. Shape (*batch, 2), rad.
-        rows: What the network was given last. Shape (*batch, size).
+        encoding: Memory of the encoding.
+        network: Memory of the network. Shape (*batch, M).
+        joints: Joint angles of the last observation. Shape (*batch, 2), rad.
+        rows: Last input of the network. Shape (*batch, size).
     """
 
     alignment: AlignmentState
@@ -50,14 +50,14 @@ class LearnedJacobianState(NamedTuple):
 class LearnedJacobian:
     """A network as a `JacobianEstimator`, for arms with two joints and one image point.
 
-    The network sees the rows of a `ServoEncoding` and answers with the Jacobian in that encoding's coordinates, which
-    are turned back here.
+    The network reads the rows of a `ServoEncoding` and answers with the Jacobian in that encoding's coordinates; this
+    class rotates it back to image coordinates.
 
     Args:
-        network: FloatArray (N, size) and memory (N, M) in, entries (N, 6) and the next memory out.
-        memory: M.
-        encoding: What it reads.
-        alignment: Bridges the age of the newest frame.
+        network: Maps rows (N, size) and memory (N, M) to entries (N, 6) and the next memory.
+        memory: Size M of the network's memory.
+        encoding: Encoding of measurements to rows.
+        alignment: Compensates the age of the newest frame.
     """
 
     network: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
@@ -66,7 +66,7 @@ class LearnedJacobian:
     alignment: Alignment = field(default_factory=Alignment)
 
     def initial(self, measurement: ServoMeasurement) -> LearnedJacobianState:
-        """State before the first step. Raises ValueError as `Alignment` does."""
+        """Return the state before the first step. Raises ValueError as `Alignment` does."""
         single = np.ndim(measurement.time) == 0
         measurement = add_axis(measurement) if single else measurement
         count = len(measurement.time)
@@ -82,7 +82,7 @@ class LearnedJacobian:
     def step(
         self, state: LearnedJacobianState, measurement: ServoMeasurement
     ) -> tuple[LearnedJacobianState, LinearEstimate]:
-        """Fold one measurement in. Raises ValueError as `Alignment.step` does."""
+        """Process one measurement. Raises ValueError as `Alignment.step` does."""
         if np.ndim(measurement.time) == 0:
             state, estimate = self.step(add_axis(state), add_axis(measurement))
             return first_row(state), LinearEstimate(
@@ -90,28 +90,28 @@ class LearnedJacobian:
             )
         alignment, increment = self.alignment.step(state.alignment, measurement)
         joints = np.asarray(measurement.joint_angles, np.float64)
-        motion = np.clip(MOTION * (joints - state.joints), -1.0, 1.0).astype(np.float32)
+        motion = np.clip(MOTION_SCALE * (joints - state.joints), -1.0, 1.0).astype(np.float32)
         memory, rows = self.encoding.step(state.encoding, _observation(measurement), motion)
         answer, carried = self.network(rows, state.network)
-        entries = USUAL * answer.reshape(-1, 2, 3).astype(np.float64)
-        jacobian = np.linalg.solve(turning(memory, joints), entries)
+        entries = JACOBIAN_SCALE * answer.reshape(-1, 2, 3).astype(np.float64)
+        jacobian = np.linalg.solve(image_rotation(memory, joints), entries)
         silent = np.zeros(len(joints))
         estimate = present_estimate(alignment.frame_features, jacobian, increment, measurement.goal, silent, silent)
         return LearnedJacobianState(alignment, memory, carried, joints, rows), estimate
 
 
-def turning(memory: ServoMemory, joints: Array) -> Array:
-    """From image coordinates, px, to those of the encoding at these joint angles, hundreds of px. Shape (N, 2, 2)."""
+def image_rotation(memory: ServoMemory, joints: Array) -> Array:
+    """Return the matrix from image coordinates, px, to the encoding's, hundreds of px. Shape (N, 2, 2)."""
     best = memory.turns[..., 3].argmin(axis=1)
     turns = memory.turns[np.arange(len(best)), best]
     angle = joints.sum(axis=-1) - np.arctan2(turns[:, 1], turns[:, 0])
     c, s = np.cos(angle), np.sin(angle)
-    # The image's second axis runs down.
-    return np.stack([np.stack([c, s], -1), np.stack([s, -c], -1)], -2) / PIXELS
+    # The image's second axis points down.
+    return np.stack([np.stack([c, s], -1), np.stack([s, -c], -1)], -2) / ERROR_UNIT
 
 
 def jacobian_encoding(settings: Mapping[str, Any]) -> tuple[ServoEncoding, str]:
-    """The encoding of an estimator and its law, of a card or of a file of hyper-parameters.
+    """Return the encoding and the law that a card or a file of hyper-parameters describes.
 
     Raises:
         ValueError: An unknown keyword or law.
@@ -127,10 +127,10 @@ def jacobian_encoding(settings: Mapping[str, Any]) -> tuple[ServoEncoding, str]:
 
 
 def create_learned_servo(estimator: LearnedJacobian, env: Any, law: str) -> JacobianServo:
-    """The estimator behind the same law, exploratory moves and supervisor as the classical ones.
+    """Create a servo with this estimator and the law, exploratory moves and supervisor of the classical agents.
 
     Raises:
-        ValueError: No servo that the encoding can read.
+        ValueError: An environment that the encoding does not support.
     """
     ServoEncoding.check(getattr(env, "single_observation_space", env.observation_space))
     rate = float(public_attribute(env, "max_joint_rate"))
@@ -138,7 +138,7 @@ def create_learned_servo(estimator: LearnedJacobian, env: Any, law: str) -> Jaco
 
 
 def _observation(measurement: ServoMeasurement) -> dict[str, NDArray[Any]]:
-    """As `ServoEncoding` reads it."""
+    """Return a measurement as the observation that `ServoEncoding` reads."""
     return {
         "joint_angles": np.asarray(measurement.joint_angles, np.float64),
         "features": np.asarray(measurement.features, np.float64),

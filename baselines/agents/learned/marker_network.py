@@ -1,4 +1,4 @@
-"""Learned eyes: a network that finds the marker in an image, in place of a detector that somebody wrote."""
+"""Learned marker detector: a network that locates the marker in an image."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ IMAGE, PLACE, SEEN = "image", "place", "seen"
 
 
 class MarkerNetwork:
-    """Finds the marker by a network; a drop-in for `servotrack.estimators.detect.MarkerDetector`.
+    """Locates the marker with a network; a drop-in for `servotrack.estimators.detect.MarkerDetector`.
 
     Args:
         path: The ONNX file. Input `image` (N, S, S, 3) uint8; outputs `place` (N, 2), column and row in px, and `seen`
-            (N,), positive where the marker is in view; both float32.
-        card: Its card.
+            (N,), positive if the marker is in view; both float32.
+        card: Card of the network.
 
     Raises:
-        AgentFileError: The file cannot be used, or has other inputs or outputs.
+        AgentFileError: An invalid file, or one with other inputs or outputs.
     """
 
     def __init__(self, path: Path, card: LearnedCard) -> None:
@@ -48,16 +48,16 @@ class MarkerNetwork:
             images: RGB, uint8. Shape (*batch, S, S, 3).
 
         Returns:
-            As `MarkerDetector.detect`.
+            Positions and visibility, as `MarkerDetector.detect` returns them.
 
         Raises:
-            ValueError: Images of another size than those that it learned from.
+            ValueError: Images of another size than the training images.
         """
         stack = np.asarray(images)
         if stack.dtype != np.uint8 or stack.shape[-3:] != (self._size, self._size, 3):
             shape = f"(*batch, {self._size}, {self._size}, 3)"
             raise ValueError(
-                f"images must be uint8 of shape {shape}, as {self._path.name} knows them, "
+                f"images must be uint8 of shape {shape}, the size that {self._path.name} was trained with, "
                 f"got {stack.dtype} {stack.shape}"
             )
         batch = stack.shape[:-3]
@@ -66,14 +66,14 @@ class MarkerNetwork:
 
 
 def open_marker_network(name: str, folder: Path | None = None) -> MarkerNetwork:
-    """Eyes by their name.
+    """Open a marker network by name.
 
     Args:
-        name: Of their card without its suffix, or its path.
-        folder: Where they are looked for before they are among the shipped ones.
+        name: Name of its card without the suffix, or the card's path.
+        folder: Folder that is searched before the package's own networks.
 
     Raises:
-        AgentFileError: There are none, or they cannot be used.
+        AgentFileError: No such card, or an invalid one.
     """
     file = f"{name.removesuffix('.json')}.json"
     places = [Path(file), *([folder / file] if folder else []), SHIPPED / file]

@@ -11,20 +11,20 @@ from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard
 from servotrack.estimators.types import FloatArray
 
 LARGEST_NETWORK = 20_000_000
-"""Bytes."""
+"""Largest accepted size of a network's file, bytes."""
 OBSERVATION, MEMORY, ACTION, NEXT_MEMORY = "observation", "memory", "action", "next_memory"
 
 
 def open_session(path: Path, card: LearnedCard) -> onnxruntime.InferenceSession:
-    """A network's file, opened on one thread.
+    """Open a network's file for inference on one thread.
 
     Args:
         path: The ONNX file.
-        card: Its card.
+        card: Card of the network.
 
     Raises:
-        AgentFileError: The file is missing, too large, not the card's, not ONNX, or uses operators that onnxruntime
-            does not know.
+        AgentFileError: The file is missing, too large, different from the card's digest, not ONNX, or uses operators
+            that onnxruntime does not support.
     """
     try:
         size = path.stat().st_size
@@ -47,15 +47,15 @@ def open_session(path: Path, card: LearnedCard) -> onnxruntime.InferenceSession:
 
 
 class OnnxNetwork:
-    """A policy: rows of observations (and of memory) in, actions (and the next memory) out.
+    """A policy network: rows of observations and memory in, actions and the next memory out.
 
     Args:
-        path: The ONNX file. Inputs `observation` (N, size) and, if it remembers, `memory` (N, M); outputs `action`
+        path: The ONNX file. Inputs `observation` (N, size) and, if it is recurrent, `memory` (N, M); outputs `action`
             (N, actions) and `next_memory` (N, M); all float32, N free.
-        card: Its card.
+        card: Card of the network.
 
     Raises:
-        AgentFileError: As `open_session`, or for other inputs or outputs.
+        AgentFileError: An invalid file (see `open_session`), or one with other inputs or outputs.
     """
 
     def __init__(self, path: Path, card: LearnedCard) -> None:
@@ -77,11 +77,11 @@ class OnnxNetwork:
         self._outputs = [ACTION, *([NEXT_MEMORY] if self.memory else [])]
 
     def __call__(self, rows: FloatArray, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Run it.
+        """Run the network.
 
         Args:
-            rows: Shape (N, size).
-            memory: Shape (N, M); M is 0 for a network without memory.
+            rows: Inputs, shape (N, size).
+            memory: Memory of the last call, shape (N, M); M is 0 for a network without memory.
 
         Returns:
             Actions, shape (N, actions), and the next memory.
@@ -92,7 +92,7 @@ class OnnxNetwork:
         return action, following
 
     def _width(self, values: list[Any], name: str) -> int:
-        """Second dimension of an input or output."""
+        """Return the second dimension of an input or output."""
         found = next((value for value in values if value.name == name), None)
         if found is None:
             raise AgentFileError(f"{self.path} must have {name!r}, got {[value.name for value in values]}")

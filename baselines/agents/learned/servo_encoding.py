@@ -1,4 +1,4 @@
-"""What a learned servo sees of an observation: the image error turned with arm and camera, and where the arm is."""
+"""Encoding of servo observations: the image error rotated with arm and camera, and the joint angles."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ from servotrack.baselines.agents.servo.jacobian_servo import OBSERVATION_KEYS
 from servotrack.estimators.types import Array, FloatArray, Labels
 
 READINGS = 8
-"""Encoder readings that are remembered, for frames that arrive late."""
-PIXELS = 100.0
-"""Image errors are given in units of so many pixels."""
-FASTER = 4.0
-"""Differences between frames are small; they are given this much larger."""
+"""Number of stored encoder readings, for frames that arrive late."""
+ERROR_UNIT = 100.0
+"""Unit of image errors in a row, px."""
+DIFFERENCE_SCALE = 4.0
+"""Factor of the differences between frames in a row."""
 PERIODS_PER_SECOND = 20.0
-"""Ages of frames are given in control periods of 50 ms."""
-FRAME = 10
-"""Numbers of one frame in a row."""
-PRESENT = 7
-"""Numbers of the present in a row."""
-STRAIGHT = (0.005, 0.0, 0.002)
-"""A camera that is mounted straight, as weak evidence: image times tool motion, and tool motion squared."""
-FARTHEST = 0.2
-"""A change of the error that no motion of the tool explains counts as at most this, hundreds of px: outliers."""
+"""Unit of frame ages: control periods of 50 ms."""
+FRAME_SIZE = 10
+"""Entries of one frame in a row."""
+PRESENT_SIZE = 7
+"""Entries of the present in a row."""
+MOUNTING_PRIOR = (0.005, 0.0, 0.002)
+"""Weak prior for a camera mounted straight: correlation of image and tool motion, and squared tool motion."""
+RESIDUAL_LIMIT = 0.2
+"""Bound of the residual of the image motion, hundreds of px, which limits the effect of outliers."""
 
 
 class ServoMemory(NamedTuple):
     """Memory of a `ServoEncoding` with A ages.
 
     Attributes:
-        times: Of the last encoder readings, the newest last, s; the same many times before the first. Shape (N, 8).
+        times: Times of the last encoder readings, the newest last, s; before the first they repeat. Shape (N, 8).
         angles: The readings, rad. Shape (N, 8, 2).
-        frames: The last frames, the newest first: error (2), visibility, age, action (2), and for each age cosine and
-            sine of the first joint angle and of the sum of both then (4 A). Shape (N, window, 6 + 4 A).
-        turns: For each age, the sum of image motions times conjugated tool motions (2), whose phase is the mounting's,
-            that of squared tool motions, and that of squared image motions that this leaves. Shape (N, A, 4).
-        last: For each age, error and tool of the newest visible frame. Shape (N, A, 4).
-        seen: Observations so far, at most the window. Shape (N,).
+        frames: Last frames, the newest first: error (2), visibility, age, action (2), and for each age cosine and sine
+            of the first joint angle and of the sum of both (4 A). Shape (N, window, 6 + 4 A).
+        turns: Statistics of each age: sum of image motions times conjugated tool motions (2), whose phase is that of
+            the mounting, sum of squared tool motions, sum of squared residuals. Shape (N, A, 4).
+        last: Error and tool position of the newest visible frame at each age. Shape (N, A, 4).
+        seen: 1 after the first visible frame, else 0. Shape (N,).
     """
 
     times: Array
@@ -58,26 +58,26 @@ class ServoMemory(NamedTuple):
 
 @dataclass(frozen=True)
 class ServoEncoding(PlainAnswers):
-    """The image error of a planar arm's camera, turned by arm and mounting, and its recent past.
+    """The image error of a planar arm's camera, rotated by arm and mounting, and its recent past.
 
-    An eye-in-hand camera turns with the arm. Turned back by the sum of the joint angles at the frame's instant, the
-    error is the target's place from the tool, in an unknown scale and turned by the unknown mounting, both the same
-    all episode long. How the camera is mounted shows in how the image moves when the tool does: the phase of their
-    running correlation, for links of equal length, turns the error once more. What is left to learn is what is left
-    of this guess, the scale, the links, the target, and when to trust what.
+    An eye-in-hand camera rotates with the arm. Rotated back by the sum of the joint angles at the frame's instant, the
+    error is the target's position relative to the tool, up to an unknown scale and rotation that are constant in an
+    episode. The rotation (the camera's mounting) is the phase of the running correlation of image motion and tool
+    motion, computed for links of equal length; the error is rotated by it once more. The network has to learn the
+    rest: the error of this estimate, the scale, the links, the target, and which inputs are reliable.
 
-    Where stamps cannot be trusted, the same is done for several ages, and that one is taken by which the tool's motion
-    explains the image's best so far.
+    Where time stamps are unreliable, the same is computed for several ages of the frame. The age whose tool motion has
+    explained the image motion best so far is used.
 
-    A row holds, of the newest observation and of `lags` before it: the turned error (2, hundreds of px), cosine and
+    A row holds, of the newest observation and of `lags` before it: the rotated error (2, hundreds of px), cosine and
     sine of the first joint angle and of the sum of both at the frame (4), visibility, age in control periods, the
     action before it (2); of those before the newest, the first six as four times the difference from it. Then, of the
-    present, the four cosines and sines, the time since scoring began within [-1, 1] s, the logarithm of the evidence
-    for the mounting, and the age that was taken.
+    present, the four cosines and sines, the time since scoring began clipped to [-1, 1] s, the logarithm of the
+    evidence for the mounting, and the chosen age.
 
     Attributes:
-        lags: How many observations before the newest one the others were, ascending.
-        ages: By how many control periods frames may be older than their stamps.
+        lags: Distances of the earlier observations from the newest, in observations, ascending.
+        ages: Candidates for the age of a frame beyond its time stamp, control periods.
     """
 
     lags: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 11, 15)
@@ -88,14 +88,14 @@ class ServoEncoding(PlainAnswers):
         object.__setattr__(self, "lags", tuple(int(lag) for lag in self.lags))
         object.__setattr__(self, "ages", tuple(float(age) for age in self.ages))
         if any(lag < 1 for lag in self.lags) or list(self.lags) != sorted(set(self.lags)):
-            raise ValueError(f"lags must be whole numbers from 1 on, ascending, got {self.lags!r}")
+            raise ValueError(f"lags must be whole numbers >= 1, ascending, got {self.lags!r}")
         if not self.ages or not all(0.0 <= age <= READINGS - 2 for age in self.ages):
             raise ValueError(f"ages must lie in 0..{READINGS - 2}, at least one, got {self.ages!r}")
 
     @property
     def size(self) -> int:
-        """Numbers in a row."""
-        return FRAME * (1 + len(self.lags)) + PRESENT
+        """Length of a row."""
+        return FRAME_SIZE * (1 + len(self.lags)) + PRESENT_SIZE
 
     @staticmethod
     def check(space: spaces.Space[Any]) -> None:
@@ -109,14 +109,14 @@ class ServoEncoding(PlainAnswers):
             )
 
     def initial(self, observation: Mapping[str, NDArray[Any]]) -> ServoMemory:
-        """As `Encoding.initial`."""
+        """Return the memory before an episode; see `Encoding.initial`."""
         times = np.repeat(np.asarray(observation["time"], np.float64), READINGS, axis=1)
         count, ages = len(times), len(self.ages)
         return ServoMemory(
             times,
             np.repeat(np.asarray(observation["joint_angles"])[:, None], READINGS, axis=1),
             np.zeros((count, 1 + max(self.lags, default=0), 6 + 4 * ages)),
-            np.tile([*STRAIGHT, 0.0], (count, ages, 1)),
+            np.tile([*MOUNTING_PRIOR, 0.0], (count, ages, 1)),
             np.zeros((count, ages, 4)),
             np.zeros(count, np.int64),
         )
@@ -124,7 +124,7 @@ class ServoEncoding(PlainAnswers):
     def step(
         self, memory: ServoMemory, observation: Mapping[str, NDArray[Any]], action: FloatArray
     ) -> tuple[ServoMemory, FloatArray]:
-        """As `Encoding.step`."""
+        """Process one observation; see `Encoding.step`."""
         memory = ServoMemory._make(part.copy() for part in memory)
         rows = np.empty((len(memory.times), self.size), np.float32)
         _encode(
@@ -140,7 +140,7 @@ def _encode(  # type: ignore[no-untyped-def]
     times, angles, frames, turns, last, seen, joint_angles, features, goal, visible, frame_time, time, action, lags,
     ages, rows,
 ):  # fmt: skip
-    """Take an observation in, and write one row per environment."""
+    """Update the memory with an observation and write one row per environment."""
     for i in range(len(times)):
         if time[i, 0] > times[i, -1]:
             times[i, :-1] = times[i, 1:]
@@ -151,8 +151,8 @@ def _encode(  # type: ignore[no-untyped-def]
         for k in range(frames.shape[1] - 1, 0, -1):
             frames[i, k] = frames[i, k - 1]
         new = frames[i, 0]
-        # The image's second axis runs down: the error is the complex number u - iv.
-        new[0], new[1] = (features[i, 0] - goal[i, 0]) / PIXELS, -(features[i, 1] - goal[i, 1]) / PIXELS
+        # The image's second axis points down: the error is the complex number u - iv.
+        new[0], new[1] = (features[i, 0] - goal[i, 0]) / ERROR_UNIT, -(features[i, 1] - goal[i, 1]) / ERROR_UNIT
         new[2] = visible[i, 0]
         new[3] = min((time[i, 0] - frame_time[i, 0]) * PERIODS_PER_SECOND, float(READINGS))
         new[4], new[5] = action[i, 0], action[i, 1]
@@ -177,35 +177,35 @@ def _encode(  # type: ignore[no-untyped-def]
         u, v = _turned(new, at, c, s)
         row[0], row[1] = u, v
         row[2:6] = new[at : at + 4]
-        row[6:FRAME] = new[2:6]
-        out = FRAME
+        row[6:FRAME_SIZE] = new[2:6]
+        out = FRAME_SIZE
         for lag in lags:
             old = frames[i, lag]
             before_u, before_v = _turned(old, at, c, s)
-            row[out], row[out + 1] = FASTER * (before_u - u), FASTER * (before_v - v)
+            row[out], row[out + 1] = DIFFERENCE_SCALE * (before_u - u), DIFFERENCE_SCALE * (before_v - v)
             for j in range(4):
-                row[out + 2 + j] = FASTER * (old[at + j] - new[at + j])
-            row[out + 6 : out + FRAME] = old[2:6]
-            out += FRAME
+                row[out + 2 + j] = DIFFERENCE_SCALE * (old[at + j] - new[at + j])
+            row[out + 6 : out + FRAME_SIZE] = old[2:6]
+            out += FRAME_SIZE
         theta1, theta2 = joint_angles[i]
         row[out], row[out + 1] = math.cos(theta1), math.sin(theta1)
         row[out + 2], row[out + 3] = math.cos(theta1 + theta2), math.sin(theta1 + theta2)
         row[out + 4] = min(max(time[i, 0], -1.0), 1.0)
-        row[out + 5] = 0.2 * math.log(evidence / STRAIGHT[0])
+        row[out + 5] = 0.2 * math.log(evidence / MOUNTING_PRIOR[0])
         row[out + 6] = ages[best]
 
 
 @njit(cache=True, nogil=True)
 def _correlate(new, at, turn, last, before):  # type: ignore[no-untyped-def]
-    """Take in how the image moved while the tool did since the last visible frame."""
+    """Add the image and tool motion since the last visible frame to the correlation."""
     u, v = _turned(new, at, 1.0, 0.0)
     x, y = new[at] + new[at + 2], new[at + 1] + new[at + 3]
     if before:
-        # A tool that moves by q moves the image by -q, turned and scaled.
+        # A tool motion q moves the image by -q, rotated and scaled.
         du, dv, qx, qy = u - last[0], v - last[1], last[2] - x, last[3] - y
         re, im = turn[0] / turn[2], turn[1] / turn[2]
         ru, rv = du - (re * qx - im * qy), dv - (re * qy + im * qx)
-        turn[3] += min(ru * ru + rv * rv, FARTHEST * FARTHEST)
+        turn[3] += min(ru * ru + rv * rv, RESIDUAL_LIMIT * RESIDUAL_LIMIT)
         turn[0] += du * qx + dv * qy
         turn[1] += dv * qx - du * qy
         turn[2] += qx * qx + qy * qy
@@ -214,7 +214,7 @@ def _correlate(new, at, turn, last, before):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _turned(frame, at, c, s):  # type: ignore[no-untyped-def]
-    """A frame's error turned back by the arm's angles at one age, and by c + is."""
+    """Return a frame's error rotated back by the joint angles at one age, and by c + is."""
     u = frame[at + 2] * frame[0] - frame[at + 3] * frame[1]
     v = frame[at + 3] * frame[0] + frame[at + 2] * frame[1]
     return c * u - s * v, s * u + c * v
@@ -222,7 +222,7 @@ def _turned(frame, at, c, s):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _angles_at(times, angles, instant):  # type: ignore[no-untyped-def]
-    """Joint angles between two readings; the oldest known before it, the newest after it."""
+    """Interpolate the joint angles at an instant; outside the stored readings, return the nearest one."""
     for k in range(len(times) - 1, 0, -1):
         if times[k - 1] <= instant:
             span = times[k] - times[k - 1]

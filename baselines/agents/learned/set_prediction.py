@@ -1,4 +1,4 @@
-"""An observer without a filter: each recent measurement is asked whether it is a target's, and where that one is."""
+"""Observer without a filter: a network classifies each recent measurement and regresses its target's state."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ from servotrack.estimators.rfs.sets import read_measurements
 from servotrack.estimators.types import Array, FloatArray, Labels, Mask
 
 NEIGHBOR, ANCHOR = 8, 7
-"""Numbers of a neighbor, and of a measurement itself."""
+"""Entries of a neighbor, and of the measurement itself, in a row."""
 ANSWERS = 5
-"""Of the network: log odds, velocity (2), correction of the position (2)."""
+"""Length of the network's answer: log odds, velocity (2), correction of the position (2)."""
 LENGTH = 10.0
-"""Unit of the last four, m and m/s."""
-NEAR, SPEED = 30.0, 40.0
-"""Distances are measured in these, m, and as much more for each scan between, m."""
-FARTHEST = 2.5
-"""Beyond so many of these units no measurement is a neighbor."""
-SAME = 60.0
-"""Farther from where an identity should be nothing is taken for it, m."""
-REGION, CROWD, POLAR = 2000.0, 4.0, 25.0
-"""Units of places, m, of the logarithm of the number of measurements, and of the sensor's error across, m."""
+"""Unit of velocity and correction, m/s and m."""
+NEIGHBOR_DISTANCE, NEIGHBOR_SPEED = 30.0, 40.0
+"""Unit of the distance to a neighbor: a constant, m, and an increment for each scan between, m."""
+NEIGHBOR_LIMIT = 2.5
+"""Largest distance of a neighbor, in these units."""
+ASSIGNMENT_GATE = 60.0
+"""Gate: a detection farther than this from a track's predicted position is not assigned to it, m."""
+POSITION_UNIT, COUNT_UNIT, CROSS_RANGE_UNIT = 2000.0, 4.0, 25.0
+"""Units of positions, m, of the log number of measurements, and of the cross-range error, m."""
 
 
 @dataclass(frozen=True)
 class SetWindow:
-    """Which measurements are asked, and what they know.
+    """Measurements that the network classifies, and the neighbors that it sees of each.
 
     Attributes:
-        scans: Scans in which neighbors are looked for.
-        asked: Scans whose measurements are asked, the newest ones.
-        neighbors: Most neighbors of a measurement.
-        merge: Answers nearer than this are the same target's, m.
-        report: Least probability of a target that is reported.
+        scans: Number of newest scans in which neighbors are searched.
+        `asked`: Number of newest scans whose measurements are classified.
+        neighbors: Largest number of neighbors of a measurement.
+        merge: Two answers closer than this are one target, m.
+        report: Smallest probability of a reported target.
     """
 
     scans: int = 12
@@ -54,22 +54,22 @@ class SetWindow:
     report: float = 0.5
 
     def __post_init__(self) -> None:
-        """Check the fields; raises ValueError that names the wrong one."""
+        """Raise ValueError for values out of range."""
         if not 1 <= self.asked <= self.scans or self.neighbors < 1:
             raise ValueError(
-                f"scans, asked and neighbors must be whole numbers with 1 <= asked <= scans, got {asdict(self)}"
+                f"scans, `asked` and neighbors must be whole numbers with 1 <= `asked` <= scans, got {asdict(self)}"
             )
         if not (self.merge > 0.0 and 0.0 < self.report < 1.0):
             raise ValueError(f"merge must be > 0 m and report in (0, 1), got {asdict(self)}")
 
     @property
     def size(self) -> int:
-        """Numbers that a measurement's row holds."""
+        """Length of a measurement's row."""
         return self.neighbors * NEIGHBOR + ANCHOR
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> SetWindow:
-        """The window that a card or a file of hyper-parameters describes."""
+        """Create the window that a card or a file of hyper-parameters describes."""
         given = {key: value for key, value in settings.items() if key != "kind"}
         try:
             return cls(**given)
@@ -82,8 +82,8 @@ class ScanHistory(NamedTuple):
 
     Attributes:
         places: Measurements in the plane. Shape (N, scans, M, 2), m.
-        number: How many there are in each scan. Shape (N, scans).
-        seen: Scans so far. Shape (N,).
+        number: Number of measurements in each scan. Shape (N, scans).
+        seen: Number of scans so far. Shape (N,).
     """
 
     places: Array
@@ -92,7 +92,7 @@ class ScanHistory(NamedTuple):
 
     @classmethod
     def none(cls, window: SetWindow, scenes: int, rows: int) -> ScanHistory:
-        """Before the first scan."""
+        """Return the history before the first scan."""
         return cls(
             np.zeros((scenes, window.scans, rows, 2)),
             np.zeros((scenes, window.scans), np.int64),
@@ -100,7 +100,7 @@ class ScanHistory(NamedTuple):
         )
 
     def with_scan(self, scan: Array, sensor: Array | None) -> ScanHistory:
-        """One scan later; `scan` (N, M, 3) as it is observed.
+        """Return the history with one more scan, shape (N, M, 3).
 
         Raises:
             ValueError: A wrong shape, an existence other than 0 or 1, or a used row that is not finite.
@@ -112,12 +112,12 @@ class ScanHistory(NamedTuple):
 
 
 class QueryBatch(NamedTuple):
-    """Measurements that are asked, of all scenes, A of them.
+    """Measurements to classify, A of them over all scenes.
 
     Attributes:
-        rows: What the network sees. Shape (A, size).
-        scene, age, row: Where each stands in `ScanHistory`. Shape (A,).
-        places: Shape (A, 2), m.
+        rows: Inputs of the network. Shape (A, size).
+        scene, age, row: Indices of each measurement in `ScanHistory`. Shape (A,).
+        places: Positions. Shape (A, 2), m.
     """
 
     rows: FloatArray
@@ -128,21 +128,23 @@ class QueryBatch(NamedTuple):
 
 
 def in_plane(measurements: Array, sensor: Array | None) -> Array:
-    """Positions of measurements, which are ranges and bearings where there is a sensor. Shape (*, 2), m."""
+    """Convert measurements to positions; with a sensor they are ranges and bearings. Shape (*, 2), m."""
     if sensor is None:
         return measurements
     distance, bearing = measurements[..., 0], measurements[..., 1]
     return sensor + np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=-1)
 
 
-def ask(window: SetWindow, recent: ScanHistory, sensor: Array | None, bearing_noise: float) -> QueryBatch:
-    """The rows of all measurements that are asked.
+def query_measurements(
+    window: SetWindow, recent: ScanHistory, sensor: Array | None, bearing_noise: float
+) -> QueryBatch:
+    """Return the rows of all measurements to classify.
 
     Args:
-        window: Which those are.
+        window: Measurements to classify, and their neighbors.
         recent: The last scans.
-        sensor: Where it stands, m; None for one that measures positions. Shape (2,).
-        bearing_noise: Of that sensor, rad.
+        sensor: Position of a sensor of range and bearing, shape (2,), m; None if positions are measured.
+        bearing_noise: Standard deviation of that sensor's bearings, rad.
     """
     number = recent.number[:, : window.asked]
     scene, age = np.nonzero(number)
@@ -154,29 +156,29 @@ def ask(window: SetWindow, recent: ScanHistory, sensor: Array | None, bearing_no
     places = recent.places[scene, age, row]
     own = rows[:, window.neighbors * NEIGHBOR :]
     own[:, 0] = age / window.asked
-    own[:, 1] = np.log1p(recent.number[scene, 0]) / CROWD
-    own[:, 2:4] = places / REGION
+    own[:, 1] = np.log1p(recent.number[scene, 0]) / COUNT_UNIT
+    own[:, 2:4] = places / POSITION_UNIT
     if sensor is not None:
-        own[:, 4:6] = bearing_noise * (places - sensor) / POLAR
+        own[:, 4:6] = bearing_noise * (places - sensor) / CROSS_RANGE_UNIT
     own[:, 6] = np.minimum(recent.seen[scene] / window.scans, 1.0)
     return QueryBatch(rows, scene, age, row, places)
 
 
-def place_now(asked: QueryBatch, answers: Array) -> tuple[Array, Array]:
-    """Where the targets of the measurements are now, and how they move; each of shape (A, 2), m and m/s."""
+def present_positions(queries: QueryBatch, answers: Array) -> tuple[Array, Array]:
+    """Return present positions, m, and velocities, m/s, of the measurements' targets, each of shape (A, 2)."""
     velocity = LENGTH * answers[:, 1:3]
-    return asked.places + asked.age[:, None] * velocity + LENGTH * answers[:, 3:5], velocity
+    return queries.places + queries.age[:, None] * velocity + LENGTH * answers[:, 3:5], velocity
 
 
 class Tracks(NamedTuple):
     """Identities of N scenes.
 
     Attributes:
-        labels: 0 where there is none. Shape (N, R).
-        states: x, vx, y, vy. Shape (N, R, 4), m and m/s.
-        existence: Probability of each in the newest scan, 0 where it was not predicted. Shape (N, R).
+        labels: Identity of each row, 0 for a free one. Shape (N, R).
+        states: States x, vx, y, vy. Shape (N, R, 4), m and m/s.
+        existence: Probability of each in the newest scan, 0 if it was not predicted. Shape (N, R).
         absent: Scans since each was last predicted. Shape (N, R).
-        next_label: Shape (N,).
+        next_label: Label of the next new identity. Shape (N,).
     """
 
     labels: Labels
@@ -186,18 +188,18 @@ class Tracks(NamedTuple):
     next_label: Labels
 
     def estimate(self) -> SetEstimate:
-        """Those that are predicted in the newest scan."""
+        """Return the identities predicted in the newest scan."""
         shown = (self.labels > 0) & (self.absent == 0)
-        nobody = np.zeros((len(self.labels), 0))
+        empty = np.zeros((len(self.labels), 0))
         return SetEstimate(
             self.states,
             np.where(shown, self.labels, 0),
             self.existence,
             np.zeros((*self.states.shape, 4)),
             self.existence.sum(axis=1),
-            nobody.astype(np.int64),
-            nobody[..., None] * np.zeros(4),
-            nobody,
+            empty.astype(np.int64),
+            empty[..., None] * np.zeros(4),
+            empty,
         )
 
 
@@ -206,8 +208,8 @@ class SetState(NamedTuple):
 
     Attributes:
         recent: The last scans.
-        tracks: Who was predicted in them.
-        rows: Which identity owns which row of the answer.
+        tracks: Identities predicted in them.
+        rows: Owners of the rows of the answer.
     """
 
     recent: ScanHistory
@@ -218,13 +220,13 @@ class SetState(NamedTuple):
 class SetPredictor:
     """A network behind `predict`: the newest scans in, the set of targets out.
 
-    Identities go to what is predicted nearest to where they should be; that is no part of what was learned.
+    Identities are assigned to the predictions nearest to their expected positions; this step is not learned.
 
     Args:
-        network: FloatArray (A, size) in, answers (A, 5) out.
-        window: What it was trained with.
-        scene: What the environment tells.
-        rows: Of an answer.
+        network: Maps rows (A, size) to answers (A, 5).
+        window: Window of the training.
+        scene: Parameters of the scene that agents receive.
+        rows: Number of rows of an answer.
         low: Lowest answer, shape (rows, 3).
         high: Highest answer, shape (rows, 3).
     """
@@ -258,14 +260,14 @@ class SetPredictor:
             raise ValueError(f"a scan must have shape (rows, 3) or (batch, rows, 3), got {scan.shape}")
         state = remembered(state, episode_start, (len(scan),), lambda: self._initial(scan))
         recent = state.recent.with_scan(scan, self._sensor)
-        asked = ask(self._window, recent, self._sensor, self._bearing_noise)
-        answers = self._network(asked.rows).astype(np.float64)
+        queries = query_measurements(self._window, recent, self._sensor, self._bearing_noise)
+        answers = self._network(queries.rows).astype(np.float64)
         probability = 1.0 / (1.0 + np.exp(-answers[:, 0]))
-        places, velocities = place_now(asked, answers)
+        places, velocities = present_positions(queries, answers)
         found = np.concatenate([places, velocities], axis=1)[:, [0, 2, 1, 3]]
         tracks = _advanced(state.tracks)
         for scene in range(len(scan)):
-            mine = np.flatnonzero((asked.scene == scene) & (probability >= self._window.report))
+            mine = np.flatnonzero((queries.scene == scene) & (probability >= self._window.report))
             chosen = _distinct(places[mine], probability[mine], self._window.merge)[: self._rows]
             _identify(tracks, scene, found[mine[chosen]], probability[mine[chosen]])
         rows, answer = allocate_rows(self._allocation, state.rows, tracks.estimate())
@@ -287,14 +289,14 @@ class SetPredictor:
 
 
 def sensor_of(scene: SceneModel) -> tuple[Array | None, float]:
-    """Where a sensor of range and bearing stands, m, and the noise of its bearings, rad; None and 0 for positions."""
+    """Return position, m, and bearing noise, rad, of a range-bearing sensor; None and 0 if positions are measured."""
     if not isinstance(scene.model, RangeBearingModel):
         return None, 0.0
     return np.asarray(scene.model.sensor, np.float64), float(np.sqrt(scene.model.measurement_noise[1, 1]))
 
 
 def _advanced(tracks: Tracks) -> Tracks:
-    """A scan later, with arrays of their own; nobody has been seen yet."""
+    """Return copies of the tracks predicted to the next scan, all of them absent."""
     states = tracks.states.copy()
     states[..., [0, 2]] += states[..., [1, 3]]
     return tracks._replace(
@@ -304,7 +306,7 @@ def _advanced(tracks: Tracks) -> Tracks:
 
 
 def _distinct(places: Array, probability: Array, merge: float) -> Labels:
-    """The most probable places that are not near a more probable one, in that order."""
+    """Return indices of the most probable places farther than `merge` from any more probable one, in that order."""
     order = np.argsort(-probability, kind="stable")
     chosen: list[int] = []
     for i in order.tolist():
@@ -314,13 +316,14 @@ def _distinct(places: Array, probability: Array, merge: float) -> Labels:
 
 
 def _identify(tracks: Tracks, scene: int, found: Array, probability: Array) -> None:
-    """Write what was found over the tracks that it belongs to, or into free rows, with new labels."""
+    """Assign detections to tracks within the gate and the others to free rows with new labels; writes `tracks`."""
     labels, states = tracks.labels[scene], tracks.states[scene]
     labels[tracks.absent[scene] > RESERVED_SCANS] = 0
     known = np.flatnonzero(labels > 0)
     apart = np.hypot(*(states[known][:, None, [0, 2]] - found[None, :, [0, 2]]).transpose(2, 0, 1))
-    cost = np.where(apart < SAME, apart, 1e6)
-    taken = {int(j): int(known[i]) for i, j in zip(*linear_sum_assignment(cost), strict=True) if cost[i, j] < SAME}
+    cost = np.where(apart < ASSIGNMENT_GATE, apart, 1e6)
+    pairs = zip(*linear_sum_assignment(cost), strict=True)
+    taken = {int(j): int(known[i]) for i, j in pairs if cost[i, j] < ASSIGNMENT_GATE}
     free = [row for row in range(len(labels)) if labels[row] == 0]
     for j in range(len(found)):
         row = taken.get(j)
@@ -335,7 +338,7 @@ def _identify(tracks: Tracks, scene: int, found: Array, probability: Array) -> N
 
 @njit(cache=True, nogil=True)
 def _gather(places, number, scene, age, index, most, rows):  # type: ignore[no-untyped-def]
-    """The nearest measurements of other scans, in distances that grow with the time between."""
+    """Write the nearest measurements of other scans into rows; the unit of distance grows with the time between."""
     near = np.empty(most)
     which = np.empty((most, 2), np.int64)
     for row in range(len(scene)):
@@ -345,11 +348,11 @@ def _gather(places, number, scene, age, index, most, rows):  # type: ignore[no-u
         for other in range(places.shape[1]):
             if other == a:
                 continue
-            scale = NEAR + SPEED * abs(other - a)
+            scale = NEIGHBOR_DISTANCE + NEIGHBOR_SPEED * abs(other - a)
             for j in range(number[b, other]):
                 dx, dy = places[b, other, j, 0] - x, places[b, other, j, 1] - y
                 distance = np.sqrt(dx * dx + dy * dy) / scale
-                if distance > FARTHEST or (count == most and distance >= near[most - 1]):
+                if distance > NEIGHBOR_LIMIT or (count == most and distance >= near[most - 1]):
                     continue
                 at = min(count, most - 1)
                 while at > 0 and near[at - 1] > distance:
@@ -363,9 +366,9 @@ def _gather(places, number, scene, age, index, most, rows):  # type: ignore[no-u
             other, j = which[k]
             dx, dy = places[b, other, j, 0] - x, places[b, other, j, 1] - y
             steps = a - other
-            scale = NEAR + SPEED * abs(steps)
+            scale = NEIGHBOR_DISTANCE + NEIGHBOR_SPEED * abs(steps)
             out = rows[row, k * NEIGHBOR : (k + 1) * NEIGHBOR]
             out[0], out[1] = dx / scale, dy / scale
-            out[2], out[3] = dx / steps / NEAR, dy / steps / NEAR
-            out[4], out[5] = min(max(dx / NEAR, -3.0), 3.0), min(max(dy / NEAR, -3.0), 3.0)
+            out[2], out[3] = dx / steps / NEIGHBOR_DISTANCE, dy / steps / NEIGHBOR_DISTANCE
+            out[4], out[5] = min(max(dx / NEIGHBOR_DISTANCE, -3.0), 3.0), min(max(dy / NEIGHBOR_DISTANCE, -3.0), 3.0)
             out[6], out[7] = steps / 6.0, 1.0

@@ -1,4 +1,4 @@
-"""Learned agents in the table of agents: those that come with the package, and those in files of one's own."""
+"""Agent cards of learned agents, of the package's own networks and of other files."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ FACTORY = "servotrack.baselines.agents.learned.agent:create_learned_agent"
 
 @lru_cache(maxsize=1)
 def shipped_cards() -> dict[Path, LearnedCard]:
-    """Cards of the agents that come with the package, by their files."""
+    """Return the cards of the package's own networks by path."""
     return {path: load_card(path) for path in sorted(SHIPPED.glob("*.json"))}
 
 
 def shipped_agents() -> tuple[AgentCard, ...]:
-    """One row per name, however many environments it was trained in, a network for each."""
+    """Return one agent card per name; an agent may have networks for several environments."""
     by_name: dict[str, list[LearnedCard]] = {}
     for card in shipped_cards().values():
         by_name.setdefault(card.name, []).append(card)
@@ -40,10 +40,10 @@ def shipped_agents() -> tuple[AgentCard, ...]:
 
 
 def agent_in_file(path: Path) -> AgentCard:
-    """The row of a learned agent in a file; its name is the path.
+    """Return the agent card of a learned agent in a file; its name is the path.
 
     Raises:
-        AgentFileError: No card that can be used.
+        AgentFileError: A missing or invalid card.
     """
     card = load_card(path)
     return AgentCard(
@@ -58,10 +58,10 @@ def agent_in_file(path: Path) -> AgentCard:
 
 
 def shipped_file(name: str, env: Any) -> Path:
-    """The card of a shipped agent that was trained in an environment.
+    """Return the path of the card of one of the package's agents for an environment.
 
     Raises:
-        AgentFileError: It was trained in others only; the message lists them.
+        AgentFileError: The agent was trained in other environments only; the message lists them.
     """
     env_id, level = getattr(env.spec, "id", None), public_attribute(env, "level")
     trained = {path: card for path, card in shipped_cards().items() if card.name == name}

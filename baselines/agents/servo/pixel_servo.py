@@ -1,4 +1,4 @@
-"""A servo that is given images: a marker detector in front of a servo that is given features."""
+"""Visual servo on images: a marker detector in front of a servo that reads features."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from servotrack.estimators.types import Array, FloatArray, Mask
 
 PIXEL_KEYS = ("image", "joint_angles", "goal", "frame_time", "time")
 REFERENCE_SIZE = 480.0
-"""Width of the image that features are rescaled to, px."""
+"""Image width that features are rescaled to, px."""
 
 
 class MarkerFinder(Protocol):
-    """Finds the target's marker in images."""
+    """Contract of a marker detector."""
 
     def detect(self, images: Any) -> tuple[Array, Mask]:
-        """Centers, shape (*batch, 2), px, and whether it is seen, shape (*batch,), in images (*batch, H, W, 3)."""
+        """Return centers, shape (*batch, 2), px, and visibility, shape (*batch,), in images (*batch, H, W, 3)."""
 
 
-class SeenMemory(NamedTuple):
-    """What is remembered of images.
+class MarkerMemory(NamedTuple):
+    """Newest detection of the marker.
 
     Attributes:
-        features: Where the marker was last seen. Shape (*batch, 2), px of `REFERENCE_SIZE`.
-        frame_time: When that was. Shape (*batch, 1), s; -inf before.
+        features: Position of the marker when last seen. Shape (*batch, 2), px of `REFERENCE_SIZE`.
+        frame_time: Time stamp of that frame. Shape (*batch, 1), s; -inf before the first detection.
     """
 
     features: Array
@@ -40,31 +40,31 @@ class SeenMemory(NamedTuple):
 
 @dataclass(frozen=True)
 class MarkerFeatures:
-    """Turns images into the features that `UncalibServo-v0` would give.
+    """Converts images to the features that `UncalibServo-v0` observes.
 
-    Features are rescaled to an image of `REFERENCE_SIZE`, the unit that the estimators' noise parameters are given in.
+    Features are rescaled to an image of `REFERENCE_SIZE`, the unit of the estimators' noise parameters.
 
     Attributes:
-        eyes: What finds the marker.
+        detector: Finds the marker.
     """
 
-    eyes: MarkerFinder = field(default_factory=MarkerDetector)
+    detector: MarkerFinder = field(default_factory=MarkerDetector)
 
-    def initial(self, observation: Mapping[str, Any]) -> SeenMemory:
-        """Memory before the first image.
+    def initial(self, observation: Mapping[str, Any]) -> MarkerMemory:
+        """Return the memory before the first image.
 
         Raises:
             ValueError: A key is missing.
         """
         _check_keys(observation)
-        return SeenMemory(_scaled_goal(observation), np.full(np.shape(observation["frame_time"]), -np.inf))
+        return MarkerMemory(_scaled_goal(observation), np.full(np.shape(observation["frame_time"]), -np.inf))
 
-    def step(self, memory: SeenMemory, observation: Mapping[str, Any]) -> tuple[SeenMemory, dict[str, Any]]:
-        """Look at an image.
+    def step(self, memory: MarkerMemory, observation: Mapping[str, Any]) -> tuple[MarkerMemory, dict[str, Any]]:
+        """Process an image.
 
         Args:
-            memory: What the last call returned, or `initial`.
-            observation: As `UncalibServoPixels-v0` gives it, single or with a leading axis.
+            memory: Result of the last call, or of `initial`.
+            observation: Observation of `UncalibServoPixels-v0`, single or with a leading axis.
 
         Returns:
             The new memory, and an observation with features in place of the image.
@@ -73,12 +73,12 @@ class MarkerFeatures:
             ValueError: A key is missing.
         """
         _check_keys(observation)
-        found, seen = self.eyes.detect(observation["image"])
+        found, seen = self.detector.detect(observation["image"])
         stamp = np.asarray(observation["frame_time"], dtype=np.float64)
-        # A lost frame leaves the old image with its old stamp.
+        # After a lost frame the observation repeats the old image with its old stamp.
         new = seen[..., None] & (stamp > memory.frame_time)
         scale = REFERENCE_SIZE / np.shape(observation["image"])[-2]
-        memory = SeenMemory(np.where(new, scale * found, memory.features), np.where(new, stamp, memory.frame_time))
+        memory = MarkerMemory(np.where(new, scale * found, memory.features), np.where(new, stamp, memory.frame_time))
         return memory, {
             **{key: value for key, value in observation.items() if key != "image"},
             "features": memory.features,
@@ -101,11 +101,11 @@ class PixelServoState(NamedTuple):
     """State of `PixelServo`.
 
     Attributes:
-        seen: Of what turns images into features.
-        servo: State of the servo behind.
+        seen: Newest detection of the marker.
+        servo: State of the servo.
     """
 
-    seen: SeenMemory
+    seen: MarkerMemory
     servo: ControllerState
 
 
@@ -113,13 +113,13 @@ class PixelServo:
     """A marker detector in front of a `JacobianServo`: images in, fractions of the joint rate limit out.
 
     Args:
-        servo: What acts on the features.
-        eyes: Finds the marker.
+        servo: Servo that reads the features.
+        detector: Finds the marker; None: `MarkerDetector`.
     """
 
-    def __init__(self, servo: JacobianServo, eyes: MarkerFinder | None = None) -> None:
+    def __init__(self, servo: JacobianServo, detector: MarkerFinder | None = None) -> None:
         self.servo = servo
-        self.features = MarkerFeatures(eyes or MarkerDetector())
+        self.features = MarkerFeatures(detector or MarkerDetector())
 
     def predict(
         self,
@@ -131,16 +131,16 @@ class PixelServo:
         """Choose joint rates.
 
         Args:
-            observation: As `UncalibServoPixels-v0` gives it, single or with a leading axis.
-            state: What the last call returned; None starts anew.
+            observation: Observation of `UncalibServoPixels-v0`, single or with a leading axis.
+            state: Result of the last call; None starts anew.
             episode_start: Rows that start anew. Shape (N,), or a scalar for a single observation.
-            deterministic: These agents always are.
+            deterministic: Ignored: the action is always deterministic.
 
         Returns:
-            As `JacobianServo.predict`.
+            The action and the new state, as `JacobianServo.predict` returns them.
 
         Raises:
-            ValueError: A key is missing or a measurement is bad.
+            ValueError: A missing key or an invalid measurement.
         """
         before = None if state is None else state.seen
         batch = np.shape(observation.get("frame_time", (0.0,)))[:-1]

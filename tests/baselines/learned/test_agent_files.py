@@ -137,8 +137,8 @@ def test_a_network_that_is_not_the_card_s_is_refused(tmp_path: Path, env: Any) -
         ({"encoding": {"kind": "wavelets"}}, "kind servo, steering or flat"),
         ({"encoding": {"kind": "jacobian"}}, "a Jacobian needs"),
         ({"encoding": {"kind": "jacobian", "law": "bang-bang"}}, "law must be one of"),
-        ({"encoding": {"kind": "set"}}, "sets of points in clutter"),
-        ({"encoding": {"kind": "steering"}}, "reads scans of points in clutter"),
+        ({"encoding": {"kind": "set"}}, "scene_model` is a SceneModel"),
+        ({"encoding": {"kind": "steering"}}, "scene_model` is a SceneModel"),
         ({"encoding": {"kind": "servo", "follower": "phd-servo"}}, "does not fit this environment"),
         ({"levels": ["all"]}, "levels must be whole numbers"),
         ({"levels": 3}, "levels must be a list"),
@@ -189,7 +189,7 @@ def test_a_set_predictor_s_network_has_to_fit_its_window(tmp_path: Path) -> None
     assert env.action_space.contains(answer)
     with pytest.raises(AgentFileError, match="its window needs"):
         create_learned_agent(env, str(write(tmp_path, network(), encoding={"kind": "set"}, **fields)))
-    with pytest.raises(AgentFileError, match="asked <= scans"):
+    with pytest.raises(AgentFileError, match="`asked` <= scans"):
         settings = {"kind": "set", "asked": 0}
         create_learned_agent(env, str(write(tmp_path, network(SetWindow().size, 5), encoding=settings, **fields)))
 

@@ -75,7 +75,7 @@ def test_features_of_the_person_may_be_read_flat() -> None:
     [
         ({**SETTINGS, "follower": "kf"}, "choose|PedestrianServo|needs an environment"),
         ({**SETTINGS, "kind": "steering"}, "encoding steering takes"),
-        ({"kind": "steering", "follower": "phd-servo"}, "reads scans of points in clutter"),
+        ({"kind": "steering", "follower": "phd-servo"}, "scene_model` is a SceneModel"),
         ({**SETTINGS, "residual": "kf"}, "choose|PedestrianServo|needs an environment"),
         ({**SETTINGS, "colors": 3}, "encoding servo takes"),
         ({**SETTINGS, "follower": "random"}, "follower must name an agent that follows"),

@@ -157,7 +157,7 @@ def test_answers_that_are_near_each_other_are_one_target() -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"asked": 13}, "asked <= scans"),
+        ({"asked": 13}, "`asked` <= scans"),
         ({"neighbors": 0}, "neighbors"),
         ({"merge": 0.0}, "merge"),
         ({"report": 1.0}, "report"),

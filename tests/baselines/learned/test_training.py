@@ -350,7 +350,7 @@ def test_eyes_learn_and_see_what_they_have_learned(tmp_path: Path) -> None:
     assert curve.steps >= 9_600
     with pytest.raises(ValueError, match="images must be uint8"):
         eyes.detect(np.zeros((96, 96, 3), np.uint8))
-    with pytest.raises(AgentFileError, match="images are observed"):
+    with pytest.raises(AgentFileError, match="detects markers in images"):
         create_agent(agent_card(str(path)), gym.make("UncalibServo-v0"))
     with pytest.raises(ValueError, match="eyes needs"):
         create_encoding({"kind": "servo", "eyes": str(path)}, gym.make("UncalibServo-v0"))
