@@ -1,1 +1,1 @@
-"""Reproductions of the papers' experiments, one folder per paper, and the claims audit."""
+"""Reproductions of published experiments, one folder per paper, and the audit of the papers' claims."""

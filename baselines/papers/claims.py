@@ -1,4 +1,4 @@
-"""The claims audit: a row per claim of a paper, with a verdict, an effect with its interval, and what shows it."""
+"""Audit of the papers' claims: verdict, effect with its interval, and the command that shows it, one row per claim."""
 
 from __future__ import annotations
 
@@ -15,23 +15,24 @@ from servotrack.baselines.reporting.grid import Grid
 
 Verdict = Literal["holds", "does not hold", "no difference", "open"]
 SHIPPED = Path(__file__).with_name("claims.yaml")
-NEGLIGIBLE = 1e-6
-"""Differences of tracking errors below this are rounding, m."""
+ROUNDING_ERROR = 1e-6
+"""Differences of tracking errors below this are rounding errors, m."""
 
 
 @dataclass(frozen=True)
 class Claim:
-    """One row.
+    """One claim of a paper.
 
     Attributes:
-        id: Unique.
-        paper: Number of the paper.
-        source: Where the paper says it.
-        claim: What it says.
-        verdict: What we find.
-        effect: Its size: `value`, `low`, `high` (95 % interval), `unit` and what was `measured`; None without one.
-        finding: Why, in a sentence: structure, information or tuning.
-        command: What shows it.
+        id: Unique name.
+        paper: Name of the paper: its folder and the argument of `servotrack reproduce`.
+        source: Section, equation, table or figure of the paper that makes the claim.
+        claim: Statement of the paper.
+        verdict: Result of the audit.
+        effect: Effect size: `value`, `low`, `high` (95 % interval), `unit`, and the quantity `measured`; None if it has
+            none.
+        finding: Reason in one sentence: structure, information or tuning.
+        command: Command that shows it.
     """
 
     id: str
@@ -45,10 +46,10 @@ class Claim:
 
 
 def read_claims(path: Path = SHIPPED) -> list[Claim]:
-    """Rows of a claims file.
+    """Read the claims of a file.
 
     Raises:
-        ResultsError: The file is missing or is no claims file.
+        ResultsError: The file is missing or invalid.
     """
     try:
         rows = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -56,7 +57,7 @@ def read_claims(path: Path = SHIPPED) -> list[Claim]:
     except OSError as error:
         raise ResultsError(f"{path} cannot be read ({error.strerror}); give the path of a claims file") from error
     except (yaml.YAMLError, TypeError) as error:
-        raise ResultsError(f"{path} is no claims file ({error}); restore it") from error
+        raise ResultsError(f"{path} is not a valid claims file ({error}); restore it") from error
     wrong = [claim.id for claim in claims if claim.verdict not in get_args(Verdict)]
     if wrong:
         raise ResultsError(f"{path}: verdict of {', '.join(wrong)} must be one of {', '.join(get_args(Verdict))}")
@@ -64,7 +65,7 @@ def read_claims(path: Path = SHIPPED) -> list[Claim]:
 
 
 def write_claims(claims: Sequence[Claim], path: Path) -> None:
-    """Write a claims file, whole or not at all; comments at the head of an earlier one stay."""
+    """Write a claims file atomically. Comments at the head of an existing file are kept."""
     head = ""
     if path.exists():
         lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
@@ -79,16 +80,16 @@ def write_claims(claims: Sequence[Claim], path: Path) -> None:
 
 
 def fill(claims: Sequence[Claim], findings: Sequence[Claim]) -> list[Claim]:
-    """Claims with the verdicts, effects, findings and commands of `findings` of the same id.
+    """Return the claims with verdicts, effects, findings and commands copied from `findings` of the same id.
 
     Raises:
-        ValueError: A finding about no known claim.
+        ValueError: A finding has an unknown id.
     """
     known = {claim.id for claim in claims}
     new = {finding.id: finding for finding in findings}
-    strangers = [name for name in new if name not in known]
-    if strangers:
-        raise ValueError(f"findings must be about known claims, got {', '.join(strangers)}; add them to {SHIPPED.name}")
+    unknown = [name for name in new if name not in known]
+    if unknown:
+        raise ValueError(f"findings must be about known claims, got {', '.join(unknown)}; add them to {SHIPPED.name}")
     return [
         replace(claim, verdict=f.verdict, effect=f.effect, finding=f.finding, command=f.command)
         if (f := new.get(claim.id))
@@ -108,7 +109,7 @@ def claims_grid(claims: Sequence[Claim]) -> Grid:
 
 
 def judge_smaller(difference: PairedDifference) -> Verdict:
-    """Whether "the first error is smaller than the second" holds, from their paired difference."""
-    if max(abs(difference.low), abs(difference.high)) < NEGLIGIBLE or difference.low <= 0.0 <= difference.high:
+    """Return the verdict on "the first error is smaller than the second" from their paired difference."""
+    if max(abs(difference.low), abs(difference.high)) < ROUNDING_ERROR or difference.low <= 0.0 <= difference.high:
         return "no difference"
     return "holds" if difference.high < 0.0 else "does not hold"

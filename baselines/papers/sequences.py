@@ -1,4 +1,4 @@
-"""The sequences that paper 000 is run on: the rendered one, and the user's own."""
+"""Sequences for gm_phd_video and transfer: rendered ones, and recordings of the user."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ SCRIPT = "meet_split_third_guy"
 ENVIRONMENT = "PedestrianTracking-v0"
 BACKGROUND_FRAMES = 40
 WIDTH, HEIGHT = 384, 288
-"""The paper's frames; others are brought to this height."""
+"""Frame size of the paper, px. Other sequences are scaled to this height."""
 
 
 @dataclass
 class Sequence:
-    """Frames in one pass, and what is true of them once they have passed.
+    """Frames that can be read once, and the truth, which is complete after the last frame.
 
     Attributes:
-        name: For tables.
-        frames: RGB, uint8, in one pass.
+        name: Name in tables.
+        frames: RGB frames, uint8; can be read once.
         size: Width and height, px.
         frame_rate: Frames per second.
-        background: Spaced frames to start a background from; None where the first frame is empty.
-        truth: Tracks of the people who count; complete only after the last frame.
-        numbers: How many people are there in each frame, hidden ones included, likewise. Shape (T,).
+        background: Spaced frames that initialize a background model; None if the first frame is empty.
+        truth: Tracks of the people that count. Complete only after the last frame.
+        numbers: Number of people in each frame, including hidden ones, shape (T,). Complete only after the last frame.
     """
 
     name: str
@@ -46,16 +46,16 @@ class Sequence:
 
 
 def rendered(seed: int, **axes: Any) -> Sequence:
-    """An episode of the pedestrian scene.
+    """Return an episode of the pedestrian scene.
 
     Args:
-        seed: Of the environment.
+        seed: Seed of the environment.
         **axes: Keywords of `PedestrianTracking-v0`.
     """
     env = gym.make(ENVIRONMENT, **axes)
     made = Sequence(f"seed {seed}", iter(()), (WIDTH, HEIGHT), 0.0, None, [], np.zeros(0, np.int64))
-    told: Any = env.get_wrapper_attr("scene_model")
-    made.size, made.frame_rate = (told.width, told.height), told.frame_rate
+    scene: Any = env.get_wrapper_attr("scene_model")
+    made.size, made.frame_rate = (scene.width, scene.height), scene.frame_rate
 
     def run() -> Iterator[Image]:
         observation, info = env.reset(seed=seed)
@@ -79,11 +79,11 @@ def rendered(seed: int, **axes: Any) -> Sequence:
 
 
 def recorded(recording: Recording) -> Sequence:
-    """A sequence of the user's, brought to the paper's height.
+    """Return a recording of the user, scaled to the paper's height.
 
     Raises:
-        SequenceError: Files that cannot be used.
-        ValueError: A sequence without truth.
+        SequenceError: The files cannot be used.
+        ValueError: The recording has no truth.
     """
     tracks = read_tracks(recording.truth or recording.source)
     frames = open_frames(recording.source, height=HEIGHT)
@@ -112,6 +112,6 @@ def recorded(recording: Recording) -> Sequence:
 
 
 def _until(track: Track, frames: int) -> Track:
-    """What of a track lies in the frames that could be decoded."""
+    """Part of a track within the first `frames` frames, which could be decoded."""
     kept = track.steps < frames
     return Track(track.steps[kept], track.states[kept])

@@ -1,4 +1,4 @@
-"""Do rankings of trackers on rendered people predict their rankings on real sequences?"""
+"""Rank correlation of trackers between rendered people and the user's sequences."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CONFIGURATIONS: Mapping[str, Method] = {
     f"{detector} + {tracker}": Method(detector, tracker) for detector, tracker in itertools.product(DETECTORS, TRACKERS)
 }
 SCENES: Mapping[str, dict[str, int]] = {"plain": {"level": 0}, "crowd": {"level": 2}, "light": {"level": 4}}
-"""Rendered scenes to predict from."""
+"""Rendered scenes that are compared with the user's sequences."""
 FRAMES = 300
 NOTE = (
     "Spearman's rank correlation of MOTA over all pairs of detector and tracker; a match is a center within 0.6 of the "
@@ -34,7 +34,11 @@ NOTE = (
 
 
 def reproduce(request: Request) -> None:
-    """Rank all configurations on rendered scenes and on the user's sequences, and correlate the rankings."""
+    """Rank all configurations on rendered scenes and on the user's sequences, and correlate the rankings.
+
+    Args:
+        request: Request; `runs` is the number of episodes per scene.
+    """
     output, console = request.output, request.console
     ranked: dict[str, Array] = {}
     with progress_bars() as progress:
@@ -54,8 +58,8 @@ def reproduce(request: Request) -> None:
     for title, grid in tables.items():
         console.print(as_rich(grid, title))
     hint = "" if request.recordings else (
-        " Without --source this only says how rendered scenes predict each other: give --source VIDEO --truth FILE, "
-        "as often as you have sequences."
+        " Without --source only rendered scenes are compared with each other. Add --source VIDEO --truth FILE for each "
+        "of your sequences."
     )  # fmt: skip
     console.print(NOTE + hint, style="dim")
     with atomic_path(output / "transfer.md") as temporary:
@@ -67,12 +71,12 @@ def reproduce(request: Request) -> None:
 
 
 def _document(tables: Mapping[str, Grid], runs: int, heading: str) -> str:
-    """All tables as Markdown, with the command that wrote them; `heading` is what begins their titles."""
+    """Return all tables as Markdown, with the command that wrote them. `heading` precedes each title."""
     return f"Written by `{command_line()}`, {runs} runs per scene. {NOTE}\n\n{as_sections(tables, heading)}"
 
 
 def _mota(sequence: sequences.Sequence) -> Array:
-    """MOTA of every configuration, in their order."""
+    """MOTA of every configuration, shape (configurations,)."""
     outcomes = run_methods(sequence.frames, sequence.size, sequence.frame_rate, CONFIGURATIONS, sequence.background)
     return np.array([scores(outcomes[name], sequence.truth).mota for name in CONFIGURATIONS])
 
@@ -87,7 +91,7 @@ def _correlations(ranked: Mapping[str, Array]) -> Grid:
 
 
 def rank_correlation(first: Array, second: Array) -> str:
-    """Spearman's correlation with a bootstrap interval over configurations."""
+    """Return Spearman's rank correlation with a bootstrap interval over configurations."""
     value = float(spearmanr(first, second).statistic)
     chosen = np.random.default_rng(RESAMPLING_SEED).integers(0, len(first), (RESAMPLES, len(first)))
     resampled = [float(spearmanr(first[rows], second[rows]).statistic) for rows in chosen]

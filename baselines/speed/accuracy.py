@@ -13,6 +13,7 @@ from servotrack.baselines.evaluation import seeds, statistics
 from servotrack.baselines.evaluation.bench import default_agents
 from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.results import CellResults
+from servotrack.estimators.types import Array
 
 ENV_ID = "UncalibServo-v0"
 BOUND = "informed-bound"
@@ -114,7 +115,7 @@ def gap_table(found: Cells) -> str:
     return "\n".join(lines)
 
 
-def steady(cell: CellResults) -> np.ndarray[Any, np.dtype[np.float64]]:
+def steady(cell: CellResults) -> Array:
     """Mean tracking error of every episode after 3 s, shape (episodes,), m."""
     return np.array([row["steady"] for row in cell.rows])
 

@@ -10,21 +10,26 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from servotrack.baselines.speed.stepping import WARM_UP, serve
 from servotrack.estimators.rfs import GMPHD, PMB, Birth, GMCBMeMBer, Reduction, constant_velocity
-from servotrack.estimators.types import Array
+from servotrack.estimators.rfs.sets import SetEstimate
+from servotrack.estimators.types import Array, Estimator
 
-FILTERS: dict[str, Any] = {"GMPHD": GMPHD, "GMCBMeMBer": GMCBMeMBer, "PMB": PMB}
+SetFilter: TypeAlias = "Estimator[ArrayLike, Any, SetEstimate]"
+"""Filter of measurement sets: a scan in, targets with identities out."""
+
+FILTERS: dict[str, Callable[..., SetFilter]] = {"GMPHD": GMPHD, "GMCBMeMBer": GMCBMeMBer, "PMB": PMB}
 
 CROWD, CROWD_CLUTTER, CROWD_STEPS = 100, 200.0, 30
 CROWD_HALF_WIDTH = 2000.0
 
 
-def scenario_filter(kind: str, stored: Any) -> Any:
+def scenario_filter(kind: str, stored: Any) -> SetFilter:
     """Return a filter with the model of the stored scans.
 
     Args:
@@ -46,7 +51,7 @@ def stored_scans(stored: Any, batch: int) -> list[Array]:
     return list(np.swapaxes(stored["rows"][:batch], 0, 1))
 
 
-def crowd(kind: str) -> tuple[Any, list[Array]]:
+def crowd(kind: str) -> tuple[SetFilter, list[Array]]:
     """Return a filter and scans of 100 targets that exist all the time, spread over the whole region."""
     rng = np.random.default_rng(0)
     model = constant_velocity(5.0, 1.5)
@@ -66,7 +71,7 @@ def crowd(kind: str) -> tuple[Any, list[Array]]:
     return FILTERS[kind](model, birth, clutter_intensity=kappa, reduction=Reduction(**size)), scans
 
 
-def filterer(filter_: Any, scans: Sequence[Array], batch: int) -> Callable[[float], float]:
+def filterer(filter_: SetFilter, scans: Sequence[Array], batch: int) -> Callable[[float], float]:
     """Return a function that runs for a given time, s, and returns scans filtered per second, summed over runs."""
 
     def run(duration: float) -> float:
@@ -82,7 +87,7 @@ def filterer(filter_: Any, scans: Sequence[Array], batch: int) -> Callable[[floa
     return run
 
 
-def estimates(filter_: Any, scans: Sequence[Array]) -> list[list[list[float]]]:
+def estimates(filter_: SetFilter, scans: Sequence[Array]) -> list[list[list[float]]]:
     """Return the positions reported after each scan, m."""
     state, answers = filter_.initial(scans[0]), []
     for scan in scans:

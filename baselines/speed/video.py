@@ -19,7 +19,7 @@ from servotrack.baselines.evaluation.seeds import TEST
 from servotrack.baselines.speed.environments import stepping_command
 from servotrack.baselines.speed.rates import Subject
 from servotrack.baselines.speed.stepping import WARM_UP, serve
-from servotrack.estimators.types import Array, Image
+from servotrack.estimators.types import Array, Estimator, Image
 
 VIDEO = Path(__file__)
 FRAMES = 250
@@ -120,7 +120,7 @@ def _color_steps(name: str) -> tuple[Callable[[], Any], int]:
     return track, len(frames) - 1
 
 
-def _run(estimator: Any, first: Any, stream: Sequence[Any]) -> list[Any]:
+def _run(estimator: Estimator[Any, Any, Any], first: Any, stream: Sequence[Any]) -> list[Any]:
     """Estimates of an estimator for a whole stream of measurements."""
     state, answers = estimator.initial(stream[0] if first is None else first), []
     for measurement in stream:

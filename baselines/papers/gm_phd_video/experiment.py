@@ -1,4 +1,4 @@
-"""One sequence, several detectors and filters on it, and what each of them made of it."""
+"""Run several detectors and filters on one sequence and compare their counts and tracks."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from servotrack.baselines.agents.people.catalog import create_detector, create_tracker
+from servotrack.baselines.agents.people.catalog import BoxTracker, create_detector, create_tracker
+from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.metrics import MotScores, Track, centroid_distances, mot_scores
 from servotrack.estimators.types import Array, Image, Labels
 
 COUNTED_FRAMES = 800
-"""The paper counts its first 800 frames."""
+"""Number of first frames in which the paper counts people."""
 
 
 class Method(NamedTuple):
-    """A detector and a filter by their names in `servotrack.baselines.agents.people.catalog`."""
+    """Names of a detector and a filter in `servotrack.baselines.agents.people.catalog`."""
 
     detector: str
     tracker: str
@@ -34,18 +35,18 @@ METHODS: Mapping[str, Method] = {
     "Kalman + Hungarian": Method("masked", "kalman-hungarian"),
     "PMB": Method("masked", "pmb"),
 }
-"""What the paper has first, with and without its filter; then ours on our detector."""
+"""Compared methods: those of the paper, with and without its filter, then filters on our detector."""
 
 
 @dataclass
 class Outcome:
-    """What one method made of one sequence.
+    """Result of one method on one sequence.
 
     Attributes:
         counts: Number of people reported in each frame. Shape (T,).
         tracks: Reported boxes by identity, px.
-        detection_seconds: Mean time of the detector per frame, s.
-        filter_seconds: Mean time of the filter per frame, s.
+        detection_seconds: Median time of the detector per frame, s.
+        filter_seconds: Median time of the filter per frame, s.
     """
 
     counts: Labels
@@ -56,16 +57,16 @@ class Outcome:
 
 @dataclass
 class _Progress:
-    """One method under way."""
+    """Estimates of one method so far."""
 
-    tracker: Any
+    tracker: BoxTracker
     state: Any = None
     counts: list[int] = field(default_factory=list)
     steps: dict[int, list[int]] = field(default_factory=dict)
     boxes: dict[int, list[Array]] = field(default_factory=dict)
     seconds: list[float] = field(default_factory=list)
 
-    def take(self, frame: int, detections: Any) -> None:
+    def take(self, frame: int, detections: Detections) -> None:
         begin = time.perf_counter()
         if self.state is None:
             self.state = self.tracker.initial(detections)
@@ -78,7 +79,7 @@ class _Progress:
 
     def outcome(self, detection_seconds: float) -> Outcome:
         tracks = [Track(np.array(self.steps[label]), np.array(self.boxes[label])) for label in self.steps]
-        # The median: the first calls compile, and another program's moment should not decide.
+        # The median ignores the first calls, which compile, and short interruptions by other programs.
         return Outcome(np.array(self.counts), tracks, detection_seconds, float(np.median(self.seconds)))
 
 
@@ -89,17 +90,20 @@ def run_methods(
     methods: Mapping[str, Method] = METHODS,
     background: Sequence[Image] | None = None,
 ) -> dict[str, Outcome]:
-    """Run methods side by side over one pass of the frames; each detector works once.
+    """Run all methods in one pass over the frames. Methods with the same detector share its detections.
 
     Args:
-        frames: RGB, uint8, all of one shape.
+        frames: RGB frames of one shape, uint8.
         size: Width and height, px.
         frame_rate: Frames per second.
-        methods: By the name in tables.
-        background: Frames that the detectors start from; None for the first frame.
+        methods: Methods, keyed by the name in tables.
+        background: Frames that initialize the detectors' background; None for the first frame.
+
+    Returns:
+        Results, keyed like `methods`.
 
     Raises:
-        ValueError: Naming a detector or tracker that does not exist; no frames.
+        ValueError: Unknown detector or tracker, or no frames.
     """
     detectors = {name: create_detector(name) for name in {method.detector for method in methods.values()}}
     states: dict[str, Any] = {}
@@ -124,10 +128,10 @@ def run_methods(
 
 
 def count_right(outcome: Outcome, numbers: Labels, frames: int = COUNTED_FRAMES) -> float:
-    """Share of the first frames in which a method reported the right number of people."""
+    """Return the share of the first `frames` frames in which the reported number of people is right."""
     return float(np.mean(outcome.counts[:frames] == numbers[:frames]))
 
 
 def scores(outcome: Outcome, truth: Sequence[Track]) -> MotScores:
-    """CLEAR MOT, IDF1 and HOTA; a match is a center within 0.6 of the true box's height."""
+    """Return CLEAR MOT, IDF1 and HOTA. Centers match within 0.6 of the true box's height."""
     return mot_scores(truth, outcome.tracks, centroid_distances, 1.2, 0.5)

@@ -1,4 +1,4 @@
-"""Figures of paper 000: frames with detections and tracks, and the number of people over time."""
+"""Figures 2 and 3 of the paper: frames with detections and tracks, and the number of people over time."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _FILTERED, _UNFILTERED = "#b5121b", "#2f7ebc"
 
 
 def draw_counts(numbers: Labels, outcomes: Mapping[str, Outcome], frame_rate: float) -> Figure:
-    """Figure 3: the real and the estimated number over time, one panel per method.
+    """Draw figure 3: the true and the estimated number of people over time, one panel per method.
 
     Args:
-        numbers: Real number of people in each frame, shape (T,).
-        outcomes: By method.
+        numbers: True number of people in each frame, shape (T,).
+        outcomes: Results, keyed by method.
         frame_rate: Frames per second.
     """
     import matplotlib as mpl
@@ -50,10 +50,10 @@ def draw_counts(numbers: Labels, outcomes: Mapping[str, Outcome], frame_rate: fl
 
 
 def draw_frames(pictures: Sequence[tuple[str, Image, Image]]) -> Figure:
-    """Figure 2: detections on the left, tracks on the right, at the frames that the paper shows.
+    """Draw figure 2: detections on the left, tracks on the right, at the frames that the paper shows.
 
     Args:
-        pictures: Title, frame with detections, frame with tracks.
+        pictures: Tuples of title, frame with detections, and frame with tracks.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure

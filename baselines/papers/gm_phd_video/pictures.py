@@ -1,4 +1,4 @@
-"""The pictures of paper 000's figure 2: detections and tracks at four frames of its sequence."""
+"""Images of the paper's figure 2: detections and tracks at four frames of its sequence."""
 
 from __future__ import annotations
 
@@ -14,25 +14,29 @@ from servotrack.envs.track.people.box_paint import BoxTrail, annotate
 from servotrack.estimators.types import Image
 
 SHOWN = {330: "a new person", 450: "two merge", 468: "two part", 528: "one has left"}
-"""Frames of figure 2."""
+"""Frame numbers of figure 2, with the event that each shows."""
 _DETECTED = (226, 85, 52)
 
 
 def paper_pictures(seed: int, method: Method) -> list[tuple[str, Image, Image]]:
-    """A title, the frame with its detections and the frame with its tracks, for each of `SHOWN`.
+    """Return title, frame with detections and frame with tracks, for each frame in `SHOWN`.
 
     Args:
-        seed: Of the environment.
+        seed: Seed of the environment.
         method: Detector and filter.
     """
     sequence = sequences.rendered(seed, script=sequences.SCRIPT, horizon=max(SHOWN) + 1)
     detector, tracker = create_detector(method.detector), create_tracker(method.tracker, sequence.size, 25.0)
-    seen: Any = None
-    believed: Any = None
+    detector_state: Any = None
+    tracker_state: Any = None
     pictures = []
     for number, frame in enumerate(sequence.frames):
-        seen, detections = detector.step(detector.initial(frame) if seen is None else seen, frame)
-        believed, estimate = tracker.step(tracker.initial(detections) if believed is None else believed, detections)
+        if detector_state is None:
+            detector_state = detector.initial(frame)
+        detector_state, detections = detector.step(detector_state, frame)
+        if tracker_state is None:
+            tracker_state = tracker.initial(detections)
+        tracker_state, estimate = tracker.step(tracker_state, detections)
         if number in SHOWN:
             tracks = [
                 BoxTrail(label, box[None]) for label, box in zip(estimate.labels.tolist(), estimate.states, strict=True)

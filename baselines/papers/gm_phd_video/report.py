@@ -1,4 +1,4 @@
-"""Paper 000 beside ours: how often the number of people is right, identities, speeds, figures 2 and 3, claims."""
+"""Report of gm_phd_video: count accuracy, identities, speed, figures 2 and 3, and claims."""
 
 from __future__ import annotations
 
@@ -34,26 +34,26 @@ TUNED, UNFILTERED = "GM-PHD, tuned", "no filter"
 SHOWN_COUNTS = (AS_PRINTED, UNFILTERED, PAPER, TUNED, "PMB")
 PAPER_COUNT_RIGHT = 0.827
 PAPER_RATES = {"detection": 9.6, "filter": 17.2, "both": 6.25}
-"""Frames per second on a 2.2 GHz processor of 2009."""
+"""Frames per second in the paper, on a 2.2 GHz processor of 2009."""
 NOTE = (
     "The paper's sequence is a recording of the CAVIAR project; here its schedule of people is played by the "
     "pedestrian scene, drawn anew for every seed of the test range. Count right: share of the first "
     f"{COUNTED_FRAMES} frames in which the number reported is the number of people present, hidden ones included. A "
-    "match of MOTA, IDF1 and HOTA is a center within 0.6 of the true height, of people of whom at least a fifth can be "
-    "seen. Brackets: 95 % intervals over seeds. Assumed, for the paper is silent: births of weight 0.05 at unexplained "
-    "measurements, spawning of weight 0.02, and threshold, learning rate and smallest blob of its detector. Without a "
-    "filter every box is an identity of its own, which MOTA and IDF1 punish."
+    "match of MOTA, IDF1 and HOTA is a center within 0.6 of the true height; people count if at least a fifth of them "
+    "is visible. Brackets: 95 % intervals over seeds. Assumed, for the paper is silent: births of weight 0.05 at "
+    "unexplained measurements, spawning of weight 0.02, and threshold, learning rate and smallest blob of its "
+    "detector. Without a filter every box is an identity of its own, which MOTA and IDF1 punish."
 )
 
 
 class Measured(NamedTuple):
-    """One method over all sequences, one entry each.
+    """Measurements of one method, one entry per sequence.
 
     Attributes:
-        count_right: Shares.
-        mota, idf1, hota: Shares.
-        switches: Identity switches.
-        detection, filter: Seconds per frame.
+        count_right: Share of frames with the right number of people.
+        mota, idf1, hota: Scores, from 0 to 1; MOTA may be negative.
+        switches: Number of identity switches.
+        detection, filter: Time per frame, s.
     """
 
     count_right: Array
@@ -66,7 +66,11 @@ class Measured(NamedTuple):
 
 
 def reproduce(request: Request) -> None:
-    """Reproduce paper 000; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`."""
+    """Reproduce Wu and Hu 2010; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`.
+
+    Args:
+        request: Request; `runs` is the number of rendered sequences.
+    """
     with progress_bars() as progress:
         bar = progress.add_task("rendered sequences", total=request.runs)
         outcomes: list[dict[str, Outcome]] = []
@@ -97,7 +101,7 @@ def reproduce(request: Request) -> None:
 
 
 def measure(outcomes: Sequence[Mapping[str, Outcome]], played: Sequence[sequences.Sequence]) -> dict[str, Measured]:
-    """What is measured of every method, one entry per sequence."""
+    """Return the measurements of every method, one entry per sequence."""
     found = {}
     for name in outcomes[0]:
         rows = []
@@ -112,7 +116,7 @@ def measure(outcomes: Sequence[Mapping[str, Outcome]], played: Sequence[sequence
 
 
 def quality_grid(measured: Mapping[str, Measured]) -> Grid:
-    """Count, identities and scores of all methods."""
+    """Return count accuracy, scores and identity switches of all methods as a table."""
     headings = ["method", "detector", "filter", "count right %", "MOTA", "IDF1", "HOTA", "identity switches"]
     rows = [["paper", "", "", f"{100 * PAPER_COUNT_RIGHT:.1f}", "", "", "", ""]]
     for name, m in measured.items():
@@ -125,7 +129,7 @@ def quality_grid(measured: Mapping[str, Measured]) -> Grid:
 
 
 def speed_grid(measured: Mapping[str, Measured]) -> Grid:
-    """Frames per second of detection, filter and both."""
+    """Return frames per second of detection, filter and both as a table."""
     rows = [["paper, 2.2 GHz", *(f"{PAPER_RATES[part]:g}" for part in ("detection", "filter", "both"))]]
     for name, m in measured.items():
         detection, filtering = float(np.median(m.detection)), float(np.median(m.filter))
@@ -134,7 +138,7 @@ def speed_grid(measured: Mapping[str, Measured]) -> Grid:
 
 
 def findings(measured: Mapping[str, Measured]) -> list[Claim]:
-    """Verdicts on the paper's claims."""
+    """Return verdicts on the paper's claims."""
     paper, printed, tuned, plain = (measured[name] for name in (PAPER, AS_PRINTED, TUNED, UNFILTERED))
     right = paired_difference(100 * paper.count_right, np.full_like(paper.count_right, 100 * PAPER_COUNT_RIGHT))
     filtered = paired_difference(100 * paper.count_right, 100 * plain.count_right)

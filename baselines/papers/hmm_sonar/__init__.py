@@ -1,1 +1,1 @@
-"""Reproduction of paper 003: targets in bearing-time records, tracked by hidden Markov models."""
+"""Jiang and Zhou (2016): targets in bearing-time records, tracked by hidden Markov models."""

@@ -1,4 +1,4 @@
-"""Paper 003's experiment: its simulation at falling signal-to-noise ratios, a sea trial, and an hour of noise."""
+"""Experiment of Jiang and Zhou (2016): simulation at falling signal-to-noise ratios, a sea trial, an hour of noise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from rich.progress import Progress
 
-from servotrack.baselines.agents.sonar.catalog import sonar_tracker
+from servotrack.baselines.agents.sonar.catalog import BearingTracker, sonar_tracker
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.papers.hmm_sonar.scores import RecordScores, score_tracks
@@ -35,26 +35,26 @@ METHODS: dict[str, str] = {
     NEAREST: "peak-nearest-neighbor",
     HUNGARIAN: "peak-kalman-hungarian",
 }
-"""What is compared, by name: trackers of `servotrack.baselines.agents.sonar.catalog`. `LATE` is given row after row."""
+"""Compared methods: name to tracker of `servotrack.baselines.agents.sonar.catalog`. `LATE` runs row by row."""
 LAG = 5
-"""Records by which `LATE` answers later."""
-SLOW, FEW = (LATE, CELL), 5
-"""Methods that get one record in so many: they do much work again for every row or every false track."""
+"""Delay of `LATE`, records of 1 s."""
+SLOW, SLOW_STRIDE = (LATE, CELL), 5
+"""Slow methods, which run on every fifth record: they repeat work for every row or every false track."""
 OFFSETS = (0, -4, -8, -12, -16, -20, -22, -24)
-"""Below the paper's signal-to-noise ratios, dB."""
+"""Offsets from the paper's signal-to-noise ratios, dB."""
 SIMULATIONS = ("rates", "cross30")
 TRIAL, NOISE = "trial", "noise"
 NOISE_LENGTH, NOISE_RUNS = 600, 6
-"""Records of 1 s in a run of noise, and its runs: an hour together."""
+"""Length of a run of noise, records of 1 s, and number of runs: one hour in total."""
 
 
 class Condition(NamedTuple):
-    """One world and how often it is drawn.
+    """World and number of its records.
 
     Attributes:
-        name: For tables and files.
-        config: The world, beamformed from snapshots.
-        runs: Records, on as many seeds.
+        name: Name in tables and files.
+        config: Parameters of the world, beamformed from snapshots.
+        runs: Number of records, one per seed.
     """
 
     name: str
@@ -63,11 +63,11 @@ class Condition(NamedTuple):
 
 
 class Measures(NamedTuple):
-    """What is measured of a method in a condition, one row for each run; n columns of targets.
+    """Measurements of one method in one condition, one row per run, n columns of targets.
 
     Attributes:
-        squared_error, tracked, present, start, end: As in `RecordScores`, shape (runs, n).
-        crossings, kept, swapped, false_tracks, count_right: As there, shape (runs,).
+        squared_error, tracked, present, start, end: Scores per target as in `RecordScores`, shape (runs, n).
+        crossings, kept, swapped, false_tracks, count_right: Scores per run as in `RecordScores`, shape (runs,).
         seconds: Duration of tracking a record, shape (runs,), s.
     """
 
@@ -85,15 +85,15 @@ class Measures(NamedTuple):
 
 
 def simulation(variant: str, offset: int) -> str:
-    """Name of a simulation at an offset."""
+    """Return the name of a simulation at an offset in dB."""
     return f"{variant}{offset:+d}dB" if offset else f"{variant}-0dB"
 
 
 def plan(runs: int) -> list[Condition]:
-    """All conditions.
+    """Return all conditions.
 
     Args:
-        runs: Records of each but the noise.
+        runs: Records of each condition except noise.
     """
     simulations = [
         Condition(
@@ -116,34 +116,34 @@ def plan(runs: int) -> list[Condition]:
 
 
 def draw_rows(config: SonarConfig, scene: SonarScene, seed: int) -> Array:
-    """A whole record and the `lag` rows after it, shape (horizon + lag, beams)."""
+    """Return a record and the `lag` rows after it, shape (horizon + lag, beams)."""
     return np.array([draw_record(config, scene, seed, k) for k in range(config.horizon + config.lag)])
 
 
-def follow(tracker: Any, told: SonarModel, rows: Array, late: bool = False) -> list[Track]:
-    """What a tracker makes of a record.
+def follow(tracker: BearingTracker, scene: SonarModel, rows: Array, late: bool = False) -> list[Track]:
+    """Return the tracks of a record.
 
     Args:
-        tracker: As `sonar_tracker` makes it.
-        told: What agents are told.
-        rows: As `draw_rows` makes them.
-        late: Whether it gets row after row, the `lag` ones after the record's end too, instead of all at once.
+        tracker: Tracker from `sonar_tracker`.
+        scene: Parameters of the receiver that agents receive.
+        rows: Rows from `draw_rows`.
+        late: If true, pass row by row, including the `lag` rows after the record; if false, pass the record at once.
     """
     if late:
-        return _follow_late(tracker, told, rows)
+        return _follow_late(tracker, scene, rows)
     return [
         Track(np.arange(found.first, found.last + 1), np.asarray(found.bearings)[:, None])
-        for found in tracker.track(rows[: len(rows) - told.lag])
+        for found in tracker.track(rows[: len(rows) - scene.lag])
     ]
 
 
-def _follow_late(tracker: Any, told: SonarModel, rows: Array) -> list[Track]:
+def _follow_late(tracker: BearingTracker, scene: SonarModel, rows: Array) -> list[Track]:
     state = tracker.initial(rows[0])
     estimates = []
     for row in rows:
         state, estimate = tracker.step(state, row)
         estimates.append(estimate)
-    estimates = estimates[told.lag :]
+    estimates = estimates[scene.lag :]
     most = max((len(estimate.labels) for estimate in estimates), default=0)
     labels, bearings = np.full((len(estimates), most), -1), np.zeros((len(estimates), most, 1))
     for k, estimate in enumerate(estimates):
@@ -155,24 +155,24 @@ def _follow_late(tracker: Any, told: SonarModel, rows: Array) -> list[Track]:
 def run_all(
     conditions: Sequence[Condition], folder: Path, progress: Progress, jobs: int = -1
 ) -> dict[str, dict[str, Measures]]:
-    """All methods in all conditions; what `folder` holds already is read.
+    """Run all methods in all conditions. Results that `folder` already contains are read.
 
     Args:
-        conditions: As `plan` makes them.
-        folder: One file for each condition.
-        progress: Shows a bar.
+        conditions: Conditions from `plan`.
+        folder: Folder with one file per condition.
+        progress: Progress display that gets a bar.
         jobs: Processes; -1 for all processors.
 
     Returns:
-        Measures by condition and method.
+        Measurements by condition and method.
 
     Raises:
-        ResultsError: A file of another setting or version, or a folder that cannot be written.
+        ResultsError: A file has another setting or version, or the folder cannot be written.
     """
     paths = [folder / f"{condition.name}.npz" for condition in conditions]
     todo = [(c, path) for c, path in zip(conditions, paths, strict=True) if not path.exists()]
     bar = progress.add_task("records", total=len(conditions), completed=len(conditions) - len(todo))
-    # The longest first, so that none of them is left to run alone.
+    # The longest first, so that no long one runs alone at the end.
     todo.sort(key=lambda entry: -entry[0].runs * entry[0].config.horizon)
     for _ in Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(_run)(c, path) for c, path in todo):
         progress.advance(bar)
@@ -180,22 +180,22 @@ def run_all(
 
 
 def measure(condition: Condition) -> dict[str, Measures]:
-    """All methods on all records of a condition."""
+    """Return the measurements of all methods on all records of a condition."""
     config = condition.config
-    told = scene_model_of(config)
-    trackers = {name: sonar_tracker(tracker, told) for name, tracker in METHODS.items()}
+    scene_model = scene_model_of(config)
+    trackers = {name: sonar_tracker(tracker, scene_model) for name, tracker in METHODS.items()}
     found: dict[str, list[tuple[RecordScores, float]]] = {name: [] for name in METHODS}
     for number, seed in enumerate(seeds.take("test", condition.runs)):
         scene = draw_scene(config, seed)
         rows = draw_rows(config, scene, seed)
         for name in METHODS:
-            if name in SLOW and number % FEW:
+            if name in SLOW and number % SLOW_STRIDE:
                 continue
             if number == 0:
-                # The first run compiles and fills tables; its time would tell nothing.
-                follow(trackers[name], told, rows[:20], name == LATE)
+                # The first run compiles and fills tables, so it is not timed.
+                follow(trackers[name], scene_model, rows[:20], name == LATE)
             begin = time.thread_time()
-            tracks = follow(trackers[name], told, rows, name == LATE)
+            tracks = follow(trackers[name], scene_model, rows, name == LATE)
             seconds = time.thread_time() - begin
             scores = score_tracks(scene.bearings[: config.horizon], scene.exists[: config.horizon], tracks)
             found[name].append((scores, seconds))
@@ -224,14 +224,14 @@ def _read(path: Path, condition: Condition) -> dict[str, Measures]:
         with np.load(path, allow_pickle=False) as file:
             stored: Mapping[str, Any] = {name: file[name] for name in file.files}
     except (OSError, ValueError) as error:
-        raise ResultsError(f"{path} cannot be read ({error}); delete it, and the next call makes it anew") from error
+        raise ResultsError(f"{path} cannot be read ({error}); delete it to compute it again") from error
     if str(stored.get("setting")) != _setting(condition):
         raise ResultsError(f"{path} holds runs of another setting or version; choose another --output, or delete it")
     return {name: Measures(*(stored[f"{name}/{field}"] for field in Measures._fields)) for name in METHODS}
 
 
 def _setting(condition: Condition) -> str:
-    """All that a condition's numbers depend on, in one line."""
+    """Settings that a condition's results depend on, in one line."""
     setting = {"version": code_version(), "world": asdict(condition.config), "runs": condition.runs, "methods": METHODS}
     return json.dumps(setting, sort_keys=True)
 
@@ -239,12 +239,14 @@ def _setting(condition: Condition) -> str:
 def growth_of_cost(
     method: str, seeds: Sequence[int], numbers: Sequence[int] = (1, 2, 3, 4, 5, 6), repetitions: int = 2
 ) -> dict[int, float]:
-    """Processor time of tracking 60 s of record by the number of targets, s: the median of records, the least of each.
+    """Return the processor time of tracking a record of 60 s by number of targets, s.
+
+    It is the median over records of the smallest time over repetitions.
 
     Args:
-        method: One of `METHODS`.
-        seeds: One record for each and each number.
-        numbers: Of targets.
+        method: Name in `METHODS`.
+        seeds: Seeds of the records, the same for every number of targets.
+        numbers: Numbers of targets.
         repetitions: Passes over each record.
     """
     found = {}
@@ -252,16 +254,16 @@ def growth_of_cost(
         config = sonar_config(
             variant="random", targets=number, horizon=60, shortest_life=50, rate_noise=0.0, max_rate=0.5, lag=LAG
         )
-        told = scene_model_of(config)
-        tracker = sonar_tracker(METHODS[method], told)
+        scene_model = scene_model_of(config)
+        tracker = sonar_tracker(METHODS[method], scene_model)
         least = []
         for seed in seeds:
             rows = draw_rows(config, draw_scene(config, seed), seed)
-            follow(tracker, told, rows[:20])
+            follow(tracker, scene_model, rows[:20])
             times = []
             for _ in range(repetitions):
                 begin = time.thread_time()
-                follow(tracker, told, rows)
+                follow(tracker, scene_model, rows)
                 times.append(time.thread_time() - begin)
             least.append(min(times))
         found[number] = float(np.median(least))

@@ -1,4 +1,4 @@
-"""Paper 003's figures 2 to 4 with the truth beside, and what becomes of every method as targets get fainter."""
+"""Figures 2 to 6 of the paper with the truth, and scores of every method against the signal-to-noise ratio."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ STYLES: dict[str, dict[str, Any]] = {
 
 
 class _Sample(NamedTuple):
-    """One record of a variant, who was there, and what the trackers made of it."""
+    """One record of a variant, its targets, and the tracks found by row and by cell."""
 
     rows: Array
     scene: SonarScene
@@ -59,11 +59,11 @@ class _Sample(NamedTuple):
 
 
 def draw_paper(seed: int, variants: tuple[str, ...] = SIMULATIONS) -> Figure:
-    """Figures 2, 3 and 4 of the paper, one line of panels for each variant; the paper's exact bearings and rates.
+    """Draw figures 2, 3 and 4 of the paper at its exact bearings and rates, one line of panels per variant.
 
     Args:
-        seed: Of the noise.
-        variants: Of `SonarTracking-v0`.
+        seed: Seed of the noise.
+        variants: Variants of `SonarTracking-v0`.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -89,7 +89,7 @@ def draw_paper(seed: int, variants: tuple[str, ...] = SIMULATIONS) -> Figure:
 
 
 def draw_trial(seed: int) -> Figure:
-    """Figures 5 and 6 of the paper with the sea trial's stand-in."""
+    """Draw figures 5 and 6 of the paper on the substitute of its sea trial."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -109,7 +109,7 @@ def draw_trial(seed: int) -> Figure:
 
 
 def draw_offsets(found: Mapping[str, Mapping[str, Measures]]) -> Figure:
-    """Coverage of the tone, crossings, starts and ends, and false tracks against the offset, both variants together."""
+    """Draw coverage of the tone, crossings, starts and ends, and false tracks against the offset, for both variants."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -151,14 +151,14 @@ def draw_offsets(found: Mapping[str, Mapping[str, Measures]]) -> Figure:
 
 def _sample(variant: str, seed: int) -> _Sample:
     config = sonar_config(variant=variant, fidelity="snapshots", lag=0, bearing_jitter=0.0, rate_jitter=0.0)
-    scene, told = draw_scene(config, seed), scene_model_of(config)
+    scene, model = draw_scene(config, seed), scene_model_of(config)
     rows = draw_rows(config, scene, seed)[: config.horizon]
     return _Sample(
         rows,
         scene,
         config.averages,
-        sonar_tracker(METHODS[ROW], told).track(rows),
-        sonar_tracker(METHODS[CELL], told).track(rows),
+        sonar_tracker(METHODS[ROW], model).track(rows),
+        sonar_tracker(METHODS[CELL], model).track(rows),
     )
 
 
@@ -173,7 +173,7 @@ def _waterfall(axes: Axes, sample: _Sample) -> None:
 
 
 def _tracks(axes: Axes, sample: _Sample, followed: list[BearingTrack]) -> None:
-    """Tracks in identity colors, and the truth as dots every 4 s."""
+    """Draw tracks in identity colors, and the truth as dots every 4 s."""
     from matplotlib import patheffects
 
     for track in followed:
@@ -201,7 +201,7 @@ def _tracks(axes: Axes, sample: _Sample, followed: list[BearingTrack]) -> None:
 
 
 def _presence(axes: Axes, sample: _Sample) -> None:
-    """Probability that a track's target is there, time downwards as beside; true starts and ends as lines."""
+    """Draw the presence probability of each track over time (downwards), and true starts and ends as lines."""
     length = len(sample.rows)
     for track in sample.row:
         presence = np.zeros(length)

@@ -1,4 +1,4 @@
-"""What the runs of paper 003's experiment say: tables, and verdicts on its claims."""
+"""Tables of hmm_sonar, and verdicts on the paper's claims."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from servotrack.baselines.evaluation.statistics import (
 from servotrack.baselines.papers.claims import Claim, Verdict
 from servotrack.baselines.papers.hmm_sonar.experiment import (
     CELL,
-    FEW,
     HUNGARIAN,
     METHODS,
     NOISE,
@@ -25,6 +24,7 @@ from servotrack.baselines.papers.hmm_sonar.experiment import (
     OFFSETS,
     ROW,
     SIMULATIONS,
+    SLOW_STRIDE,
     TRIAL,
     VITERBI,
     Measures,
@@ -38,12 +38,13 @@ Found = Mapping[str, Mapping[str, Measures]]
 PAPER_NAME = "hmm_sonar"
 COMMAND = f"servotrack reproduce {PAPER_NAME}"
 TONE, BROADBAND = 0, 1
-"""Columns of the paper's targets."""
-IN_TIME = 1.0
-"""A start or an end is found if it is this near, records of 1 s."""
-MOST = 0.9
-"""A claim about records or crossings holds if at least this share of them is right."""
-FAINT = -20
+"""Column numbers of the paper's targets."""
+TIME_TOLERANCE = 1.0
+"""Largest error of a start or an end that counts as found, records of 1 s."""
+REQUIRED_SHARE = 0.9
+"""Smallest share of correct records or crossings for a claim to hold."""
+FAINT_OFFSET = -20
+"""Offset of the signal-to-noise ratio at which faint targets are judged, dB."""
 
 CONTRADICTIONS = Grid(
     ["what the paper says", "what follows", "what was chosen"],
@@ -95,28 +96,28 @@ CONTRADICTIONS = Grid(
 
 
 def coverage(measures: Measures, target: int | None = None) -> Array:
-    """Share of the records of each run in which the targets there, or one of them, were tracked."""
+    """Return the share of target records that were tracked in each run, of all targets or of one, shape (runs,)."""
     columns = slice(None) if target is None else slice(target, target + 1)
     present = measures.present[:, columns].sum(axis=1)
     return measures.tracked[:, columns].sum(axis=1) / np.maximum(present, 1)
 
 
 def bearing_error(measures: Measures, target: int | None = None) -> float:
-    """Root mean square bearing error while tracked, over all runs, deg; NaN if nothing was."""
+    """Return the root mean square bearing error while tracked, over all runs, deg; NaN if nothing was tracked."""
     columns = slice(None) if target is None else slice(target, target + 1)
     tracked = measures.tracked[:, columns].sum()
     return float(np.sqrt(measures.squared_error[:, columns].sum() / tracked)) if tracked else float("nan")
 
 
 def in_time(measures: Measures) -> Array:
-    """Share of starts and ends of each run that are found within `IN_TIME`."""
+    """Return the share of starts and ends found within `TIME_TOLERANCE` in each run, shape (runs,)."""
     there = measures.present > 0
-    found = (np.abs(measures.start) <= IN_TIME).astype(np.float64) + (np.abs(measures.end) <= IN_TIME)
+    found = (np.abs(measures.start) <= TIME_TOLERANCE).astype(np.float64) + (np.abs(measures.end) <= TIME_TOLERANCE)
     return (np.where(there, found, 0.0) / 2.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
 
 
 def simulation_grid(found: Found, variant: str) -> Grid:
-    """All methods on one variant of the simulation, by offset."""
+    """Return a table of all methods on one variant of the simulation, by offset."""
     headings = [
         "offset dB", "method", "tone tracked %", "band tracked %", "tone error deg", "band error deg",
         "starts and ends within 1 s %", "swaps", "through crossing %", "false tracks", "ms",
@@ -135,7 +136,7 @@ def simulation_grid(found: Found, variant: str) -> Grid:
 
 
 def trial_grid(found: Found) -> Grid:
-    """All methods on the stand-in for the sea trial and on the hour of noise."""
+    """Return a table of all methods on the substitute of the sea trial and on the hour of noise."""
     headings = [
         "method", "count right %", "tracked %", "error deg", "crossings", "kept %", "swapped %", "false tracks", "ms",
         "false tracks per hour of noise",
@@ -153,14 +154,14 @@ def trial_grid(found: Found) -> Grid:
 
 
 def findings(found: Found, seconds: Mapping[int, float]) -> list[Claim]:
-    """Verdicts on the claims.
+    """Return verdicts on the claims.
 
     Args:
-        found: Measures by condition and method.
-        seconds: Duration of tracking 60 s of record with so many targets, s.
+        found: Measurements by condition and method.
+        seconds: Duration of tracking a record of 60 s by number of targets, s.
     """
     clear = [found[simulation(variant, 0)] for variant in SIMULATIONS]
-    faint = [found[simulation(variant, FAINT)] for variant in SIMULATIONS]
+    faint = [found[simulation(variant, FAINT_OFFSET)] for variant in SIMULATIONS]
 
     def of_both(conditions: Sequence[Mapping[str, Measures]], method: str, value: Any) -> Array:
         return np.concatenate([value(condition[method]) for condition in conditions])
@@ -181,12 +182,12 @@ def findings(found: Found, seconds: Mapping[int, float]) -> list[Claim]:
     viterbi = through(VITERBI)
     before = paired_difference(of_both(faint, ROW, coverage), of_both(faint, HUNGARIAN, coverage))
     better = paired_difference(
-        np.concatenate([condition[ROW].count_right[::FEW] for condition in clear]),
+        np.concatenate([condition[ROW].count_right[::SLOW_STRIDE] for condition in clear]),
         of_both(clear, CELL, lambda m: m.count_right),
     )
     numbers = sorted(seconds)
     growth = (seconds[numbers[-1]] - seconds[numbers[0]]) / (numbers[-1] - numbers[0]) / seconds[numbers[0]]
-    at_faint = f"offset {FAINT} dB"
+    at_faint = f"offset {FAINT_OFFSET} dB"
     return [
         _claim(
             "sonar-crossing", _verdict(crossing), crossing, "of runs", f"both tracks kept, {CELL}, offset 0 dB",
@@ -195,7 +196,7 @@ def findings(found: Found, seconds: Mapping[int, float]) -> list[Claim]:
         ),
         _claim(
             "sonar-start-end", _verdict(timely), timely, "of starts and ends",
-            f"within {IN_TIME:g} s, {CELL}, offset 0 dB",
+            f"within {TIME_TOLERANCE:g} s, {CELL}, offset 0 dB",
             f"With the row's likelihood {_percent(of_both(clear, ROW, in_time).mean())} %.",
         ),
         _claim(
@@ -241,8 +242,8 @@ def findings(found: Found, seconds: Mapping[int, float]) -> list[Claim]:
 
 
 def _verdict(share: Interval) -> Verdict:
-    """Whether a share is at least `MOST`: decided if its whole interval says so, open if it does not."""
-    return "holds" if share.low >= MOST else "does not hold" if share.high < MOST else "open"
+    """Verdict on a share of at least `REQUIRED_SHARE`; open if its interval contains that value."""
+    return "holds" if share.low >= REQUIRED_SHARE else "does not hold" if share.high < REQUIRED_SHARE else "open"
 
 
 def _better(difference: PairedDifference) -> Verdict:

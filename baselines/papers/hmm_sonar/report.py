@@ -1,4 +1,4 @@
-"""`servotrack reproduce sonar`: paper 003's figures 2 to 6, its trackers at falling SNR, its claims."""
+"""Report of hmm_sonar: figures 2 to 6, trackers at falling signal-to-noise ratio, and claims."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ NOTE = (
 )
 
 COST_RECORDS = 9
-"""Records for each number of targets whose tracking is timed."""
+"""Number of timed records per number of targets."""
 
 
 def reproduce(request: Request) -> None:
-    """Reproduce paper 003; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`.
+    """Reproduce Jiang and Zhou 2016; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`.
 
     Args:
-        request: What is wanted; `runs` are the records of each condition.
+        request: Request; `runs` is the number of records per condition.
     """
     with progress_bars() as progress:
         found = run_all(plan(request.runs), request.output / "records", progress)

@@ -1,4 +1,4 @@
-"""What tracks of a bearing-time record are worth: errors, starts and ends, crossings, and tracks of nobody."""
+"""Scores of tracks in a bearing-time record: errors, starts and ends, crossings, and false tracks."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from servotrack.envs.track.sonar.scene import crossings
 from servotrack.estimators.metrics import Track
 from servotrack.estimators.types import Array, Labels, Mask
 
-MATCHED = 3.0
-"""A track is at a target that is nearer than this, deg."""
-ABOUT = (2, 10)
-"""Who is who at a crossing is asked from so many records before and after it to so many."""
-_FEWEST = 2
-"""Records on either side of a crossing within `ABOUT` in which a target has to be there for the crossing to count."""
+MATCH_DISTANCE = 3.0
+"""Largest distance of a track from its target, deg."""
+CROSSING_WINDOW = (2, 10)
+"""Nearest and farthest record before and after a crossing that decide about kept or swapped tracks."""
+_SMALLEST_PRESENCE = 2
+"""Records with both targets on either side of a crossing, within `CROSSING_WINDOW`, that make the crossing count."""
 
 
 class RecordScores(NamedTuple):
-    """Scores of one record's tracks; n targets.
+    """Scores of the tracks of one record with n targets.
 
     Attributes:
         squared_error: Sum of squared bearing errors over the records in which a target is tracked, shape (n,), deg^2.
-        tracked: Number of these records, shape (n,).
-        present: Number of records in which a target is there, shape (n,).
-        start: First record in which it is tracked, after its first, shape (n,); NaN if it never is.
-        end: Last record in which it is tracked, after its last, shape (n,).
-        crossings: Crossings that count.
-        kept: Those through which both targets kept their track.
-        swapped: Those at which a track went over to the other target.
-        false_tracks: Tracks that are at no target for more than half of their records.
-        count_right: Share of records in which the number of tracks is that of targets.
+        tracked: Number of records in which a target is tracked, shape (n,).
+        present: Number of records in which a target exists, shape (n,).
+        start: First tracked record minus the target's first record, shape (n,); NaN if it is never tracked.
+        end: Last tracked record minus the target's last record, shape (n,); NaN if it is never tracked.
+        crossings: Number of crossings that count.
+        kept: Number of crossings in which both targets kept their track.
+        swapped: Number of crossings in which a track changed to the other target.
+        false_tracks: Number of tracks that match no target in more than half of their records.
+        count_right: Share of records in which the number of tracks equals the number of targets.
     """
 
     squared_error: Array
@@ -49,12 +49,12 @@ class RecordScores(NamedTuple):
 
 
 def score_tracks(bearings: Array, exists: Mask, tracks: Sequence[Track]) -> RecordScores:
-    """Score tracks of one record.
+    """Score the tracks of one record.
 
     Args:
-        bearings: True ones, shape (T, n), deg.
-        exists: Which targets exist, shape (T, n).
-        tracks: Steps from 0 to T - 1, states (k, 1) in deg.
+        bearings: True bearings, shape (T, n), deg.
+        exists: Mask of existing targets, shape (T, n).
+        tracks: Tracks with steps from 0 to T - 1 and bearings (k, 1), deg.
     """
     length, n = bearings.shape
     owner = np.full((length, n), -1)
@@ -65,7 +65,7 @@ def score_tracks(bearings: Array, exists: Mask, tracks: Sequence[Track]) -> Reco
     for k in range(length):
         if n and tracks:
             apart = np.abs(bearings[k, :, None] - stacked[k])
-            apart = np.where(exists[k, :, None] & (apart < MATCHED), apart, np.inf)
+            apart = np.where(exists[k, :, None] & (apart < MATCH_DISTANCE), apart, np.inf)
             owner[k] = _owners(apart, owner[max(k - 1, 0)])
             found = np.flatnonzero(owner[k] >= 0)
             error[k, found] = apart[found, owner[k, found]]
@@ -94,26 +94,26 @@ def score_tracks(bearings: Array, exists: Mask, tracks: Sequence[Track]) -> Reco
 
 
 def _owners(apart: Array, before: Labels) -> Labels:
-    """Which track is at each target: the one that was, if it is near enough, else by assignment of the rest."""
+    """Track at each target, -1 without one: its previous track if near enough, else by assignment of the rest."""
     owner = np.full(len(apart), -1)
     for target in np.flatnonzero(before >= 0).tolist():
         if np.isfinite(apart[target, before[target]]):
             owner[target] = before[target]
     rest = np.flatnonzero(owner < 0)
     free = np.setdiff1d(np.arange(apart.shape[1]), owner)
-    cost = np.minimum(apart[np.ix_(rest, free)], MATCHED)
+    cost = np.minimum(apart[np.ix_(rest, free)], MATCH_DISTANCE)
     for i, j in zip(*linear_sum_assignment(cost), strict=True):
-        if cost[i, j] < MATCHED:
+        if cost[i, j] < MATCH_DISTANCE:
             owner[rest[i]] = free[j]
     return owner
 
 
 def _verdict(owner: Labels, exists: Mask, at: int, one: int, other: int) -> str | None:
-    """What became of two tracks at a crossing; None where a target is not there long enough to ask."""
-    near, far = ABOUT
+    """Return "kept", "swapped" or "lost" for a crossing; None if a target exists too briefly."""
+    near, far = CROSSING_WINDOW
     before, after = slice(max(at - far, 0), max(at - near, 0)), slice(at + near, at + far)
     both = exists[:, one] & exists[:, other]
-    if min(both[before].sum(), both[after].sum()) < _FEWEST:
+    if min(both[before].sum(), both[after].sum()) < _SMALLEST_PRESENCE:
         return None
     a, b = _usual(owner[before, one]), _usual(owner[before, other])
     c, d = _usual(owner[after, one]), _usual(owner[after, other])
@@ -123,6 +123,6 @@ def _verdict(owner: Labels, exists: Mask, at: int, one: int, other: int) -> str 
 
 
 def _usual(owners: Labels) -> int:
-    """Who owned a target most often, -1 for nobody."""
+    """Most frequent track of a target, -1 for none."""
     known = owners[owners >= 0]
     return int(np.bincount(known).argmax()) if len(known) else -1

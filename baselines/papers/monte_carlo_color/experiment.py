@@ -1,4 +1,4 @@
-"""Paper 001's experiment: its scenarios as films, trackers and variants of the paper's run over them, kept on disk."""
+"""Experiment of Zhang and Li (2008): its scenarios as films, and all trackers run over them, with results on disk."""
 
 from __future__ import annotations
 
@@ -31,27 +31,27 @@ TRACKERS: dict[str, Method] = {
     HUES: ("opencv-meanshift", {}),
     "OpenCV CamShift": ("opencv-camshift", {}),
 }
-"""What is compared, by name: tracker and parameters."""
+"""Compared methods: name to tracker and parameters."""
 MIL = "MIL"
 SLOW_TRACKERS: dict[str, Method] = {MIL: ("mil", {})}
-"""Compared on a few films only."""
+"""Methods that run only on a tenth of the films."""
 DEVIATIONS = (0.02, 0.05, 0.1, 0.2, 0.4)
 THRESHOLDS = (0.0, 0.8, 0.9, 0.95, 0.98, 1.0)
 SAMPLES = (50, 200, 800)
 
 
 def deviation_name(value: float) -> str:
-    """Name of the paper's tracker with another sigma_0."""
+    """Return the name of the paper's tracker with another sigma_0."""
     return f"sigma_0 = {value:g}"
 
 
 def threshold_name(value: float) -> str:
-    """Name of the paper's tracker with another threshold of the update; 1 never updates."""
+    """Return the name of the paper's tracker with another threshold of the update; 1 never updates."""
     return f"threshold = {value:g}"
 
 
 def samples_name(value: int) -> str:
-    """Name of the paper's tracker with another number of samples."""
+    """Return the name of the paper's tracker with another number of samples."""
     return f"n = {value}"
 
 
@@ -60,17 +60,17 @@ VARIANTS: dict[str, Method] = {
     **{threshold_name(v): ("monte-carlo-color", {"update_threshold": v}) for v in THRESHOLDS},
     **{samples_name(v): ("monte-carlo-color", {"samples": v}) for v in SAMPLES},
 }
-"""The paper's tracker with one value changed."""
+"""Variants of the paper's tracker with one value changed."""
 METHODS: dict[str, Method] = {**TRACKERS, **SLOW_TRACKERS, **VARIANTS}
 
 
 class Measures(NamedTuple):
-    """What is measured of a method in a scenario, one row for each film.
+    """Measurements of one method in one scenario, one row per film.
 
     Attributes:
-        iou: Of every frame, shape (films, F).
-        center_error: Of every frame, shape (films, F), px.
-        size: Root of the answered box's area over that of the true one. Shape (films, F).
+        iou: Overlap of answered and true box in every frame, shape (films, F).
+        center_error: Distance of their centers in every frame, shape (films, F), px.
+        size: Square root of the area ratio of answered and true box, shape (films, F).
     """
 
     iou: Array
@@ -78,23 +78,23 @@ class Measures(NamedTuple):
     size: Array
 
 
-def judged_seeds(count: int) -> list[int]:
-    """Seeds to judge on: those from the second test seed on, for the first one's films were looked at before."""
+def scored_seeds(count: int) -> list[int]:
+    """Return test seeds from the second one on; the films of the first were inspected during development."""
     return seeds.take("test", count, first=1)
 
 
 def plan(runs: int) -> list[tuple[int, int, tuple[str, ...]]]:
-    """Films as level, seed and the methods that are run over them; a slow tracker gets a tenth of them.
+    """Return the films as level, seed and methods that run over them. Slow trackers run on a tenth of the films.
 
     Args:
-        runs: Films of each scenario.
+        runs: Films per scenario.
     """
     few = max(1, runs // 10)
     fast = (*TRACKERS, *VARIANTS)
     return [
         (level, seed, (*fast, *SLOW_TRACKERS) if number < few else fast)
         for level in range(len(LEVEL_NAMES))
-        for number, seed in enumerate(judged_seeds(runs))
+        for number, seed in enumerate(scored_seeds(runs))
     ]
 
 
@@ -105,20 +105,20 @@ def run_all(
     jobs: int = -1,
     env_kwargs: Mapping[str, Any] | None = None,
 ) -> dict[str, dict[str, Measures]]:
-    """All methods over all films; those that `folder` holds already are read.
+    """Run all methods over all films. Results that `folder` already contains are read.
 
     Args:
-        films: As `plan` makes them.
-        folder: One file for each film.
-        progress: Shows a bar.
+        films: Films from `plan`.
+        folder: Folder with one file per film.
+        progress: Progress display that gets a bar.
         jobs: Processes; -1 for all processors.
-        env_kwargs: Arguments of the world besides its level.
+        env_kwargs: Arguments of the environment besides its level.
 
     Returns:
-        Measures by scenario and method, in the order of the films.
+        Measurements by scenario and method, in the order of the films.
 
     Raises:
-        ResultsError: A file of another setting or version, or a folder that cannot be written.
+        ResultsError: A file has another setting or version, or the folder cannot be written.
     """
     world = dict(env_kwargs or {})
     paths = [folder / LEVEL_NAMES[level] / f"{seed}.npz" for level, seed, _ in films]
@@ -139,7 +139,15 @@ def run_all(
 
 
 def median_steps(names: Sequence[str], seed: int, repetitions: int = 8) -> dict[str, float]:
-    """Median duration of a step of each method on one thread, s: the least of several passes over a film."""
+    """Return the duration of a step of each method on one thread, s.
+
+    It is the median over the steps of a film, and the smallest of these medians over several passes.
+
+    Args:
+        names: Names in `METHODS`.
+        seed: Seed of the film.
+        repetitions: Passes over the film. Slow trackers get one.
+    """
     import cv2
 
     seen = film(seed, horizon=60)
@@ -147,7 +155,7 @@ def median_steps(names: Sequence[str], seed: int, repetitions: int = 8) -> dict[
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        # In turn, so that a machine that is busy for a while slows all of them down.
+        # All methods in turn, so that other load on the machine affects them alike.
         for repetition in range(repetitions):
             for name in names:
                 if repetition == 0 or name not in SLOW_TRACKERS:
@@ -164,7 +172,7 @@ def _run(level: int, seed: int, methods: Sequence[str], world: Mapping[str, Any]
 
     import servotrack  # noqa: F401 - a worker process has to register the ids
 
-    # As many processes as processors run side by side.
+    # One process runs per processor, so each uses one thread.
     cv2.setNumThreads(1)
     seen = film(seed, level=level, **world)
     arrays = {}
@@ -183,14 +191,14 @@ def _read(path: Path, level: int, seed: int, methods: Sequence[str], world: Mapp
         with np.load(path, allow_pickle=False) as file:
             stored = {name: file[name] for name in file.files}
     except (OSError, ValueError) as error:
-        raise ResultsError(f"{path} cannot be read ({error}); delete it, and the next call makes it anew") from error
+        raise ResultsError(f"{path} cannot be read ({error}); delete it to compute it again") from error
     if str(stored.get("setting")) != _setting(level, seed, methods, world):
         raise ResultsError(f"{path} holds runs of another setting or version; choose another --output, or delete it")
     return {name: Measures(*stored[name]) for name in methods}
 
 
 def _setting(level: int, seed: int, methods: Sequence[str], world: Mapping[str, Any]) -> str:
-    """All that a film's numbers depend on, in one line."""
+    """Settings that a film's results depend on, in one line."""
     chosen = {name: METHODS[name] for name in methods}
     setting = {"version": code_version(), "level": level, "seed": seed, "world": dict(world), "methods": chosen}
     return json.dumps(setting, sort_keys=True)

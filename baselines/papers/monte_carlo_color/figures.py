@@ -1,4 +1,4 @@
-"""Paper 001's figures: success curves by scenario, tracked frames as in its figure 4, and what its free values do."""
+"""Figures of monte_carlo_color: success curves, tracked frames as in figure 4, and parameter sensitivity."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ STYLES: dict[str, dict[str, Any]] = {
 }
 _PLUS_COLOR = (64, 148, 235)
 _SHOWN = 6
-"""Frames of each scenario in figure 4."""
+"""Number of frames per scenario in figure 4."""
 _ENLARGED = 2
 
 
 def draw_success(found: Mapping[str, Mapping[str, Measures]]) -> Figure:
-    """Success curves of all trackers, one panel for each scenario."""
+    """Draw success curves of all trackers, one panel per scenario."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -81,7 +81,11 @@ def draw_success(found: Mapping[str, Mapping[str, Measures]]) -> Figure:
 
 
 def draw_tracked(seed: int) -> Figure:
-    """Frames of every scenario with three boxes: true, paper's, plus variant's; level k is filmed with seed + k."""
+    """Draw frames of every scenario with the true box and the boxes of the paper's tracker and of its plus variant.
+
+    Args:
+        seed: Seed of level 0; level k uses seed + k.
+    """
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -107,12 +111,12 @@ def _rim() -> list[Any]:
 
 
 def _draw_row(row: Sequence[Axes], level: int, seed: int) -> None:
-    # Another person in every scenario.
+    # A different person in every scenario.
     seen = film(seed + level, level=level)
     paper, plus = (track(color_tracker(name), seen).boxes for name in ("monte-carlo-color", "monte-carlo-color-plus"))
     chosen = np.linspace(0, len(seen.frames) - 1, len(row) + 1).astype(int)[1:]
     if LEVEL_NAMES[level] == "occlusion":
-        chosen = _about_the_worst(paper, seen.boxes, len(row))
+        chosen = _frames_around_first_jump(paper, seen.boxes, len(row))
     for axes, k in zip(row, chosen, strict=True):
         image = _enlarged(seen.frames[k])
         for boxes, color in ((seen.boxes, TRUTH), (plus, _PLUS_COLOR), (paper, ANSWER)):
@@ -125,8 +129,8 @@ def _draw_row(row: Sequence[Axes], level: int, seed: int) -> None:
     row[0].set_ylabel(LEVEL_NAMES[level].replace("_", " and "), fontsize=7)
 
 
-def _about_the_worst(boxes: Array, truth: Array, count: int) -> Labels:
-    """Frames before, at and after the first time that the answer jumps away from the truth, or evenly spaced ones."""
+def _frames_around_first_jump(boxes: Array, truth: Array, count: int) -> Labels:
+    """Frames around the first jump of the answer away from the truth, or around the middle of the film."""
     apart = np.abs(boxes[:, :2] - truth[:, :2]).max(axis=1)
     first = int(np.argmax(apart > 12.0)) if (apart > 12.0).any() else len(truth) // 2
     start = int(np.clip(first - 6, 0, len(truth) - 6 * count))
@@ -140,7 +144,7 @@ def _enlarged(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def draw_sensitivity(found: Mapping[str, Mapping[str, Measures]]) -> Figure:
-    """AUC of the paper's tracker, and size of its box at the end, against sigma_0, update threshold and samples."""
+    """Draw AUC of the paper's tracker, and its box size at the end, against sigma_0, update threshold and samples."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 

@@ -1,4 +1,4 @@
-"""What the runs of paper 001's experiment say: tables, and verdicts on its claims."""
+"""Tables of monte_carlo_color, and verdicts on the paper's claims."""
 
 from __future__ import annotations
 
@@ -35,28 +35,30 @@ Found = Mapping[str, Mapping[str, Measures]]
 PAPER_NAME = "monte_carlo_color"
 COMMAND = f"servotrack reproduce {PAPER_NAME}"
 FRAME_RATE = 25.0
-"""What the paper calls real time: its video's frames per second."""
-TRACKED = 0.5
-"""A frame counts as tracked above this overlap; a scenario as mastered if more than this share of frames is."""
+"""Frame rate of the paper's video, which it calls real time, 1/s."""
+TRACKED_OVERLAP = 0.5
+"""Smallest overlap of a tracked frame."""
+TRACKED_SHARE = 0.5
+"""Smallest share of tracked frames for "the tracker masters a scenario"."""
 
 
 def aucs(measures: Measures) -> Array:
-    """AUC of every film."""
+    """Return the AUC of every film, shape (films,)."""
     return np.array([success_curve(iou).mean() for iou in measures.iou])
 
 
 def tracked(measures: Measures) -> Array:
-    """Share of tracked frames of every film."""
-    return (measures.iou > TRACKED).mean(axis=1)
+    """Return the share of tracked frames of every film, shape (films,)."""
+    return (measures.iou > TRACKED_OVERLAP).mean(axis=1)
 
 
 def over_scenarios(found: Found, method: str) -> Array:
-    """AUC of every film of all scenarios, in their order."""
+    """Return the AUC of every film of all scenarios, in the order of the scenarios."""
     return np.concatenate([aucs(found[scenario][method]) for scenario in LEVEL_NAMES])
 
 
 def auc_grid(found: Found) -> Grid:
-    """AUC by scenario and tracker, with its interval over films."""
+    """Return the AUC by scenario and tracker, with its interval over films, as a table."""
     rows = []
     for name in (*TRACKERS, *SLOW_TRACKERS):
         cells = [_interval(bootstrap_mean(aucs(found[scenario][name]))) for scenario in LEVEL_NAMES]
@@ -65,7 +67,7 @@ def auc_grid(found: Found) -> Grid:
 
 
 def quality_grid(found: Found, seconds: Mapping[str, float]) -> Grid:
-    """Precision, failures and speed of all trackers."""
+    """Return precision, failures and speed of all trackers as a table."""
     rows = []
     for name in (*TRACKERS, *SLOW_TRACKERS):
         films = [(found[s][name].iou[k], found[s][name].center_error[k]) for s in LEVEL_NAMES
@@ -77,7 +79,7 @@ def quality_grid(found: Found, seconds: Mapping[str, float]) -> Grid:
 
 
 def sensitivity_grid(found: Found) -> Grid:
-    """The paper's tracker with one value changed: AUC and size of its box, by value."""
+    """Return AUC and box size of the paper's tracker with one value changed, as a table."""
     groups = (
         ("sigma_0", [(f"{v:g}", deviation_name(v)) for v in DEVIATIONS]),
         ("update above", [("never" if v == 1.0 else f"{v:g}", threshold_name(v)) for v in THRESHOLDS]),
@@ -89,25 +91,25 @@ def sensitivity_grid(found: Found) -> Grid:
             size = bootstrap_mean(end_sizes(found, name))
             cells = [f"{aucs(found[scenario][name]).mean():.3f}" for scenario in LEVEL_NAMES]
             rows.append([title, value, *cells, _interval(bootstrap_mean(over_scenarios(found, name))), _interval(size)])
-    return Grid(["what", "value", *LEVEL_NAMES, "all", "size at the end"], rows, 2)
+    return Grid(["parameter", "value", *LEVEL_NAMES, "all", "size at the end"], rows, 2)
 
 
 def size_error(measures: Measures) -> float:
-    """Mean of |ln(box size / true size)| over all frames with some overlap."""
+    """Return the mean of |ln(box size / true size)| over all frames with some overlap."""
     return float(np.abs(np.log(measures.size[measures.iou > 0.0])).mean())
 
 
 def end_sizes(found: Found, method: str) -> Array:
-    """Box size over the true one, mean of each film's last fifth, films of all scenarios."""
+    """Return box size over true size, mean of each film's last fifth, films of all scenarios."""
     sizes = [found[scenario][method].size for scenario in LEVEL_NAMES]
     return np.concatenate([size[:, -max(1, size.shape[1] // 5) :].mean(axis=1) for size in sizes])
 
 
 def findings(found: Found, seconds: Mapping[str, float]) -> list[Claim]:
-    """Verdicts on the claims.
+    """Return verdicts on the claims.
 
     Args:
-        found: Measures by scenario and method.
+        found: Measurements by scenario and method.
         seconds: Median duration of a step by tracker, s.
     """
     always, never = threshold_name(0.0), threshold_name(1.0)
@@ -125,11 +127,13 @@ def findings(found: Found, seconds: Mapping[str, float]) -> list[Claim]:
 
     def masters(claim: str, scenario: str, why: str) -> Claim:
         share = bootstrap_mean(tracked(found[scenario][PAPER]))
-        verdict: Verdict = "holds" if share.low > TRACKED else "does not hold" if share.high < TRACKED else "open"
+        verdict: Verdict = (
+            "holds" if share.low > TRACKED_SHARE else "does not hold" if share.high < TRACKED_SHARE else "open"
+        )
         rivals = ", ".join(
             f"{name} {bootstrap_mean(tracked(found[scenario][name])).value:.2f}" for name in (MEAN_SHIFT, PLUS)
         )
-        measured = f"share of frames with an overlap above {TRACKED:g}, {PAPER}, {scenario}"
+        measured = f"share of frames with an overlap above {TRACKED_OVERLAP:g}, {PAPER}, {scenario}"
         return _claim(claim, verdict, share, "of frames", measured, f"{why} Others: {rivals}.")
 
     scale, scale_gain = in_scenario("scale", PAPER, MEAN_SHIFT)
@@ -195,17 +199,18 @@ def findings(found: Found, seconds: Mapping[str, float]) -> list[Claim]:
             "weigh alike, the estimate hardly moves in place or scale.",
         ),
         _claim(
-            "color-samples-saturate", "holds" if abs(many.value) < ALIKE_AUC else "does not hold", many, "AUC",
+            "color-samples-saturate", "holds" if abs(many.value) < EQUAL_AUC_TOLERANCE else "does not hold", many,
+            "AUC",
             "AUC, 800 - 200 samples, all scenarios",
-            f"Alike means within {ALIKE_AUC:g}: more samples do not repair what the histogram cannot tell.",
+            f"Alike means within {EQUAL_AUC_TOLERANCE:g}: more samples do not repair what the histogram cannot tell.",
         ),
     ]  # fmt: skip
 
 
 NEGLIGIBLE_AUC = 0.01
-"""Who loses less than this is no worse."""
-ALIKE_AUC = 0.03
-"""AUCs that differ by less are alike."""
+"""Loss of AUC that counts as none."""
+EQUAL_AUC_TOLERANCE = 0.03
+"""Largest difference of AUCs that count as equal."""
 
 
 def _claim(

@@ -1,4 +1,4 @@
-"""`servotrack reproduce color`: paper 001's figure 4 with success curves, its free values, and its claims."""
+"""Report of monte_carlo_color: success curves, figure 4, parameter sensitivity, and claims."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from servotrack.baselines.papers.claims import SHIPPED, claims_grid, fill, read_
 from servotrack.baselines.papers.monte_carlo_color.experiment import (
     SLOW_TRACKERS,
     TRACKERS,
-    judged_seeds,
     median_steps,
     plan,
     run_all,
+    scored_seeds,
 )
 from servotrack.baselines.papers.monte_carlo_color.figures import draw_sensitivity, draw_success, draw_tracked
 from servotrack.baselines.papers.monte_carlo_color.findings import (
@@ -35,17 +35,17 @@ NOTE = (
 
 
 def reproduce(request: Request) -> None:
-    """Reproduce paper 001; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`.
+    """Reproduce Zhang and Li 2008; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`.
 
     Args:
-        request: What is wanted; `runs` are the films of each scenario.
+        request: Request; `runs` is the number of films per scenario.
     """
     with progress_bars() as progress:
         found = run_all(plan(request.runs), request.output / "films", progress)
         bar = progress.add_task("timing and pictures", total=2)
         seconds = median_steps([*TRACKERS, *SLOW_TRACKERS], seeds.take("tune", 1)[0])
         progress.advance(bar)
-        tracked = draw_tracked(judged_seeds(1)[0])
+        tracked = draw_tracked(scored_seeds(1)[0])
         progress.advance(bar)
     claims = fill(read_claims(request.claims or SHIPPED), findings(found, seconds))
     tables = {

@@ -1,1 +1,1 @@
-"""Paper 004 reproduced: set filters under hidden and pairwise Markov models."""
+"""Zhang, Han, Lian and Zeng (2017): set filters under hidden and pairwise Markov models."""

@@ -1,4 +1,4 @@
-"""Paper 004's experiment: set filters under hidden and pairwise Markov models on the same scans of twelve targets."""
+"""Experiment of Zhang et al. (2017): set filters under hidden and pairwise Markov models on scans of twelve targets."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from servotrack.estimators.types import Array, Labels, Mask
 CUTOFF = 100.0
 """The c of OSPA and GOSPA, m."""
 NARROW_CUTOFF = 20.0
-"""A second c under which the error of located targets shows, m."""
+"""Smaller c that weights the error of located targets more, m."""
 SWITCH_COST = 20.0
 """The gamma of trajectory GOSPA, m."""
 POSITION = (0, 2)
@@ -40,7 +40,7 @@ METHODS: dict[str, tuple[str, FilterSettings]] = {
     "GNN-PMM": ("gnn", FilterSettings()),
     "SMC-PHD": ("smc-phd", FilterSettings(hidden_markov=True)),
 }
-"""Name of a method, the filter behind it, and its settings."""
+"""Compared methods: name to filter and its settings."""
 PAPER_METHODS = ("PHD-HMM", "PHD-PMM", "CBMeMBer-HMM", "CBMeMBer-PMM")
 OUR_METHODS = ("PMB-HMM", "PMB-PMM")
 EXTRACTION_METHODS = ("PHD-HMM sum", "PHD-PMM sum", "CBMeMBer-HMM map", "CBMeMBer-PMM map")
@@ -48,13 +48,13 @@ EXTRACTION_METHODS = ("PHD-HMM sum", "PHD-PMM sum", "CBMeMBer-HMM map", "CBMeMBe
 
 @dataclass(frozen=True)
 class Condition:
-    """One cell of the experiment.
+    """One condition of the experiment.
 
     Attributes:
-        name: Unique; a folder's name.
-        methods: Names in `METHODS`; all see the same scans.
+        name: Unique name, also of the folder.
+        methods: Names in `METHODS`. All filter the same scans.
         world: Keywords of `clutter_config` at level 0.
-        trajectories: Whether trajectory GOSPA, which takes longer than filtering, is computed.
+        trajectories: If true, also compute trajectory GOSPA, which takes longer than filtering.
     """
 
     name: str
@@ -64,22 +64,22 @@ class Condition:
 
     @property
     def config(self) -> ClutterConfig:
-        """The world."""
+        """Parameters of the world."""
         return clutter_config(0, **self.world)
 
 
 class Measures(NamedTuple):
-    """What one method did in R runs of T scans.
+    """Measurements of one method in R runs of T scans.
 
     Attributes:
-        ospa: c = 100 m, p = 1, positions. Shape (R, T), m.
-        ospa_squared: The same with p = 2.
-        ospa_narrow: c = 20 m, p = 1.
-        gospa: c = 100 m, p = 2.
-        number: Extracted targets. Shape (R, T).
-        expected: The filter's own expected number. Shape (R, T).
-        ospa2: Of the trajectories. Shape (R,), m.
-        trajectory_gospa: Shape (R,), m; NaN where it was not asked for.
+        ospa: OSPA of positions with c = 100 m and p = 1, shape (R, T), m.
+        ospa_squared: OSPA with p = 2, shape (R, T), m.
+        ospa_narrow: OSPA with c = 20 m and p = 1, shape (R, T), m.
+        gospa: GOSPA with c = 100 m and p = 2, shape (R, T), m.
+        number: Number of extracted targets, shape (R, T).
+        expected: Expected number of targets of the filter itself, shape (R, T).
+        ospa2: OSPA(2) of the trajectories, shape (R,), m.
+        trajectory_gospa: Trajectory GOSPA, shape (R,), m; NaN if not computed.
     """
 
     ospa: Array
@@ -93,19 +93,19 @@ class Measures(NamedTuple):
 
 
 def draw_runs(config: ClutterConfig, seeds: Sequence[int]) -> list[ClutterEpisode]:
-    """The episodes that `ClutterTracking-v0` deals after `reset(seed=...)`, one per seed."""
+    """Return the episodes that `ClutterTracking-v0` draws after `reset(seed=...)`, one per seed."""
     return [draw_episode(config, episode_seed(np.random.Generator(np.random.PCG64(seed)))) for seed in seeds]
 
 
 def run_condition(condition: Condition, seeds: Sequence[int]) -> dict[str, Measures]:
-    """All methods of a condition on the same runs, as one batch.
+    """Run all methods of a condition on the same scans, as one batch.
 
     Args:
         condition: World and methods.
-        seeds: Of the runs.
+        seeds: Seeds of the runs.
 
     Returns:
-        Measures of each method, in the order of the seeds.
+        Measurements of each method, in the order of the seeds.
     """
     config = condition.config
     episodes = draw_runs(config, seeds)
@@ -148,7 +148,7 @@ def _run_method(name: str, condition: Condition, scans: Array, truth: Array, exi
 
 
 def _tracks(labels: list[Labels], positions: list[Array]) -> Array:
-    """One run's reported identities as tracks, shape (k, T, 2)."""
+    """Reported tracks of one run, shape (k, T, 2)."""
     most = max(len(row) for row in labels)
     names, places = np.full((len(labels), most), -1, dtype=np.int64), np.zeros((len(labels), most, 2))
     for step, (label, position) in enumerate(zip(labels, positions, strict=True)):
@@ -157,15 +157,15 @@ def _tracks(labels: list[Labels], positions: list[Array]) -> Array:
 
 
 def time_steps(names: Sequence[str], condition: Condition, seeds: Sequence[int]) -> dict[str, Array]:
-    """Median durations of a single step: filtering alone, compiled, unbatched, all methods in turn on each run.
+    """Return median durations of one unbatched step of the filters, all methods in turn on each run.
 
     Args:
-        names: Methods.
-        condition: The world.
-        seeds: Of the runs; the first run only compiles, or loads what was compiled.
+        names: Names in `METHODS`.
+        condition: Condition with the world.
+        seeds: Seeds of the runs. The first run is not timed, because it compiles.
 
     Returns:
-        One median for each run after the first, shape (len(seeds) - 1,), s.
+        Median of each run after the first, by method, shape (len(seeds) - 1,), s.
     """
     found: dict[str, list[float]] = {name: [] for name in names}
     scene = scene_model_of(condition.config)
@@ -184,12 +184,12 @@ def time_steps(names: Sequence[str], condition: Condition, seeds: Sequence[int])
 
 
 class SingleRun(NamedTuple):
-    """One run in full, for figures 1 and 2.
+    """Positions of one run, for figures 1 and 2.
 
     Attributes:
-        truth: Shape (n, T, 2), m; NaN where a target does not exist.
-        estimates: Extracted positions at each scan, (k, 2) each, m.
-        clutter: Every measurement, with its scan: shape (z, 3) as scan, x, y.
+        truth: True positions, shape (n, T, 2), m; NaN while a target does not exist.
+        estimates: Extracted positions of each scan, (k, 2) each, m.
+        clutter: All measurements with columns scan, x, y, shape (z, 3).
     """
 
     truth: Array
@@ -198,7 +198,7 @@ class SingleRun(NamedTuple):
 
 
 def single_run(name: str, condition: Condition, seed: int) -> SingleRun:
-    """One run of one method."""
+    """Return one run of one method."""
     (episode,) = draw_runs(condition.config, [seed])
     filter_name, settings = METHODS[name]
     tracker = Stateful(track_filter(filter_name, scene_model_of(condition.config), settings))

@@ -1,4 +1,4 @@
-"""Figures 1 to 4 of paper 004, and the sweep over the detection probability that decides when its claims hold."""
+"""Figures 1 to 4 of the paper, and OSPA against detection probability and clutter rate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ METHOD_STYLES: dict[str, dict[str, Any]] = {
     "PMB-HMM": {"color": "#a3b545", "ls": (0, (3, 1.5))},
     "PMB-PMM": {"color": "#386641"},
 }
-"""PMM solid, HMM dashed; one family of colors per filter."""
+"""Line styles: PMM solid, HMM dashed, one hue per filter."""
 _TRUTH = {"color": "#222222", "lw": 0.8}
 _GRID = {"color": "#e9e9e6", "lw": 0.5}
 
@@ -40,7 +40,7 @@ def _figure(width: float, height: float, rows: int = 1, columns: int = 1) -> tup
 
 
 def draw_truth(run: SingleRun, half_width: float) -> Figure:
-    """Figure 1: true paths; triangles mark where they begin."""
+    """Draw figure 1: true paths. Triangles mark their starts."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
@@ -51,12 +51,12 @@ def draw_truth(run: SingleRun, half_width: float) -> Figure:
             axes.plot(*alive[0], marker="^", ms=4, color="#b5121b", mec="white", mew=0.4)
         axes.set(xlim=(-half_width, half_width), ylim=(-half_width, half_width), xlabel="x, m", ylabel="y, m")
         axes.set_aspect("equal")
-        axes.set_title("True paths (paper 004, figure 1)")
+        axes.set_title("True paths (Zhang et al. 2017, figure 1)")
     return figure
 
 
 def draw_estimates(run: SingleRun, name: str) -> Figure:
-    """Figure 2: estimates of one run against time, per coordinate."""
+    """Draw figure 2: estimates of one run against time, per coordinate."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
@@ -71,12 +71,12 @@ def draw_estimates(run: SingleRun, name: str) -> Figure:
             axes.plot(when, where[:, axis], ls="", marker="o", ms=1.8, color=METHOD_STYLES[name]["color"], mew=0)
             axes.set_ylabel(f"{'xy'[axis]}, m")
         panels[-1].set_xlabel("scan")
-        panels[0].set_title(f"Estimates of {name}, one run; gray: measurements (paper 004, figure 2)")
+        panels[0].set_title(f"Estimates of {name}, one run; gray: measurements (Zhang et al. 2017, figure 2)")
     return figure
 
 
 def draw_numbers(measures: Mapping[str, Measures], truth: Array) -> Figure:
-    """Figure 3: mean and standard deviation of the extracted number, and the filters' own mean, dotted."""
+    """Draw figure 3: mean and standard deviation of the extracted number; dotted, the filter's expected number."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
@@ -97,7 +97,7 @@ def draw_numbers(measures: Mapping[str, Measures], truth: Array) -> Figure:
 
 
 def draw_errors(measures: Mapping[str, Measures]) -> Figure:
-    """Figure 4: mean OSPA against time."""
+    """Draw figure 4: mean OSPA against time."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
@@ -106,14 +106,14 @@ def draw_errors(measures: Mapping[str, Measures]) -> Figure:
             axes.plot(np.arange(1, m.ospa.shape[1] + 1), m.ospa.mean(axis=0), lw=1.1, label=name, **METHOD_STYLES[name])
         axes.set(xlabel="scan", ylabel="OSPA (c = 100 m, p = 1), m", ylim=(0, None))
         axes.legend(frameon=False, ncols=3)
-        axes.set_title("OSPA (paper 004, figure 4)")
+        axes.set_title("OSPA (Zhang et al. 2017, figure 4)")
     return figure
 
 
 def draw_sweep(
     values: Sequence[float], found: Sequence[Mapping[str, Measures]], methods: Sequence[str], label: str
 ) -> Figure:
-    """Mean OSPA with standard errors against a parameter of the world."""
+    """Draw mean OSPA with standard errors against a parameter of the world."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):

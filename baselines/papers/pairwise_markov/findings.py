@@ -1,4 +1,4 @@
-"""The claims of paper 004, and one of paper 000, judged by the runs."""
+"""Verdicts on the claims of pairwise_markov, and on one of gm_phd_video, from the runs."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from servotrack.estimators.types import Array
 
 PAPER_NAME = "pairwise_markov"
 COMMAND = f"servotrack reproduce {PAPER_NAME}"
-ALIKE = 0.05
-"""Numbers of targets that differ by less are alike."""
+EQUAL_NUMBER_TOLERANCE = 0.05
+"""Largest difference of mean numbers of targets that count as equal."""
 
 
 def findings(found: Mapping[str, Mapping[str, Measures]], seconds: Mapping[tuple[str, float], Array]) -> list[Claim]:
-    """Verdicts on the claims.
+    """Return verdicts on the claims.
 
     Args:
-        found: Measures by condition and method.
+        found: Measurements by condition and method.
         seconds: Median durations of a step in each timed run, by method and clutter rate, s.
     """
     paper = found[clutter_name(PAPER_RATE)]
@@ -99,9 +99,10 @@ def findings(found: Mapping[str, Mapping[str, Measures]], seconds: Mapping[tuple
             ) + ".",
         ),
         _finding(
-            "pmm-number-alike", _verdict(max(abs(alike.low), abs(alike.high)) < ALIKE),
+            "pmm-number-alike", _verdict(max(abs(alike.low), abs(alike.high)) < EQUAL_NUMBER_TOLERANCE),
             _effect(alike, "targets", "extracted number, CBMeMBer-PMM - CBMeMBer-HMM, last 20 scans, clutter 20"),
-            f"Detections decide the number, not the noise model; alike means within {ALIKE:g} targets.",
+            "Detections decide the number, not the noise model; alike means within "
+            f"{EQUAL_NUMBER_TOLERANCE:g} targets.",
         ),
         _finding(
             "pmm-pmb-beats-all-four", _verdict(all(judge_smaller(d) == "holds" for d in pmb.values())),
@@ -118,7 +119,7 @@ def findings(found: Mapping[str, Mapping[str, Measures]], seconds: Mapping[tuple
 
 
 def _step_difference(seconds: Mapping[tuple[str, float], Array], first: str, second: str) -> PairedDifference:
-    """Difference of the median step durations, paired by run, over all clutter rates, us."""
+    """Difference of median step durations, paired by run, over all clutter rates, us."""
 
     def durations(name: str) -> Array:
         return 1e6 * np.concatenate([seconds[name, rate] for rate in CLUTTER_RATES])

@@ -1,4 +1,4 @@
-"""The conditions of paper 004's experiment, and what is read off their runs."""
+"""Conditions of the pairwise_markov experiment, and summaries of their runs."""
 
 from __future__ import annotations
 
@@ -24,28 +24,28 @@ STRUCTURES: dict[str, dict[str, Any]] = {
     "S5": {"structure": "S5", "acceleration_noise": 5.0, "position_noise": 10.0},
     "S6": {"structure": "S6", "acceleration_noise": 5.0, "position_noise": 10.0},
 }
-CROWDED = slice(80, 100)
-"""The last scans, with ten targets: the most that there are."""
+TEN_TARGET_SCANS = slice(80, 100)
+"""Last scans, which have ten targets, the largest number."""
 METHODS = (*PAPER_METHODS, *OUR_METHODS)
 
 
 def clutter_name(rate: float) -> str:
-    """Name of the condition at a clutter rate."""
+    """Return the name of the condition at a clutter rate."""
     return f"clutter-{rate:g}"
 
 
 def detection_name(probability: float) -> str:
-    """Name of the condition at a detection probability."""
+    """Return the name of the condition at a detection probability."""
     return f"detection-{probability:g}"
 
 
 def shares(runs: int) -> dict[str, int]:
-    """How many runs each part gets: `runs` where the paper has its table, fewer where a difference is plain sooner."""
+    """Return the number of runs of each part: `runs` for the paper's table, fewer where differences are larger."""
     return {"all": runs, "part": max(2, runs // 5), "few": max(2, runs // 10)}
 
 
 def all_conditions() -> list[tuple[str, Condition]]:
-    """All conditions, each with its share of the runs."""
+    """Return all conditions, each with its key in `shares`."""
     rates = [
         (
             "all",
@@ -69,10 +69,15 @@ def all_conditions() -> list[tuple[str, Condition]]:
 
 
 def run_means(measures: Measures) -> Array:
-    """Mean OSPA of each run, shape (R,), m."""
+    """Return the mean OSPA of each run, shape (R,), m."""
     return measures.ospa.mean(axis=1)
 
 
 def excess(measures: Measures, which: str = "number") -> Array:
-    """Targets counted too many in the crowded scans, mean of each run, shape (R,)."""
-    return getattr(measures, which)[:, CROWDED].mean(axis=1) - 10.0
+    """Return the mean excess over ten targets in `TEN_TARGET_SCANS`, shape (R,).
+
+    Args:
+        measures: Measurements of one method.
+        which: "number" for extracted targets, "expected" for the filter's expected number.
+    """
+    return getattr(measures, which)[:, TEN_TARGET_SCANS].mean(axis=1) - 10.0

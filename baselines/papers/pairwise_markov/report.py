@@ -1,4 +1,4 @@
-"""`servotrack reproduce pmm`: paper 004's figures and table with ours, when its claims hold, and why."""
+"""Report of pairwise_markov: the paper's table and figures, sweeps that show when its claims hold, and claims."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ from servotrack.baselines.reporting.terminal import progress_bars
 from servotrack.estimators.types import Array
 
 TIMED_RUNS = 6
+"""Number of runs for the timing; the first one only compiles."""
 NOTE = (
     "Twelve targets, 100 scans, structure S1 with sigma_v = 5 m/s^1.5 and sigma_w = 1.5 m, paths drawn anew in every "
     "run, all methods on the same scans of test seeds. OSPA: c = 100 m, p = 1, positions, mean over scans and runs. "
@@ -43,7 +44,11 @@ NOTE = (
 
 
 def reproduce(request: Request) -> None:
-    """Reproduce Zhang et al. 2017; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`."""
+    """Reproduce Zhang et al. 2017; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`.
+
+    Args:
+        request: Request; `runs` is the number of runs per clutter rate.
+    """
     runs = request.runs
     conditions, wanted = all_conditions(), shares(runs)
     plan = [(condition, seeds.take("test", wanted[kind])) for kind, condition in conditions]

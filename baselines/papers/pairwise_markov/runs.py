@@ -1,4 +1,4 @@
-"""Runs of paper 004's experiment: in parallel, in chunks that are kept on disk, so that a second call goes on."""
+"""Runs of the pairwise_markov experiment in parallel, stored on disk in chunks, so that a second call resumes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from servotrack.baselines.papers.pairwise_markov.experiment import METHODS, Cond
 from servotrack.baselines.reporting.files import ResultsError, atomic_path
 
 CHUNK = 25
-"""Runs that are filtered as one batch and kept as one file."""
+"""Number of runs that are filtered as one batch and stored in one file."""
 
 
 def run_all(
@@ -26,19 +26,19 @@ def run_all(
     progress: Progress,
     jobs: int = -1,
 ) -> dict[str, dict[str, Measures]]:
-    """All runs of all conditions; those that `folder` holds already are read.
+    """Return all runs of all conditions. Runs that `folder` already contains are read.
 
     Args:
-        conditions: Each with its seeds.
-        folder: One folder per condition, one file per chunk.
-        progress: Shows a bar.
+        conditions: Conditions, each with its seeds.
+        folder: Folder with one folder per condition and one file per chunk.
+        progress: Progress display that gets a bar.
         jobs: Processes; -1 for all processors.
 
     Returns:
-        Measures by condition and method, in the order of the seeds.
+        Measurements by condition and method, in the order of the seeds.
 
     Raises:
-        ResultsError: A file of another setting or version, or a folder that cannot be written.
+        ResultsError: A file has another setting or version, or the folder cannot be written.
     """
     pairs = list(conditions.items()) if isinstance(conditions, Mapping) else list(conditions)
     chunks = [
@@ -84,14 +84,14 @@ def _read(path: Path, condition: Condition, seeds: list[int]) -> dict[str, Measu
         with np.load(path, allow_pickle=False) as file:
             stored = {name: file[name] for name in file.files}
     except (OSError, ValueError) as error:
-        raise ResultsError(f"{path} cannot be read ({error}); delete it, and the next call makes it anew") from error
+        raise ResultsError(f"{path} cannot be read ({error}); delete it to compute it again") from error
     if str(stored.get("setting")) != _setting(condition, seeds):
         raise ResultsError(f"{path} holds runs of another setting or version; choose another --output, or delete it")
     return {method: Measures(*(stored[f"{method}/{key}"] for key in Measures._fields)) for method in condition.methods}
 
 
 def _setting(condition: Condition, seeds: Sequence[int]) -> str:
-    """All that a chunk's numbers depend on, in one line."""
+    """Settings that a chunk's results depend on, in one line."""
     methods: dict[str, Any] = {name: [METHODS[name][0], asdict(METHODS[name][1])] for name in condition.methods}
     setting = {
         "version": code_version(),

@@ -1,1 +1,1 @@
-"""Paper 002: servoing by Kalman, particle and unscented Kalman estimates of the image Jacobian."""
+"""Zhang (2011): servoing with Kalman, particle and unscented Kalman estimates of the image Jacobian."""

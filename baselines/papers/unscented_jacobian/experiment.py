@@ -1,8 +1,8 @@
-"""The experiments of paper 002: positioning, tracking, and why its unscented filter cannot differ from a Kalman filter.
+"""Experiments of Zhang (2011): positioning, tracking, and the equality of its unscented filter and a Kalman filter.
 
-The paper names no filter parameter. Ours are `assumed`: process variance 31.6, measurement variance 100, P0 = 100 I,
-gain 0.7 and a joint rate limit of 5 rad/s for all algorithms alike; J_theta(0) comes from small moves made beforehand,
-as in the paper.
+The paper gives no filter parameters. We assume process variance 31.6, measurement variance 100, P0 = 100 I, gain 0.7
+and a joint rate limit of 5 rad/s for all algorithms. J_theta(0) comes from small moves before the episode, as in the
+paper.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo, serv
 from servotrack.baselines.evaluation.servo_scores import servo_errors
 from servotrack.estimators.jacobian import (
     Excitation,
+    JacobianEstimator,
     JacobianPrior,
     KalmanJacobian,
     ParticleJacobian,
@@ -37,23 +38,23 @@ PROCESS_VARIANCE, MEASUREMENT_VARIANCE, INITIAL_VARIANCE = 31.6, 100.0, 100.0
 GAIN = 0.7
 WORLD: Mapping[str, Any] = {"level": 0, "max_joint_rate": 5.0}
 PROBE = 0.05
-"""Exploratory moves before the episode, rad."""
-ARRIVED = 0.010
-"""Positioning counts as done from here on, m."""
+"""Size of the exploratory moves before the episode, rad."""
+ARRIVAL_DISTANCE = 0.010
+"""Tracking error below which positioning counts as done, m."""
 
 PAPER_POSITIONING_SECONDS = {"KF": 0.19, "PF": 0.68, "UKF": 0.38}
-"""Table 1."""
+"""Times of the paper's table 1, s."""
 PAPER_TRACKING_ERROR = {"KF": 0.0186, "PF": 0.0170, "UKF": 0.0117}
 PAPER_TRACKING_SECONDS = {"KF": 0.279, "PF": 1.964, "UKF": 0.632}
-"""Table 2."""
+"""Errors, m, and times, s, of the paper's table 2."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """One episode.
+    """Record of one episode.
 
     Attributes:
-        tool: Tool positions at the samples, the first at the reset. Shape (length + 1, 2), m.
+        tool: Tool positions, the first at the reset. Shape (length + 1, 2), m.
         target: Target positions. Shape (length + 1, 2), m.
         error: Tracking errors after each step. Shape (length,), m.
         transient: Mean error of the first 126 samples, m.
@@ -70,23 +71,23 @@ class Run:
 
     @property
     def arrival(self) -> float:
-        """Time from which on the error stays below `ARRIVED`, s; infinite where it does not."""
-        above = np.flatnonzero(self.error >= ARRIVED)
+        """Time from which the error stays below `ARRIVAL_DISTANCE`, s; infinite if it never does."""
+        above = np.flatnonzero(self.error >= ARRIVAL_DISTANCE)
         if above.size and above[-1] == self.error.size - 1:
             return math.inf
         return 0.05 * (1 + (int(above[-1]) + 1 if above.size else 0))
 
 
-def estimator(algorithm: str, process_scale: float = 1.0, seed: int = 0) -> Any:
-    """An algorithm of the paper with the assumed parameters.
+def estimator(algorithm: str, process_scale: float = 1.0, seed: int = 0) -> JacobianEstimator:
+    """Return an algorithm of the paper with the assumed parameters.
 
     Args:
         algorithm: "KF", "PF", "UKF", "UKF as printed", or "fixed" for J_theta(0) that is never updated.
-        process_scale: Factor on the process variance.
-        seed: Of the particles.
+        process_scale: Factor on the process variance. Larger values follow new measurements faster.
+        seed: Seed of the particles.
 
     Raises:
-        ValueError: Another algorithm.
+        ValueError: Unknown algorithm.
     """
     deviation = math.sqrt(PROCESS_VARIANCE * process_scale)
     common: dict[str, Any] = {
@@ -106,7 +107,7 @@ def estimator(algorithm: str, process_scale: float = 1.0, seed: int = 0) -> Any:
 
 
 def initial_jacobian(env_id: str, world: Mapping[str, Any], seed: int) -> tuple[tuple[float, ...], ...]:
-    """J_theta(0) from four small moves in front of the target at rest, J_t(0) = 0; as nested tuples (m, n + 1)."""
+    """Return J(0) as nested tuples (m, n + 1): J_theta(0) from four small moves before a target at rest, J_t(0) = 0."""
     env = gym.make(env_id, **{**world, "warmup": 8})
     try:
         observation, _ = env.reset(seed=seed)
@@ -120,14 +121,14 @@ def initial_jacobian(env_id: str, world: Mapping[str, Any], seed: int) -> tuple[
             observation = moved
     finally:
         env.close()
-    # A motor stops a moment after it is told to, so no move turns one joint alone: least squares sort them out.
+    # Motors stop with a delay, so that every move turns both joints; least squares separates them.
     by_joints = np.linalg.lstsq(np.array(turns), np.array(changes), rcond=None)[0].T
     jacobian = np.column_stack([by_joints, np.zeros(len(by_joints))])
     return tuple(tuple(row) for row in jacobian.tolist())
 
 
-def servo(algorithm: Any, jacobian: tuple[tuple[float, ...], ...]) -> JacobianServo:
-    """The paper's servo: proportional law, no probing in the episode, nobody watching."""
+def servo(algorithm: JacobianEstimator, jacobian: tuple[tuple[float, ...], ...]) -> JacobianServo:
+    """Return the paper's servo: proportional law, without exploratory moves in the episode and without supervisor."""
     limit = float(WORLD["max_joint_rate"])
     return JacobianServo(
         ServoController(_starting_from(algorithm, jacobian), Proportional(GAIN), Excitation(steps=0), None, limit)
@@ -135,19 +136,20 @@ def servo(algorithm: Any, jacobian: tuple[tuple[float, ...], ...]) -> JacobianSe
 
 
 def _starting_from(algorithm: Any, jacobian: tuple[tuple[float, ...], ...]) -> Any:
+    """Copy of an estimator whose prior mean is `jacobian`."""
     if isinstance(algorithm, FixedJacobian):
         return replace(algorithm, learner=_starting_from(algorithm.learner, jacobian))
     return replace(algorithm, prior=replace(algorithm.prior, mean=jacobian))
 
 
-def run(env_id: str, algorithm: Any, seed: int, world: Mapping[str, Any] = WORLD) -> Run:
-    """One episode of an algorithm, unbatched.
+def run(env_id: str, algorithm: JacobianEstimator, seed: int, world: Mapping[str, Any] = WORLD) -> Run:
+    """Run one episode of an algorithm, unbatched.
 
     Args:
         env_id: `TRACKING` or `POSITIONING`.
-        algorithm: From `estimator`.
-        seed: Of the environment.
-        world: Its arguments.
+        algorithm: Estimator from `estimator`.
+        seed: Seed of the environment.
+        world: Arguments of the environment.
     """
     agent = servo(algorithm, initial_jacobian(env_id, world, seed))
     env = gym.make(env_id, **{**world, "warmup": 0})
@@ -176,7 +178,12 @@ def run(env_id: str, algorithm: Any, seed: int, world: Mapping[str, Any] = WORLD
 
 
 def open_loop_difference(kappas: Sequence[float], seed: int, steps: int = 1000) -> dict[float, float]:
-    """Largest difference between the Jacobians of UKF and KF over one recorded stream of measurements, per kappa.
+    """Return the largest difference between the Jacobians of UKF and KF on one recorded stream of measurements.
+
+    Args:
+        kappas: Values of kappa of the unscented transform.
+        seed: Seed of the environment.
+        steps: Length of the stream.
 
     Returns:
         For each kappa max |J_UKF - J_KF| over max |J_KF|, over all steps and entries.
@@ -188,14 +195,15 @@ def open_loop_difference(kappas: Sequence[float], seed: int, steps: int = 1000) 
     reference = _jacobians(_starting_from(kalman, jacobian), stream)
     differences = {}
     for kappa in kappas:
-        unscented = _starting_from(replace(estimator("UKF"), kappa=kappa), jacobian)
+        unscented: Any = estimator("UKF")
+        unscented = _starting_from(replace(unscented, kappa=kappa), jacobian)
         found = _jacobians(unscented, stream)
         differences[kappa] = float(np.abs(found - reference).max() / np.abs(reference).max())
     return differences
 
 
 def closed_loop_difference(seed: int, steps: int = 1000) -> float:
-    """Largest distance between the tool paths of UKF and KF, each closing its own loop, m."""
+    """Return the largest distance between the tool paths of UKF and KF, each in its own closed loop, m."""
     world = {**WORLD, "horizon": steps}
     paths = [run(TRACKING, estimator(name), seed, world).tool for name in ("KF", "UKF")]
     return float(np.abs(paths[0] - paths[1]).max())
@@ -220,7 +228,7 @@ def _record(agent: JacobianServo, seed: int, world: Mapping[str, Any]) -> list[S
     return stream
 
 
-def _jacobians(method: Any, stream: Sequence[ServoMeasurement]) -> Array:
+def _jacobians(method: JacobianEstimator, stream: Sequence[ServoMeasurement]) -> Array:
     state = method.initial(stream[0])
     found = []
     for measurement in stream:

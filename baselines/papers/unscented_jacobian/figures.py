@@ -1,4 +1,4 @@
-"""Figures 3 and 4 of paper 002: the tool's way to a target at rest, and along a moving one."""
+"""Figures 3 and 4 of the paper: path of the tool to a target at rest, and along a moving one."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ TOOL_COLORS = {"KF": "#2f7ebc", "PF": "#5b8c3e", "UKF": "#00798c", "UKF as print
 
 
 def draw_trajectories(runs: Mapping[str, Run], title: str) -> Figure:
-    """One panel per algorithm, in the paper's symbols: a square for the target, a circle where the tool starts.
+    """Draw one panel per algorithm. As in the paper, a square marks the target and a circle the start of the tool.
 
     Args:
         runs: One run per algorithm, on the same episode.
-        title: Of the figure.
+        title: Title of the figure.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure

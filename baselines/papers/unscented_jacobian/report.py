@@ -1,4 +1,4 @@
-"""Paper 002 beside ours: positioning, tracking, what its ordering comes from, figures 3 and 4, claims."""
+"""Report of unscented_jacobian: positioning, tracking, cause of the paper's ordering, figures 3 and 4, claims."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from servotrack.baselines.papers.unscented_jacobian.experiment import POSITIONIN
 from servotrack.baselines.papers.unscented_jacobian.figures import draw_trajectories
 from servotrack.baselines.reporting.grid import Grid
 from servotrack.baselines.reporting.terminal import progress_bars
+from servotrack.estimators.jacobian import JacobianEstimator
 
 PAPER_NAME = "unscented_jacobian"
 COMMAND = f"servotrack reproduce {PAPER_NAME}"
@@ -35,7 +36,11 @@ ASSUMED = (
 
 
 def reproduce(request: Request) -> None:
-    """Reproduce paper 002; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`."""
+    """Reproduce Zhang 2011; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`.
+
+    Args:
+        request: Request; `runs` is the number of runs per algorithm.
+    """
     runs = request.runs
     seed = seeds.TEST[0]
     with progress_bars() as progress:
@@ -62,8 +67,8 @@ def reproduce(request: Request) -> None:
     figures = {
         name: draw_trajectories({algorithm: found[algorithm][0] for algorithm in ALGORITHMS}, title)
         for name, found, title in (
-            ("figure3", positioning, "Positioning (paper 002, figure 3)"),
-            ("figure4", tracking, "Tracking (paper 002, figure 4)"),
+            ("figure3", positioning, "Positioning (Zhang 2011, figure 3)"),
+            ("figure4", tracking, "Tracking (Zhang 2011, figure 4)"),
         )
     }
     publish(request, tables, claims, "", ASSUMED, figures)
@@ -73,19 +78,19 @@ def _runs(env_id: str, runs: int, seed: int, progress: Progress) -> dict[str, li
     bar = progress.add_task(env_id, total=runs * len(ALGORITHMS))
     found: dict[str, list[Run]] = {name: [] for name in ALGORITHMS}
     for name in ALGORITHMS:
-        # The first run compiles and fills caches; its time would tell nothing.
+        # The first run compiles and fills caches, so it is not timed.
         experiment.run(env_id, experiment.estimator(name), seed)
-    # In turn, so that a machine that is busy for a while slows all of them down.
+    # All algorithms in turn, so that other load on the machine affects them alike.
     for number in range(runs):
-        for name, of_name in found.items():
-            of_name.append(experiment.run(env_id, experiment.estimator(name, seed=number), seed))
+        for name, done in found.items():
+            done.append(experiment.run(env_id, experiment.estimator(name, seed=number), seed))
             progress.advance(bar)
     return found
 
 
 def _audit_runs(progress: Progress) -> dict[str, list[float]]:
     """Transient errors on random ellipses, test seeds, no noise: one list per algorithm, in the order of the seeds."""
-    methods: dict[str, Any] = {name: experiment.estimator(name) for name in ALGORITHMS}
+    methods: dict[str, JacobianEstimator] = {name: experiment.estimator(name) for name in ALGORITHMS}
     methods["KF x10"] = experiment.estimator("KF", 10.0)
     methods["fixed"] = experiment.estimator("fixed")
     chosen = seeds.take("test", AUDITED_EPISODES)
@@ -103,7 +108,7 @@ def _mean(runs: Sequence[Run], attribute: str) -> float:
 
 
 def _seconds(runs: Sequence[Run]) -> float:
-    """Median, so that another program's moment does not decide."""
+    """Median time, which ignores short interruptions by other programs, s."""
     return float(np.median([run.seconds for run in runs]))
 
 
@@ -171,7 +176,7 @@ def _findings(
     seconds = {name: _seconds(runs) for name, runs in tracking.items()}
     ordered = seconds["KF"] < seconds["UKF"] < seconds["PF"]
     reached = positioning["UKF"]
-    precise = all(run.error[-1] < experiment.ARRIVED and np.isfinite(run.arrival) for run in reached)
+    precise = all(run.error[-1] < experiment.ARRIVAL_DISTANCE and np.isfinite(run.arrival) for run in reached)
     return [
         compare(
             "servo-ukf-beats-kf", "UKF", "KF",
