@@ -1,7 +1,7 @@
-"""Write a page per environment from its docstring, its spaces and its configuration, an index of them, and pictures.
+"""Write a page per environment from its docstring, its spaces and its configuration, and an index of them.
 
-`python docs/generate.py` writes the pages and the README's pictures of worlds; with `--check` it writes nothing and
-exits with 1 where a page is stale.
+`python docs/generate.py` writes the pages. With `--pictures` it also draws the pictures and animations of the
+environments, which takes some minutes. With `--check` it writes nothing and exits with 1 if a page is stale.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ import inspect
 import itertools
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import gymnasium as gym
+from PIL import Image
 
 from servotrack.baselines import create_agent
 from servotrack.baselines.evaluation.evaluate import show_belief
@@ -25,16 +27,48 @@ from servotrack.envs.registration import ENVIRONMENTS
 
 FOLDER = Path(__file__).parent / "environments"
 IMAGES = Path(__file__).parent / "images"
+ANIMATION_WIDTH = 560
+"""Width of an animation, px. Wider animations make larger files."""
+ANIMATION_QUALITY = 50
+"""Quality of an animation's frames, 0 to 100."""
 
 
 class Picture(NamedTuple):
-    """A picture of the README: an agent in an environment with these arguments, some steps into a train seed."""
+    """Picture for the README and the guides: an agent in an environment, some steps into a train seed.
+
+    Attributes:
+        name: File name.
+        env_id: Gymnasium id.
+        arguments: Keyword arguments of the environment.
+        agent: Name of the agent.
+        steps: Steps before the picture is taken.
+    """
 
     name: str
     env_id: str
     arguments: dict[str, Any]
     agent: str
     steps: int
+
+
+class Animation(NamedTuple):
+    """Animation for an environment's page: a reference agent at work on train seed 0.
+
+    Attributes:
+        arguments: Keyword arguments of the environment.
+        agent: Name of the agent.
+        first: Steps before the animation begins.
+        frames: Number of frames.
+        every: Steps per frame; larger values show a longer part of the episode.
+        duration: Time per frame, ms.
+    """
+
+    arguments: dict[str, Any]
+    agent: str
+    first: int = 0
+    frames: int = 60
+    every: int = 2
+    duration: int = 100
 
 
 PICTURES = (
@@ -46,17 +80,38 @@ PICTURES = (
     Picture("color-tracking.png", "ColorTracking-v0", {"level": 2}, "monte-carlo-color", 120),
 )
 
+ANIMATIONS = {
+    "UncalibServo-v0": Animation({"level": 3}, "lifted-kf", frames=72),
+    "UncalibServoReach-v0": Animation({"level": 3}, "lifted-kf", frames=50, every=2),
+    "UncalibServoPixels-v0": Animation({"level": 3}, "lifted-kf", frames=72),
+    "PedestrianServo-v0": Animation({"level": 2}, "phd-servo", frames=72),
+    "ClutterTracking-v0": Animation({}, "pmb", first=20, frames=60, every=1, duration=120),
+    "PedestrianTracking-v0": Animation({"level": 1}, "pmb", first=40, frames=48, every=4, duration=140),
+    "ColorTracking-v0": Animation({"level": 2}, "monte-carlo-color-plus", frames=60, every=3, duration=120),
+    "SonarTracking-v0": Animation({"level": 1}, "hmm-row", frames=58, every=1, duration=150),
+    "VideoTracking-v0": Animation({}, "pmb", frames=29, every=2, duration=120),
+}
+"""One per environment."""
+
 
 def pages() -> dict[Path, str]:
-    """What every generated file has to hold."""
+    """Return the text of every generated file."""
     texts = {FOLDER / f"{env_id}.md": page(env_id) for env_id in ENVIRONMENTS}
     texts[FOLDER / "index.md"] = index()
     return texts
 
 
 def index() -> str:
-    """The table of all environments."""
-    lines = ["# Environments", "", "| id | in a line | `make_vec` |", "|---|---|---|"]
+    """Return the page with the table of all environments."""
+    lines = [
+        "# Environments",
+        "",
+        "Environments of servoing move an arm; environments of tracking expect the set of targets as the action.",
+        "`make_vec` says whether an environment has a vector environment of its own, which gives the same episodes.",
+        "",
+        "| id | summary | `make_vec` |",
+        "|---|---|---|",
+    ]
     for env_id, entry in ENVIRONMENTS.items():
         vector = "native" if "vector_entry_point" in entry else "Gymnasium's own"
         lines.append(f"| [{env_id}]({env_id}.md) | {_docstring(env_id).splitlines()[0]} | {vector} |")
@@ -64,23 +119,32 @@ def index() -> str:
 
 
 def page(env_id: str) -> str:
-    """One environment's page."""
+    """Return the page of one environment."""
     headline, _, body = _docstring(env_id).partition("\n")
     env: Any = gym.make(env_id).unwrapped
     facts = [
-        "| | |",
+        "| property | value |",
         "|---|---|",
         f'| make | `gym.make("{env_id}")` after `import servotrack` |',
         f"| action space | {_space(env.action_space)} |",
         *_space_rows(env.observation_space),
         f"| render modes | {', '.join(f'`{mode}`' for mode in env.metadata['render_modes'])} |",
     ]
-    parts = [f"# {env_id}", headline, "\n".join(facts), _linked(body.strip(), env_id)]
+    parts = [f"# {env_id}", headline, _animated(env_id), "\n".join(facts), _linked(body.strip(), env_id)]
     config = getattr(env, "config", None)
     env.close()
     if dataclasses.is_dataclass(config):
         parts.append(_ladder(env_id, type(config)))
     return "\n\n".join(parts) + "\n"
+
+
+def _animated(env_id: str) -> str:
+    animation = ANIMATIONS[env_id]
+    made = "".join(f" with `{name}={value!r}`" for name, value in animation.arguments.items())
+    return (
+        f"![Animation of the agent {animation.agent} in {env_id}](../images/environments/{env_id}.webp)\n\n"
+        f"*Agent `{animation.agent}`{made}, seed 0.*"
+    )
 
 
 def _docstring(env_id: str) -> str:
@@ -102,7 +166,7 @@ def _space(space: gym.Space[Any]) -> str:
 
 
 def _linked(body: str, env_id: str) -> str:
-    """The text with every other environment's id made a link to its page; code blocks and calls stay as they are."""
+    """Return the text with every other environment's id as a link to its page; code and calls stay as they are."""
     for other in ENVIRONMENTS:
         if other != env_id:
             body = body.replace(f"`{other}`", f"[`{other}`]({other}.md)")
@@ -110,7 +174,7 @@ def _linked(body: str, env_id: str) -> str:
 
 
 def _ladder(env_id: str, config_type: type) -> str:
-    """Every keyword with its meaning and its value at each level; a dot where a level changes nothing."""
+    """Return the table of keywords: meaning and value at each level, with a dot where a level changes nothing."""
     meanings, configs = _attributes(config_type), _configs(env_id)
     if len(configs) == 1:
         lines = ["## Keywords", "", "| keyword | meaning | default |", "|---|---|---|"]
@@ -118,7 +182,7 @@ def _ladder(env_id: str, config_type: type) -> str:
         lines = [
             "## Keywords and their value at each level",
             "",
-            "A dot: as at the level before.",
+            "A dot stands for the value of the level before.",
             "",
             "| keyword | meaning | " + " | ".join(map(str, range(len(configs)))) + " |",
             "|---|---|" + "---|" * len(configs),
@@ -131,7 +195,7 @@ def _ladder(env_id: str, config_type: type) -> str:
 
 
 def _configs(env_id: str) -> list[Any]:
-    """The configuration at every level; one where there are no levels."""
+    """Return the configuration at every level; one configuration for an environment without levels."""
     configs: list[Any] = []
     for level in itertools.count():
         try:
@@ -157,7 +221,7 @@ def _shown(value: Any) -> str:
 
 
 def _attributes(documented: type) -> dict[str, str]:
-    """The sections `Attributes:` of a class and its bases, in the Google style: name to text."""
+    """Return the entries of the sections `Attributes:` of a class and its bases, keyed by name."""
     meanings: dict[str, str] = {}
     for part in reversed(documented.__mro__):
         section = inspect.cleandoc(part.__doc__ or "").partition("Attributes:\n")[2]
@@ -166,27 +230,61 @@ def _attributes(documented: type) -> dict[str, str]:
     return meanings
 
 
-def draw(picture: Picture) -> None:
-    """Write a picture of an agent at work, some steps into a train seed."""
-    env = gym.make(picture.env_id, render_mode="rgb_array", **picture.arguments)
-    agent = create_agent(picture.agent, env)
+def _frames(env_id: str, arguments: dict[str, Any], agent_name: str) -> Iterator[Any]:
+    """Yield the rendered frame after every step of an agent on train seed 0."""
+    env: Any = gym.make(env_id, render_mode="rgb_array", **arguments)
+    agent = create_agent(agent_name, env)
     observation, _ = env.reset(seed=0)
     state: Any = None
-    for _ in range(picture.steps):
+    over = False
+    while not over:
         action, state = agent.predict(observation, state)
         show_belief(env, state)
-        observation, *_ = env.step(action)
-    frame: Any = env.render()
+        observation, _, terminated, truncated, _ = env.step(action)
+        over = bool(terminated or truncated)
+        yield env.render()
     env.close()
-    IMAGES.mkdir(exist_ok=True)
+
+
+def draw(picture: Picture) -> None:
+    """Write a picture."""
+    frames = _frames(picture.env_id, picture.arguments, picture.agent)
+    frame = next(itertools.islice(frames, picture.steps - 1, None))
     cv2.imwrite(str(IMAGES / picture.name), frame[..., ::-1])
 
 
+def animate(env_id: str, animation: Animation) -> Path:
+    """Write an animation as a looping WebP file and return its path."""
+    end = animation.first + animation.frames * animation.every
+    images = []
+    for frame in itertools.islice(
+        _frames(env_id, animation.arguments, animation.agent), animation.first, end, animation.every
+    ):
+        height = round(frame.shape[0] * ANIMATION_WIDTH / frame.shape[1])
+        small = cv2.resize(frame, (ANIMATION_WIDTH, height), interpolation=cv2.INTER_AREA)
+        images.append(Image.fromarray(small))
+    path = IMAGES / "environments" / f"{env_id}.webp"
+    path.parent.mkdir(exist_ok=True)
+    images[0].save(
+        path,
+        save_all=True,
+        append_images=images[1:],
+        duration=animation.duration,
+        loop=0,
+        quality=ANIMATION_QUALITY,
+        method=6,
+    )
+    return path
+
+
 def main() -> int:
-    """Write or check the pages; the exit status is the number of stale ones, at most 1."""
+    """Write or check the pages. Returns 1 if `--check` finds a stale page, else 0."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="only compare")
-    check = parser.parse_args().check
+    parser.add_argument("--check", action="store_true", help="compare only")
+    parser.add_argument("--pictures", action="store_true", help="also draw pictures and animations")
+    parser.add_argument("--only", metavar="ID", help="draw only the animation of this environment")
+    arguments = parser.parse_args()
+    check = arguments.check
     texts = pages()
     stale = [path for path, text in texts.items() if not path.is_file() or path.read_text(encoding="utf-8") != text]
     stale += [path for path in FOLDER.glob("*.md") if path not in texts]
@@ -195,8 +293,12 @@ def main() -> int:
         if not check:
             FOLDER.mkdir(exist_ok=True)
             path.write_text(texts[path], encoding="utf-8") if path in texts else path.unlink()
-    if not check:
-        for picture in PICTURES:
+    if arguments.pictures and not check:
+        for env_id, animation in ANIMATIONS.items():
+            if arguments.only in (None, env_id):
+                path = animate(env_id, animation)
+                print(f"wrote: {path} ({path.stat().st_size / 1e3:.0f} kB)")
+        for picture in PICTURES if arguments.only is None else ():
             draw(picture)
     return int(check and bool(stale))
 
