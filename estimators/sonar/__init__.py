@@ -27,6 +27,7 @@ from servotrack.estimators.sonar.array import (
     steering,
     tabulate_pattern,
 )
+from servotrack.estimators.sonar.bearing_model import BearingModel
 from servotrack.estimators.sonar.nulling import ViterbiNulling
 from servotrack.estimators.sonar.peaks import PeakKalmanHungarian, PeakNearestNeighbor
 from servotrack.estimators.sonar.record import BearingTrack
@@ -34,6 +35,7 @@ from servotrack.estimators.sonar.tracker import BearingState, HMMBearings
 
 __all__ = [
     "Band",
+    "BearingModel",
     "BearingState",
     "BearingTrack",
     "HMMBearings",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
@@ -12,14 +11,11 @@ from numba import njit
 from servotrack.estimators.hmm.exclusion import exclude, occupancy
 from servotrack.estimators.hmm.smoothing import smooth
 from servotrack.estimators.sonar.beam_patterns import PowerFit, add_pattern, variance_of
+from servotrack.estimators.sonar.bearing_model import BearingModel
 from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
 from servotrack.estimators.sonar.crossings import resolve_crossings
 from servotrack.estimators.sonar.likelihood import cell_likelihood, known_power, unknown_power
 from servotrack.estimators.types import Array, Mask
-
-if TYPE_CHECKING:
-    from servotrack.estimators.sonar.tracker import HMMBearings
-
 
 APART = 0.06
 """Targets whose cosines of bearing differ by less are not resolved by the array of 48 elements."""
@@ -47,20 +43,20 @@ class JointSmoother:
     """Chains in normalized rows.
 
     Args:
-        tracker: All parameters.
+        model: Parameters and tables of the tracker.
         rows: Normalized beam powers. Shape (T, beams).
         chains: Chains that are followed already.
     """
 
-    def __init__(self, tracker: HMMBearings, rows: Array, chains: Sequence[TrackHypothesis] = ()) -> None:
-        self.tracker = tracker
+    def __init__(self, model: BearingModel, rows: Array, chains: Sequence[TrackHypothesis] = ()) -> None:
+        self.model = model
         self.rows = rows
         self.chains = list(chains)
 
     @cached_property
     def whitened(self) -> Array:
         """The rows less noise, as the matched filter takes them. Shape (T, beams)."""
-        return self.tracker.scores.whiten(self.rows - 1.0)
+        return self.model.scores.whiten(self.rows - 1.0)
 
     def search(self, attempts: int) -> None:
         """Start chains on the strongest unexplained ridge until the test of existence fails `attempts` in a row.
@@ -74,19 +70,19 @@ class JointSmoother:
         closed, taken = np.zeros(self.rows.shape, np.bool_), np.zeros(self.rows.shape, np.bool_)
         unexplained: Array | None = None
         while True:
-            if failed >= attempts or len(self.chains) >= self.tracker.max_targets:
+            if failed >= attempts or len(self.chains) >= self.model.max_targets:
                 if settled:
                     return
-                self.sweep(self.tracker.sweeps)
+                self.sweep(self.model.sweeps)
                 failed, settled, unexplained = attempts - 1, True, None
                 taken[:] = False
                 continue
-            chain = TrackHypothesis(np.ones(len(self.rows)), self.tracker.patterns.flat, period=self.tracker.period)
+            chain = TrackHypothesis(np.ones(len(self.rows)), self.model.patterns.flat, period=self.model.period)
             if unexplained is None:
                 unexplained = self._likelihood(chain)
             self._smooth(chain, unexplained, closed | taken)
             ridge, before = chain.bearings, len(self.chains)
-            about = np.abs(self.tracker.looks - ridge[:, None]) < CLOSED
+            about = np.abs(self.model.looks - ridge[:, None]) < CLOSED
             if chain.spans and not self._followed_already(chain):
                 there = chain.presence > SURE
                 self.chains.append(chain)
@@ -114,9 +110,9 @@ class JointSmoother:
         The first one has nobody to wait for. One that comes to go where another one is ends.
         """
         # A single cell does not tell whose power it holds: all have to make room.
-        some = list(self.chains) if self.tracker.likelihood == "cell" else [new, *self._most_met(new)]
+        some = list(self.chains) if self.model.likelihood == "cell" else [new, *self._most_met(new)]
         everything = len(some) == len(self.chains)
-        self.sweep(1 if len(self.chains) == 1 else self.tracker.sweeps, some)
+        self.sweep(1 if len(self.chains) == 1 else self.model.sweeps, some)
         if not everything and new in self.chains and self._followed_already(new):
             self.chains.remove(new)
             self.fit()
@@ -157,12 +153,12 @@ class JointSmoother:
 
     def resolve_crossings(self) -> bool:
         """Give chains that changed targets where they met their own back; whether there were any."""
-        if self.tracker.likelihood == "cell":
+        if self.model.likelihood == "cell":
             return False
         changed = False
         for _ in range(MOST_EXCHANGES):
             others = [self.explained([chain]) for chain in self.chains]
-            if not resolve_crossings(self.chains, self.tracker.patterns, self.rows, others, self.tracker.looks):
+            if not resolve_crossings(self.chains, self.model.patterns, self.rows, others, self.model.looks):
                 break
             changed = True
             for chain in self.chains:
@@ -181,32 +177,32 @@ class JointSmoother:
     def fit(self, some: Sequence[TrackHypothesis] | None = None) -> None:
         """Powers, what is expected of them, and spectra, of all chains or of some together; others stay as they are."""
         chains = [chain for chain in self.chains if some is None or chain in some]
-        if self.tracker.likelihood == "cell" or not chains:
+        if self.model.likelihood == "cell" or not chains:
             return
-        tracker = self.tracker
+        model = self.model
         there = np.array([chain.presence for chain in chains])
         alone = np.array([self._alone(chain) for chain in chains])
         patterns = np.array([chain.pattern for chain in chains])
-        least = tracker.weakest / np.sqrt(tracker.averages)
+        least = model.weakest / np.sqrt(model.averages)
         unknown = np.zeros_like(there), np.full_like(there, 1e3 * self.rows.max())
         excess = self.rows - self.explained(chains)
         mean = self.explained()
         for _ in range(2):
-            variance = variance_of(mean, tracker.averages, 0.3 * tracker.model_error, tracker.misplaced // 2)
+            variance = variance_of(mean, model.averages, 0.3 * model.model_error, model.misplaced // 2)
             powers = PowerFit.of(excess, patterns, there, variance)
             free = powers.powers(*unknown)
             usual = np.array([_running_median(p, use) for p, use in zip(free, alone, strict=True)])
             usual = np.maximum(usual, least)
-            power = powers.powers(usual, tracker.power_spread * usual)
+            power = powers.powers(usual, model.power_spread * usual)
             for i, chain in enumerate(chains):
                 chain.expected = usual[i]
                 chain.power = np.where(there[i] > SURE, power[i], usual[i])
             mean = self.explained()
-        cosines = np.cos(np.radians(tracker.looks))
+        cosines = np.cos(np.radians(model.looks))
         for chain, use in zip(chains, alone, strict=True):
             if use.sum() >= FEWEST:
                 left = (self.rows - self.explained([chain]))[use]
-                chain.mixture = tracker.patterns.fit(
+                chain.mixture = model.patterns.fit(
                     left, variance[use], cosines, chain.bearings[use], np.maximum(chain.power[use], least)
                 )
 
@@ -221,36 +217,36 @@ class JointSmoother:
         return alone
 
     def _explain(self, chain: TrackHypothesis) -> None:
-        if self.tracker.likelihood == "row":
-            looks = self.tracker.looks
-            chain.pattern = self.tracker.patterns.at(chain.mixture, np.cos(np.radians(looks)), chain.bearings)
+        if self.model.likelihood == "row":
+            looks = self.model.looks
+            chain.pattern = self.model.patterns.at(chain.mixture, np.cos(np.radians(looks)), chain.bearings)
 
     def _likelihood(self, chain: TrackHypothesis) -> Array:
-        return self._cells(chain) if self.tracker.likelihood == "cell" else self._row(chain)
+        return self._cells(chain) if self.model.likelihood == "cell" else self._row(chain)
 
     def _smooth(self, chain: TrackHypothesis, b: Array, closed: Mask | None = None) -> None:
         """Smooth one chain and test its existence; a new chain, there in all rows, may not enter what is closed."""
-        tracker = self.tracker
+        model = self.model
         if closed is not None and closed.any():
             b = np.where(np.tile(closed, (1, b.shape[1] // closed.shape[1])), 1.0, b)
         chain.likelihood = b
         presence, negligible = (chain.presence, NEGLIGIBLE) if closed is None else (None, 0.0)
-        smoothed = smooth(tracker.chain, b, chain.prior, presence, negligible)
-        chain.locate(smoothed.marginal, tracker.looks, tracker.chain.rates)
+        smoothed = smooth(model.chain, b, chain.prior, presence, negligible)
+        chain.locate(smoothed.marginal, model.looks, model.chain.rates)
         chain.existence_likelihood = smoothed.existence_likelihood
-        if tracker.likelihood == "cell":
+        if model.likelihood == "cell":
             chain.marginal = smoothed.marginal
         established = chain.label > 0
-        whole = 0.0 if established else tracker.evidence
-        piece = 0.0 if established else tracker.evidence_of_piece
-        chain.test_existence(tracker.switching, tracker.bridged, piece, whole, tracker.farthest)
+        whole = 0.0 if established else model.evidence
+        piece = 0.0 if established else model.evidence_of_piece
+        chain.test_existence(model.switching, model.bridged, piece, whole, model.farthest)
 
     def _row(self, chain: TrackHypothesis) -> Array:
-        scores = self.tracker.scores
+        scores = self.model.scores
         power, variance = scores.evaluate(self.whitened, self.explained([chain]), scores.template(chain.mixture))
         if chain.expected is None:
             return unknown_power(power, variance)
-        return known_power(power, variance, chain.expected, self.tracker.power_spread)
+        return known_power(power, variance, chain.expected, self.model.power_spread)
 
     def _cells(self, chain: TrackHypothesis) -> Array:
         b = cell_likelihood(self.rows)
@@ -258,8 +254,8 @@ class JointSmoother:
         others = [c for c in self.chains if c is not chain and len(c.marginal)]
         if not others:
             return b
-        beams = len(self.tracker.looks)
-        return exclude(b, [occupancy(c.marginal, c.presence, beams, self.tracker.spread_beams) for c in others])
+        beams = len(self.model.looks)
+        return exclude(b, [occupancy(c.marginal, c.presence, beams, self.model.spread_beams) for c in others])
 
 
 @njit(cache=True, nogil=True)
