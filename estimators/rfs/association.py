@@ -5,35 +5,35 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-TOLERANCE = 1e-6
-"""Largest relative change of a message at which the iteration ends."""
-
-ITERATIONS = 1000
-"""The iteration is a contraction, but a slow one where many tracks contest many measurements."""
-
 
 @njit(cache=True, nogil=True)
-def association_marginals(track, measurement, psi, tracks, measurements):  # type: ignore[no-untyped-def]
-    """Marginals of the association of tracks to measurements, at most one to one.
+def association_marginals(  # type: ignore[no-untyped-def]
+    track, measurement, psi, tracks, measurements, tolerance=1e-6, iterations=1000
+):
+    """Marginal probabilities of the association of tracks to measurements, at most one to one.
 
     Args:
-        track: Track of each pair, ascending. Shape (P,).
-        measurement: Measurement of each pair. Shape (P,).
-        psi: Weight of "track i caused measurement j" over those of "track i is missed" and "measurement j is new or
-            clutter". Shape (P,).
+        track: Index of the track of each pair, ascending. Shape (P,).
+        measurement: Index of the measurement of each pair. Shape (P,).
+        psi: Weight of "track i caused measurement j", divided by the weights of "track i is missed" and
+            "measurement j is new or clutter". Shape (P,).
         tracks: Number of tracks, T.
         measurements: Number of measurements, Z.
+        tolerance: Largest relative change of a message at which the iteration stops. Raising it makes the marginals
+            less exact and the function faster.
+        iterations: Largest number of iterations. The iteration is a contraction; it converges slowly where many tracks
+            compete for many measurements.
 
     Returns:
-        missed (T,): probability that a track caused none; assigned (P,); fresh (Z,): probability that no track caused
-        the measurement.
+        missed (T,): probability that a track caused no measurement; assigned (P,): probability of each pair; fresh
+        (Z,): probability that no track caused the measurement.
     """
     pairs = track.shape[0]
     mu = np.zeros(pairs)
     nu = np.ones(pairs)
     by_track = np.zeros(tracks)
     by_measurement = np.zeros(measurements)
-    for _ in range(ITERATIONS):
+    for _ in range(iterations):
         by_track[:] = 0.0
         for p in range(pairs):
             by_track[track[p]] += psi[p] * nu[p]
@@ -46,7 +46,7 @@ def association_marginals(track, measurement, psi, tracks, measurements):  # typ
             message = 1.0 / (1.0 + max(by_measurement[measurement[p]] - mu[p], 0.0))
             change = max(change, abs(message - nu[p]) / message)
             nu[p] = message
-        if change < TOLERANCE:
+        if change < tolerance:
             break
     by_track[:] = 0.0
     for p in range(pairs):

@@ -1,4 +1,4 @@
-"""Tables of Bernoulli tracks: each exists with a probability and has a Gaussian mixture of its own in a shared pool."""
+"""Tables of Bernoulli tracks: each has a probability of existence and a Gaussian mixture in a shared pool."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Tracks(NamedTuple):
     The components of a track are consecutive rows of the pool, in order of the tracks, and their weights sum to one.
 
     Attributes:
-        number: Shape (*batch,).
-        existence: Shape (*batch, T).
+        number: Number of tracks. Shape (*batch,).
+        existence: Probability of existence. Shape (*batch, T).
         label: Identity, 0 for none yet. Shape (*batch, T).
         size: Number of components. Shape (*batch, T).
     """
@@ -30,7 +30,7 @@ class Tracks(NamedTuple):
 
 
 def empty_tracks(batch: int, capacity: int) -> Tracks:
-    """No tracks yet, all entries zero."""
+    """Tables without tracks, all entries zero."""
     shape = (batch, capacity)
     return Tracks(np.zeros(batch, np.int64), np.zeros(shape), np.zeros(shape, np.int64), np.zeros(shape, np.int64))
 
@@ -57,7 +57,7 @@ def predict_tracks(model, tracks, pool, survival, work, b, out_tracks, out_pool)
 
 @njit(cache=True, nogil=True)
 def owners_and_detection(tracks, pool, detection, b):  # type: ignore[no-untyped-def]
-    """The track of each component of run b, and each track's mean detection probability <p, p_D>."""
+    """Track index of each component of run b, and mean detection probability <p, p_D> of each track."""
     owner = np.empty(pool.number[b], np.int64)
     detectable = np.zeros(tracks.number[b])
     row = 0
@@ -72,7 +72,7 @@ def owners_and_detection(tracks, pool, detection, b):  # type: ignore[no-untyped
 
 @njit(cache=True, nogil=True)
 def rows_by_key(key, keys):  # type: ignore[no-untyped-def]
-    """Rows grouped by key 0 <= key < keys, in their order: the rows, and where each group starts (keys + 1,)."""
+    """Group rows by key, 0 <= key < keys, in their order: the rows, and the start of each group, shape (keys + 1,)."""
     start = np.zeros(keys + 1, np.int64)
     for row in range(key.shape[0]):
         start[key[row] + 1] += 1
@@ -88,7 +88,7 @@ def rows_by_key(key, keys):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def normalize(weight, start, count):  # type: ignore[no-untyped-def]
-    """Scale some weights to sum to one."""
+    """Scale `count` weights from `start` on so that they sum to one, in place."""
     total = 0.0
     for c in range(start, start + count):
         total += weight[c]

@@ -1,4 +1,4 @@
-"""Where targets come from: known places, the last measurements, or other targets."""
+"""Birth models: targets appear at known places, at the last measurements, or by splitting from other targets."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class BirthMixture(NamedTuple):
 
     Attributes:
         weight: Expected number of targets, or a track's probability of existence. Shape (*batch, K).
-        mean: Shape (*batch, K, n).
-        covariance: Shape (*batch, K, n, n).
+        mean: Means of the states. Shape (*batch, K, n).
+        covariance: Covariances of the states. Shape (*batch, K, n, n).
     """
 
     weight: Array
@@ -30,15 +30,15 @@ class BirthMixture(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Birth:
-    """Targets appear at known places, every step alike.
+    """Births at known places, the same at every step.
 
     Args:
         weights: Expected number of births per step at each place, in (0, 1]. Shape (K,).
-        means: Shape (K, n).
-        covariances: Positive definite. Shape (K, n, n), or (n, n) for all places alike.
+        means: Mean state at each place. Shape (K, n).
+        covariances: Covariance at each place, positive definite. Shape (K, n, n), or (n, n) for all places.
 
     Raises:
-        ValueError: Naming the argument that is wrong.
+        ValueError: An argument has a wrong shape, is out of range or is not positive definite.
     """
 
     weights: Array
@@ -66,20 +66,20 @@ class Birth:
 
 @dataclass(frozen=True, eq=False)
 class MeasurementBirth:
-    """Targets appear where the last measurements were that nothing known explains (Reuter et al. 2014, section IV).
+    """Births at the last measurements that no known target explains (Reuter et al. 2014, section IV).
 
     The expected number of births is shared among the last measurements by their probability of being unexplained. The
-    state is the measurement's position; what a measurement says nothing about starts at zero with the given deviation.
+    position is that of the measurement; unmeasured state entries start at zero with the given deviation.
 
     Args:
-        expected: Expected number of births per step, > 0.
+        expected: Expected number of births per step, > 0. Raising it starts tracks sooner and reports more clutter.
         hidden_deviation: Standard deviation of unmeasured state entries (velocities), > 0, in the state's unit. A
-            number, or shape (n,) of which the unmeasured entries count.
-        largest: Largest weight one measurement can get, in (0, 1].
-        places: Most measurements that births are put at, the least explained.
+            number, or shape (n,), whose entries of measured coordinates are ignored.
+        largest: Upper limit of the weight of one measurement, in (0, 1].
+        places: Largest number of measurements with a birth; the least explained are taken.
 
     Raises:
-        ValueError: Naming the argument that is out of range.
+        ValueError: An argument is out of range.
     """
 
     expected: float = 0.1
@@ -99,17 +99,17 @@ class MeasurementBirth:
             raise ValueError(f"places must be at least 1, got {self.places!r}")
 
     def empty(self, batch: int, n: int) -> BirthMixture:
-        """No births yet, for `batch` runs."""
+        """Births of weight 0 for `batch` runs."""
         return BirthMixture(
             np.zeros((batch, self.places)), np.zeros((batch, self.places, n)), np.zeros((batch, self.places, n, n))
         )
 
     def next(self, model: TargetModel, measurements: Array, unexplained: Array) -> BirthMixture:
-        """Births at the next step, already predicted to it.
+        """Births of the next step, predicted to that step.
 
         Args:
-            model: The targets' model.
-            measurements: Shape (batch, Z, m).
+            model: Model of one target.
+            measurements: Measurements of this step. Shape (batch, Z, m).
             unexplained: Probability that a measurement is clutter or new; 0 for unused rows. Shape (batch, Z).
         """
         batch, kept = measurements.shape[0], min(self.places, measurements.shape[1])
@@ -124,13 +124,13 @@ class MeasurementBirth:
         return births
 
     def _born(self, model: TargetModel, z: Array) -> tuple[Array, Array]:
-        """Means (batch, Z, n) at measurements, and covariances a step later, (1, 1, n, n) where all have the same."""
+        """Means (batch, Z, n) at measurements, and covariances one step later, (1, 1, n, n) if all are the same."""
         if isinstance(model, RangeBearingModel):
             mean, covariance = state_from_measurement(model, z, self.hidden_deviation)
             return mean, _next_covariance(model, covariance)
         kept: _LinearBirth | None = self.__dict__.get("_kept")
         if kept is None or kept.model is not model:
-            # Under a linear model it is the same at every step.
+            # Under a linear model the covariance is the same at every step.
             _, covariance = state_from_measurement(model, np.zeros((1, 1, z.shape[-1])), self.hidden_deviation)
             kept = _LinearBirth(model, _inverse(model), _next_covariance(model, covariance))
             object.__setattr__(self, "_kept", kept)
@@ -138,7 +138,7 @@ class MeasurementBirth:
 
 
 class _LinearBirth(NamedTuple):
-    """What births under a linear model have in common: the observation's inverse and the covariance a step later."""
+    """Cache for births under a linear model: inverse of the observation, and covariance one step later."""
 
     model: TargetModel
     inverse: Array
@@ -147,7 +147,7 @@ class _LinearBirth(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _least_explained(measurements, unexplained, kept):  # type: ignore[no-untyped-def]
-    """The `kept` measurements of each run that are least explained, the least first, and their chances to be new."""
+    """The `kept` least explained measurements of each run, the least first, and their probability of being new."""
     batch, _, m = measurements.shape
     z, chance = np.empty((batch, kept, m)), np.empty((batch, kept))
     for b in range(batch):
@@ -159,9 +159,9 @@ def _least_explained(measurements, unexplained, kept):  # type: ignore[no-untype
 
 @njit(cache=True, nogil=True)
 def _fill(births, z, chance, mean, covariance, transition, expected, largest):  # type: ignore[no-untyped-def]
-    """Share the expected number of births out and predict each, of those with any share.
+    """Distribute the expected number of births and predict those of positive weight.
 
-    A target's first measurement is known, so under a pairwise model it pushes the next state.
+    The first measurement of a target is known, so under a pairwise model it influences the next state.
     """
     batch, kept, n = mean.shape
     for b in range(batch):
@@ -185,7 +185,7 @@ def _fill(births, z, chance, mean, covariance, transition, expected, largest):  
 
 @dataclass(frozen=True, eq=False)
 class Spawn:
-    """Every target may split: N(d + F_beta x, Q_beta + F_beta P F_beta^T) with weight w_beta (paper 000, step 2.2).
+    """Splitting of targets: N(d + F_beta x, Q_beta + F_beta P F_beta^T) with weight w_beta (paper 000, step 2.2).
 
     Args:
         weight: w_beta, expected number of targets split off per target and step, in (0, 1].
@@ -194,7 +194,7 @@ class Spawn:
         offset: d; None for zero. Shape (n,).
 
     Raises:
-        ValueError: Naming the argument that is wrong.
+        ValueError: An argument is out of range or has a wrong shape.
     """
 
     weight: float
@@ -219,7 +219,7 @@ class Spawn:
 
 
 def pack_spawns(spawns: Sequence[Spawn], n: int) -> tuple[Array, Array, Array, Array]:
-    """Spawn terms as the kernels read them: weights (S,), offsets (S, n), transitions (S, n, n), noises (S, n, n)."""
+    """Pack spawn terms for the kernels: weights (S,), offsets (S, n), transitions (S, n, n), noises (S, n, n)."""
     for spawn in spawns:
         if spawn.noise.shape != (n, n):
             raise ValueError(f"spawn noise must have shape ({n}, {n}), got {spawn.noise.shape}")
@@ -233,15 +233,15 @@ def pack_spawns(spawns: Sequence[Spawn], n: int) -> tuple[Array, Array, Array, A
 
 
 def state_from_measurement(model: TargetModel, z: Array, hidden_deviation: ArrayLike) -> tuple[Array, Array]:
-    """What one measurement alone says about the state.
+    """Distribution of the state given one measurement only.
 
     Args:
-        model: The targets' model.
-        z: Shape (*batch, m).
-        hidden_deviation: Standard deviation of what the measurement says nothing about; a number or shape (n,).
+        model: Model of one target.
+        z: Measurements. Shape (*batch, m).
+        hidden_deviation: Standard deviation of the unmeasured state entries; a number or shape (n,).
 
     Returns:
-        mean (*batch, n) with zeros where nothing is known, covariance (*batch, n, n).
+        mean (*batch, n), zero in unmeasured entries; covariance (*batch, n, n).
     """
     packed, inverse = model.packed, _inverse(model)
     n = len(inverse)
@@ -264,7 +264,7 @@ def state_from_measurement(model: TargetModel, z: Array, hidden_deviation: Array
 
 
 def _next_covariance(model: TargetModel, covariance: Array) -> Array:
-    """Covariances (batch, Z, n, n) a step later."""
+    """Covariances (batch, Z, n, n) one step later."""
     n = covariance.shape[-1]
     B, sigma = model.packed.transition[:n], model.packed.noise[:n, :n]
     moved = np.einsum("rk,bzkl,cl->bzrc", B[:, :n], covariance, B[:, :n]) + sigma
@@ -272,5 +272,5 @@ def _next_covariance(model: TargetModel, covariance: Array) -> Array:
 
 
 def _inverse(model: TargetModel) -> Array:
-    """From a measurement to the entries of the state that it tells. Shape (n, m)."""
+    """Pseudoinverse of the observation: from a measurement to the measured state entries. Shape (n, m)."""
     return np.asarray(np.linalg.pinv(model.packed.observation), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""GM cardinality-balanced multi-target multi-Bernoulli filter (Vo, Vo and Cantoni 2009; paper 004 for PMM)."""
+"""Gaussian-mixture CBMeMBer filter (Vo, Vo and Cantoni 2009), also under pairwise Markov models (paper 004)."""
 
 from __future__ import annotations
 
@@ -20,13 +20,10 @@ from servotrack.estimators.rfs.birth import BirthMixture
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
 from servotrack.estimators.rfs.mixture import Mixture, append_births, append_spawn, empty_mixture, scratch_mixture
-from servotrack.estimators.rfs.recursion import GaussianSetFilter, check_sound
-from servotrack.estimators.rfs.reduction import Reduction, reduce_mixture
-from servotrack.estimators.rfs.sets import Extraction, empty_extraction
+from servotrack.estimators.rfs.recursion import GaussianSetFilter, check_positive_definite
+from servotrack.estimators.rfs.reduction import Candidates, Components, Limits, Reduction, reduce_mixture
+from servotrack.estimators.rfs.sets import Extraction, Scan, empty_extraction
 from servotrack.estimators.types import Array, Labels
-
-LARGEST_EXISTENCE = 0.999
-"""Existence is clipped here before r / (1 - r)."""
 
 
 class CBMeMBerState(NamedTuple):
@@ -34,8 +31,8 @@ class CBMeMBerState(NamedTuple):
 
     Attributes:
         tracks: The posterior tracks.
-        pool: Their components.
-        births: Births at the next step, where they depend on the measurements.
+        pool: Components of the tracks.
+        births: Births of the next step if they depend on the measurements, else empty.
         next_label: The next new identity. Shape (*batch,).
     """
 
@@ -46,15 +43,26 @@ class CBMeMBerState(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class GMCBMeMBer(GaussianSetFilter):
-    """GM-CBMeMBer filter; arguments as in `GaussianSetFilter`, and:
+class GMCBMeMBer(GaussianSetFilter[CBMeMBerState]):
+    """Cardinality-balanced multi-target multi-Bernoulli filter; further arguments as in `GaussianSetFilter`.
 
     Args:
-        balanced: False gives the MeMBer update before its balancing, which over-estimates the number of targets.
-    """  # noqa: D415
+        balanced: False selects the MeMBer update without balancing, which over-estimates the number of targets.
+        largest_existence: Upper limit of a track's existence r in r / (1 - r), in (0, 1). Raising it lets certain
+            tracks dominate the components of a measurement more.
+
+    Raises:
+        ValueError: `largest_existence` or an argument of `GaussianSetFilter` is out of range.
+    """
 
     reduction: Reduction = field(default_factory=lambda: Reduction(components=10))
     balanced: bool = True
+    largest_existence: float = 0.999
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 < self.largest_existence < 1.0:
+            raise ValueError(f"largest_existence must be in (0, 1), got {self.largest_existence!r}")
 
     def _empty(self, batch: int) -> CBMeMBerState:
         rules = self.reduction
@@ -62,9 +70,9 @@ class GMCBMeMBer(GaussianSetFilter):
         return CBMeMBerState(empty_tracks(batch, rules.tracks), pool, self._no_births(batch), np.ones(batch, np.int64))
 
     def _advance(
-        self, state: CBMeMBerState, births: BirthMixture, z: Array, number: Labels, clutter: Array
+        self, state: CBMeMBerState, births: BirthMixture, scan: Scan
     ) -> tuple[CBMeMBerState, Extraction, Array]:
-        model, rules, batch = self.model.packed, self.reduction, z.shape[0]
+        model, rules, batch = self.model.packed, self.reduction, scan.number.shape[0]
         n, m = self._sizes
         copies, arrivals = 1 + len(self.spawn), births.weight.shape[1]
         predicted = empty_tracks(batch, rules.tracks * copies + arrivals)
@@ -72,35 +80,27 @@ class GMCBMeMBer(GaussianSetFilter):
         survival = self._evaluate("survival", self.survival, state.pool)
         _predict(model, state.tracks, state.pool, births, self._spawns, survival, predicted, components)
         detection = self._evaluate("detection", self.detection, components)
-        new = self._empty(batch)
-        next_label = state.next_label.copy()
-        unexplained = np.zeros(z.shape[:2])
-        limits = (rules.prune, rules.merge, rules.components, rules.existence)
-        sound = _update(
-            model,
-            predicted,
-            components,
-            z,
-            number,
-            clutter,
-            detection,
-            self._gate,
-            limits,
-            self.balanced,
-            next_label,
-            new.tracks,
-            new.pool,
-            unexplained,
-        )
-        check_sound(sound)
+        new = self._empty(batch)._replace(next_label=state.next_label.copy())
+        unexplained = np.zeros(scan.clutter.shape)
+        settings = _Settings(self._gate, rules.limits, self.balanced, self.largest_existence)
+        check_positive_definite(_update(model, predicted, components, scan, detection, settings, new, unexplained))
         extraction = empty_extraction(batch, rules.tracks, n)
-        extract_tracks(n, new.tracks, new.pool, next_label, RULES[self.extraction], self.threshold, extraction)
-        return CBMeMBerState(new.tracks, new.pool, state.births, next_label), extraction, unexplained
+        extract_tracks(n, new.tracks, new.pool, new.next_label, RULES[self.extraction], self.threshold, extraction)
+        return new._replace(births=state.births), extraction, unexplained
+
+
+class _Settings(NamedTuple):
+    """Parameters of the update for the compiled kernel."""
+
+    gate: float
+    limits: Limits
+    balanced: bool
+    largest_existence: float
 
 
 @njit(cache=True, nogil=True)
 def _predict(model, tracks, pool, births, spawns, survival, out_tracks, out_pool):  # type: ignore[no-untyped-def]
-    """Predicted tracks of every run: survivors, split-off tracks, and one track per birth."""
+    """Predicted tracks of every run: surviving tracks, split-off tracks, and one track per birth."""
     m, n = model.observation.shape
     work = np.empty((n + m, n + m))
     for b in range(tracks.existence.shape[0]):
@@ -128,40 +128,28 @@ def _predict(model, tracks, pool, births, spawns, survival, out_tracks, out_pool
 
 
 @njit(cache=True, nogil=True)
-def _update(  # type: ignore[no-untyped-def]
-    model,
-    tracks,
-    pool,
-    z,
-    number,
-    clutter,
-    detection,
-    gate,
-    limits,
-    balanced,
-    next_label,
-    out_tracks,
-    out_pool,
-    unexplained,
-):
-    """Posterior tracks of every run: legacy ones, and an updated one per measurement (Vo et al. 2009, eqs 12 to 19)."""
+def _update(model, tracks, pool, scan, detection, settings, out, unexplained):  # type: ignore[no-untyped-def]
+    """Posterior tracks of every run: legacy tracks, and one per measurement (Vo et al. 2009, eqs 12 to 19)."""
     m, n = model.observation.shape
-    prune, merge, cap, least = limits
+    z, number, clutter = scan
+    gate, limits, balanced, largest_existence = settings
+    out_tracks, out_pool, _, next_label = out
+    prune, cap, least = limits.prune, limits.components, limits.existence
     innovation = np.empty(m)
-    sound = True
+    positive_definite = True
     for b in range(tracks.existence.shape[0]):
         count, T, Z = pool.number[b], tracks.number[b], number[b]
-        component, measurement, likelihood, gain, posterior, good = weigh_pairs(
+        component, measurement, likelihood, gain, posterior, definite = weigh_pairs(
             model, count, pool.mean[b], pool.covariance[b], z[b], Z, gate
         )
-        sound = sound and good
+        positive_definite = positive_definite and definite
         pairs = component.shape[0]
         owner, detectable = owners_and_detection(tracks, pool, detection, b)
         existence = np.empty(T + Z)
         label = np.zeros(T + Z, np.int64)
         r = np.empty(T)
         for i in range(T):
-            r[i] = min(tracks.existence[b, i], LARGEST_EXISTENCE)
+            r[i] = min(tracks.existence[b, i], largest_existence)
             existence[i] = r[i] * (1.0 - detectable[i]) / (1.0 - r[i] * detectable[i])
             label[i] = tracks.label[b, i]
         weight = np.empty(count + pairs)
@@ -204,21 +192,23 @@ def _update(  # type: ignore[no-untyped-def]
         key[:count] = owner
         key[count:] = T + measurement
         rows, start = rows_by_key(key, T + Z)
-        candidates = (weight, mean, source, group, np.zeros(count + pairs, np.int64))
-        room = (out_pool.weight[b], out_pool.mean[b], out_pool.covariance[b], out_pool.detected[b], out_pool.label[b])
+        candidates = Candidates(weight, mean, source, group, np.zeros(count + pairs, np.int64))
+        room = Components(
+            out_pool.weight[b], out_pool.mean[b], out_pool.covariance[b], out_pool.detected[b], out_pool.label[b]
+        )
         track = 0
         filled = 0
         for t in np.argsort(-existence, kind="mergesort"):
             if existence[t] < least or existence[t] <= 0.0 or track == out_tracks.existence.shape[1]:
                 break
             members = rows[start[t] : start[t + 1]]
-            most = min(cap, room[0].shape[0] - filled)
+            most = min(cap, room.weight.shape[0] - filled)
             size = reduce_mixture(
-                model.pairwise, n, candidates, members, pool.covariance[b], posterior, prune, merge, most, room, filled
+                model.pairwise, n, candidates, members, pool.covariance[b], posterior, limits, most, room, filled
             )
             if size == 0:
                 continue
-            normalize(room[0], filled, size)
+            normalize(room.weight, filled, size)
             out_tracks.existence[b, track] = existence[t]
             out_tracks.label[b, track] = label[t]
             out_tracks.size[b, track] = size
@@ -226,4 +216,4 @@ def _update(  # type: ignore[no-untyped-def]
             filled += size
         out_tracks.number[b] = track
         out_pool.number[b] = filled
-    return sound
+    return positive_definite

@@ -1,8 +1,8 @@
-"""From a posterior to the reported set: which targets, under which identity.
+"""Extraction of the reported targets and their identities from a posterior.
 
-Rules. `threshold`: every component or track above the threshold (Vo and Ma 2006, table III). `sum`: as many as the
-rounded expected number. `map`: as many as the most probable number, Poisson for an intensity and Poisson-binomial for
-tracks.
+Rules. `threshold`: every component or track above the threshold (Vo and Ma 2006, table III). `sum`: the rounded
+expected number of targets. `map`: the most probable number of targets, by a Poisson distribution for an intensity and a
+Poisson-binomial one for tracks.
 """
 
 from __future__ import annotations
@@ -13,26 +13,27 @@ from typing import Literal
 import numpy as np
 from numba import njit
 
-from servotrack.estimators.rfs.reduction import reduce_mixture
+from servotrack.estimators.rfs.reduction import Candidates, Components, Limits, reduce_mixture
 from servotrack.estimators.rfs.sets import HELD
 
 Rule = Literal["threshold", "sum", "map"]
 THRESHOLD, SUM, MAP = 0, 1, 2
+"""Numbers of the rules for the compiled kernels."""
 RULES: dict[str, int] = {"threshold": THRESHOLD, "sum": SUM, "map": MAP}
 
 COPY_STRIDE = 1 << 40
-"""Identities of the second and further targets under one heavy component lie this far from the first's."""
+"""Difference of the identities of successive targets that one component of weight above 1.5 stands for."""
 
 
 @njit(cache=True, nogil=True)
 def _seen(label, labels, count):  # type: ignore[no-untyped-def]
-    """Whether an identity is among the first `count`."""
+    """Return True if an identity is among the first `count`."""
     return np.any(labels[:count] == label)
 
 
 @njit(cache=True, nogil=True)
 def round_half_up(value):  # type: ignore[no-untyped-def]
-    """The nearest integer, the larger of two."""
+    """Round to the nearest integer, halves upward."""
     return math.floor(value + 0.5)
 
 
@@ -50,8 +51,8 @@ def _write(extraction, b, row, existence, label, mean, cov, reported):  # type: 
 
 
 @njit(cache=True, nogil=True)
-def extract_intensity(model, mixture, next_label, merge, rule, threshold, extraction):  # type: ignore[no-untyped-def]
-    """Extract targets from an intensity, giving an identity to those that lack one of their own.
+def extract_intensity(model, mixture, next_label, limits, rule, threshold, extraction):  # type: ignore[no-untyped-def]
+    """Extract targets from an intensity and give a new identity to those without one of their own.
 
     Under a pairwise model the x-marginals of missed and detected components are merged first: both describe one target.
     """
@@ -64,17 +65,18 @@ def extract_intensity(model, mixture, next_label, merge, rule, threshold, extrac
         head = np.arange(count)
         if model.pairwise:
             indices = np.arange(count)
-            candidates = (weight, mean, indices, np.full(count, -1), indices + 1)
-            merged = (
+            candidates = Candidates(weight, mean, indices, np.full(count, -1), indices + 1)
+            merged = Components(
                 np.empty(count),
                 np.empty((count, n + m)),
                 np.empty((count, n + m, n + m)),
                 np.empty(count, np.bool_),
                 np.empty(count, np.int64),
             )
-            count = reduce_mixture(False, n, candidates, indices, cov, cov, 0.0, merge, count, merged, 0)
-            weight, mean, cov = merged[0][:count], merged[1], merged[2]
-            head = merged[4][:count] - 1
+            all_kept = Limits(0.0, limits.merge, count, 0.0, limits.candidates)
+            count = reduce_mixture(False, n, candidates, indices, cov, cov, all_kept, count, merged, 0)
+            weight, mean, cov = merged.weight[:count], merged.mean, merged.covariance
+            head = merged.label[:count] - 1
         expected = 0.0
         for i in range(count):
             expected += weight[i]
@@ -111,7 +113,7 @@ def extract_intensity(model, mixture, next_label, merge, rule, threshold, extrac
 
 @njit(cache=True, nogil=True)
 def most_probable_number(existence):  # type: ignore[no-untyped-def]
-    """Mode of the Poisson-binomial distribution of the number of existing tracks."""
+    """Return the mode of the Poisson-binomial distribution of the number of existing tracks."""
     count = existence.shape[0]
     pmf = np.zeros(count + 1)
     pmf[0] = 1.0
@@ -124,10 +126,10 @@ def most_probable_number(existence):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def extract_tracks(n, tracks, mixture, next_label, rule, threshold, extraction):  # type: ignore[no-untyped-def]
-    """Extract targets from Bernoulli tracks; a track's state is its heaviest component.
+    """Extract targets from Bernoulli tracks; the state of a track is its heaviest component.
 
-    Two tracks may share an identity (CBMeMBer's legacy and updated track of one target): the more probable one has it;
-    the other gets a new one if it is reported as well.
+    Two tracks may share an identity (legacy and updated track of one target in the CBMeMBer filter). The more probable
+    one keeps it; the other gets a new identity if it is reported as well.
     """
     for b in range(tracks.existence.shape[0]):
         number = tracks.number[b]

@@ -1,15 +1,14 @@
-"""Compiled pieces of every Gaussian filter here: predict, condition on a measurement, weigh the pairs.
+"""Compiled kernels of all Gaussian filters here: predict, condition on a measurement, compute pair likelihoods.
 
 A target is the pair xi = (x, y) of its state and its measurement (Pieczynski and Desbouvries 2003). A component is a
-Gaussian over xi. After a detection its y is known exactly: its y block is zero and its mean's y is the measurement (a
-Dirac). Under a hidden Markov model y carries nothing from one step to the next, the y columns of the transition are
-zero, and the same code runs over the x columns alone. So the recursion is written once for both:
+Gaussian over xi. After a detection its y is known exactly: the y block of its covariance is zero and the y part of its
+mean is the measurement (a Dirac). Under a hidden Markov model y has no influence on the next step, the y columns of the
+transition are zero, and the same code runs over the x columns only. So one recursion serves both models:
 
-    predict     mu = B xi,  P = B P B^T + Sigma, over the x columns alone for a Dirac
+    predict     mu = B xi,  P = B P B^T + Sigma, over the x columns only for a Dirac
     condition   K = P_xy P_yy^-1,  m = mu_x + K (z - mu_y),  P_xx - K P_yx
 
-A non-linear measurement replaces the y rows: they are computed from the predicted x by an extended or an unscented
-transform.
+For a non-linear measurement the y rows are computed from the predicted x by an extended or unscented transform.
 """
 
 from __future__ import annotations
@@ -24,23 +23,24 @@ from servotrack.estimators.rfs.range_bearing import linearized_range_bearing, un
 from servotrack.estimators.types import Array, Mask
 
 LINEAR, EXTENDED, UNSCENTED = 0, 1, 2
-"""How the measurement depends on the state: linearly, or as range and bearing through an EKF or a UKF."""
+"""Kinds of measurement: linear, or range and bearing by an extended or an unscented transform."""
 
 SMALLEST_LIKELIHOOD = 1e-300
+"""Pairs of smaller likelihood are dropped: near underflow their quotients would be meaningless."""
 
 
 class PackedModel(NamedTuple):
-    """A model as the kernels read it; N = n + m.
+    """Arrays of a model for the compiled kernels; N = n + m.
 
     Attributes:
         kind: LINEAR, EXTENDED or UNSCENTED.
-        pairwise: Whether y influences the next step.
+        pairwise: True if y influences the next step.
         transition: B. Shape (N, N).
         noise: Sigma. Shape (N, N).
         observation: H of y = H x + noise; for range and bearing the rows that select the position. Shape (m, n).
         measurement_noise: R. Shape (m, m).
         sensor: Position of a range-bearing sensor. Shape (2,), m.
-        angular: Which entries of y are angles, whose innovations wrap. Shape (m,), bool.
+        angular: Mask of the entries of y that are angles, whose innovations wrap. Shape (m,), bool.
     """
 
     kind: int
@@ -55,7 +55,7 @@ class PackedModel(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def cholesky_inverse(matrix, size, offset, inverse):  # type: ignore[no-untyped-def]
-    """Invert the Cholesky factor of a diagonal block; returns the factor's summed log diagonal, NaN if not SPD."""
+    """Invert the Cholesky factor of a diagonal block and return the sum of its log diagonal, NaN if not definite."""
     log_diagonal = 0.0
     for r in range(size):
         for c in range(r + 1):
@@ -82,7 +82,7 @@ def cholesky_inverse(matrix, size, offset, inverse):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def attach_measurement(model, mean, cov):  # type: ignore[no-untyped-def]
-    """Fill the y blocks of a component from its x block: what the state says about the measurement."""
+    """Fill the y blocks of a component from its x block: predicted measurement and covariances."""
     m, n = model.observation.shape
     if model.kind == EXTENDED:
         linearized_range_bearing(model.observation, model.measurement_noise, model.sensor, mean, cov)
@@ -110,7 +110,7 @@ def attach_measurement(model, mean, cov):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def predict_gaussian(model, mean, cov, detected, work, out_mean, out_cov):  # type: ignore[no-untyped-def]
-    """Predict one component: mu = B xi, P = B P B^T + Sigma, over the x columns alone where y is exact or forgotten."""
+    """Predict one component: mu = B xi, P = B P B^T + Sigma, over the x columns only if y is exact or dropped."""
     m, n = model.observation.shape
     rows = n + m if model.kind == LINEAR else n
     mean_columns = n + m if model.pairwise else n
@@ -140,17 +140,17 @@ def predict_gaussian(model, mean, cov, detected, work, out_mean, out_cov):  # ty
 
 @njit(cache=True, nogil=True)
 def condition_gaussian(model, cov, root, gain, posterior):  # type: ignore[no-untyped-def]
-    """What conditioning on y needs from a predicted component, whatever the measurement's value.
+    """Gain and posterior covariance of a predicted component, which do not depend on the measurement's value.
 
     Args:
         model: The packed model.
         cov: Predicted covariance. Shape (N, N).
-        root: Receives the inverse Cholesky factor of P_yy. Shape (m, m).
-        gain: Receives K. Shape (n, m).
-        posterior: Receives P_xx - K P_yx. Shape (n, n).
+        root: Output: inverse Cholesky factor of P_yy. Shape (m, m).
+        gain: Output: K. Shape (n, m).
+        posterior: Output: P_xx - K P_yx. Shape (n, n).
 
     Returns:
-        log of (2 pi)^(-m/2) det(P_yy)^(-1/2); NaN where P_yy is not positive definite.
+        log of (2 pi)^(-m/2) det(P_yy)^(-1/2); NaN if P_yy is not positive definite.
     """
     m, n = model.observation.shape
     log_diagonal = cholesky_inverse(cov, m, n, root)
@@ -177,7 +177,7 @@ def condition_gaussian(model, cov, root, gain, posterior):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True)
 def innovate(model, z, mean, innovation):  # type: ignore[no-untyped-def]
-    """Innovation z - mu_y, angles wrapped to [-pi, pi)."""
+    """Compute the innovation z - mu_y, angles wrapped to [-pi, pi)."""
     m, n = model.observation.shape
     for r in range(m):
         innovation[r] = z[r] - mean[n + r]
@@ -191,16 +191,16 @@ def weigh_pairs(model, count, mean, cov, measurements, number, gate):  # type: i
 
     Args:
         model: The packed model.
-        count: Components in use, J.
+        count: Number of components in use, J.
         mean: Predicted means. Shape (>= J, N).
         cov: Predicted covariances. Shape (>= J, N, N).
-        measurements: Shape (>= Z, m).
-        number: Measurements in use, Z.
-        gate: Largest squared Mahalanobis distance considered.
+        measurements: Measurements. Shape (>= Z, m).
+        number: Number of measurements in use, Z.
+        gate: Largest squared Mahalanobis distance of a pair.
 
     Returns:
         component (pairs,), measurement (pairs,), likelihood (pairs,): pairs in order of components, then of
-        measurements; gain (J, n, m); posterior (J, n, n); and whether every P_yy was positive definite.
+        measurements; gain (J, n, m); posterior (J, n, n); True if every P_yy is positive definite.
     """
     m, n = model.observation.shape
     component = np.empty(count * number, np.int32)
@@ -211,16 +211,16 @@ def weigh_pairs(model, count, mean, cov, measurements, number, gate):  # type: i
     root = np.empty((m, m))
     innovation = np.empty(m)
     pairs = 0
-    sound = True
+    positive_definite = True
     for i in range(count):
         log_norm = condition_gaussian(model, cov[i], root, gain[i], posterior[i])
         if math.isnan(log_norm):
-            sound = False
+            positive_definite = False
             continue
         reach = gate * cov[i, n, n]
         wraps = model.angular[0]
         for j in range(number):
-            # d^2 is at least the first entry's squared innovation over its variance: most pairs end here.
+            # d^2 is at least the squared innovation of the first entry over its variance; most pairs end here.
             first = measurements[j, 0] - mean[i, n]
             if first * first > reach and not wraps:
                 continue
@@ -238,7 +238,7 @@ def weigh_pairs(model, count, mean, cov, measurements, number, gate):  # type: i
                     measurement[pairs] = j
                     likelihood[pairs] = q
                     pairs += 1
-    return component[:pairs], measurement[:pairs], likelihood[:pairs], gain, posterior, sound
+    return component[:pairs], measurement[:pairs], likelihood[:pairs], gain, posterior, positive_definite
 
 
 @njit(cache=True, nogil=True)

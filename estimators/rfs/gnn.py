@@ -16,8 +16,9 @@ from servotrack.estimators.rfs.birth import state_from_measurement
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, predict_components
 from servotrack.estimators.rfs.models import TargetModel
-from servotrack.estimators.rfs.recursion import check_sound
+from servotrack.estimators.rfs.recursion import check_positive_definite
 from servotrack.estimators.rfs.sets import (
+    TENTATIVE_EXISTENCE,
     SetEstimate,
     check_runs,
     empty_extraction,
@@ -27,20 +28,17 @@ from servotrack.estimators.rfs.sets import (
 from servotrack.estimators.stateful import add_axis, first_row
 from servotrack.estimators.types import Array, Labels
 
-TENTATIVE_EXISTENCE = 0.25
-"""Existence given for an unconfirmed track: its identity is held, not reported."""
-
 FORBIDDEN_COST = 1e9
-"""Cost of a pair outside the gate, beyond any negative log likelihood inside it."""
+"""Cost of a pair outside the gate, above any negative log likelihood inside it."""
 
 
 class GNNState(NamedTuple):
     """State of a `GlobalNearestNeighbor`.
 
     Attributes:
-        tracks: One Gaussian per track; its weight is 1 where the track is confirmed, else 0.
-        hits: Which of the last steps detected the track, the newest in bit 0. Shape (*batch, T).
-        age: Steps since the track's first measurement, that one included. Shape (*batch, T).
+        tracks: One Gaussian per track; its weight is 1 for a confirmed track, else 0.
+        hits: Bit mask of the last steps with a detection, the newest in bit 0. Shape (*batch, T).
+        age: Number of steps since the track's first measurement, including that step. Shape (*batch, T).
         next_label: The next new identity. Shape (*batch,).
     """
 
@@ -52,19 +50,20 @@ class GNNState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GlobalNearestNeighbor:
-    """Hard assignment of measurements to Kalman tracks; new tracks start on what is left over.
+    """Hard assignment of measurements to Kalman tracks; unassigned measurements start new tracks.
 
     Args:
-        model: Motion and measurement of one target.
+        model: Motion and measurement model of one target.
         hidden_deviation: Standard deviation of unmeasured state entries (velocities) of a new track, in the state's
             unit.
-        gate_probability: Probability that a target's measurement lies in its gate, in (0, 1).
-        confirm: A track is confirmed once M of its first or last N steps detected it.
+        gate_probability: Probability that a target's measurement lies in its gate, in (0, 1). Raising it loses fewer
+            detections and admits more clutter.
+        confirm: M and N: a track is confirmed after M detections in its first or last N steps.
         misses: A confirmed track ends after this many steps without a detection.
-        capacity: Most tracks; measurements beyond start none.
+        capacity: Largest number of tracks; further measurements start no track.
 
     Raises:
-        ValueError: Naming the argument that is out of range.
+        ValueError: An argument is out of range.
     """
 
     model: TargetModel
@@ -92,7 +91,7 @@ class GlobalNearestNeighbor:
         return float(chdtri(self.model.packed.observation.shape[0], 1.0 - self.gate_probability))
 
     def initial(self, measurement: ArrayLike) -> GNNState:
-        """State before the first measurement: no tracks. The measurement gives the batch axis only."""
+        """State before the first measurement: no tracks. Only the measurement's batch axis is read."""
         z, _, single = read_measurements(measurement, self.model.packed.observation.shape[0])
         state = self._empty(z.shape[0])
         return first_row(state) if single else state
@@ -139,14 +138,14 @@ class GlobalNearestNeighbor:
         start_covariance: Array,
         new: GNNState,
     ) -> None:
-        """One run's step: assignment, correction, confirmation and deletion, new tracks, written to row b of `new`."""
+        """Step run b (assignment, correction, confirmation, deletion, new tracks) and write it to row b of `new`."""
         model = self.model.packed
         n = model.observation.shape[1]
         T, Z = int(predicted.number[b]), len(z)
-        track, measurement, likelihood, gain, posterior, sound = weigh_pairs(
+        track, measurement, likelihood, gain, posterior, positive_definite = weigh_pairs(
             model, T, predicted.mean[b], predicted.covariance[b], z, Z, self._gate
         )
-        check_sound(sound)
+        check_positive_definite(positive_definite)
         cost = np.full((T, Z), FORBIDDEN_COST)
         cost[track, measurement] = -np.log(likelihood)
         rows, columns = linear_sum_assignment(cost)
@@ -198,7 +197,7 @@ def _predict(model, tracks, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _correct(model, partner, gain, posterior, z, b, tracks):  # type: ignore[no-untyped-def]
-    """Correct the tracks of run b that have a partner by it; the others keep their prediction."""
+    """Correct the tracks of run b with their assigned measurement; tracks without one keep their prediction."""
     m, n = model.observation.shape
     innovation = np.empty(m)
     corrected = np.empty(n + m)

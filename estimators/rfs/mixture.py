@@ -1,4 +1,4 @@
-"""Gaussian mixtures of fixed capacity as arrays, their prediction, and what is appended to it."""
+"""Gaussian mixtures of fixed capacity as arrays, with kernels that predict them and append births."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class Mixture(NamedTuple):
     """Gaussian components over (x, y) of several runs, N = n + m; the first `number` rows of a run are in use.
 
     Attributes:
-        number: Shape (*batch,).
-        weight: Shape (*batch, K).
-        mean: Shape (*batch, K, N).
-        covariance: Zero y blocks where y is known exactly or forgotten. Shape (*batch, K, N, N).
-        detected: Whether y is known exactly or forgotten. Shape (*batch, K), bool.
+        number: Number of components. Shape (*batch,).
+        weight: Weights. Shape (*batch, K).
+        mean: Means. Shape (*batch, K, N).
+        covariance: Covariances, with zero y blocks if y is known exactly or dropped. Shape (*batch, K, N, N).
+        detected: Mask of components whose y is known exactly or dropped. Shape (*batch, K), bool.
         label: Identity, 0 for none yet. Shape (*batch, K).
     """
 
@@ -32,7 +32,7 @@ class Mixture(NamedTuple):
 
 
 def empty_mixture(batch: int, capacity: int, N: int) -> Mixture:
-    """No components yet, all entries zero."""
+    """Mixtures without components, all entries zero."""
     return Mixture(
         np.zeros(batch, np.int64),
         np.zeros((batch, capacity)),
@@ -44,7 +44,7 @@ def empty_mixture(batch: int, capacity: int, N: int) -> Mixture:
 
 
 def scratch_mixture(batch: int, capacity: int, N: int) -> Mixture:
-    """Uninitialized room for a prediction, which no caller sees beyond `number`."""
+    """Uninitialized arrays for a prediction; rows from `number` on hold arbitrary values."""
     return Mixture(
         np.empty(batch, np.int64),
         np.empty((batch, capacity)),
@@ -57,7 +57,7 @@ def scratch_mixture(batch: int, capacity: int, N: int) -> Mixture:
 
 @njit(cache=True, nogil=True)
 def predict_components(model, mixture, b, work, out):  # type: ignore[no-untyped-def]
-    """Predict the Gaussians and labels of run b into the same rows of `out`; weights are the filter's business."""
+    """Predict the Gaussians and labels of run b into the same rows of `out`; the caller sets the weights."""
     for i in range(mixture.number[b]):
         predict_gaussian(
             model,
@@ -73,7 +73,7 @@ def predict_components(model, mixture, b, work, out):  # type: ignore[no-untyped
 
 @njit(cache=True, nogil=True)
 def append_births(model, births, b, row, out):  # type: ignore[no-untyped-def]
-    """Append the births of run b (of one run, if they are the same for all) from `row` on; returns the next row."""
+    """Append the births of run b (or the shared ones of all runs) from `row` on and return the next free row."""
     n = model.observation.shape[1]
     source = b if births.weight.shape[0] > 1 else 0
     for k in range(births.weight.shape[1]):
@@ -92,7 +92,7 @@ def append_births(model, births, b, row, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def append_spawn(model, spawns, term, mean, cov, b, row, out):  # type: ignore[no-untyped-def]
-    """Append N(d + F_beta m, Q_beta + F_beta P F_beta^T) with its measurement; the weight is the filter's business."""
+    """Append N(d + F_beta m, Q_beta + F_beta P F_beta^T) with its measurement; the caller sets the weight."""
     n = model.observation.shape[1]
     _, offset, transition, noise = spawns
     for r in range(n):

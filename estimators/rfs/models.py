@@ -1,4 +1,4 @@
-"""Models of one target as values: hidden Markov, pairwise Markov, and a range-bearing sensor.
+"""Motion and measurement models of one target: hidden Markov, pairwise Markov, and range-bearing sensor.
 
 The pairwise Markov model (PMM) makes the pair of state and measurement a Markov chain,
 
@@ -24,19 +24,19 @@ from servotrack.estimators.types import Array
 Structure = Literal["S1", "S2", "S3", "S4", "S5", "S6"]
 
 STRUCTURES: tuple[Structure, ...] = ("S1", "S2", "S3", "S4", "S5", "S6")
-"""Readings of the letters a, b, c, d in paper 004; `pairwise_structure` says which is which."""
+"""Interpretations of the letters a, b, c, d in paper 004; `pairwise_structure` defines each."""
 
 
 class TargetModel(Protocol):
-    """What a filter needs of a model."""
+    """Model of one target that every filter here accepts."""
 
     @property
     def packed(self) -> PackedModel:
-        """The model as the kernels read it."""
+        """Arrays of the model for the compiled kernels."""
 
 
 def checked_matrix(name: str, value: ArrayLike, shape: tuple[int | None, int | None]) -> Array:
-    """A finite float64 matrix of the wanted shape (None: any size), or a ValueError that names the argument."""
+    """Return a finite float64 matrix of the given shape (None: any size), or raise ValueError naming the argument."""
     matrix = np.array(value, dtype=np.float64)
     wanted = tuple("any" if size is None else size for size in shape)
     if matrix.ndim != 2 or any(size not in (None, got) for size, got in zip(shape, matrix.shape, strict=True)):
@@ -48,7 +48,7 @@ def checked_matrix(name: str, value: ArrayLike, shape: tuple[int | None, int | N
 
 
 def checked_covariance(name: str, value: ArrayLike, size: int, *, definite: bool) -> Array:
-    """A symmetric positive (semi)definite matrix, or a ValueError naming the argument and its smallest eigenvalue."""
+    """Return a symmetric positive (semi)definite matrix, or raise ValueError naming argument and eigenvalue."""
     matrix = checked_matrix(name, value, (size, size))
     scale = float(np.abs(matrix).max(initial=0.0))
     if not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-12 * scale):
@@ -75,7 +75,7 @@ class HiddenMarkovModel:
         measurement_noise: R, positive definite. Shape (m, m).
 
     Raises:
-        ValueError: Naming the matrix whose shape, symmetry or definiteness is wrong.
+        ValueError: A matrix has a wrong shape, or is not symmetric or positive (semi)definite.
     """
 
     transition: Array
@@ -102,7 +102,7 @@ class HiddenMarkovModel:
 
     @cached_property
     def packed(self) -> PackedModel:
-        """The model as the kernels read it."""
+        """Arrays of the model for the compiled kernels."""
         F, H = self.transition, self.observation
         m, n = H.shape
         B = np.block([[F, np.zeros((n, m))], [H @ F, np.zeros((m, m))]])
@@ -120,7 +120,7 @@ class PairwiseMarkovModel:
         measurement_noise: R, positive definite. Shape (m, m).
 
     Raises:
-        ValueError: Naming the matrix whose shape, symmetry or definiteness is wrong.
+        ValueError: A matrix has a wrong shape, or is not symmetric or positive definite.
     """
 
     transition: Array
@@ -145,11 +145,11 @@ class PairwiseMarkovModel:
 
         Args:
             model: The HMM, with positive definite Q.
-            F2: How y_{k-1} enters x_k. Shape (n, m).
-            H2: How y_{k-1} enters y_k. Shape (m, m).
+            F2: Influence of y_{k-1} on x_k. Shape (n, m).
+            H2: Influence of y_{k-1} on y_k. Shape (m, m).
 
         Raises:
-            ValueError: Where Sigma is not positive definite, naming the condition that F2 and H2 break.
+            ValueError: Sigma is not positive definite. The message names the condition that F2 and H2 violate.
         """
         F, H, R = model.transition, model.observation, model.measurement_noise
         m, n = H.shape
@@ -167,7 +167,7 @@ class PairwiseMarkovModel:
 
     @cached_property
     def packed(self) -> PackedModel:
-        """The model as the kernels read it."""
+        """Arrays of the model for the compiled kernels."""
         return _pack(LINEAR, True, self.transition, self.noise, self.observation, self.measurement_noise)
 
 
@@ -181,10 +181,10 @@ class RangeBearingModel:
         position: Rows that select the position from the state. Shape (2, n).
         measurement_noise: R of range (m^2) and bearing (rad^2), positive definite. Shape (2, 2).
         sensor: Position of the sensor. Shape (2,), m.
-        transform: "ekf" linearizes at the mean, "ukf" sends sigma points through.
+        transform: "ekf" linearizes the measurement at the mean, "ukf" uses the unscented transform.
 
     Raises:
-        ValueError: Naming the argument that is wrong.
+        ValueError: A matrix, the sensor's position or the transform is invalid.
     """
 
     transition: Array
@@ -195,7 +195,7 @@ class RangeBearingModel:
     transform: Literal["ekf", "ukf"] = "ukf"
 
     def __post_init__(self) -> None:
-        # The dynamics and the selection obey the same rules as an HMM's.
+        # The rules for the dynamics and the selection are those of a hidden Markov model.
         linear = HiddenMarkovModel(self.transition, self.process_noise, self.position, self.measurement_noise)
         if linear.observation.shape[0] != 2:
             raise ValueError(f"position must select 2 coordinates, got {linear.observation.shape[0]} rows")
@@ -211,7 +211,7 @@ class RangeBearingModel:
 
     @cached_property
     def packed(self) -> PackedModel:
-        """The model as the kernels read it."""
+        """Arrays of the model for the compiled kernels."""
         n = self.transition.shape[0]
         B, sigma = np.zeros((n + 2, n + 2)), np.zeros((n + 2, n + 2))
         B[:n, :n], sigma[:n, :n] = self.transition, self.process_noise
@@ -220,10 +220,10 @@ class RangeBearingModel:
 
 
 def definiteness_margin(model: HiddenMarkovModel, F2: ArrayLike, H2: ArrayLike) -> float:
-    """Smallest generalized eigenvalue of the condition on F2, H2; Sigma is positive definite where it is above 0.
+    """Smallest generalized eigenvalue of the condition on F2 and H2; Sigma is positive definite if it is above 0.
 
-    With R = L L^T it is the smallest eigenvalue of L^T (R^-1 - F2^T Q^-1 F2 - Phi^T R^-1 Phi) L, Phi = H2 - H F2; 1 at
-    F2 = 0, H2 = 0. A singular Q leaves no room for any PMM: minus infinity.
+    With R = L L^T it is the smallest eigenvalue of L^T (R^-1 - F2^T Q^-1 F2 - Phi^T R^-1 Phi) L, Phi = H2 - H F2. It
+    is 1 at F2 = 0, H2 = 0, and minus infinity for a singular Q, which allows no pairwise model.
     """
     Q, H, R = model.process_noise, model.observation, model.measurement_noise
     F2, H2 = np.asarray(F2, dtype=np.float64), np.asarray(H2, dtype=np.float64)
@@ -245,10 +245,10 @@ def constant_velocity(
         process_noise: sigma_v, so that Q = sigma_v^2 [[t^3/3, t^2/2], [t^2/2, t]] per axis, m/s^1.5.
         measurement_noise: sigma_w, standard deviation of a measured coordinate, m.
         period: t, s.
-        dimensions: Axes of space.
+        dimensions: Number of spatial axes.
 
     Raises:
-        ValueError: For a value that is not positive.
+        ValueError: A value is not positive.
     """
     for name, value in (("process_noise", process_noise), ("measurement_noise", measurement_noise), ("period", period)):
         if not (np.isfinite(value) and value > 0.0):
@@ -271,19 +271,19 @@ def pairwise_structure(
     structure: Structure = "S1",
     letters: tuple[float, float, float, float] = (0.7, 0.7, 0.1, 0.1),
 ) -> PairwiseMarkovModel:
-    """The PMM of a planar constant-velocity HMM under one reading of paper 004's letters a, b, c, d.
+    """Build the PMM of a planar constant-velocity HMM for one interpretation of paper 004's letters a, b, c, d.
 
-    S1: F2 a, b on the positions, H2 = diag(c, d). S2: F2 a on positions and b on velocities, H2 = diag(c, d). S3: F2 a,
-    b on positions and c, d on velocities, H2 = 0. S4: as S1 with (c, d) and (a, b) swapped. S5: as S2 swapped. S6: F2 =
-    0, H2 = diag(a, b), colored measurement noise alone.
+    S1: F2 has a, b on the positions, H2 = diag(c, d). S2: F2 has a on positions and b on velocities, H2 = diag(c, d).
+    S3: F2 has a, b on positions and c, d on velocities, H2 = 0. S4: S1 with (c, d) and (a, b) swapped. S5: S2 with
+    them swapped. S6: F2 = 0, H2 = diag(a, b), that is, colored measurement noise only.
 
     Args:
-        model: State [x, vx, y, vy], measurement [x, y], as `constant_velocity` makes it.
+        model: Model with state [x, vx, y, vy] and measurement [x, y], as returned by `constant_velocity`.
         structure: "S1" to "S6".
         letters: a, b, c, d.
 
     Raises:
-        ValueError: For an unknown structure, another state, or where the noise is not positive definite.
+        ValueError: The structure is unknown, the model has another state, or the noise is not positive definite.
     """
     if structure not in STRUCTURES:
         raise ValueError(f"structure must be one of {', '.join(STRUCTURES)}, got {structure!r}")
@@ -312,7 +312,7 @@ def _pack(
     sensor: tuple[float, float] = (0.0, 0.0),
     angular: tuple[bool, ...] | None = None,
 ) -> PackedModel:
-    """Contiguous, writable copies: the kernels are compiled for one memory layout."""
+    """Copy the matrices to contiguous, writable arrays; the kernels are compiled for this memory layout."""
 
     def copy(matrix: ArrayLike) -> Array:
         return np.array(matrix, dtype=np.float64, order="C")

@@ -1,4 +1,4 @@
-"""Compiled pieces of the particle PHD filter: motion, weights, systematic resampling, clusters."""
+"""Compiled kernels of the particle PHD filter: motion, weights, systematic resampling, clustering."""
 
 from __future__ import annotations
 
@@ -9,13 +9,10 @@ from numba import njit
 
 from servotrack.estimators.rfs.gaussians import LINEAR, cholesky_inverse
 
-CLUSTER_ITERATIONS = 10
-"""Lloyd iterations; clusters of separated targets settle in fewer."""
-
 
 @njit(cache=True, nogil=True)
 def predict_particles(transition, root, particles, noise):  # type: ignore[no-untyped-def]
-    """F x + L u for every particle. Shapes (n, n), (n, n), (P, n), (P, n) -> (P, n)."""
+    """Compute F x + L u for every particle. Shapes (n, n), (n, n), (P, n), (P, n) -> (P, n)."""
     count, n = particles.shape
     moved = np.zeros((count, n))
     for p in range(count):
@@ -27,7 +24,7 @@ def predict_particles(transition, root, particles, noise):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True)
 def _expected_measurement(model, state, out):  # type: ignore[no-untyped-def]
-    """H x, or range and bearing of the position."""
+    """Compute H x, or range and bearing of the position."""
     m, n = model.observation.shape
     for r in range(m):
         out[r] = 0.0
@@ -44,11 +41,11 @@ def weigh_particles(model, particles, weight, z, clutter, detection):  # type: i
 
     Args:
         model: The packed model.
-        particles: Shape (P, n).
-        weight: Shape (P,).
-        z: Shape (Z, m).
-        clutter: kappa.
-        detection: p_D.
+        particles: States. Shape (P, n).
+        weight: Weights; changed in place. Shape (P,).
+        z: Measurements. Shape (Z, m).
+        clutter: Clutter intensity kappa.
+        detection: Detection probability p_D.
     """
     m = model.observation.shape[0]
     count, number = particles.shape[0], z.shape[0]
@@ -81,7 +78,7 @@ def weigh_particles(model, particles, weight, z, clutter, detection):  # type: i
 
 @njit(cache=True, nogil=True)
 def resample_systematically(weight, number, offset):  # type: ignore[no-untyped-def]
-    """Draw `number` rows by systematic resampling with one uniform offset in [0, 1); none where all weigh 0."""
+    """Draw `number` rows by systematic resampling with one uniform offset in [0, 1); none if all weights are 0."""
     total = weight.sum()
     if not total > 0.0:
         return np.empty(0, np.int64)
@@ -99,12 +96,13 @@ def resample_systematically(weight, number, offset):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def cluster_particles(  # type: ignore[no-untyped-def]
-    observation, particles, weight, label, targets, next_label, extraction, b
+    observation, particles, weight, label, targets, iterations, next_label, extraction, b
 ):
-    """Weighted k-means of the positions into `targets` clusters, each under the identity most of its weight has.
+    """Weighted k-means of the positions into `targets` clusters; a cluster takes the identity of most of its weight.
 
-    Centers start at the heaviest place and then always where weight times squared distance to the nearest is largest.
-    Particles without identity take their cluster's. Returns the next new identity.
+    The first center is the heaviest particle, each further one the particle with the largest product of weight and
+    squared distance to the nearest center. At most `iterations` Lloyd iterations follow. Particles without an identity
+    take that of their cluster. Returns the next new identity.
     """
     count, n = particles.shape
     m = observation.shape[0]
@@ -128,7 +126,7 @@ def cluster_particles(  # type: ignore[no-untyped-def]
             if distance < nearest[p]:
                 nearest[p], owner[p] = distance, t
     mass = np.zeros(targets)
-    for _ in range(CLUSTER_ITERATIONS if targets > 0 else 0):
+    for _ in range(iterations if targets > 0 else 0):
         mass[:] = 0.0
         centers[:] = 0.0
         for p in range(count):
@@ -149,7 +147,7 @@ def cluster_particles(  # type: ignore[no-untyped-def]
                 moved += 1
         if moved == 0:
             break
-    # Clusters name themselves from the heaviest on, so that of two claiming an identity the heavier keeps it.
+    # Clusters choose identities in order of weight, so that the heavier of two with the same identity keeps it.
     mass[:] = 0.0
     for p in range(count):
         if targets > 0:

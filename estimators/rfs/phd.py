@@ -1,7 +1,7 @@
 """Gaussian-mixture probability hypothesis density filter (Vo and Ma 2006), under hidden and pairwise Markov models.
 
-The state is the intensity of the set of targets; spec of the pairwise form: Petetin and Desbouvries (2013). Labels
-follow Clark, Panta and Vo (2006): a component keeps its identity through prediction, update and merging.
+The state is the intensity of the set of targets. The pairwise form follows Petetin and Desbouvries (2013), the labels
+Clark, Panta and Vo (2006): a component keeps its identity through prediction, update and merging.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from servotrack.estimators.rfs.mixture import (
     predict_components,
     scratch_mixture,
 )
-from servotrack.estimators.rfs.recursion import GaussianSetFilter, Probability, check_sound
-from servotrack.estimators.rfs.reduction import reduce_mixture
-from servotrack.estimators.rfs.sets import Extraction, empty_extraction
+from servotrack.estimators.rfs.recursion import GaussianSetFilter, Probability, check_positive_definite
+from servotrack.estimators.rfs.reduction import Candidates, Components, reduce_mixture
+from servotrack.estimators.rfs.sets import Extraction, Scan, empty_extraction
 from servotrack.estimators.types import Array, Labels
 
 
@@ -34,7 +34,7 @@ class PHDState(NamedTuple):
 
     Attributes:
         intensity: The posterior intensity.
-        births: Births at the next step, where they depend on the measurements.
+        births: Births of the next step if they depend on the measurements, else empty.
         next_label: The next new identity. Shape (*batch,).
     """
 
@@ -44,7 +44,7 @@ class PHDState(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class GMPHD(GaussianSetFilter):
+class GMPHD(GaussianSetFilter[PHDState]):
     """GM-PHD filter; arguments as in `GaussianSetFilter`."""
 
     def _empty(self, batch: int) -> PHDState:
@@ -52,22 +52,14 @@ class GMPHD(GaussianSetFilter):
         intensity = empty_mixture(batch, self.reduction.components, N)
         return PHDState(intensity, self._no_births(batch), np.ones(batch, np.int64))
 
-    def _advance(
-        self, state: PHDState, births: BirthMixture, z: Array, number: Labels, clutter: Array
-    ) -> tuple[PHDState, Extraction, Array]:
-        return self._advance_detecting(state, births, z, number, clutter, self.detection)
+    def _advance(self, state: PHDState, births: BirthMixture, scan: Scan) -> tuple[PHDState, Extraction, Array]:
+        return self._advance_detecting(state, births, scan, self.detection)
 
     def _advance_detecting(
-        self,
-        state: PHDState,
-        births: BirthMixture,
-        z: Array,
-        number: Labels,
-        clutter: Array,
-        probability: Probability | Array,
+        self, state: PHDState, births: BirthMixture, scan: Scan, probability: Probability | Array
     ) -> tuple[PHDState, Extraction, Array]:
-        """As `_advance`, with a detection probability of one's own, which may be one per run, shape (B,)."""
-        model, rules, batch = self.model.packed, self.reduction, z.shape[0]
+        """Run `_advance` with another detection probability, which may be one number per run, shape (B,)."""
+        model, rules, batch = self.model.packed, self.reduction, scan.number.shape[0]
         n, m = self._sizes
         room = rules.components * (1 + len(self.spawn)) + births.weight.shape[1]
         predicted = scratch_mixture(batch, room, n + m)
@@ -76,29 +68,20 @@ class GMPHD(GaussianSetFilter):
         detection = self._evaluate("detection", probability, predicted)
         intensity = empty_mixture(batch, rules.components, n + m)
         next_label = state.next_label.copy()
-        unexplained = np.zeros(z.shape[:2])
-        sound = _update_intensity(
-            model,
-            predicted,
-            z,
-            number,
-            clutter,
-            detection,
-            self._gate,
-            (rules.prune, rules.merge, rules.components),
-            next_label,
-            intensity,
-            unexplained,
+        unexplained = np.zeros(scan.clutter.shape)
+        limits = rules.limits
+        positive_definite = _update_intensity(
+            model, predicted, scan, detection, self._gate, limits, next_label, intensity, unexplained
         )
-        check_sound(sound)
+        check_positive_definite(positive_definite)
         extraction = empty_extraction(batch, rules.components, n)
-        extract_intensity(model, intensity, next_label, rules.merge, RULES[self.extraction], self.threshold, extraction)
+        extract_intensity(model, intensity, next_label, limits, RULES[self.extraction], self.threshold, extraction)
         return PHDState(intensity, state.births, next_label), extraction, unexplained
 
 
 @njit(cache=True, nogil=True)
 def _predict_intensity(model, intensity, births, spawns, survival, out):  # type: ignore[no-untyped-def]
-    """Predicted intensity: survivors, births, and what the targets of the last step split off (paper 000, eq. 3)."""
+    """Predicted intensity: survivors, births, and targets split off those of the last step (paper 000, eq. 3)."""
     m, n = model.observation.shape
     work = np.empty((n + m, n + m))
     for b in range(intensity.weight.shape[0]):
@@ -116,18 +99,19 @@ def _predict_intensity(model, intensity, births, spawns, survival, out):  # type
 
 @njit(cache=True, nogil=True)
 def _update_intensity(  # type: ignore[no-untyped-def]
-    model, predicted, z, number, clutter, detection, gate, limits, next_label, out, unexplained
+    model, predicted, scan, detection, gate, limits, next_label, out, unexplained
 ):
     """Posterior intensity of every run: components missed, and corrected by each measurement (paper 000, eq. 4)."""
     m, n = model.observation.shape
+    z, number, clutter = scan
     innovation = np.empty(m)
-    sound = True
+    positive_definite = True
     for b in range(predicted.weight.shape[0]):
         count = predicted.number[b]
-        component, measurement, likelihood, gain, posterior, good = weigh_pairs(
+        component, measurement, likelihood, gain, posterior, definite = weigh_pairs(
             model, count, predicted.mean[b], predicted.covariance[b], z[b], number[b], gate
         )
-        sound = sound and good
+        positive_definite = positive_definite and definite
         pairs = component.shape[0]
         evidence = clutter[b, : number[b]].copy()
         for p in range(pairs):
@@ -144,20 +128,20 @@ def _update_intensity(  # type: ignore[no-untyped-def]
         total = 0
         for i in range(count):
             missed = (1.0 - detection[b, i]) * predicted.weight[b, i]
-            if missed > limits[0]:
+            if missed > limits.prune:
                 weight[total], source[total], group[total], label[total] = missed, i, -1, predicted.label[b, i]
                 mean[total] = predicted.mean[b, i]
                 total += 1
         for p in range(pairs):
             i, j = component[p], measurement[p]
-            if likelihood[p] > limits[0] * evidence[j]:
+            if likelihood[p] > limits.prune * evidence[j]:
                 weight[total], source[total], group[total] = likelihood[p] / evidence[j], i, j
                 label[total] = predicted.label[b, i] if predicted.label[b, i] > 0 else next_label[b] + j
                 detected_mean(model, predicted.mean[b, i], gain[i], z[b, j], innovation, mean[total])
                 total += 1
         next_label[b] += number[b]
-        candidates = (weight[:total], mean[:total], source[:total], group[:total], label[:total])
-        room = (out.weight[b], out.mean[b], out.covariance[b], out.detected[b], out.label[b])
+        candidates = Candidates(weight[:total], mean[:total], source[:total], group[:total], label[:total])
+        room = Components(out.weight[b], out.mean[b], out.covariance[b], out.detected[b], out.label[b])
         out.number[b] = reduce_mixture(
             model.pairwise,
             n,
@@ -165,10 +149,9 @@ def _update_intensity(  # type: ignore[no-untyped-def]
             np.arange(total),
             predicted.covariance[b],
             posterior,
-            limits[0],
-            limits[1],
-            limits[2],
+            limits,
+            limits.components,
             room,
             0,
         )
-    return sound
+    return positive_definite

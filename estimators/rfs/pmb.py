@@ -1,8 +1,7 @@
-"""Track-oriented Poisson multi-Bernoulli filter (Williams 2015), under hidden and pairwise Markov models, labelled.
+"""Track-oriented Poisson multi-Bernoulli filter (Williams 2015) with labels, under hidden and pairwise Markov models.
 
-Targets never detected are a Poisson intensity; each detected one is a Bernoulli track with an identity. The
-association of tracks to measurements is summed over by loopy belief propagation, and a track keeps the mixture of its
-hypotheses.
+Targets that were never detected are a Poisson intensity; each detected target is a Bernoulli track with an identity.
+Loopy belief propagation gives the marginals of the data association, and a track keeps the mixture of its hypotheses.
 """
 
 from __future__ import annotations
@@ -16,10 +15,10 @@ from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
 from servotrack.estimators.rfs.birth import BirthMixture
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, scratch_mixture
-from servotrack.estimators.rfs.pmb_kernel import predict_pmb, update_pmb
-from servotrack.estimators.rfs.recursion import GaussianSetFilter, check_sound
+from servotrack.estimators.rfs.pmb_kernel import Prediction, predict_pmb, update_pmb
+from servotrack.estimators.rfs.recursion import GaussianSetFilter, check_positive_definite
 from servotrack.estimators.rfs.reduction import Reduction
-from servotrack.estimators.rfs.sets import Extraction, empty_extraction
+from servotrack.estimators.rfs.sets import Extraction, Scan, empty_extraction
 from servotrack.estimators.types import Array, Labels
 
 
@@ -28,9 +27,9 @@ class PMBState(NamedTuple):
 
     Attributes:
         tracks: Tracks of targets detected at least once.
-        pool: Their components.
+        pool: Components of the tracks.
         undetected: Intensity of targets never detected.
-        births: Births at the next step, where they depend on the measurements.
+        births: Births of the next step if they depend on the measurements, else empty.
         next_label: The next new identity. Shape (*batch,).
     """
 
@@ -42,12 +41,12 @@ class PMBState(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PMB(GaussianSetFilter):
-    """Poisson multi-Bernoulli filter; arguments as in `GaussianSetFilter`, and:
+class PMB(GaussianSetFilter[PMBState]):
+    """Poisson multi-Bernoulli filter; further arguments as in `GaussianSetFilter`.
 
     Args:
-        undetected: Most components of the intensity of undetected targets.
-    """  # noqa: D415
+        undetected: Largest number of components of the intensity of undetected targets. Raising it costs time.
+    """
 
     reduction: Reduction = field(default_factory=lambda: Reduction(components=5))
     undetected: int = 100
@@ -67,10 +66,8 @@ class PMB(GaussianSetFilter):
             np.ones(batch, np.int64),
         )
 
-    def _advance(
-        self, state: PMBState, births: BirthMixture, z: Array, number: Labels, clutter: Array
-    ) -> tuple[PMBState, Extraction, Array]:
-        model, rules, batch = self.model.packed, self.reduction, z.shape[0]
+    def _advance(self, state: PMBState, births: BirthMixture, scan: Scan) -> tuple[PMBState, Extraction, Array]:
+        model, rules, batch = self.model.packed, self.reduction, scan.number.shape[0]
         n, m = self._sizes
         predicted = empty_tracks(batch, rules.tracks)
         components = scratch_mixture(batch, state.pool.weight.shape[1], n + m)
@@ -82,24 +79,9 @@ class PMB(GaussianSetFilter):
         detection = self._evaluate("detection", self.detection, components)
         hidden_detection = self._evaluate("detection", self.detection, hidden)
         new = self._empty(batch)._replace(births=state.births, next_label=state.next_label.copy())
-        unexplained = np.zeros(z.shape[:2])
-        limits = (rules.prune, rules.merge, rules.components, rules.existence)
-        sound = update_pmb(
-            model,
-            predicted,
-            components,
-            hidden,
-            z,
-            number,
-            clutter,
-            detection,
-            hidden_detection,
-            self._gate,
-            limits,
-            new,
-            unexplained,
-        )
-        check_sound(sound)
+        unexplained = np.zeros(scan.clutter.shape)
+        prediction = Prediction(predicted, components, hidden, detection, hidden_detection)
+        check_positive_definite(update_pmb(model, prediction, scan, self._gate, rules.limits, new, unexplained))
         extraction = empty_extraction(batch, rules.tracks, n)
         rule = RULES[self.extraction]
         extract_tracks(n, new.tracks, new.pool, new.next_label, rule, self.threshold, extraction)

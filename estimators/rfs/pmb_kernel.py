@@ -2,27 +2,54 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
 from servotrack.estimators.rfs.association import association_marginals
-from servotrack.estimators.rfs.bernoulli import normalize, owners_and_detection, predict_tracks, rows_by_key
+from servotrack.estimators.rfs.bernoulli import (
+    Tracks,
+    normalize,
+    owners_and_detection,
+    predict_tracks,
+    rows_by_key,
+)
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
-from servotrack.estimators.rfs.mixture import append_births, append_spawn, predict_components
-from servotrack.estimators.rfs.reduction import reduce_mixture
+from servotrack.estimators.rfs.mixture import Mixture, append_births, append_spawn, predict_components
+from servotrack.estimators.rfs.reduction import Candidates, Components, reduce_mixture
+from servotrack.estimators.types import Array
 
 SMALLEST_ABSENCE = 1e-12
-"""Floor of 1 - r p_D, which is zero for a certain target and a perfect sensor."""
+"""Lower limit of 1 - r p_D, which is zero for a certain target and a perfect sensor."""
 
 SMALLEST_EVIDENCE = 1e-30
-"""Floor of a measurement's intensity under clutter and undetected targets, zero without both."""
+"""Lower limit of a measurement's intensity under clutter and undetected targets, which is zero without both."""
+
+
+class Prediction(NamedTuple):
+    """Predicted targets of all runs.
+
+    Attributes:
+        tracks: Tracks of targets detected at least once.
+        pool: Components of the tracks.
+        hidden: Intensity of targets never detected.
+        detection: p_D of the tracks' components. Shape (B, K).
+        hidden_detection: p_D of the components of `hidden`. Shape (B, H).
+    """
+
+    tracks: Tracks
+    pool: Mixture
+    hidden: Mixture
+    detection: Array
+    hidden_detection: Array
 
 
 @njit(cache=True, nogil=True)
 def predict_pmb(  # type: ignore[no-untyped-def]
     model, state, births, spawns, survival, hidden_survival, out_tracks, out_pool, out_hidden
 ):
-    """Predicted tracks and undetected targets of every run; births and split-off targets are undetected ones."""
+    """Predicted tracks and undetected targets of every run; births and split-off targets are undetected."""
     m, n = model.observation.shape
     work = np.empty((n + m, n + m))
     tracks, pool, hidden = state.tracks, state.pool, state.undetected
@@ -45,7 +72,7 @@ def predict_pmb(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _track_pairs(component, measurement, likelihood, owner, tracks, measurements):  # type: ignore[no-untyped-def]
-    """Sum the components' pairs over tracks: track (P,), measurement (P,), sum (P,), and each pair's row of these."""
+    """Sum the likelihoods of components over tracks: track, measurement and sum, (P,) each; row of each pair."""
     pairs = component.shape[0]
     track = np.empty(pairs, np.int64)
     to = np.empty(pairs, np.int64)
@@ -55,7 +82,7 @@ def _track_pairs(component, measurement, likelihood, owner, tracks, measurements
     number = 0
     for p in range(pairs):
         i, j = owner[component[p]], measurement[p]
-        # Pairs come in order of components, those of one track together: a slot of this track is still the last.
+        # Pairs are in order of components, and those of one track are adjacent, so its slot is still the last one.
         if last[j] < 0 or track[last[j]] != i:
             last[j] = number
             track[number], to[number], value[number] = i, j, 0.0
@@ -66,23 +93,36 @@ def _track_pairs(component, measurement, likelihood, owner, tracks, measurements
 
 
 @njit(cache=True, nogil=True)
-def update_pmb(  # type: ignore[no-untyped-def]
-    model, tracks, pool, hidden, z, number, clutter, detection, hidden_detection, gate, limits, out, unexplained
-):
-    """Posterior of every run: old tracks, a new one per measurement, and what stays undetected (Williams 2015)."""
+def update_pmb(model, prediction, scan, gate, limits, out, unexplained):  # type: ignore[no-untyped-def]
+    """Posterior of every run: old tracks, a new track per measurement, and undetected targets (Williams 2015).
+
+    Args:
+        model: The packed model.
+        prediction: A `Prediction`.
+        scan: A `Scan`.
+        gate: Largest squared Mahalanobis distance of a pair.
+        limits: A `Limits`.
+        out: A `PMBState` to write to.
+        unexplained: Output: probability of each measurement to be clutter. Shape (B, Z).
+
+    Returns:
+        True if the covariance of every predicted measurement is positive definite.
+    """
     m, n = model.observation.shape
-    prune, merge, cap, least = limits
+    tracks, pool, hidden, detection, hidden_detection = prediction
+    z, number, clutter = scan
+    cap, least = limits.components, limits.existence
     innovation = np.empty(m)
-    sound = True
+    positive_definite = True
     for b in range(tracks.existence.shape[0]):
         T, Z, count, unseen = tracks.number[b], number[b], pool.number[b], hidden.number[b]
-        component, measurement, likelihood, gain, posterior, good = weigh_pairs(
+        component, measurement, likelihood, gain, posterior, definite = weigh_pairs(
             model, count, pool.mean[b], pool.covariance[b], z[b], Z, gate
         )
-        hidden_component, hidden_measurement, hidden_likelihood, hidden_gain, hidden_posterior, hidden_good = (
+        hidden_component, hidden_measurement, hidden_likelihood, hidden_gain, hidden_posterior, hidden_definite = (
             weigh_pairs(model, unseen, hidden.mean[b], hidden.covariance[b], z[b], Z, gate)
         )
-        sound = sound and good and hidden_good
+        positive_definite = positive_definite and definite and hidden_definite
         pairs, fresh_pairs = component.shape[0], hidden_component.shape[0]
         owner, detectable = owners_and_detection(tracks, pool, detection, b)
 
@@ -147,8 +187,8 @@ def update_pmb(  # type: ignore[no-untyped-def]
             key[count + p] = owner[component[p]]
         rows, start = rows_by_key(key, T)
         fresh_rows, fresh_start = rows_by_key(hidden_measurement.astype(np.int64), Z)
-        candidates = (weight, mean, source, group, np.zeros(count + pairs, np.int64))
-        arrivals = (
+        candidates = Candidates(weight, mean, source, group, np.zeros(count + pairs, np.int64))
+        arrivals = Candidates(
             hidden_likelihood,
             fresh_mean,
             hidden_component.astype(np.int64),
@@ -156,27 +196,17 @@ def update_pmb(  # type: ignore[no-untyped-def]
             np.zeros(fresh_pairs, np.int64),
         )
         new, into = out.tracks, out.pool
-        room = (into.weight[b], into.mean[b], into.covariance[b], into.detected[b], into.label[b])
+        room = Components(into.weight[b], into.mean[b], into.covariance[b], into.detected[b], into.label[b])
         filled = 0
         place = 0
         for t in np.argsort(-existence, kind="mergesort"):
             if existence[t] < least or existence[t] <= 0.0 or place == new.existence.shape[1]:
                 break
-            most = min(cap, room[0].shape[0] - filled)
+            most = min(cap, room.weight.shape[0] - filled)
             if t < T:
                 members = rows[start[t] : start[t + 1]]
                 size = reduce_mixture(
-                    model.pairwise,
-                    n,
-                    candidates,
-                    members,
-                    pool.covariance[b],
-                    posterior,
-                    prune,
-                    merge,
-                    most,
-                    room,
-                    filled,
+                    model.pairwise, n, candidates, members, pool.covariance[b], posterior, limits, most, room, filled
                 )
             else:
                 members = fresh_rows[fresh_start[t - T] : fresh_start[t - T + 1]]
@@ -187,15 +217,14 @@ def update_pmb(  # type: ignore[no-untyped-def]
                     members,
                     hidden.covariance[b],
                     hidden_posterior,
-                    prune,
-                    merge,
+                    limits,
                     most,
                     room,
                     filled,
                 )
             if size == 0:
                 continue
-            normalize(room[0], filled, size)
+            normalize(room.weight, filled, size)
             new.existence[b, place] = existence[t]
             new.label[b, place] = tracks.label[b, t] if t < T else out.next_label[b] + t - T
             new.size[b, place] = size
@@ -206,9 +235,9 @@ def update_pmb(  # type: ignore[no-untyped-def]
         out.next_label[b] += Z
         left = hidden.weight[b, :unseen] * (1.0 - hidden_detection[b, :unseen])
         indices = np.arange(unseen)
-        remaining = (left, hidden.mean[b], indices, np.full(unseen, -1, np.int64), np.zeros(unseen, np.int64))
+        remaining = Candidates(left, hidden.mean[b], indices, np.full(unseen, -1, np.int64), np.zeros(unseen, np.int64))
         rest = out.undetected
-        space = (rest.weight[b], rest.mean[b], rest.covariance[b], rest.detected[b], rest.label[b])
+        space = Components(rest.weight[b], rest.mean[b], rest.covariance[b], rest.detected[b], rest.label[b])
         rest.number[b] = reduce_mixture(
             model.pairwise,
             n,
@@ -216,10 +245,9 @@ def update_pmb(  # type: ignore[no-untyped-def]
             indices,
             hidden.covariance[b],
             hidden_posterior,
-            prune,
-            merge,
+            limits,
             rest.weight.shape[1],
             space,
             0,
         )
-    return sound
+    return positive_definite

@@ -1,4 +1,4 @@
-"""Range and bearing of a position in the plane: joint Gaussians of state and measurement by EKF or UKF."""
+"""Range and bearing of a planar position: joint Gaussians of state and measurement by EKF or UKF."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 SMALLEST_RANGE = 1e-6
-"""Range in m below which the bearing's derivative is frozen: at the sensor it does not exist."""
+"""Lower limit of the range in the derivatives, m: at the sensor itself they are undefined."""
 
 
 @njit(cache=True, nogil=True)
@@ -18,7 +18,7 @@ def linearized_range_bearing(select, noise, sensor, mean, cov):  # type: ignore[
     Args:
         select: Rows that select the position from the state. Shape (2, n).
         noise: R of range (m^2) and bearing (rad^2). Shape (2, 2).
-        sensor: Shape (2,), m.
+        sensor: Position of the sensor. Shape (2,), m.
         mean: Joint mean; its y entries are written. Shape (n + 2,).
         cov: Joint covariance; its y blocks are written. Shape (n + 2, n + 2).
     """
@@ -53,8 +53,8 @@ def linearized_range_bearing(select, noise, sensor, mean, cov):  # type: ignore[
 def unscented_range_bearing(select, noise, sensor, mean, cov):  # type: ignore[no-untyped-def]
     """Fill the y blocks of a component by the unscented transform (Julier and Uhlmann 1997, kappa = 3 - n at least 0).
 
-    Bearings are averaged as differences to the mean point's, so that the cut at +-pi is nowhere. Arguments as in
-    `linearized_range_bearing`.
+    Bearings are averaged as differences from that of the mean point, so that the wrap at +-pi has no effect. Arguments
+    as in `linearized_range_bearing`.
     """
     n = select.shape[1]
     kappa = max(3.0 - n, 0.0)
@@ -66,7 +66,7 @@ def unscented_range_bearing(select, noise, sensor, mean, cov):  # type: ignore[n
             for k in range(c):
                 value -= root[r, k] * root[c, k]
             if r == c:
-                # A state component that is known exactly has no spread.
+                # A state entry that is known exactly has no spread.
                 root[r, r] = math.sqrt(max(value, 0.0))
             elif root[c, c] > 0.0:
                 root[r, c] = value / root[c, c]

@@ -1,4 +1,4 @@
-"""The observer without memory: every measurement is a target, and none has an identity that lasts."""
+"""Baseline without memory: every measurement is reported as a target with a new identity."""
 
 from __future__ import annotations
 
@@ -22,31 +22,36 @@ from servotrack.estimators.types import Labels
 
 
 class RawState(NamedTuple):
-    """The next new identity. Shape (*batch,)."""
+    """State of a `RawMeasurements`.
+
+    Attributes:
+        next_label: The next new identity. Shape (*batch,).
+    """
 
     next_label: Labels
 
 
 @dataclass(frozen=True, eq=False)
 class RawMeasurements:
-    """Reports the raw measurements, a new identity each.
+    """Reports the raw measurements, each with a new identity.
 
     Args:
-        model: Of which the measurement is used.
+        model: Model of one target; only its measurement part is used.
         hidden_deviation: Standard deviation of unmeasured state entries, in the state's unit; they are reported as 0.
+            Raising it only enlarges the reported covariances.
     """
 
     model: TargetModel
     hidden_deviation: float = 10.0
 
     def initial(self, measurement: ArrayLike) -> RawState:
-        """No identities given yet; the measurement gives the batch axis only."""
+        """State before the first measurement; only the measurement's batch axis is read."""
         z, _, single = read_measurements(measurement, self.model.packed.observation.shape[0])
         state = RawState(np.ones(z.shape[0], np.int64))
         return first_row(state) if single else state
 
     def step(self, state: RawState, measurement: ArrayLike) -> tuple[RawState, SetEstimate]:
-        """Report one step's measurements; shapes and errors as in `GaussianSetFilter.step`."""
+        """Report the measurements of one step; shapes and errors as in `GaussianSetFilter.step`."""
         z, number, single = read_measurements(measurement, self.model.packed.observation.shape[0])
         if single:
             state = add_axis(state)

@@ -1,4 +1,4 @@
-"""What all Gaussian set filters share: their parameters, one step from arrays to arrays, and the checks around it."""
+"""Base class of the Gaussian set filters: parameters, the step from measurements to an estimate, and checks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +19,7 @@ from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.sets import (
     Extraction,
+    Scan,
     SetEstimate,
     check_runs,
     estimate_from_extraction,
@@ -30,30 +31,47 @@ from servotrack.estimators.types import Array, Labels
 Probability = float | Callable[[Array], Array]
 """A constant in [0, 1], or a function of states (k, n) that returns (k,)."""
 
-GATE_SHARE = 0.01
-"""Share of the missed detections that the default gate may add to them."""
+
+class SetFilterState(Protocol):
+    """State of a Gaussian set filter, a NamedTuple of arrays."""
+
+    @property
+    def births(self) -> BirthMixture:
+        """Births of the next step if they depend on the measurements, else empty."""
+
+    @property
+    def next_label(self) -> Labels:
+        """The next new identity. Shape (*batch,)."""
+
+
+StateT = TypeVar("StateT", bound=SetFilterState)
 
 
 @dataclass(frozen=True, eq=False)
-class GaussianSetFilter(ABC):
+class GaussianSetFilter(ABC, Generic[StateT]):
     """Base of the Gaussian-mixture filters over random finite sets.
 
     Args:
-        model: Motion and measurement of one target.
-        birth: Where targets appear: `Birth` at known places, `MeasurementBirth` where measurements are unexplained.
+        model: Motion and measurement model of one target.
+        birth: Birth model: `Birth` at known places, `MeasurementBirth` at unexplained measurements.
         clutter_intensity: Expected false measurements per unit of measurement space, kappa; a number, or a function of
-            measurements (Z, m) that returns (Z,). Clutter uniform over a volume V has kappa = rate / V.
-        survival: p_S, a number or a function of the states (k, n) that returns (k,).
-        detection: p_D, likewise; a function is evaluated at the components' means.
-        spawn: How targets split, any number of terms.
+            measurements (Z, m) that returns (Z,). Clutter uniform over a volume V has kappa = rate / V. Raising it
+            starts fewer tracks.
+        survival: Survival probability p_S, a number or a function of the states (k, n) that returns (k,). Raising it
+            keeps missed targets longer.
+        detection: Detection probability p_D, a number or a function, which is evaluated at the components' means.
+            Raising it ends missed targets sooner.
+        spawn: Terms by which targets split, any number.
         extraction: "threshold", "sum" or "map".
-        threshold: Weight or existence above which the threshold rule reports.
-        reduction: How far mixtures are reduced.
-        gate_probability: Probability that a target's measurement lies in its gate; None ties the gate to p_D such that
-            it adds one hundredth to the missed detections (no gate where p_D is 1 or a function).
+        threshold: Weight or existence above which the threshold rule reports. Raising it reports fewer targets.
+        reduction: Pruning, merging and capping of the mixtures.
+        gate_probability: Probability that a target's measurement lies in its gate. None derives the gate from p_D and
+            `gate_loss` (no gate if p_D is 1 or a function).
+        gate_loss: Increase of the missed detections by the default gate, as a share of 1 - p_D, from 0 (no gate) to
+            0.1. Raising it makes the gate smaller and the filter faster.
 
     Raises:
-        ValueError: Naming the argument that is out of range.
+        ValueError: An argument is out of range.
     """
 
     model: TargetModel
@@ -67,6 +85,7 @@ class GaussianSetFilter(ABC):
     threshold: float = 0.5
     reduction: Reduction = field(default_factory=Reduction)
     gate_probability: float | None = None
+    gate_loss: float = 0.01
 
     def __post_init__(self) -> None:
         n = self.model.packed.observation.shape[1]
@@ -86,48 +105,50 @@ class GaussianSetFilter(ABC):
             raise ValueError(f"gate_probability must be in (0, 1], got {gate!r}")
         if gate is not None and not callable(self.detection) and 1.0 - gate > 0.1 * (1.0 - self.detection):
             raise ValueError(
-                f"gate_probability {gate!r} loses targets for good at p_D = {self.detection!r}: what it cuts off must "
-                f"be at most a tenth of what is missed anyway; use None or >= {1.0 - 0.1 * (1.0 - self.detection):.6g}"
+                f"gate_probability {gate!r} loses targets permanently at p_D = {self.detection!r}: "
+                "1 - gate_probability must be at most 0.1 * (1 - p_D); use None or >= "
+                f"{1.0 - 0.1 * (1.0 - self.detection):.6g}"
             )
+        if not 0.0 <= self.gate_loss <= 0.1:
+            raise ValueError(f"gate_loss must be in [0, 0.1], got {self.gate_loss!r}")
 
-    def initial(self, measurement: ArrayLike) -> Any:
-        """State before the first measurement: no targets. The measurement gives the batch axis only."""
+    def initial(self, measurement: ArrayLike) -> StateT:
+        """State before the first measurement: no targets. Only the measurement's batch axis is read."""
         z, _, single = read_measurements(measurement, self._sizes[1])
         state = self._empty(z.shape[0])
         return first_row(state) if single else state
 
-    def step(self, state: Any, measurement: ArrayLike) -> tuple[Any, SetEstimate]:
-        """Predict to the next instant and fold its measurements in.
+    def step(self, state: StateT, measurement: ArrayLike) -> tuple[StateT, SetEstimate]:
+        """Predict to the next instant and update with its measurements.
 
         Args:
-            state: As returned by `initial` or `step`.
+            state: Result of `initial` or of the last `step`.
             measurement: Shape (Z, m) for one run, Z may be 0; (B, n_max, 1 + m) with existence in column 0 for a batch.
 
         Returns:
             The new state and the estimate, n the state's size and m the measurement's.
 
         Raises:
-            ValueError: For measurements of a wrong shape or not finite, and where a covariance lost its definiteness.
+            ValueError: Measurements have a wrong shape or are not finite, or a covariance is not positive definite.
         """
         z, number, single = read_measurements(measurement, self._sizes[1])
         if single:
             state = add_axis(state)
         check_runs(state.next_label.shape[0], z.shape[0])
         births = self._static_births if isinstance(self.birth, Birth) else state.births
-        new, extraction, unexplained = self._advance(state, births, z, number, self._clutter(z, number))
+        scan = Scan(z, number, self._clutter(z, number))
+        new, extraction, unexplained = self._advance(state, births, scan)
         if isinstance(self.birth, MeasurementBirth):
-            new = new._replace(births=self.birth.next(self.model, z, unexplained))
+            new = new._replace(births=self.birth.next(self.model, z, unexplained))  # type: ignore[attr-defined]
         return (first_row(new) if single else new), estimate_from_extraction(extraction, single)
 
     @abstractmethod
-    def _empty(self, batch: int) -> Any:
+    def _empty(self, batch: int) -> StateT:
         """State of `batch` runs without targets."""
 
     @abstractmethod
-    def _advance(
-        self, state: Any, births: BirthMixture, z: Array, number: Labels, clutter: Array
-    ) -> tuple[Any, Extraction, Array]:
-        """One step over all runs: the new state, what is extracted, each measurement's chance to be clutter (B, Z)."""
+    def _advance(self, state: StateT, births: BirthMixture, scan: Scan) -> tuple[StateT, Extraction, Array]:
+        """Advance all runs by one step: new state, extraction, probability of each measurement to be clutter (B, Z)."""
 
     @cached_property
     def _sizes(self) -> tuple[int, int]:
@@ -140,7 +161,7 @@ class GaussianSetFilter(ABC):
         """Largest squared Mahalanobis distance between a measurement and its prediction."""
         m = self._sizes[1]
         if self.gate_probability is None:
-            outside = 0.0 if callable(self.detection) else GATE_SHARE * (1.0 - self.detection)
+            outside = 0.0 if callable(self.detection) else self.gate_loss * (1.0 - self.detection)
         else:
             outside = 1.0 - self.gate_probability
         return float(chdtri(m, outside)) if outside > 0.0 else np.inf
@@ -152,18 +173,18 @@ class GaussianSetFilter(ABC):
     @cached_property
     def _static_births(self) -> BirthMixture:
         if not isinstance(self.birth, Birth):
-            raise TypeError("only births at known places are the same at every step")
+            raise TypeError("birth must be a Birth: only births at known places are the same at every step")
         return BirthMixture(self.birth.weights[None], self.birth.means[None], self.birth.covariances[None])
 
     def _no_births(self, batch: int) -> BirthMixture:
-        """Births a state starts with: none, and no room for any where they are the same at every step."""
+        """Births of an initial state: weights of 0, or empty arrays if births are the same at every step."""
         n = self._sizes[0]
         if isinstance(self.birth, MeasurementBirth):
             return self.birth.empty(batch, n)
         return BirthMixture(np.zeros((batch, 0)), np.zeros((batch, 0, n)), np.zeros((batch, 0, n, n)))
 
     def _clutter(self, z: Array, number: Labels) -> Array:
-        """Kappa at each measurement, 0 in unused rows. Shape (B, Z)."""
+        """Clutter intensity at each measurement, 0 in unused rows. Shape (B, Z)."""
         if not callable(self.clutter_intensity):
             return np.full(z.shape[:2], float(self.clutter_intensity))
         used = np.arange(z.shape[1]) < number[:, None]
@@ -172,7 +193,7 @@ class GaussianSetFilter(ABC):
         return kappa
 
     def _evaluate(self, name: str, probability: Probability | Array, mixture: Mixture) -> Array:
-        """p_S or p_D at each component's mean, from a function, a constant or one constant per run. Shape (B, K)."""
+        """Evaluate p_S or p_D at each component's mean: a function, a constant or one per run. Shape (B, K)."""
         if not callable(probability):
             values = np.empty(mixture.weight.shape)
             values.T[:] = probability
@@ -185,7 +206,7 @@ class GaussianSetFilter(ABC):
 
 
 def checked_values(name: str, values: ArrayLike, number: int, top: float) -> Array:
-    """What a caller's function returned: `number` finite values from 0 to `top`, or a ValueError that names it."""
+    """Check that a caller's function returned `number` finite values from 0 to `top`; raise ValueError otherwise."""
     array = np.asarray(values, dtype=np.float64)
     if array.shape != (number,):
         raise ValueError(f"{name} must return shape ({number},), got {array.shape}")
@@ -194,9 +215,9 @@ def checked_values(name: str, values: ArrayLike, number: int, top: float) -> Arr
     return array
 
 
-def check_sound(sound: bool) -> None:
-    """Raise where a predicted measurement's covariance was not positive definite."""
-    if not sound:
+def check_positive_definite(positive_definite: bool) -> None:
+    """Raise ValueError if a kernel found a predicted measurement covariance that is not positive definite."""
+    if not positive_definite:
         raise ValueError(
             "a predicted measurement covariance is not positive definite; check the condition of the model's "
             "process_noise, measurement_noise and the birth covariances"

@@ -2,34 +2,85 @@
 
 Components of a pairwise model come in two kinds after an update: a missed one is a Gaussian over (x, y), a detected
 one a Gaussian over x with y equal to its measurement. Missed components merge in (x, y), detected ones in x and only
-with those of the same measurement. Under a hidden Markov model y is forgotten and all merge in x.
+with those of the same measurement. Under a hidden Markov model y is dropped and all components merge in x.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-CANDIDATES_PER_COMPONENT = 10
-"""Merging looks at this many times the cap, the heaviest: a bound on time where thousands of measurements coincide."""
+from servotrack.estimators.types import Array, Labels, Mask
+
+
+class Limits(NamedTuple):
+    """Numbers of a `Reduction` for the compiled kernels; attributes as there."""
+
+    prune: float
+    merge: float
+    components: int
+    existence: float
+    candidates: int
+
+
+class Candidates(NamedTuple):
+    """Components of one run before reduction.
+
+    Attributes:
+        weight: Weights. Shape (C,).
+        mean: Means. Shape (C, N).
+        source: Row of the component's covariance. Shape (C,).
+        group: Index of the measurement, or -1 for a missed component. Shape (C,).
+        label: Identity, 0 for none. Shape (C,).
+    """
+
+    weight: Array
+    mean: Array
+    source: Labels
+    group: Labels
+    label: Labels
+
+
+class Components(NamedTuple):
+    """Output arrays for the components of one run, as in `Mixture`.
+
+    Attributes:
+        weight: Weights. Shape (K,).
+        mean: Means. Shape (K, N).
+        covariance: Covariances. Shape (K, N, N).
+        detected: Mask of components whose y is known exactly or dropped. Shape (K,).
+        label: Identity, 0 for none. Shape (K,).
+    """
+
+    weight: Array
+    mean: Array
+    covariance: Array
+    detected: Mask
+    label: Labels
 
 
 @dataclass(frozen=True)
 class Reduction:
-    """How far a mixture is reduced after each update.
+    """Parameters of the reduction of a mixture after each update.
+
+    Larger mixtures approximate the exact posterior better; the time of a step grows with their size.
 
     Args:
-        prune: Components lighter than this are dropped before merging (T_omega).
-        merge: Squared Mahalanobis distance within which components merge (U); 0 merges nothing.
-        components: Most components kept, the heaviest (J_max); per track in the multi-Bernoulli filters.
-        existence: Tracks less probable than this are dropped (T_r); multi-Bernoulli filters only.
-        tracks: Most tracks kept, the most probable (T_max); multi-Bernoulli filters only.
-        pool: Most components of all tracks together, those of the most probable; None: three per track.
+        prune: Components of less weight are dropped before merging (T_omega). Raising it gives smaller mixtures.
+        merge: Squared Mahalanobis distance within which components merge (U). Raising it merges more; 0 merges none.
+        components: Largest number of components kept, the heaviest (J_max); per track in the multi-Bernoulli filters.
+        existence: Tracks of less probability are dropped (T_r); multi-Bernoulli filters only. Raising it ends
+            tracks sooner.
+        tracks: Largest number of tracks kept, the most probable (T_max); multi-Bernoulli filters only.
+        pool: Largest number of components of all tracks, those of the most probable tracks; None: three per track.
+        candidates: Merging considers the `candidates * components` heaviest components. This limits the time where
+            thousands of measurements coincide; raising it loses less of the light components.
 
     Raises:
-        ValueError: Naming the argument that is out of range.
+        ValueError: An argument is out of range.
     """
 
     prune: float = 1e-5
@@ -38,6 +89,7 @@ class Reduction:
     existence: float = 1e-3
     tracks: int = 100
     pool: int | None = None
+    candidates: int = 10
 
     def __post_init__(self) -> None:
         for name, value, top in (
@@ -47,20 +99,32 @@ class Reduction:
         ):
             if not 0.0 <= value < top:
                 raise ValueError(f"{name} must be at least 0 and below {top}, got {value!r}")
-        for name, count in (("components", self.components), ("tracks", self.tracks), ("pool", self.pool_size)):
+        for name, count in (
+            ("components", self.components),
+            ("tracks", self.tracks),
+            ("pool", self.pool_size),
+            ("candidates", self.candidates),
+        ):
             if count < 1:
                 raise ValueError(f"{name} must be at least 1, got {count!r}")
 
     @property
     def pool_size(self) -> int:
-        """Room for the components of all tracks."""
+        """Largest number of components of all tracks."""
         return 3 * self.tracks if self.pool is None else self.pool
+
+    @property
+    def limits(self) -> Limits:
+        """Numbers for the compiled kernels."""
+        return Limits(
+            float(self.prune), float(self.merge), int(self.components), float(self.existence), int(self.candidates)
+        )
 
 
 @njit(cache=True, nogil=True)
 def _squared_distance(difference, cov, size, limit, root):  # type: ignore[no-untyped-def]
-    """difference^T cov^-1 difference, or infinity as soon as it must exceed the limit or cov is not definite."""
-    # d^2 is at least each entry's square over its variance: most pairs end here.
+    """Compute difference^T cov^-1 difference, or infinity once it exceeds the limit or cov is not definite."""
+    # d^2 is at least the square of each entry over its variance; most pairs end here.
     for r in range(size):
         if difference[r] * difference[r] > limit * cov[r, r]:
             return np.inf
@@ -88,32 +152,31 @@ def _squared_distance(difference, cov, size, limit, root):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True)
 def reduce_mixture(  # type: ignore[no-untyped-def]
-    pairwise, n, candidates, members, missed_cov, detected_cov, prune, merge, cap, out, start
+    pairwise, n, candidates, members, missed_cov, detected_cov, limits, cap, out, start
 ):
-    """Prune, merge and cap some candidates, writing what is left, heaviest first.
+    """Prune, merge and cap some candidates and write the remaining components, the heaviest first.
 
     Args:
-        pairwise: Whether missed and detected components differ in kind (see above).
+        pairwise: True if missed and detected components differ in kind (see above).
         n: State size.
-        candidates: (weight (C,), mean (C, N), source (C,), group (C,), label (C,)); group is the measurement's index
-            or -1 for a missed component, source the row of the covariance.
+        candidates: A `Candidates`.
         members: Rows of the candidates to reduce. Shape (k,).
         missed_cov: Covariances of missed components. Shape (J, N, N).
         detected_cov: Covariances after a detection. Shape (J, n, n).
-        prune: Least weight.
-        merge: Largest squared distance.
-        cap: Most components written.
-        out: (weight, mean, covariance, detected, label) arrays to write to.
+        limits: A `Limits`, of which `prune`, `merge` and `candidates` are used.
+        cap: Largest number of components written.
+        out: A `Components` to write to.
         start: First row to write.
 
     Returns:
-        The number of components written.
+        Number of components written.
     """
     weight, mean, source, group, label = candidates
     out_weight, out_mean, out_cov, out_detected, out_label = out
+    merge = limits.merge
     N = mean.shape[1]
-    heavy = members[weight[members] > prune]
-    order = heavy[np.argsort(-weight[heavy], kind="mergesort")][: CANDIDATES_PER_COMPONENT * cap]
+    heavy = members[weight[members] > limits.prune]
+    order = heavy[np.argsort(-weight[heavy], kind="mergesort")][: limits.candidates * cap]
     k = order.shape[0]
     following = np.full(k, -1, np.int32)
     taken = np.zeros(k, np.bool_)
@@ -162,7 +225,7 @@ def reduce_mixture(  # type: ignore[no-untyped-def]
         average = out_mean[row]
         cov = out_cov[row]
         for r in range(N):
-            # A Dirac's y is its measurement; a hidden Markov model's y is forgotten.
+            # The y of a Dirac is its measurement; under a hidden Markov model y is dropped.
             average[r] = mean[head, r] if pairwise and r >= size else 0.0
             for c in range(N):
                 cov[r, c] = 0.0

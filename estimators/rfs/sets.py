@@ -1,7 +1,7 @@
-"""Sets as arrays: measurements in, estimates out, and fixed arrays whose row is an identity.
+"""Sets as arrays: measurements, estimates, and fixed arrays in which each identity has its own row.
 
-Column 0 of a fixed array is existence. Measurements: 1 for a used row, 0 for an unused one. Estimates: at least 0.5
-reports a target, from 0.05 to 0.5 holds its identity silently, below 0.05 ends it and frees the row.
+Column 0 of a fixed array is existence. Measurements: 1 for a used row, 0 for an unused one. Estimates: a target is
+reported from 0.5 on; from 0.05 to 0.5 its identity is held without a report; below 0.05 it ends and the row is free.
 """
 
 from __future__ import annotations
@@ -17,18 +17,35 @@ from servotrack.estimators.types import Array, Labels, Mask
 REPORTED, HELD = 0.5, 0.05
 """Existence from which a row reports its target, and from which it keeps its identity."""
 
+TENTATIVE_EXISTENCE = 0.25
+"""Existence given for an unconfirmed track by trackers without one: its identity is held, not reported."""
 
-class Extraction(NamedTuple):
-    """What a filter believes of each identity, most probable first, in arrays of fixed capacity.
+
+class Scan(NamedTuple):
+    """Measurements of one instant.
 
     Attributes:
-        number: Rows in use. Shape (B,).
-        existence: Shape (B, K).
+        measurements: Measurements, used rows first. Shape (B, Z, m).
+        number: Number of used rows. Shape (B,).
+        clutter: Clutter intensity kappa at each measurement, 0 in unused rows. Shape (B, Z).
+    """
+
+    measurements: Array
+    number: Labels
+    clutter: Array
+
+
+class Extraction(NamedTuple):
+    """Identities extracted from a posterior, most probable first, in arrays of fixed capacity.
+
+    Attributes:
+        number: Number of rows in use. Shape (B,).
+        existence: Probabilities of existence. Shape (B, K).
         label: Identities, at least 1. Shape (B, K).
-        state: Shape (B, K, n).
-        covariance: Shape (B, K, n, n).
-        reported: Which rows the extraction rule reports. Shape (B, K), bool.
-        expected: The filter's own expected number of targets. Shape (B,).
+        state: Mean states. Shape (B, K, n).
+        covariance: Covariances of the states. Shape (B, K, n, n).
+        reported: Mask of the rows that the extraction rule reports. Shape (B, K), bool.
+        expected: Expected number of targets by the filter. Shape (B,).
     """
 
     number: Labels
@@ -41,7 +58,7 @@ class Extraction(NamedTuple):
 
 
 def empty_extraction(batch: int, capacity: int, n: int) -> Extraction:
-    """Room for `capacity` identities in each of `batch` runs."""
+    """Empty extraction with `capacity` rows for each of `batch` runs."""
     return Extraction(
         np.zeros(batch, np.int64),
         np.zeros((batch, capacity)),
@@ -55,20 +72,21 @@ def empty_extraction(batch: int, capacity: int, n: int) -> Extraction:
 
 @dataclass(frozen=True)
 class SetEstimate:
-    """The targets a filter reports, and the identities it holds besides.
+    """Targets that a filter reports, and further identities that it holds without reporting them.
 
     For one run k is the number of reported targets. For a batch it is the largest over the runs; rows beyond a run's
     number have existence 0 and label 0.
 
     Attributes:
         states: Reported states. Shape (*batch, k, n).
-        labels: Their identities, at least 1, stable over time. Shape (*batch, k).
-        existence: Their probabilities of existence. Shape (*batch, k).
-        covariances: Shape (*batch, k, n, n).
-        expected_number: The filter's own mean of the number of targets. Shape (*batch,).
-        held_labels: Identities not reported now but still believed in with at least 0.05; 0 pads. Shape (*batch, h).
-        held_states: Their states. Shape (*batch, h, n).
-        held_existence: Shape (*batch, h).
+        labels: Identities of the reported targets, at least 1, stable over time. Shape (*batch, k).
+        existence: Probabilities of existence of the reported targets. Shape (*batch, k).
+        covariances: Covariances of the reported states. Shape (*batch, k, n, n).
+        expected_number: Expected number of targets by the filter. Shape (*batch,).
+        held_labels: Identities that are not reported but have an existence of at least 0.05; padded with 0. Shape
+            (*batch, h).
+        held_states: States of the held identities. Shape (*batch, h, n).
+        held_existence: Probabilities of existence of the held identities. Shape (*batch, h).
     """
 
     states: Array
@@ -82,11 +100,11 @@ class SetEstimate:
 
 
 def estimate_from_extraction(extraction: Extraction, single: bool) -> SetEstimate:
-    """Split an extraction into reported and held rows, trimmed; without the batch axis for a single run."""
+    """Split an extraction into reported and held rows and trim them; drop the batch axis of a single run."""
     used = np.arange(extraction.label.shape[1]) < extraction.number[:, None]
     reported, held = used & extraction.reported, used & ~extraction.reported
     if single:
-        # One run needs no padding: take its rows.
+        # One run needs no padding.
         (shown,), (kept,) = reported, held
         return SetEstimate(
             extraction.state[0][shown],
@@ -112,17 +130,17 @@ def estimate_from_extraction(extraction: Extraction, single: bool) -> SetEstimat
 
 
 def read_measurements(measurement: ArrayLike, m: int) -> tuple[Array, Labels, bool]:
-    """Measurements of one run, or of a batch of runs, as the kernels take them.
+    """Convert the measurements of one run, or of a batch of runs, to the form of the kernels.
 
     Args:
         measurement: One run: shape (Z, m), Z may be 0. A batch: shape (B, n_max, 1 + m), column 0 existence 0 or 1.
         m: Size of one measurement.
 
     Returns:
-        measurements (B, Z, m), used rows first; their numbers (B,); whether it was one run.
+        measurements (B, Z, m), used rows first; their numbers (B,); True for a single run.
 
     Raises:
-        ValueError: For a wrong shape, an existence other than 0 or 1, or a used row that is not finite.
+        ValueError: The shape is wrong, an existence is not 0 or 1, or a used row is not finite.
     """
     z = np.asarray(measurement, dtype=np.float64)
     if z.size == 0 and z.ndim < 3:
@@ -148,23 +166,23 @@ def read_measurements(measurement: ArrayLike, m: int) -> tuple[Array, Labels, bo
 
 
 def check_runs(state: int, measurements: int) -> None:
-    """Raise where a batch of measurements does not fit a state's number of runs."""
+    """Raise ValueError if a batch of measurements does not have the state's number of runs."""
     if state != measurements:
         raise ValueError(f"measurements must be of the state's {state} runs, got {measurements}")
 
 
 def measurements_to_rows(measurements: ArrayLike, rows: int) -> Array:
-    """A set of measurements as a fixed array with existence in column 0.
+    """Convert a set of measurements to a fixed array with existence in column 0.
 
     Args:
-        measurements: Shape (Z, m).
-        rows: n_max.
+        measurements: Measurements. Shape (Z, m).
+        rows: Number of rows of the array, n_max.
 
     Returns:
         Shape (rows, 1 + m), unused rows zero.
 
     Raises:
-        ValueError: Where there are more measurements than rows.
+        ValueError: There are more measurements than rows.
     """
     z = np.asarray(measurements, dtype=np.float64)
     if z.ndim != 2 or len(z) > rows:
@@ -175,21 +193,25 @@ def measurements_to_rows(measurements: ArrayLike, rows: int) -> Array:
 
 
 class RowState(NamedTuple):
-    """Which identity owns which row of a fixed array; 0 marks a free row. Shape (*batch, rows)."""
+    """State of a `RowAllocation`.
+
+    Attributes:
+        label: Identity of each row, 0 for a free row. Shape (*batch, rows).
+    """
 
     label: Labels
 
 
 @dataclass(frozen=True)
 class RowAllocation:
-    """Gives every identity a row of a fixed array for as long as it lives.
+    """Gives every identity a row of a fixed array until it ends.
 
     Args:
-        rows: n_max of the array.
-        columns: Which entries of the state the array shows (for [x, vx, y, vy] the position is (0, 2)).
+        rows: Number of rows of the array, n_max.
+        columns: Indices of the state entries in the array (for [x, vx, y, vy] the position is (0, 2)).
 
     Raises:
-        ValueError: For no rows or no columns.
+        ValueError: There are no rows or no columns.
     """
 
     rows: int
@@ -200,19 +222,20 @@ class RowAllocation:
             raise ValueError(f"rows and columns must not be empty, got rows={self.rows!r}, columns={self.columns!r}")
 
     def initial(self, batch: tuple[int, ...] = ()) -> RowState:
-        """All rows free."""
+        """State with all rows free."""
         return RowState(np.zeros((*batch, self.rows), np.int64))
 
     def step(self, state: RowState, estimate: SetEstimate) -> tuple[RowState, Array]:
-        """Rows for an estimate: identities keep theirs, new ones take free rows, the least probable go without.
+        """Write an estimate into rows: identities keep their rows, new ones take free rows, the most probable first.
 
         Returns:
-            The new state and the array, shape (*batch, rows, 1 + len(columns)).
+            The new state and the array, shape (*batch, rows, 1 + len(columns)). Identities without a free row are
+            left out.
         """
         batch = state.label.shape[:-1]
         owners = state.label.reshape(-1, self.rows)
         runs = owners.shape[0]
-        # Reported identities first: they displace held ones when rows run out.
+        # Reported identities come first: they replace held ones when there are too few rows.
         label = np.concatenate([estimate.labels, estimate.held_labels], axis=-1).reshape(runs, -1)
         shown = np.clip(estimate.existence, REPORTED, 1.0)
         hidden = np.clip(estimate.held_existence, HELD, np.nextafter(REPORTED, 0.0))
@@ -232,14 +255,14 @@ class RowAllocation:
 
 
 def rows_to_tracks(rows: ArrayLike, identities: ArrayLike | None = None) -> dict[int, Array]:
-    """The reported targets of one fixed array of estimates by identity.
+    """Map the reported targets of one fixed array of estimates by identity.
 
     Args:
-        rows: Shape (rows, 1 + d).
+        rows: Estimates with existence in column 0. Shape (rows, 1 + d).
         identities: Identity of each row; the row's index if None. Shape (rows,).
 
     Returns:
-        Identity to position, shape (d,).
+        Map from identity to position, shape (d,).
     """
     array = np.asarray(rows, dtype=np.float64)
     names = np.arange(len(array)) if identities is None else np.asarray(identities)
@@ -247,34 +270,34 @@ def rows_to_tracks(rows: ArrayLike, identities: ArrayLike | None = None) -> dict
 
 
 def _allocate(owners: Labels, labels: Labels, reported: int, new: Labels) -> None:
-    """Rows for one run's labels, of which the first `reported` come first when rows are short."""
+    """Assign rows to the labels of one run; the first `reported` of them have priority."""
     wanted = labels[labels > 0]
     chosen = wanted[: owners.shape[0]]
     stay = np.isin(owners, chosen) & (owners > 0)
     new[stay] = owners[stay]
     arriving = chosen[~np.isin(chosen, owners)]
-    # A silent identity needs no row before it has been reported once.
+    # A held identity gets a row only after it has been reported once.
     arriving = arriving[np.isin(arriving, labels[:reported])]
-    # A row whose identity ends now stays empty for this step: taken at once it would pass for the same identity.
+    # A row whose identity ends now stays empty for this step; otherwise it would look like the same identity.
     free = np.flatnonzero((new == 0) & (owners == 0))[: len(arriving)]
     new[free] = arriving[: len(free)]
 
 
 def _front(mask: Mask) -> tuple[Labels, Mask]:
-    """Indices that bring the marked rows of each run to the front, and which of the trimmed rows are used."""
+    """Indices that move the marked rows of each run to the front, and the mask of used rows after trimming."""
     most = int(mask.sum(axis=1).max(initial=0))
     order = np.argsort(~mask, axis=1, kind="stable")[:, :most]
     return order, np.take_along_axis(mask, order, axis=1)
 
 
 def _take(array: NDArray, order: Labels, used: Mask) -> NDArray:  # type: ignore[type-arg]
-    """Rows of each run in the given order, zero where unused."""
+    """Take the rows of each run in the given order, zero where unused."""
     extra = (1,) * (array.ndim - 2)
     taken = np.take_along_axis(array, order.reshape(*order.shape, *extra), axis=1)
     return np.where(used.reshape(*used.shape, *extra), taken, np.zeros((), array.dtype))
 
 
 def _first_bad(z: Array) -> str:
-    """The first row that is not finite."""
+    """Describe the first row that is not finite."""
     row = int(np.flatnonzero(~np.isfinite(z).all(axis=1))[0])
     return f"{z[row].tolist()} in row {row}"

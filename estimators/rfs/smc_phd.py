@@ -1,6 +1,6 @@
-"""Particle (sequential Monte Carlo) PHD filter (Vo, Singh and Doucet 2005), plain: targets are read off by clustering.
+"""Particle (sequential Monte Carlo) PHD filter (Vo, Singh and Doucet 2005) with extraction by clustering.
 
-It is here for paper 000's remark that the particle form costs more than the Gaussian one and extracts unreliably.
+It serves to check paper 000's remark that the particle form costs more than the Gaussian one and extracts unreliably.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ class ParticlePHDState(NamedTuple):
     """State of a `ParticlePHD`.
 
     Attributes:
-        number: Particles in use. Shape (*batch,).
-        weight: Shape (*batch, P).
+        number: Number of particles in use. Shape (*batch,).
+        weight: Weights. Shape (*batch, P).
         particle: States. Shape (*batch, P, n).
         label: Identities, 0 for none yet. Shape (*batch, P).
         next_label: The next new identity. Shape (*batch,).
-        stream: Which random stream the run draws from. Shape (*batch,).
-        time: Steps taken. Shape (*batch,).
+        stream: Index of the run's random stream. Shape (*batch,).
+        time: Number of steps so far. Shape (*batch,).
     """
 
     number: Labels
@@ -59,17 +59,18 @@ class ParticlePHD:
 
     Args:
         model: A hidden Markov or a range-bearing model.
-        birth: Where targets appear.
+        birth: Places where targets appear.
         clutter_intensity: Expected false measurements per unit of measurement space.
-        survival: p_S.
-        detection: p_D.
-        particles: Particles per expected target.
-        birth_particles: Particles drawn from the births per step.
-        capacity: Most particles.
-        seed: Of the random streams; each number drawn is a function of (seed, run, step).
+        survival: Survival probability p_S.
+        detection: Detection probability p_D.
+        particles: Number of particles per expected target. Raising it reduces the Monte Carlo error and costs time.
+        birth_particles: Number of particles drawn from the births per step.
+        capacity: Largest number of particles.
+        seed: Seed of the random streams; each number drawn is a function of (seed, run, step).
+        cluster_iterations: Largest number of Lloyd iterations of the clustering. Well separated targets need fewer.
 
     Raises:
-        ValueError: Naming the argument that is out of range.
+        ValueError: An argument is out of range, or the model is pairwise.
     """
 
     model: HiddenMarkovModel | RangeBearingModel
@@ -81,6 +82,7 @@ class ParticlePHD:
     birth_particles: int = 1000
     capacity: int = 30_000
     seed: int = 0
+    cluster_iterations: int = 10
 
     def __post_init__(self) -> None:
         if self.model.packed.pairwise:
@@ -93,14 +95,18 @@ class ParticlePHD:
                 raise ValueError(f"{name} must be in [0, 1], got {value!r}")
         if not (np.isfinite(self.clutter_intensity) and self.clutter_intensity >= 0.0):
             raise ValueError(f"clutter_intensity must be finite and >= 0, got {self.clutter_intensity!r}")
-        for name, count in (("particles", self.particles), ("birth_particles", self.birth_particles)):
+        for name, count in (
+            ("particles", self.particles),
+            ("birth_particles", self.birth_particles),
+            ("cluster_iterations", self.cluster_iterations),
+        ):
             if count < 1:
                 raise ValueError(f"{name} must be at least 1, got {count!r}")
         if self.capacity <= self.birth_particles:
             raise ValueError(f"capacity must be above birth_particles = {self.birth_particles}, got {self.capacity!r}")
 
     def initial(self, measurement: ArrayLike) -> ParticlePHDState:
-        """State before the first measurement: no particles. The measurement gives the batch axis only."""
+        """State before the first measurement: no particles. Only the measurement's batch axis is read."""
         m, n = self.model.packed.observation.shape
         z, _, single = read_measurements(measurement, m)
         batch = z.shape[0]
@@ -126,7 +132,7 @@ class ParticlePHD:
         room = min(self.capacity, max(round(self.capacity / self.particles), 1))
         extraction = empty_extraction(z.shape[0], room, n)
         for b in range(z.shape[0]):
-            # Every run has a generator of its own: numbers do not depend on who else is in the batch.
+            # Every run has its own generator, so that its numbers do not depend on the other runs of the batch.
             rng = np.random.default_rng([self.seed, int(state.stream[b]), int(state.time[b])])
             self._advance(new, b, z[b, : number[b]], rng, extraction)
         new.time[...] += 1
@@ -135,7 +141,7 @@ class ParticlePHD:
     def _advance(
         self, new: ParticlePHDState, b: int, z: Array, rng: np.random.Generator, extraction: Extraction
     ) -> None:
-        """One step of run b, in place."""
+        """Advance run b by one step, in place."""
         model = self.model.packed
         n = model.observation.shape[1]
         count = int(new.number[b])
@@ -161,7 +167,15 @@ class ParticlePHD:
         total = float(weight.sum())
         targets = min(int(np.floor(total + 0.5)), extraction.label.shape[1])
         new.next_label[b] = cluster_particles(
-            model.observation, particles, weight, label, targets, new.next_label[b], extraction, b
+            model.observation,
+            particles,
+            weight,
+            label,
+            targets,
+            self.cluster_iterations,
+            new.next_label[b],
+            extraction,
+            b,
         )
         extraction.expected[b] = total
         kept = min(max(int(np.ceil(self.particles * total)), self.particles), self.capacity - self.birth_particles)

@@ -1,4 +1,4 @@
-"""A GM-PHD filter whose parameters are set from outside at every step, and a rule that sets them by what it counts."""
+"""A GM-PHD filter whose parameters are inputs of every step, with constant parameters or estimates by counting."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.estimators.rfs.birth import Birth, BirthMixture, MeasurementBirth
+from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.phd import GMPHD, PHDState
-from servotrack.estimators.rfs.sets import SetEstimate, check_runs, estimate_from_extraction, read_measurements
+from servotrack.estimators.rfs.sets import Scan, SetEstimate, check_runs, estimate_from_extraction, read_measurements
 from servotrack.estimators.stateful import add_axis, first_row
 from servotrack.estimators.types import Array
 
@@ -19,9 +20,10 @@ class Steering(NamedTuple):
     """Parameters of one step, for each run of a batch.
 
     Attributes:
-        detection: p_D, in [0, 1]. Shape (*batch,).
+        detection: Detection probability p_D, in [0, 1]. Shape (*batch,).
         clutter: Factor on the filter's clutter intensity, > 0. Shape (*batch,).
-        births: Expected births where measurements are unexplained, beside those at known places, >= 0. Shape (*batch,).
+        births: Expected number of births at unexplained measurements, in addition to those at known places, >= 0. Shape
+            (*batch,).
     """
 
     detection: Array
@@ -30,12 +32,12 @@ class Steering(NamedTuple):
 
 
 class Account(NamedTuple):
-    """What one step tells about the parameters.
+    """Expected counts of one step, from which the parameters can be estimated.
 
     Attributes:
         predicted: Expected number of targets before the scan. Shape (*batch,).
-        explained: Expected number of measurements that are targets'. Shape (*batch,).
-        unexplained: Expected number of measurements that are not. Shape (*batch,).
+        explained: Expected number of measurements of targets. Shape (*batch,).
+        unexplained: Expected number of other measurements. Shape (*batch,).
         number: Expected number of targets after the scan. Shape (*batch,).
     """
 
@@ -49,9 +51,9 @@ class SteeredState(NamedTuple):
     """State of a `SteeredPHD`.
 
     Attributes:
-        phd: Of the filter.
-        anywhere: Births of the next step where measurements were unexplained, one expected.
-        account: Of the last step.
+        phd: State of the filter.
+        anywhere: Births of the next step at unexplained measurements, for an expected number of one.
+        account: Expected counts of the last step.
     """
 
     phd: PHDState
@@ -61,14 +63,14 @@ class SteeredState(NamedTuple):
 
 @dataclass(frozen=True)
 class SteeredPHD:
-    """A GM-PHD filter whose detection probability, clutter and births are given anew at every step.
+    """A GM-PHD filter whose detection probability, clutter and births are inputs of every step.
 
     Args:
-        filter: Its model, its births at known places, its clutter intensity, on which steering puts a factor.
-        anywhere: How births are put at unexplained measurements; `expected` must be 1, steering gives the number.
+        filter: The filter: model, births at known places, and clutter intensity, which steering multiplies.
+        anywhere: Birth model at unexplained measurements; `expected` must be 1, steering gives the number.
 
     Raises:
-        ValueError: Another `expected`.
+        ValueError: `anywhere.expected` is not 1.
     """
 
     filter: GMPHD
@@ -77,11 +79,11 @@ class SteeredPHD:
     def __post_init__(self) -> None:
         if self.anywhere.expected != 1.0:
             raise ValueError(
-                f"anywhere must expect one birth, got {self.anywhere.expected!r}; steering gives the number"
+                f"anywhere.expected must be 1, got {self.anywhere.expected!r}; steering gives the number of births"
             )
 
     def initial(self, measurement: ArrayLike) -> SteeredState:
-        """State before the first scan, which gives the batch axis only."""
+        """State before the first scan, of which only the batch axis is read."""
         z, _, single = read_measurements(measurement, self.filter._sizes[1])
         none = np.zeros(len(z))
         state = SteeredState(
@@ -92,18 +94,18 @@ class SteeredPHD:
         return first_row(state) if single else state
 
     def step(self, state: SteeredState, measurement: ArrayLike, steering: Steering) -> tuple[SteeredState, SetEstimate]:
-        """Predict to the next instant and fold its measurements in, with these parameters.
+        """Predict to the next instant and update with its measurements, with the given parameters.
 
         Args:
-            state: As returned by `initial` or `step`.
-            measurement: As `GMPHD.step` takes it.
-            steering: For each run.
+            state: Result of `initial` or of the last `step`.
+            measurement: Measurements in the form of `GMPHD.step`.
+            steering: Parameters of each run.
 
         Returns:
             The new state and the estimate.
 
         Raises:
-            ValueError: As `GMPHD.step`, or for steering of another shape or out of range.
+            ValueError: An error of `GMPHD.step`, or steering has another shape or is out of range.
         """
         phd = self.filter
         z, number, single = read_measurements(measurement, phd._sizes[1])
@@ -115,7 +117,8 @@ class SteeredPHD:
         clutter = phd._clutter(z, number) * steering.clutter[:, None]
         survival = phd._evaluate("survival", phd.survival, state.phd.intensity)
         predicted = (survival * state.phd.intensity.weight).sum(axis=1) + births.weight.sum(axis=1)
-        new, extraction, unexplained = phd._advance_detecting(state.phd, births, z, number, clutter, steering.detection)
+        scan = Scan(z, number, clutter)
+        new, extraction, unexplained = phd._advance_detecting(state.phd, births, scan, steering.detection)
         used = np.arange(z.shape[1]) < number[:, None]
         left = np.where(used, unexplained, 0.0)
         account = Account(predicted, number - left.sum(axis=1), left.sum(axis=1), new.intensity.weight.sum(axis=1))
@@ -148,14 +151,15 @@ def _check_steering(steering: Steering, batch: int) -> None:
 
 @dataclass(frozen=True)
 class SteadyPHD:
-    """A steered GM-PHD filter that nobody steers: as it was told, and some births where measurements are unexplained.
+    """A steered GM-PHD filter with constant parameters: those of its filter, and births at unexplained measurements.
 
     Args:
         steered: The filter.
-        births: Expected number of births per scan where measurements are unexplained.
+        births: Expected number of births per scan at unexplained measurements. Raising it finds targets anywhere sooner
+            and reports more clutter.
 
     Raises:
-        ValueError: `births` out of range, or a detection probability that is a function of the state.
+        ValueError: `births` is out of range, or the detection probability is a function of the state.
     """
 
     steered: SteeredPHD
@@ -164,34 +168,34 @@ class SteadyPHD:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.births) and self.births >= 0.0):
             raise ValueError(f"births must be finite and >= 0, got {self.births!r}")
-        told_detection(self.steered)
+        constant_detection(self.steered)
 
     @property
-    def model(self) -> object:
-        """Motion and measurement of one target."""
+    def model(self) -> TargetModel:
+        """Motion and measurement model of one target."""
         return self.steered.filter.model
 
     def initial(self, measurement: ArrayLike) -> SteeredState:
-        """State before the first scan, which gives the batch axis only."""
+        """State before the first scan, of which only the batch axis is read."""
         return self.steered.initial(measurement)
 
     def step(self, state: SteeredState, measurement: ArrayLike) -> tuple[SteeredState, SetEstimate]:
-        """As `GMPHD.step`."""
+        """Predict and update; arguments, results and errors as in `GMPHD.step`."""
         one = np.ones_like(state.account.number)
         return self.steered.step(
-            state, measurement, Steering(told_detection(self.steered) * one, one, self.births * one)
+            state, measurement, Steering(constant_detection(self.steered) * one, one, self.births * one)
         )
 
 
-def told_detection(steered: SteeredPHD) -> float:
-    """The detection probability that a filter was told.
+def constant_detection(steered: SteeredPHD) -> float:
+    """Return the detection probability of the filter's own parameters.
 
     Raises:
-        ValueError: It is a function of the state.
+        ValueError: The detection probability is a function of the state.
     """
     detection = steered.filter.detection
     if callable(detection):
-        raise ValueError("detection must be a number where it is steered, got a function of the state")
+        raise ValueError("detection must be a number in a steered filter, got a function of the state")
     return float(detection)
 
 
@@ -199,8 +203,8 @@ class CountingState(NamedTuple):
     """State of a `CountingPHD`.
 
     Attributes:
-        steered: Of the filter.
-        predicted, explained, unexplained, scans: Sums that forget. Shape (*batch,).
+        steered: State of the filter.
+        predicted, explained, unexplained, scans: Exponentially weighted sums of the counts. Shape (*batch,).
     """
 
     steered: SteeredState
@@ -212,21 +216,23 @@ class CountingState(NamedTuple):
 
 @dataclass(frozen=True)
 class CountingPHD:
-    """A steered GM-PHD filter that counts: how many of the targets it expected were seen, how much was left over.
+    """A steered GM-PHD filter that estimates its detection probability and clutter rate by counting.
 
-    The detection probability is the share of expected targets that measurements show, the clutter rate the mean
-    number of measurements that no target explains, both beginning as the filter was told, as if that had been seen in
-    `trust` scans.
+    The detection probability is the share of expected targets with a measurement, the clutter rate the mean number of
+    measurements that no target explains. Both start from the given values, which count like `trust` observed scans.
 
     Args:
         steered: The filter.
-        clutter_rate: That was told: the mean number of false measurements in a scan.
-        births: Expected number of births per scan where measurements are unexplained.
-        memory: Scans after which a count weighs 1/e.
-        trust: Scans that what was told is worth.
+        clutter_rate: Assumed mean number of false measurements per scan.
+        births: Expected number of births per scan at unexplained measurements.
+        memory: Number of scans after which the weight of a count has fallen to 1/e. Raising it makes the estimates
+            steadier and slower.
+        trust: Number of scans that the given values count for. Raising it keeps the estimates near them for longer.
+        detection_limits: Lower and upper limit of the estimated detection probability.
+        least_clutter: Lower limit of the estimated clutter rate, as a share of `clutter_rate`.
 
     Raises:
-        ValueError: Naming the argument that is out of range.
+        ValueError: An argument is out of range.
     """
 
     steered: SteeredPHD
@@ -234,32 +240,37 @@ class CountingPHD:
     births: float = 0.1
     memory: float = 30.0
     trust: float = 2.0
+    detection_limits: tuple[float, float] = (0.05, 0.999)
+    least_clutter: float = 1e-3
 
     def __post_init__(self) -> None:
-        for name in ("clutter_rate", "births", "memory", "trust"):
+        for name in ("clutter_rate", "births", "memory", "trust", "least_clutter"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise ValueError(f"{name} must be finite and > 0, got {value!r}")
-        told_detection(self.steered)
+        low, high = self.detection_limits
+        if not 0.0 <= low <= high <= 1.0:
+            raise ValueError(f"detection_limits must be ascending in [0, 1], got {self.detection_limits!r}")
+        constant_detection(self.steered)
 
     @property
-    def model(self) -> object:
-        """Motion and measurement of one target."""
+    def model(self) -> TargetModel:
+        """Motion and measurement model of one target."""
         return self.steered.filter.model
 
     def initial(self, measurement: ArrayLike) -> CountingState:
-        """State before the first scan, which gives the batch axis only."""
+        """State before the first scan, of which only the batch axis is read."""
         steered = self.steered.initial(measurement)
         none = np.zeros_like(steered.account.number)
         return CountingState(steered, none, none, none, none)
 
     def step(self, state: CountingState, measurement: ArrayLike) -> tuple[CountingState, SetEstimate]:
-        """As `GMPHD.step`."""
-        detection = (self.trust * told_detection(self.steered) + state.explained) / (self.trust + state.predicted)
+        """Predict and update; arguments, results and errors as in `GMPHD.step`."""
+        detection = (self.trust * constant_detection(self.steered) + state.explained) / (self.trust + state.predicted)
         clutter = (self.trust * self.clutter_rate + state.unexplained) / (self.trust + state.scans)
         steering = Steering(
-            np.clip(detection, 0.05, 0.999),
-            np.maximum(clutter / self.clutter_rate, 1e-3),
+            np.clip(detection, *self.detection_limits),
+            np.maximum(clutter / self.clutter_rate, self.least_clutter),
             np.full_like(detection, self.births),
         )
         steered, estimate = self.steered.step(state.steered, measurement, steering)

@@ -24,7 +24,7 @@ from servotrack.estimators.rfs import (
 )
 from servotrack.estimators.rfs.association import association_marginals
 from servotrack.estimators.rfs.extraction import most_probable_number
-from servotrack.estimators.rfs.reduction import reduce_mixture
+from servotrack.estimators.rfs.reduction import Candidates, Components, reduce_mixture
 from servotrack.estimators.stateful import Stateful
 
 KAPPA = 20.0 / 4000.0**2
@@ -243,9 +243,12 @@ def test_most_probable_number_is_that_of_the_enumerated_tracks(existence):
 def reduced(weight, mean, cov, merge, cap):
     C, n = mean.shape
     indices = np.arange(C)
-    candidates = (weight, mean, indices, np.full(C, -1), indices + 1)
-    out = (np.zeros(cap), np.zeros((cap, n)), np.zeros((cap, n, n)), np.zeros(cap, np.bool_), np.zeros(cap, np.int64))
-    count = reduce_mixture(False, n, candidates, indices, cov, cov, 0.0, merge, cap, out, 0)
+    candidates = Candidates(weight, mean, indices, np.full(C, -1), indices + 1)
+    out = Components(
+        np.zeros(cap), np.zeros((cap, n)), np.zeros((cap, n, n)), np.zeros(cap, np.bool_), np.zeros(cap, np.int64)
+    )
+    limits = Reduction(prune=0.0, merge=merge, components=cap).limits
+    count = reduce_mixture(False, n, candidates, indices, cov, cov, limits, cap, out, 0)
     return tuple(part[:count] for part in out)
 
 

@@ -196,7 +196,7 @@ def test_bad_measurements_are_refused_by_name(kind):
         ({"clutter_intensity": np.nan}, "clutter_intensity must be finite"),
         ({"extraction": "best"}, "extraction must be one of threshold, sum, map"),
         ({"gate_probability": 0.0}, "gate_probability must be in"),
-        ({"gate_probability": 0.999, "detection": 0.9999}, "loses targets for good"),
+        ({"gate_probability": 0.999, "detection": 0.9999}, "loses targets permanently"),
         ({"spawn": (Spawn(0.1, np.eye(2)),)}, "spawn noise must have shape"),
         ({"birth": Birth([0.1], np.zeros((1, 2)), np.eye(2))}, "birth means must have 4 entries"),
     ],

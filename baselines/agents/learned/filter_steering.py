@@ -16,7 +16,7 @@ from servotrack.baselines.worlds import public_attribute
 from servotrack.envs.track.clutter.scene_model import SceneModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.rfs import RowAllocation
-from servotrack.estimators.rfs.steered import SteadyPHD, SteeredPHD, SteeredState, Steering, told_detection
+from servotrack.estimators.rfs.steered import SteadyPHD, SteeredPHD, SteeredState, Steering, constant_detection
 from servotrack.estimators.types import Array, FloatArray, Labels
 
 PARAMETERS = 3
@@ -114,7 +114,7 @@ class SteeringEncoding:
             faded.reshape(count, -1),
             memory.answer,
             np.full((count, 1), np.log(self.clutter_rate)),
-            np.full((count, 1), 0.5 * _log_odds(told_detection(self.steered))),
+            np.full((count, 1), 0.5 * _log_odds(constant_detection(self.steered))),
             np.minimum(memory.scans / SCAN_UNIT, 2.0)[:, None],
         ]
         return memory._replace(scan=scan), np.concatenate(parts, axis=1).astype(np.float32)
@@ -131,7 +131,7 @@ class SteeringEncoding:
 
     def steering(self, answers: Array) -> Steering:
         """Return the parameters for answers of shape (N, 3); 0 keeps those of the scene model."""
-        odds = _log_odds(told_detection(self.steered)) + DETECTION_REACH * answers[:, 0]
+        odds = _log_odds(constant_detection(self.steered)) + DETECTION_REACH * answers[:, 0]
         return Steering(
             np.minimum(1.0 / (1.0 + np.exp(-odds)), 0.9999),
             np.exp(CLUTTER_REACH * answers[:, 1]),
