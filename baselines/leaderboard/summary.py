@@ -15,8 +15,9 @@ from servotrack.baselines.evaluation.statistics import Interval, PairedDifferenc
 from servotrack.baselines.worlds import RANDOM_AGENT, WORLDS, World
 from servotrack.estimators.types import Array
 
-EQUAL_SCORE = 0.01
-"""Agents whose mean scores differ by less than this, and not significantly, share a row of the overview."""
+EQUAL_SCORE = 0.02
+"""Margin of equivalence: agents share a row of the overview if the 95 % interval of the paired difference of their scores
+lies within plus or minus this in every task. Raising it folds more agents."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +161,7 @@ def fold_equal(
     """Gather agents that cannot be told apart, so that they share a row.
 
     An agent joins one above it of the same information class if in every task their scores are equal to the bit, or the
-    interval of their paired difference contains zero and the difference is below `EQUAL_SCORE`.
+    95 % interval of their paired difference lies within plus or minus `EQUAL_SCORE`.
 
     Args:
         tasks: Tasks of `summarize`.
@@ -195,7 +196,7 @@ def _are_equal(task: TaskSummary, first: str, second: str) -> bool:
     if np.array_equal(a.scores, other):
         return True
     difference = statistics.bootstrap_mean(a.scores - other)
-    return abs(difference.value) < EQUAL_SCORE and difference.low <= 0.0 <= difference.high
+    return -EQUAL_SCORE < difference.low and difference.high < EQUAL_SCORE
 
 
 def stamp(cells: Iterable[CellResults]) -> str:

@@ -20,8 +20,8 @@ SIGNIFICANCE = 0.05
 PRIVILEGED_MARK = "†"
 BOUND_MARK = "× bound"
 SAME_NOTE = (
-    "Agents behind `same` have the scores of the row at every level: equal to the bit, or a difference below "
-    f"{EQUAL_SCORE:g} whose interval contains zero."
+    "Agents behind `same` are equivalent to the row's agent at every level: equal to the bit, or with the 95 % interval "
+    f"of the paired difference within ±{EQUAL_SCORE:g}."
 )
 _COMMON_NOTE = (
     f"{PRIVILEGED_MARK} sees the truth. Brackets: 95 % intervals. Differences are paired by seed against the agent "
@@ -54,7 +54,7 @@ def missing_agents(task: TaskSummary) -> list[str]:
 def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
     """Agents against tasks: mean score and success rate in every cell; last the worst tenth and the mean over tasks.
 
-    Agents that cannot be told apart share a row. Below those that took part in all tasks come those that took part in
+    Equivalent agents share a row. Below those that took part in all tasks come those that took part in
     some, such as learned ones, without a mean.
     """
     scored = [task for task in tasks if any(row.score for row in task.rows)]

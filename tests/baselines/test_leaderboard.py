@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+import re
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from servotrack.baselines.evaluation.results import CellResults
-from servotrack.baselines.evaluation.watch import film_episode
+from servotrack.baselines.evaluation.watch import CAPTION_HEIGHT, film_episode
 from servotrack.baselines.leaderboard.figure import draw_levels, level_tasks
+from servotrack.baselines.leaderboard.index import write_index
 from servotrack.baselines.leaderboard.report import write_report
-from servotrack.baselines.leaderboard.summary import overall, summarize
-from servotrack.baselines.leaderboard.table import caveat, markdown_overview, markdown_report, overview_grid, task_grid
+from servotrack.baselines.leaderboard.summary import overall, stamp, summarize
+from servotrack.baselines.leaderboard.table import (
+    caveat,
+    markdown_overview,
+    markdown_report,
+    missing_agents,
+    overview_grid,
+    task_grid,
+)
 from servotrack.baselines.reporting.files import ResultsError, atomic_path
 from servotrack.baselines.reporting.film import write_film
-from servotrack.baselines.reporting.grid import as_markdown
+from servotrack.baselines.reporting.grid import as_csv, as_json, as_markdown
 
 ERRORS = {"random": 0.5, "ukf": 0.005, "lifted-kf": 0.002, "oracle": 0.001}
 
@@ -203,3 +216,76 @@ def test_films_that_cannot_be_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ResultsError, match="cannot be a folder"), atomic_path(tmp_path / "file" / "a.mp4"):
         pass
     assert not (tmp_path / "a.mp4").exists()
+
+
+def _with_twin(shift: float) -> list[CellResults]:
+    """Cells with an agent whose steady errors are those of `ukf`, times exp(shift) or its inverse by turns."""
+    cells = make_cells()
+    for cell in [cell for cell in cells if cell.agent == "ukf"]:
+        rows = [
+            {**row, "steady": row["steady"] * float(np.exp(shift if i % 2 else -shift))}
+            for i, row in enumerate(cell.rows)
+        ]
+        cells.append(CellResults(cell.env_id, cell.env_kwargs, "ukf-twin", cell.card, 252, rows[::-1]))
+    return cells
+
+
+@pytest.mark.parametrize(("shift", "folds"), [(0.0, True), (0.01, True), (0.5, False)])
+def test_equivalent_agents_share_a_row(shift: float, folds: bool) -> None:
+    tasks = summarize(_with_twin(shift))
+    names = [row[0] for row in overview_grid(tasks).rows]
+    assert ("ukf (same: ukf-twin)" in names) == folds
+    assert ("ukf-twin" in names) != folds
+
+
+def test_the_overview_shows_the_worst_tenth() -> None:
+    grid = overview_grid(summarize(make_cells()))
+    column = grid.headings.index("worst tenth")
+    lifted = next(row for row in overall(summarize(make_cells())) if row.agent == "lifted-kf")
+    shown = next(row for row in grid.rows if row[0] == "lifted-kf")
+    assert shown[column] == f"{lifted.worst_score:.2f}"
+    assert lifted.worst_score < lifted.score.low
+
+
+def test_the_stamp_follows_the_rows_alone() -> None:
+    cells = make_cells()
+    assert stamp(cells) == stamp(cells[::-1])
+    cells[0].provenance = {"command": "another"}
+    assert stamp(cells) == stamp(make_cells())
+    cells[0].rows[0]["steady"] *= 1.0 + 1e-12
+    assert stamp(cells) != stamp(make_cells())
+
+
+def test_a_table_names_the_agents_that_its_empty_columns_need() -> None:
+    task = summarize([cell for cell in make_cells((3,)) if cell.agent == "lifted-kf"])[0]
+    assert missing_agents(task) == ["random", "oracle", "informed-bound", "ukf"]
+
+
+def test_tables_for_programs_hold_what_the_tables_for_people_hold() -> None:
+    grid = overview_grid(summarize(make_cells()))
+    assert [list(row.values()) for row in json.loads(as_json({"all": grid}))["all"]] == grid.rows
+    read = list(csv.reader(io.StringIO(as_csv({"all": grid, "again": grid}))))
+    assert read[0] == ["table", *grid.headings]
+    assert read[1:] == [["all", *row] for row in grid.rows] + [["again", *row] for row in grid.rows]
+
+
+def test_the_index_links_to_the_page_of_every_world(tmp_path: Path) -> None:
+    for world in ("UncalibServo-v0", "ClutterTracking-v0"):
+        write_report(summarize(make_cells()), tmp_path / world, "a command")
+    text = write_index(tmp_path).read_text(encoding="utf-8")
+    links = re.findall(r'href="([^"]+)"', text)
+    assert links == ["ClutterTracking-v0/leaderboard.html", "UncalibServo-v0/leaderboard.html"]
+    assert all((tmp_path / link).is_file() for link in links)
+
+
+def test_a_film_names_agent_level_and_seed(tmp_path: Path) -> None:
+    films = []
+    for agent, seed in (("kf", 200_000), ("kf", 200_001), ("fixed-jacobian", 200_000)):
+        film_episode("UncalibServo-v0", agent, tmp_path / "film.avi", {"level": 2, "horizon": 70}, seed)
+        read, frame = cv2.VideoCapture(str(tmp_path / "film.avi")).read()
+        assert read
+        films.append(frame[-CAPTION_HEIGHT:].astype(int))
+    dark = [(film < 128).any(axis=2).sum() for film in films]
+    assert min(dark) > 100
+    # The strips differ, so they say more than that there is an agent.
+    assert np.abs(films[0] - films[1]).max() > 100 and np.abs(films[0] - films[2]).max() > 100
