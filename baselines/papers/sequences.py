@@ -11,7 +11,7 @@ import numpy as np
 
 from servotrack.baselines.papers.request import Recording
 from servotrack.envs.track.files.frames import open_frames
-from servotrack.envs.track.files.recorded import read_tracks
+from servotrack.envs.track.files.read import read_tracks
 from servotrack.estimators.metrics import Track, tracks_from_rows
 from servotrack.estimators.types import Image, Labels
 

@@ -23,7 +23,8 @@ from servotrack.baselines.track_command.run import FILM, TRACKS, TrackRun, track
 from servotrack.baselines.track_command.scores import MATCH_RULES, TrackScores, score_grid, score_tracks
 from servotrack.envs.track.files.frames import SIDES
 from servotrack.envs.track.files.mot_files import find_mot_folder
-from servotrack.envs.track.files.recorded import RecordedTracks, read_tracks
+from servotrack.envs.track.files.read import read_tracks
+from servotrack.envs.track.files.recorded import RecordedTracks
 
 FILE_DETECTOR = "file"
 """Detector name that stands for the detections of a MOTChallenge sequence."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from servotrack.baselines.reporting.files import atomic_path
 from servotrack.envs.track.files.mot_files import mot_row
-from servotrack.envs.track.files.recorded import read_tracks
+from servotrack.envs.track.files.read import read_tracks
 from servotrack.estimators.boxes.offline import fill_gaps
 from servotrack.estimators.metrics.tracks import Track
 

@@ -12,7 +12,7 @@ from servotrack.envs.servo.arrivals import Arrivals
 from servotrack.envs.servo.episode import samples
 from servotrack.envs.servo.world import capture
 from servotrack.envs.streams import Streams
-from servotrack.envs.track.clutter.config import poisson_quantile
+from servotrack.envs.track.counts import poisson_quantile
 from servotrack.estimators.camera import project_ground
 
 COLUMNS = 8

@@ -12,7 +12,7 @@ from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.track_command.rendered import ENVIRONMENT, render_sequence
 from servotrack.envs.track.files.frames import open_frames
 from servotrack.envs.track.files.mot_files import find_mot_folder
-from servotrack.envs.track.files.recorded import read_tracks
+from servotrack.envs.track.files.read import read_tracks
 
 AXES = {"level": 1, "width": 160, "height": 120, "horizon": 12, "empty_frames": 4}
 

@@ -23,7 +23,8 @@ from servotrack.baselines.track_command.painter import BoxPainter
 from servotrack.baselines.track_command.run import track
 from servotrack.baselines.track_command.scores import score_tracks
 from servotrack.baselines.track_command.tracks_file import TracksFile
-from servotrack.envs.track.files.recorded import RecordedTracks, SequenceError, read_tracks
+from servotrack.envs.track.files.read import read_tracks
+from servotrack.envs.track.files.recorded import RecordedTracks, SequenceError
 from servotrack.estimators.detect.detections import Detections, detections_from_boxes
 from servotrack.estimators.metrics import Track
 from servotrack.estimators.rfs.sets import SetEstimate

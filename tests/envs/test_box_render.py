@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from servotrack.envs.drawing.glyphs import put_text
-from servotrack.envs.track.clutter.render import TRAIL_LENGTH, identity_color
+from servotrack.envs.drawing.plots import TRAIL_LENGTH, identity_color
 from servotrack.envs.track.people.box_paint import BoxTrail, annotate, printable
 from servotrack.envs.track.people.box_recorder import BoxRecorder
 from servotrack.envs.track.people.box_render import BoxScene, draw

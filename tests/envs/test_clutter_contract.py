@@ -11,8 +11,8 @@ from gymnasium.utils.env_checker import check_env
 
 import servotrack  # noqa: F401
 from servotrack.envs import FlatSets, VectorFlatSets
+from servotrack.envs.drawing.plots import identity_color
 from servotrack.envs.testing import check_vector_env, check_vector_matches_single
-from servotrack.envs.track.clutter.render import identity_color
 from servotrack.envs.wrappers import PrivilegedObservation, VectorPrivilegedObservation
 
 ENV_ID = "ClutterTracking-v0"

@@ -8,9 +8,10 @@ import pytest
 from scipy import stats
 
 import servotrack  # noqa: F401
-from servotrack.envs.track.clutter.config import LEVEL_NAMES, clutter_config, poisson_quantile
+from servotrack.envs.track.clutter.config import LEVEL_NAMES, clutter_config
 from servotrack.envs.track.clutter.episode import draw_episode
 from servotrack.envs.track.clutter.scene_model import scene_model_of
+from servotrack.envs.track.counts import poisson_quantile
 from servotrack.envs.track.scoring import SetScorer
 from servotrack.estimators.rfs.models import STRUCTURES
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from servotrack.envs.track.files import recorded
 from servotrack.envs.track.files.caviar import read_caviar
 from servotrack.envs.track.files.mot_files import mot_row, read_mot_detections, read_mot_tracks, read_seqinfo
-from servotrack.envs.track.files.recorded import SequenceError, read_tracks
+from servotrack.envs.track.files.read import read_tracks
+from servotrack.envs.track.files.recorded import SequenceError
 
 GT = b"1,2,10,20,30,40,1,1,0.5\n1,7,0,0,5.5,6,1,1,1\n3,2,12,21,30,40,1,1,0.25\n2,9,1,1,1,1,0,8,1\n"
 CVML = b"""<?xml version="1.0" encoding="UTF-8"?>

@@ -25,7 +25,7 @@ from servotrack.baselines.papers.hmm_sonar.experiment import (
 )
 from servotrack.baselines.papers.hmm_sonar.findings import TONE, coverage, in_time
 from servotrack.baselines.reporting.figure import STYLE
-from servotrack.envs.track.clutter.render import identity_color
+from servotrack.envs.drawing.plots import identity_color
 from servotrack.envs.track.sonar.array_model import scene_model_of
 from servotrack.envs.track.sonar.config import sonar_config
 from servotrack.envs.track.sonar.render import paint_powers

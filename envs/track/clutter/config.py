@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from servotrack.envs.arguments import check_fields, check_keywords, check_level
+from servotrack.envs.track.counts import poisson_quantile
 from servotrack.estimators.rfs.models import (
     STRUCTURES,
     HiddenMarkovModel,
@@ -217,18 +218,6 @@ def clutter_config(level: int = 0, **axes: Any) -> ClutterConfig:
     if axes.get("scenario") == "random" and "scenario" not in settings:
         settings = _RANDOM
     return replace(ClutterConfig(), **{**settings, **axes})
-
-
-def poisson_quantile(rate: float, tail: float = 1e-9) -> int:
-    """Smallest number that a Poisson variable exceeds with a probability below `tail`."""
-    if rate == 0.0:
-        return 0
-    probability, count = math.exp(-rate), 0
-    # Beyond the mean a geometric series bounds the tail: P(X > count) <= p(count) r / (1 - r), r = rate / (count + 1).
-    while count <= rate or probability * rate / (count + 1.0 - rate) >= tail:
-        count += 1
-        probability *= rate / count
-    return count
 
 
 _CHOICES: tuple[tuple[str, tuple[str, ...]], ...] = (

@@ -10,7 +10,8 @@ import numpy as np
 from numba import njit
 
 from servotrack.envs.streams import Streams
-from servotrack.envs.track.clutter.config import ClutterConfig, poisson_quantile
+from servotrack.envs.track.clutter.config import ClutterConfig
+from servotrack.envs.track.counts import poisson_quantile
 from servotrack.estimators.types import Array, Labels, Mask
 
 _CANDIDATES = 16

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from servotrack.envs.track.clutter.render import TRAIL_LENGTH, TrackScene, Trail, draw
+from servotrack.envs.drawing.plots import TRAIL_LENGTH
+from servotrack.envs.track.clutter.render import TrackScene, Trail, draw
 from servotrack.envs.track.clutter.world import ClutterWorld
 from servotrack.estimators.types import Array, Image, Labels, Mask
 

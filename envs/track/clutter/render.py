@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import colorsys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -12,26 +11,26 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.envs.drawing.glyphs import put_text
 from servotrack.envs.drawing.palette import FLOOR, FLOOR_GRID, INK, IVORY, PAPER, SOFT_INK, VERMILION, Color, Panel, mix
+from servotrack.envs.drawing.plots import (
+    SUBPIXEL_BITS,
+    TRAIL_LENGTH,
+    draw_axes,
+    draw_curve,
+    identity_color,
+    write_value,
+)
 from servotrack.estimators.types import Array, Image
 
 WIDTH, HEIGHT = 800, 544
-TRAIL_LENGTH = 40
-"""Scans of a trail that are still visible."""
 
 _MARGIN = 16
 _SCENE_PANEL = Panel(_MARGIN, _MARGIN, 512, 512)
 _NUMBER_PANEL = Panel(544, _MARGIN, 240, 248)
 _ERROR_PANEL = Panel(544, 280, 240, 248)
-_INSET = 14
-_TITLE = 26
-"""Height of a plot's title line, px."""
 _GRID_LINES = 8
 _BANDS = 5
-_SHIFT = 4
 _ERROR_COLOR: Color = VERMILION
-_GOLDEN = 0.6180339887498949
 
 
 class Trail(NamedTuple):
@@ -99,15 +98,6 @@ def draw(scene: TrackScene) -> Image:
     return image
 
 
-@lru_cache(maxsize=512)
-def identity_color(label: int) -> Color:
-    """A color for an identity; those of neighboring labels are far apart."""
-    hue = (0.03 + label * _GOLDEN) % 1.0
-    value = 0.62 if label % 2 else 0.78
-    red, green, blue = colorsys.hsv_to_rgb(hue, 0.85, value)
-    return (round(255 * red), round(255 * green), round(255 * blue))
-
-
 @lru_cache(maxsize=1)
 def _backdrop() -> Image:
     image = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
@@ -119,20 +109,15 @@ def _backdrop() -> Image:
         at = round(line * _SCENE_PANEL.width / _GRID_LINES)
         scene[at, :] = FLOOR_GRID
         scene[:, at] = FLOOR_GRID
-    for panel in (_NUMBER_PANEL, _ERROR_PANEL):
-        part = panel.of(image)
-        for quarter in range(5):
-            at = _INSET + _TITLE + round(quarter * (panel.height - 2 * _INSET - _TITLE) / 4)
-            part[at, _INSET : panel.width - _INSET] = FLOOR_GRID
-    put_text(_NUMBER_PANEL.of(image), "targets reported", _INSET, _INSET + 8, SOFT_INK)
-    put_text(_ERROR_PANEL.of(image), "ospa", _INSET, _INSET + 8, SOFT_INK)
+    draw_axes(_NUMBER_PANEL.of(image), "targets reported")
+    draw_axes(_ERROR_PANEL.of(image), "ospa")
     image.setflags(write=False)
     return image
 
 
 def _draw_scene(panel: Image, scene: TrackScene) -> None:
     for line in _pixels(scene.sensor_lines, scene.half_width):
-        cv2.line(panel, line[0].tolist(), line[1].tolist(), mix(FLOOR, SOFT_INK, 0.25), 1, cv2.LINE_AA, _SHIFT)
+        cv2.line(panel, line[0].tolist(), line[1].tolist(), mix(FLOOR, SOFT_INK, 0.25), 1, cv2.LINE_AA, SUBPIXEL_BITS)
     for points in scene.true_trails:
         cv2.polylines(
             panel,
@@ -141,20 +126,20 @@ def _draw_scene(panel: Image, scene: TrackScene) -> None:
             mix(FLOOR, INK, 0.28),
             3,
             cv2.LINE_AA,
-            _SHIFT,
+            SUBPIXEL_BITS,
         )
     for x, y in _pixels(scene.measurements, scene.half_width).tolist():
         for dx, dy in ((44, 44), (44, -44)):
-            cv2.line(panel, (x - dx, y - dy), (x + dx, y + dy), SOFT_INK, 1, cv2.LINE_AA, _SHIFT)
+            cv2.line(panel, (x - dx, y - dy), (x + dx, y + dy), SOFT_INK, 1, cv2.LINE_AA, SUBPIXEL_BITS)
     for center in _pixels(scene.truth, scene.half_width).tolist():
-        cv2.circle(panel, center, 8 << _SHIFT, INK, 1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(panel, center, 8 << SUBPIXEL_BITS, INK, 1, cv2.LINE_AA, SUBPIXEL_BITS)
     for trail in scene.held:
         _trail(panel, trail, scene.half_width, 0.35)
     for trail in scene.reported:
         _trail(panel, trail, scene.half_width, 1.0)
         center = _pixels(trail.points[-1], scene.half_width).tolist()
-        cv2.circle(panel, center, 85, IVORY, -1, cv2.LINE_AA, _SHIFT)
-        cv2.circle(panel, center, 68, identity_color(trail.label), -1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(panel, center, 85, IVORY, -1, cv2.LINE_AA, SUBPIXEL_BITS)
+        cv2.circle(panel, center, 68, identity_color(trail.label), -1, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def _trail(panel: Image, trail: Trail, half_width: float, opacity: float) -> None:
@@ -166,29 +151,13 @@ def _trail(panel: Image, trail: Trail, half_width: float, opacity: float) -> Non
         oldest = max(len(points) - round(TRAIL_LENGTH * (_BANDS - band) / _BANDS) - 1, 0)
         if newest - oldest > 1:
             strength = opacity * (0.2 + 0.8 * (band + 1) / _BANDS)
-            cv2.polylines(panel, [points[oldest:newest]], False, mix(FLOOR, color, strength), 2, cv2.LINE_AA, _SHIFT)
-
-
-def draw_curve(panel: Image, values: Array, top: float, horizon: int, color: Color, thickness: int) -> None:
-    """Values from 0 to `top` against scans, in steps, below a plot's title."""
-    if len(values) == 0:
-        return
-    height, width = panel.shape[0] - 2 * _INSET - _TITLE, panel.shape[1] - 2 * _INSET
-    x = _INSET + width * np.arange(len(values) + 1) / horizon
-    y = _INSET + _TITLE + height * (1.0 - np.minimum(values / top, 1.0))
-    corners = np.stack([np.repeat(x, 2)[1:-1], np.repeat(y, 2)], axis=1)
-    cv2.polylines(
-        panel, [np.rint(corners * (1 << _SHIFT)).astype(np.int32)], False, color, thickness, cv2.LINE_AA, _SHIFT
-    )
-
-
-def write_value(panel: Image, text: str) -> None:
-    """The newest value of a plot, at the right of its title."""
-    put_text(panel, text, panel.shape[1] - _INSET, _INSET + 8, INK, align="right")
+            cv2.polylines(
+                panel, [points[oldest:newest]], False, mix(FLOOR, color, strength), 2, cv2.LINE_AA, SUBPIXEL_BITS
+            )
 
 
 def _pixels(points: Array, half_width: float) -> NDArray[np.int32]:
     """Fixed-point pixels in the scene's panel of points in m, y upwards; far outside, they stop at its neighborhood."""
     side = float(_SCENE_PANEL.width)
     scaled = side / 2.0 * (1.0 + np.clip(np.asarray(points) / half_width, -4.0, 4.0) * np.array([1.0, -1.0]))
-    return np.rint(scaled * (1 << _SHIFT)).astype(np.int32)
+    return np.rint(scaled * (1 << SUBPIXEL_BITS)).astype(np.int32)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
 from servotrack.envs.drawing.palette import FLOOR, FLOOR_GRID, INK, PAPER, SOFT_INK, Color, Panel, mix
+from servotrack.envs.drawing.plots import PLOT_INSET, SUBPIXEL_BITS, TITLE_HEIGHT, write_value
 from servotrack.envs.track.color.world import ColorWorld
 from servotrack.estimators.types import Array, Image
 
@@ -18,9 +19,8 @@ ANSWER: Color = (255, 138, 0)
 """Color of the answer's box, its trail and its overlap."""
 TRUTH: Color = (255, 255, 255)
 _ZOOM = 2
-_MARGIN, _SIDE, _INSET, _TITLE = 16, 208, 14, 26
+_MARGIN, _SIDE = 16, 208
 _TRAIL_LENGTH = 60
-_SHIFT = 4
 
 
 class ColorRecorder:
@@ -71,14 +71,16 @@ class ColorRecorder:
 
     def _plot(self, panel: Image) -> None:
         iou = self._world.answered_overlaps(self._row)
-        height, width = panel.shape[0] - 2 * _INSET - _TITLE, panel.shape[1] - 2 * _INSET
-        x = _INSET + width * (np.arange(len(iou)) + 0.5) / self._world.config.horizon
-        y = _INSET + _TITLE + height * (1.0 - iou)
-        floor = np.array([[x[-1], _INSET + _TITLE + height], [x[0], _INSET + _TITLE + height]])
+        height, width = panel.shape[0] - 2 * PLOT_INSET - TITLE_HEIGHT, panel.shape[1] - 2 * PLOT_INSET
+        x = PLOT_INSET + width * (np.arange(len(iou)) + 0.5) / self._world.config.horizon
+        y = PLOT_INSET + TITLE_HEIGHT + height * (1.0 - iou)
+        floor = np.array([[x[-1], PLOT_INSET + TITLE_HEIGHT + height], [x[0], PLOT_INSET + TITLE_HEIGHT + height]])
         line = np.stack([x, y], axis=1)
-        cv2.fillPoly(panel, [_fixed(np.concatenate([line, floor]))], mix(FLOOR, ANSWER, 0.18), cv2.LINE_8, _SHIFT)
-        cv2.polylines(panel, [_fixed(line)], False, ANSWER, 2, cv2.LINE_AA, _SHIFT)
-        put_text(panel, f"{iou[-1]:.2f}", panel.shape[1] - _INSET, _INSET + 8, INK, align="right")
+        cv2.fillPoly(
+            panel, [_fixed(np.concatenate([line, floor]))], mix(FLOOR, ANSWER, 0.18), cv2.LINE_8, SUBPIXEL_BITS
+        )
+        cv2.polylines(panel, [_fixed(line)], False, ANSWER, 2, cv2.LINE_AA, SUBPIXEL_BITS)
+        write_value(panel, f"{iou[-1]:.2f}")
 
 
 def draw_box(image: Image, box: Array, color: Color, thickness: int) -> None:
@@ -94,7 +96,7 @@ def draw_box(image: Image, box: Array, color: Color, thickness: int) -> None:
     low = np.clip(box[:2], -4000.0, 8000.0)
     high = np.clip(box[:2] + box[2:], -4000.0, 8000.0)
     for shade, weight in ((mix(color, INK, 0.85), thickness + 2), (color, thickness)):
-        cv2.rectangle(image, _fixed(low).tolist(), _fixed(high).tolist(), shade, weight, cv2.LINE_AA, _SHIFT)
+        cv2.rectangle(image, _fixed(low).tolist(), _fixed(high).tolist(), shade, weight, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def draw_trail(image: Image, boxes: Sequence[Array]) -> None:
@@ -105,8 +107,8 @@ def draw_trail(image: Image, boxes: Sequence[Array]) -> None:
         boxes: Left, top, width and height of each, px of the image.
     """
     middles = np.clip([box[:2] + box[2:] / 2.0 for box in boxes], -4000.0, 8000.0)
-    cv2.polylines(image, [_fixed(middles)], False, mix(ANSWER, INK, 0.6), 3, cv2.LINE_AA, _SHIFT)
-    cv2.polylines(image, [_fixed(middles)], False, ANSWER, 1, cv2.LINE_AA, _SHIFT)
+    cv2.polylines(image, [_fixed(middles)], False, mix(ANSWER, INK, 0.6), 3, cv2.LINE_AA, SUBPIXEL_BITS)
+    cv2.polylines(image, [_fixed(middles)], False, ANSWER, 1, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def panels(width: int, height: int) -> tuple[Panel, Panel]:
@@ -123,13 +125,13 @@ def _backdrop(width: int, height: int) -> Image:
     panel = plot.of(image)
     panel[:] = FLOOR
     for quarter in range(5):
-        at = _INSET + _TITLE + round(quarter * (panel.shape[0] - 2 * _INSET - _TITLE) / 4)
-        panel[min(at, panel.shape[0] - _INSET - 1), _INSET : panel.shape[1] - _INSET] = FLOOR_GRID
-    put_text(panel, "overlap", _INSET, _INSET + 8, SOFT_INK)
+        at = PLOT_INSET + TITLE_HEIGHT + round(quarter * (panel.shape[0] - 2 * PLOT_INSET - TITLE_HEIGHT) / 4)
+        panel[min(at, panel.shape[0] - PLOT_INSET - 1), PLOT_INSET : panel.shape[1] - PLOT_INSET] = FLOOR_GRID
+    put_text(panel, "overlap", PLOT_INSET, PLOT_INSET + 8, SOFT_INK)
     image.setflags(write=False)
     return image
 
 
 def _fixed(points: Array) -> NDArray[np.int32]:
     """Fixed-point pixels for OpenCV, whose pixel centers are whole numbers."""
-    return np.rint((np.asarray(points) - 0.5) * (1 << _SHIFT)).astype(np.int32)
+    return np.rint((np.asarray(points) - 0.5) * (1 << SUBPIXEL_BITS)).astype(np.int32)

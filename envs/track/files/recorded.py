@@ -173,24 +173,6 @@ class TrackRows:
         )
 
 
-def read_tracks(path: str | Path) -> RecordedTracks:
-    """Tracks out of a file, by its suffix: .xml is CAVIAR's CVML, anything else MOTChallenge's rows.
-
-    Args:
-        path: A file, or the folder of a MOTChallenge sequence, whose gt/gt.txt is read.
-
-    Raises:
-        SequenceError: Missing, not of the format, or with a bad row.
-    """
-    from servotrack.envs.track.files.caviar import read_caviar
-    from servotrack.envs.track.files.mot_files import read_mot_tracks
-
-    file = Path(path)
-    if file.is_dir():
-        file = file / "gt" / "gt.txt"
-    return read_caviar(file) if file.suffix.lower() == ".xml" else read_mot_tracks(file)
-
-
 def check_file(path: Path) -> Path:
     """Raises SequenceError unless the path is a file."""
     if path.is_dir():

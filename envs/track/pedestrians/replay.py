@@ -9,7 +9,8 @@ import numpy as np
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.files.mot_files import read_seqinfo
-from servotrack.envs.track.files.recorded import RecordedTracks, SequenceError, read_tracks
+from servotrack.envs.track.files.read import read_tracks
+from servotrack.envs.track.files.recorded import RecordedTracks, SequenceError
 from servotrack.envs.track.pedestrians.config import PedestrianConfig
 from servotrack.envs.track.pedestrians.floor import Camera
 from servotrack.envs.track.pedestrians.movement import ImagePath, gait

@@ -11,7 +11,7 @@ from numba import njit
 
 from servotrack.envs.drawing.glyphs import put_text, text_width
 from servotrack.envs.drawing.palette import INK, IVORY, Color, mix
-from servotrack.envs.track.clutter.render import TRAIL_LENGTH, identity_color
+from servotrack.envs.drawing.plots import TRAIL_LENGTH, identity_color
 from servotrack.estimators.types import Array, Image
 
 _HELD_OPACITY = 0.38

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import ArrayLike
 
-from servotrack.envs.track.clutter.render import TRAIL_LENGTH
+from servotrack.envs.drawing.plots import TRAIL_LENGTH
 from servotrack.envs.track.people.box_paint import BoxTrail
 from servotrack.envs.track.people.box_render import BoxScene
 from servotrack.estimators.types import Array, Image

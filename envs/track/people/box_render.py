@@ -11,7 +11,6 @@ import numpy as np
 from servotrack.envs.drawing.glyphs import put_text, text_width
 from servotrack.envs.drawing.palette import (
     FLOOR,
-    FLOOR_GRID,
     INK,
     PAPER,
     SOFT_INK,
@@ -22,6 +21,7 @@ from servotrack.envs.drawing.palette import (
     fixed_point,
     mix,
 )
+from servotrack.envs.drawing.plots import PLOT_INSET, SUBPIXEL_BITS, TITLE_HEIGHT, draw_axes, write_value
 from servotrack.envs.track.people.box_paint import BoxTrail, annotate, printable
 from servotrack.estimators.types import Array, Image
 
@@ -29,7 +29,6 @@ _MARGIN = 16
 _WIDEST = 960
 """Frames are enlarged by whole numbers up to this width, and made smaller above it, px."""
 _PLOT_HEIGHT, _GAP = 112, 12
-_INSET, _TITLE = 14, 26
 _NARROWEST = 320  # of the picture's inner part, so that the plots have room
 _TRUTH_COLOR: Color = mix(FLOOR, INK, 0.38)
 _ERROR_COLOR: Color = VERMILION
@@ -119,11 +118,11 @@ def _draw_numbers(panel: Image, scene: BoxScene) -> None:
     _axes(panel, printable(scene.title))
     _curve(panel, truth, most * 1.1, scene.horizon, _TRUTH_COLOR, 4)
     _curve(panel, np.asarray(scene.reported_numbers), most * 1.1, scene.horizon, _NUMBER_COLOR, 1)
-    right = panel.shape[1] - _INSET
+    right = panel.shape[1] - PLOT_INSET
     if len(scene.reported_numbers):
         now = f"{scene.reported_numbers[-1]:.0f}"
         text = f"{now} of {truth[-1]:.0f}" if len(truth) else now
-        put_text(panel, text, right, _INSET + 8, INK, align="right")
+        put_text(panel, text, right, PLOT_INSET + 8, INK, align="right")
         right -= round(text_width(text, 8.0)) + 18
     if scene.true_numbers is not None:
         right = _legend(panel, "true", right, _TRUTH_COLOR, 4)
@@ -135,22 +134,19 @@ def _draw_errors(panel: Image, scene: BoxScene, errors: Array) -> None:
     _curve(panel, np.asarray(errors), scene.cutoff * 1.05, scene.horizon, _ERROR_COLOR, 1)
     if len(errors):
         digits = 2 if scene.cutoff < 10.0 else 1
-        put_text(panel, f"{errors[-1]:.{digits}f}", panel.shape[1] - _INSET, _INSET + 8, INK, align="right")
+        write_value(panel, f"{errors[-1]:.{digits}f}")
 
 
 def _axes(panel: Image, title: str) -> None:
     _fill(panel, FLOOR)
-    for third in range(4):
-        at = _INSET + _TITLE + round(third * (panel.shape[0] - 2 * _INSET - _TITLE) / 3)
-        panel[at, _INSET : panel.shape[1] - _INSET] = FLOOR_GRID
-    put_text(panel, title, _INSET, _INSET + 8, SOFT_INK)
+    draw_axes(panel, title, intervals=3)
 
 
 def _legend(panel: Image, text: str, right: int, color: Color, thickness: int) -> int:
     """A line's name with a piece of it, right-aligned; returns where the next one to the left ends."""
-    put_text(panel, text, right, _INSET + 8, SOFT_INK, align="right")
+    put_text(panel, text, right, PLOT_INSET + 8, SOFT_INK, align="right")
     left = right - round(text_width(text, 8.0)) - 6
-    panel[_INSET + 4 - thickness // 2 : _INSET + 4 - thickness // 2 + thickness, left - 14 : left] = color
+    panel[PLOT_INSET + 4 - thickness // 2 : PLOT_INSET + 4 - thickness // 2 + thickness, left - 14 : left] = color
     return left - 28
 
 
@@ -159,8 +155,8 @@ def _curve(panel: Image, values: Array, top: float, horizon: int, color: Color, 
     values = values[-horizon:]
     if len(values) == 0:
         return
-    height, width = panel.shape[0] - 2 * _INSET - _TITLE, panel.shape[1] - 2 * _INSET
-    x = _INSET + width * np.arange(len(values) + 1) / horizon
-    y = _INSET + _TITLE + height * (1.0 - np.clip(values / top, 0.0, 1.0))
+    height, width = panel.shape[0] - 2 * PLOT_INSET - TITLE_HEIGHT, panel.shape[1] - 2 * PLOT_INSET
+    x = PLOT_INSET + width * np.arange(len(values) + 1) / horizon
+    y = PLOT_INSET + TITLE_HEIGHT + height * (1.0 - np.clip(values / top, 0.0, 1.0))
     corners = np.stack([np.repeat(x, 2)[1:-1], np.repeat(y, 2)], axis=1)
-    cv2.polylines(panel, [fixed_point(corners)], False, color, thickness, cv2.LINE_AA, 4)
+    cv2.polylines(panel, [fixed_point(corners)], False, color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)

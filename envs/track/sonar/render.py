@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
-from servotrack.envs.drawing.palette import FLOOR, FLOOR_GRID, INK, IVORY, PAPER, SOFT_INK, VERMILION, Color, Panel, mix
-from servotrack.envs.track.clutter.render import draw_curve, identity_color, write_value
+from servotrack.envs.drawing.palette import FLOOR, INK, IVORY, PAPER, SOFT_INK, VERMILION, Color, Panel, mix
+from servotrack.envs.drawing.plots import SUBPIXEL_BITS, draw_axes, draw_curve, identity_color, write_value
 from servotrack.estimators.metrics import Track
 from servotrack.estimators.types import Array, Image
 
@@ -24,8 +24,6 @@ WATERFALL = Panel(52, 16, 476, 492)
 
 _NUMBER_PANEL = Panel(544, 16, 240, 248)
 _ERROR_PANEL = Panel(544, 280, 240, 248)
-_INSET, _TITLE = 14, 26
-_SHIFT = 4
 _ERROR_COLOR: Color = VERMILION
 _BEARING_MARKS = (0, 30, 60, 90, 120, 150, 180)
 _PALE, _FAINTEST, _LOUDEST = 2.5, 15.0, 1000.0
@@ -125,18 +123,18 @@ def draw_track(panel: Image, points: NDArray[np.int32], label: int) -> None:
         points: Shape (k, 2), px, with 4 fractional bits.
         label: Identity.
     """
-    cv2.polylines(panel, [points], False, IVORY, 4, cv2.LINE_AA, _SHIFT)
-    cv2.polylines(panel, [points], False, identity_color(label), 2, cv2.LINE_AA, _SHIFT)
+    cv2.polylines(panel, [points], False, IVORY, 4, cv2.LINE_AA, SUBPIXEL_BITS)
+    cv2.polylines(panel, [points], False, identity_color(label), 2, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def _dotted(panel: Image, points: NDArray[np.int32]) -> None:
     """The truth: a pale dot with a dark rim every 24 px or so."""
-    apart = np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T) / (1 << _SHIFT)
+    apart = np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T) / (1 << SUBPIXEL_BITS)
     along = np.cumsum(apart)
     chosen = np.flatnonzero(np.diff(np.floor(along / 24.0), prepend=-1.0) > 0)
     for x, y in points[chosen].tolist():
-        cv2.circle(panel, (x, y), 34, INK, -1, cv2.LINE_AA, _SHIFT)
-        cv2.circle(panel, (x, y), 18, IVORY, -1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(panel, (x, y), 34, INK, -1, cv2.LINE_AA, SUBPIXEL_BITS)
+        cv2.circle(panel, (x, y), 18, IVORY, -1, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def _pieces(track: Track, first: int) -> list[Track]:
@@ -154,7 +152,7 @@ def _pixels(track: Track, first: int, span: int) -> NDArray[np.int32]:
         steps, bearings = steps[0] + np.array([-0.4, 0.4]), np.repeat(bearings, 2)
     x = (WATERFALL.width - 1) * bearings / 180.0
     y = WATERFALL.height * (steps - first + 0.5) / span
-    return np.rint(np.stack([x, y], axis=1) * (1 << _SHIFT)).astype(np.int32)
+    return np.rint(np.stack([x, y], axis=1) * (1 << SUBPIXEL_BITS)).astype(np.int32)
 
 
 def _time_marks(image: Image, scene: Waterfall, span: int) -> None:
@@ -189,12 +187,7 @@ def _backdrop() -> Image:
         x = WATERFALL.left + round((WATERFALL.width - 1) * bearing / 180.0)
         image[bottom : bottom + 5, x] = SOFT_INK
         put_text(image, f"{bearing}" if bearing else "0 deg", x, bottom + 18, SOFT_INK, align="center")
-    for panel in (_NUMBER_PANEL, _ERROR_PANEL):
-        part = panel.of(image)
-        for quarter in range(5):
-            at = _INSET + _TITLE + round(quarter * (panel.height - 2 * _INSET - _TITLE) / 4)
-            part[at, _INSET : panel.width - _INSET] = FLOOR_GRID
-    put_text(_NUMBER_PANEL.of(image), "targets reported", _INSET, _INSET + 8, SOFT_INK)
-    put_text(_ERROR_PANEL.of(image), "ospa", _INSET, _INSET + 8, SOFT_INK)
+    draw_axes(_NUMBER_PANEL.of(image), "targets reported")
+    draw_axes(_ERROR_PANEL.of(image), "ospa")
     image.setflags(write=False)
     return image

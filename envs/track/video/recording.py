@@ -14,7 +14,8 @@ import numpy as np
 from servotrack.envs.arguments import check_fields
 from servotrack.envs.track.files.frames import SIDES, FrameSource, open_frames, resized
 from servotrack.envs.track.files.mot_files import MotFolder, SequenceInfo, find_mot_folder, read_mot_detections
-from servotrack.envs.track.files.recorded import PeopleInFrame, RecordedTracks, SequenceError, read_tracks
+from servotrack.envs.track.files.read import read_tracks
+from servotrack.envs.track.files.recorded import PeopleInFrame, RecordedTracks, SequenceError
 from servotrack.envs.track.pedestrians.config import PedestrianConfig
 from servotrack.envs.track.pedestrians.world import PedestrianWorld
 from servotrack.estimators.detect.detections import Detections
