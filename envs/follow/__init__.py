@@ -1,1 +1,1 @@
-"""The arm's camera over a walking crowd: the world in which tracking decides what is seen next."""
+"""PedestrianServo: an arm's camera over a walking crowd. The tracker's estimate decides where the camera looks next."""

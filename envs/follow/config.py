@@ -1,4 +1,4 @@
-"""Every parameter of the world in which an arm follows one person of a crowd, and the ladder of its levels."""
+"""Parameters of PedestrianServo, and its levels of difficulty."""
 
 from __future__ import annotations
 
@@ -10,31 +10,33 @@ from servotrack.envs.arguments import check_fields
 from servotrack.envs.servo.levels import Range, ServoConfig, rung
 
 SCRIPTS = ("plaza", "crossings")
-"""What the others do: stroll about and cross the person's way now and then, or do nothing but cross it."""
+"""Behavior of the other people: stroll and sometimes cross the person's path, or always cross it."""
 MOST_PEOPLE = 16
+"""Largest number of people."""
 
 
 @dataclass(frozen=True)
 class FollowConfig(ServoConfig):
-    """The servo's parameters at four times the scale, and those of the crowd. A range is drawn anew for every episode.
+    """Parameters of the servo at four times its scale, and of the crowd. A range is drawn anew for every episode.
 
-    Outliers and kinds of noise of the servo's ladder belong to the features of `observation="identity"`.
+    The servo's outliers and kinds of noise act only on the features of `observation="identity"`.
 
     Attributes:
         target: Always `person`.
-        people: How many walk there, the one to follow among them.
-        script: `plaza` (people stroll between places and cross the person's way now and then) or `crossings` (the
-            others do nothing but cross it).
-        companions: Others who walk with the person to follow.
-        pace: Speed that people like, m/s.
-        look_alikes: Probability of each other to wear the person's clothes.
+        people: Number of people, including the one to follow.
+        script: `plaza` (people stroll between places and sometimes cross the person's path) or `crossings` (the others
+            cross it all the time).
+        companions: Number of people who walk together with the person to follow.
+        pace: Preferred walking speed, m/s.
+        look_alikes: Probability that another person wears the same clothes as the person to follow.
         clutter: Expected false detections per frame.
-        misses: Probability of a person in view to be missed by a frame's detections.
-        merge_distance: People nearer to each other than this are one detection, m; 0: never.
+        misses: Probability that a person in view is not detected in a frame.
+        merge_distance: People closer to each other than this give one common detection, m. 0: never.
         color_noise: Standard deviation of the noise on each channel of a detection's color, gray levels.
-        lamps: Lampshades that hang over the plane and hide who is under them.
-        umbrellas: Others under an umbrella, who hide themselves and whoever comes close.
-        shadows: Darkness of people's shadows in images, 0 to 1.
+        lamps: Number of lampshades, which occlude the people under them.
+        umbrellas: Number of other people with an umbrella. An umbrella occludes other people under it; its carrier is
+            detected in the umbrella's color.
+        shadows: Darkness of shadows in images, 0 to 1.
     """
 
     TARGETS: ClassVar[tuple[str, ...]] = ("person",)
@@ -61,7 +63,7 @@ class FollowConfig(ServoConfig):
     shadows: float = 0.5
 
     def __post_init__(self) -> None:
-        """Check every field; raises ValueError that names the argument, the value and what would be right."""
+        """Check all fields; raises a ValueError with the argument, its value and the valid values."""
         super().__post_init__()
         object.__setattr__(self, "pace", self._range("pace"))
         if not 0.1 <= self.pace[0] <= self.pace[1] <= 2.0:
@@ -135,12 +137,12 @@ AXES = tuple(f.name for f in fields(FollowConfig))
 
 
 def follow_config(level: int = 2, **axes: Any) -> FollowConfig:
-    """The configuration of a level of the ladder, with single axes overridden.
+    """Return the configuration of a level, with single fields overridden.
 
     Args:
-        level: 0 `plain`, 1 `noise`, 2 `geometry`, 3 `optics`, 4 `dynamics`, 5 `timing`, 6 `heavy`; each adds to those
-            before it.
-        **axes: Fields of `FollowConfig`; a number where a range is expected means that number always.
+        level: 0 `plain`, 1 `noise`, 2 `geometry`, 3 `optics`, 4 `dynamics`, 5 `timing`, 6 `heavy`. Each adds to the
+            levels before it.
+        **axes: Fields of `FollowConfig`. A single number for a range means a constant value.
 
     Raises:
         ValueError: A level outside 0 to 6, or a value outside its bounds.

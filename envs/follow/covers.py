@@ -1,4 +1,4 @@
-"""What is seen from straight above at one point of an umbrella, a lampshade, and of all shadows; compiled."""
+"""Compiled shaders of umbrellas, lampshades and shadows at one point, seen from straight above."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from numba import njit
 from servotrack.envs.follow.figures import SUN, inside, lay
 
 SHADOW_LENGTH = 0.55
-"""From somebody's feet to the shadow of their head, m."""
+"""Distance from a person's feet to the shadow of their head, m."""
 SHADOW_RADIUS = 0.32
-"""Of the circle around a shadow's line that holds all of it, m."""
+"""Largest distance of a person's shadow from the line between feet and head, m."""
 COVER_SHADOW = 0.75
-"""From an umbrella's or lampshade's middle to that of its shadow, m."""
+"""Distance from the center of an umbrella or lampshade to the center of its shadow, m."""
 PENUMBRA = 0.09
-"""Half width of the edge of a shade's shadow, m."""
+"""Half width of the soft edge of an umbrella's or lampshade's shadow, m."""
 
 _ENAMEL, _RIM, _METAL, _CABLE = (240.0, 231.0, 208.0), (150.0, 116.0, 70.0), (62.0, 60.0, 58.0), (44.0, 42.0, 40.0)
-_PANEL = 0.25 * math.pi  # of an umbrella, rad
+_PANEL = 0.25 * math.pi  # angle of one of an umbrella's panels, rad
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def umbrella_at(color, radius, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-def]
-    """Add what is seen of an umbrella at a sample: eight panels between ribs, and the tip."""
+    """Add an umbrella's color at a sample to `out`: eight panels between ribs, and the tip."""
     r = math.sqrt(x * x + y * y)
     if r > radius + width:
         return
     angle = math.atan2(y, x) / _PANEL
     panel = math.floor(angle)
     from_middle = angle - panel - 0.5
-    # Cloth between two ribs hangs in: the edge is an arc that bends inward.
+    # The edge of the cloth between two ribs is an arc that bends inward.
     cover = inside(r - radius * (0.925 + 0.3 * from_middle * from_middle), width)
     if cover <= 0.0:
         return
@@ -51,7 +51,7 @@ def umbrella_at(color, radius, light_x, light_y, x, y, width, out):  # type: ign
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def lamp_at(radius, x, y, width, out):  # type: ignore[no-untyped-def]
-    """Add what is seen of a lampshade at a sample in the plane's axes: enamel, rim, cap and cable."""
+    """Add a lampshade's color at a sample, in the plane's axes, to `out`: enamel, rim, cap and cable."""
     r = math.sqrt(x * x + y * y)
     cover = inside(r - radius, width)
     if cover == 0.0:
@@ -75,7 +75,7 @@ def lamp_at(radius, x, y, width, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def person_shadow(along, across, width):  # type: ignore[no-untyped-def]
-    """Darkness of a person's shadow at a point: along the way from the feet away from the light, and across it, m."""
+    """Darkness of a person's shadow. The point lies `along` m from the feet away from the light, `across` m aside."""
     if abs(across) > 0.24 + 0.25 * width:
         return 0.0
     t = min(max(along / SHADOW_LENGTH, 0.0), 1.0)
@@ -90,6 +90,6 @@ def person_shadow(along, across, width):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def cover_shadow(distance, radius, width):  # type: ignore[no-untyped-def]
-    """Darkness of an umbrella's or lampshade's shadow, from the distance to its middle, m."""
+    """Darkness of an umbrella's or lampshade's shadow at this distance from the shadow's center, m."""
     share = min(max(0.5 + (radius - distance) / (2.0 * PENUMBRA + width), 0.0), 1.0)
     return 0.9 * share * share * (3.0 - 2.0 * share)

@@ -1,4 +1,4 @@
-"""Who walks over the plane under the arm, and where: plans drawn from the seed, lived by social forces."""
+"""Paths of the people who walk under the arm: waypoints drawn from the seed, walked with social forces."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ from servotrack.envs.track.pedestrians.social_force import LEG_NUMBERS, drive
 from servotrack.estimators.types import Array
 
 STATURE = 1.7
-"""Body height, the unit of people's gait, m."""
+"""Body height, the length unit of the gait, m."""
 BODY_RADIUS = 0.2
-"""Of the circle that nobody else enters, m."""
+"""Radius of a person's body. Two bodies never overlap, m."""
 
-_PLAZA_RADIUS = 3.5  # of the disc in which the others stroll, m
-_ELBOW_ROOM = 0.8  # between two at the start, m
-_NEAR_TOOL = 1.0  # how far from the tool the person to follow starts, m
-_SHORTEST, _LONGEST = 0.8, 3.5  # of the person's legs, m
-_CROSSES = 0.35  # share of the others' legs that cross the person's way on the plaza
-_BEYOND = (1.0, 2.0)  # how far somebody goes on after a crossing, m
-_PAUSES, _PAUSE = 0.15, (20.0, 60.0)  # how often a strolling leg ends with a rest, and for how many samples
-_ABREAST = 0.6  # between two who walk together, m
-_WANDER = 0.12  # largest small change of direction, rad
-_LONGER = 1.3  # times the episode that plans last, for who is fast
-_LEAST_SAMPLES = 10  # that a leg of the others takes
+_PLAZA_RADIUS = 3.5  # radius of the disc in which the others stroll, m
+_START_SPACING = 0.8  # distance between two people at the start, m
+_START_RADIUS = 1.0  # largest distance of the person to follow from the tool at the start, m
+_SHORTEST_LEG, _LONGEST_LEG = 0.8, 3.5  # lengths of the legs of the person to follow, m
+_CROSSING_SHARE = 0.35  # share of the others' legs that cross the person's path, in the script `plaza`
+_OVERSHOOT = (1.0, 2.0)  # distance that a person walks on after a crossing, m
+_REST_PROBABILITY, _REST_SAMPLES = 0.15, (20.0, 60.0)  # that a strolling leg ends with a rest; its length, samples
+_COMPANION_DISTANCE = 0.6  # between two people who walk together, m
+_WANDER = 0.12  # largest amplitude of slow changes of direction, rad
+_PLAN_MARGIN = 1.3  # plans last this many times the episode, because some people walk faster than their pace
+_SHORTEST_LEG_SAMPLES = 10  # shortest duration of a leg of the others, samples
 _TRIES = 60
 
 
 @dataclass(frozen=True)
 class Crowd:
-    """Everybody's life in one episode, K samples of P people; the person to follow is the first.
+    """Paths and gait of all people in one episode, K samples of P people. The person to follow is the first one.
 
     Attributes:
-        paths: Positions and velocities, shape (K, P, 4), m and m/s.
-        heading: Where people face, shape (K, P), rad.
-        phase: Of the gait, a stride of two steps is 2 pi. Shape (K, P), rad.
-        stride: 0 standing, 1 walking at full pace. Shape (K, P).
+        paths: Positions and velocities. Shape (K, P, 4), m and m/s.
+        heading: Direction in which people face. Shape (K, P), rad.
+        phase: Phase of the gait: a stride of two steps is 2 pi. Shape (K, P), rad.
+        stride: Amplitude of the gait: 0 standing, 1 walking at full pace. Shape (K, P).
     """
 
     paths: Array
@@ -54,25 +54,26 @@ class Crowd:
 
 
 def draw_paths(config: FollowConfig, streams: Streams, links: Array, count: int) -> Array:
-    """Draw everybody's plans and let them live until the person to follow is where the arm cannot.
+    """Draw the waypoints of all people and simulate them until the person to follow leaves the arm's workspace.
 
     Args:
-        config: The world.
-        streams: Of the episode.
-        links: Link lengths, shape (2,), m: the person to follow walks where the arm can.
+        config: Parameters of the world.
+        streams: Random streams of the episode.
+        links: Link lengths. The person to follow walks only where the arm can reach. Shape (2,), m.
         count: Number of samples K.
 
     Returns:
-        As `Crowd.paths`; zeros once the arm could not follow, for such an episode is drawn again.
+        Positions and velocities like `Crowd.paths`. Rows after the arm could not follow are zeros; such an episode is
+            drawn again.
     """
     rng = streams[FollowStream.PERSON]
     people, party = config.people, np.arange(config.people)
     pace = rng.uniform(*config.pace, people)
-    own = _draw_own_way(rng, config, links, float(pace[0]), count)
+    own = _draw_own_waypoints(rng, config, links, float(pace[0]), count)
     starts, plans = [own[0]], [own[1:]]
     for _ in range(config.companions):
         angle = rng.uniform(0.0, 2.0 * math.pi)
-        aside = _ABREAST * np.array([math.cos(angle), math.sin(angle)])
+        aside = _COMPANION_DISTANCE * np.array([math.cos(angle), math.sin(angle)])
         index = len(starts)
         party[index], pace[index] = 0, pace[0]
         starts.append(own[0] + aside)
@@ -80,22 +81,24 @@ def draw_paths(config: FollowConfig, streams: Streams, links: Array, count: int)
     rng = streams[FollowStream.OTHERS]
     center, nominal = 0.9 * links, np.empty((count, 2))
     _walk_along(own, pace[0] * PERIOD, nominal)
-    crosses = 1.0 if config.script == "crossings" else _CROSSES
-    longest = math.ceil(_LONGER * count / _LEAST_SAMPLES)
+    crosses = 1.0 if config.script == "crossings" else _CROSSING_SHARE
+    longest = math.ceil(_PLAN_MARGIN * count / _SHORTEST_LEG_SAMPLES)
     while len(starts) < people:
         start = _free_place(rng.random((_TRIES, 2)), center, np.array(starts))
         ways = np.empty((longest, 2))
-        number = _others_way(rng.random((longest, 4)), crosses, start, nominal, center, pace[len(starts)], ways)
+        number = _fill_other_waypoints(
+            rng.random((longest, 4)), crosses, start, nominal, center, pace[len(starts)], ways
+        )
         plans.append(ways[:number])
         starts.append(start)
     legs = np.full((people, max(len(plan) for plan in plans), LEG_NUMBERS), math.nan)
     legs[:, :, 2:4], legs[:, :, 4] = 0.0, -1.0
     for row, plan in enumerate(plans):
         legs[row, : len(plan), :2] = plan
-    rests = rng.random(legs.shape[:2]) < _PAUSES
-    pauses = rng.uniform(*_PAUSE, legs.shape[:2])
+    rests = rng.random(legs.shape[:2]) < _REST_PROBABILITY
+    pauses = rng.uniform(*_REST_SAMPLES, legs.shape[:2])
     if config.script == "plaza":
-        # Who walks with somebody rests with them.
+        # Companions rest together.
         together = party == 0
         rests[together], pauses[together] = rests[0], pauses[0]
         legs[:, :, 2] = np.where(rests, pauses, 0.0)
@@ -105,7 +108,7 @@ def draw_paths(config: FollowConfig, streams: Streams, links: Array, count: int)
     )
     number = np.array([len(plan) for plan in plans], dtype=np.int64)
     paths = np.zeros((count, people, 4))
-    _live(
+    _simulate(
         np.array(starts), legs, number, pace, wander, party, PERIOD, LEAD + config.warmup, links, config.max_joint_rate,
         paths,
     )  # fmt: skip
@@ -113,7 +116,7 @@ def draw_paths(config: FollowConfig, streams: Streams, links: Array, count: int)
 
 
 def walking_crowd(paths: Array, streams: Streams) -> Crowd:
-    """Give people who move along these paths (K, P, 4) their gait."""
+    """Return the crowd that walks along these paths (K, P, 4), with its gait."""
     heading, phase, stride = bodies = np.empty((3, *paths.shape[:2]))
     _move_bodies(paths, bodies)
     phase += streams[FollowStream.OTHERS].uniform(0.0, 2.0 * math.pi, paths.shape[1])
@@ -122,7 +125,7 @@ def walking_crowd(paths: Array, streams: Streams) -> Crowd:
 
 @njit(cache=True, nogil=True)
 def _move_bodies(paths, bodies):  # type: ignore[no-untyped-def]
-    """Fill heading, phase and stride of everybody, (3, K, P)."""
+    """Fill in heading, phase and stride of all people, (3, K, P)."""
     count, people = paths.shape[:2]
     moved, resting = np.zeros((count, 2)), np.full(count, math.nan)
     for i in range(people):
@@ -135,21 +138,21 @@ def _move_bodies(paths, bodies):  # type: ignore[no-untyped-def]
                 bodies[number, k, i] = body[k, number]
 
 
-def _draw_own_way(rng: np.random.Generator, config: FollowConfig, links: Array, pace: float, count: int) -> Array:
-    """Places that the person to follow goes to, the start first, straight ways that the arm can follow. (k, 2) m."""
-    left = _LONGER * pace * count * PERIOD
-    places = np.empty((math.ceil(_LONGER * count * PERIOD) + 2, 2))
+def _draw_own_waypoints(rng: np.random.Generator, config: FollowConfig, links: Array, pace: float, count: int) -> Array:
+    """Waypoints of the person to follow, start first. The arm can follow the straight legs between them. (k, 2) m."""
+    left = _PLAN_MARGIN * pace * count * PERIOD
+    places = np.empty((math.ceil(_PLAN_MARGIN * count * PERIOD) + 2, 2))
     places[0] = _first_place(rng.random((_TRIES, 2)), links)
     shares = rng.random((len(places), _TRIES, 2))
-    return places[: _own_way(shares, links, pace, left, config.max_joint_rate, places)]
+    return places[: _fill_own_waypoints(shares, links, pace, left, config.max_joint_rate, places)]
 
 
 @njit(cache=True, nogil=True)
 def _first_place(shares, links):  # type: ignore[no-untyped-def]
-    """Near the tool at reset, within the arm's reach."""
+    """Draw a start near the tool's position at reset, within the arm's reach."""
     place = np.empty((1, 2))
     for share in shares:
-        angle, distance = 2.0 * math.pi * share[0], _NEAR_TOOL * math.sqrt(share[1])
+        angle, distance = 2.0 * math.pi * share[0], _START_RADIUS * math.sqrt(share[1])
         place[0, 0], place[0, 1] = links[0] + distance * math.cos(angle), links[1] + distance * math.sin(angle)
         if solvable(place, links[0], links[1], 1.0):
             return place[0]
@@ -157,10 +160,10 @@ def _first_place(shares, links):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _own_way(shares, links, pace, left, max_joint_rate, places):  # type: ignore[no-untyped-def]
-    """Fill `places` from the second on until they are `left` m apart in all; returns how many there are."""
+def _fill_own_waypoints(shares, links, pace, left, max_joint_rate, places):  # type: ignore[no-untyped-def]
+    """Fill `places` from the second row on until the path is `left` m long; returns the number of places."""
     number = 1
-    way = np.empty((int(_LONGEST / (pace * PERIOD)) + 3, 2))
+    way = np.empty((int(_LONGEST_LEG / (pace * PERIOD)) + 3, 2))
     while left > 0.0:
         here, there = places[number - 1], places[number]
         there[:] = here
@@ -168,7 +171,7 @@ def _own_way(shares, links, pace, left, max_joint_rate, places):  # type: ignore
         for share in shares[number]:
             x, y = reachable_place(share[0], share[1], links[0], links[1])
             length = math.hypot(x - here[0], y - here[1])
-            if not _SHORTEST < length < _LONGEST:
+            if not _SHORTEST_LEG < length < _LONGEST_LEG:
                 continue
             samples = max(3, int(length / (pace * PERIOD)))
             for k in range(samples):
@@ -185,7 +188,7 @@ def _own_way(shares, links, pace, left, max_joint_rate, places):  # type: ignore
 
 @njit(cache=True, nogil=True)
 def _walk_along(places, step, out):  # type: ignore[no-untyped-def]
-    """Where somebody would be who walks from place to place without anybody in the way, at every row of `out`."""
+    """Fill `out` with the positions of an undisturbed walker between the places, `step` m further in every row."""
     leg, walked = 0, 0.0
     length = math.hypot(places[1, 0] - places[0, 0], places[1, 1] - places[0, 1])
     for k in range(out.shape[0]):
@@ -200,7 +203,7 @@ def _walk_along(places, step, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _free_place(shares, center, taken):  # type: ignore[no-untyped-def]
-    """A place of the plaza where nobody stands; the freest of many where it is crowded."""
+    """Draw a free place of the plaza; where it is crowded, the place with the most room of all tries."""
     best, most = np.empty(2), -1.0
     for share in shares:
         x, y = _plaza_place(share[0], share[1], center)
@@ -209,37 +212,37 @@ def _free_place(shares, center, taken):  # type: ignore[no-untyped-def]
             room = min(room, math.hypot(x - other[0], y - other[1]))
         if room > most:
             best[0], best[1], most = x, y, room
-        if room > _ELBOW_ROOM:
+        if room > _START_SPACING:
             break
     return best
 
 
 @njit(cache=True, nogil=True)
 def _plaza_place(turn, area, center):  # type: ignore[no-untyped-def]
-    """A place of the plaza from two numbers between 0 and 1."""
+    """Map two uniform numbers in [0, 1] to a place of the plaza."""
     angle, radius = 2.0 * math.pi * turn, _PLAZA_RADIUS * math.sqrt(area)
     return center[0] + radius * math.cos(angle), center[1] + radius * math.sin(angle)
 
 
 @njit(cache=True, nogil=True)
-def _others_way(shares, crosses, start, nominal, center, pace, places):  # type: ignore[no-untyped-def]
-    """Fill `places` with where one of the others goes; returns how many there are."""
+def _fill_other_waypoints(shares, crosses, start, nominal, center, pace, places):  # type: ignore[no-untyped-def]
+    """Fill `places` with the waypoints of one of the others; returns their number."""
     x, y = start[0], start[1]
     sample, number = 0, 0
-    while sample < _LONGER * nominal.shape[0]:
+    while sample < _PLAN_MARGIN * nominal.shape[0]:
         share = shares[number]
         to_x, to_y = _plaza_place(share[0], share[1], center)
         if share[2] < crosses:
             met = _meeting(x, y, sample, nominal, pace)
             if met >= 0:
                 dx, dy = nominal[met, 0] - x, nominal[met, 1] - y
-                beyond = _BEYOND[0] + (_BEYOND[1] - _BEYOND[0]) * share[3]
+                beyond = _OVERSHOOT[0] + (_OVERSHOOT[1] - _OVERSHOOT[0]) * share[3]
                 longer = 1.0 + beyond / max(math.hypot(dx, dy), 1e-9)
                 to_x, to_y = x + longer * dx, y + longer * dy
         out_x, out_y = to_x - center[0], to_y - center[1]
         inward = min(1.0, _PLAZA_RADIUS / max(math.hypot(out_x, out_y), 1e-9))
         to_x, to_y = center[0] + inward * out_x, center[1] + inward * out_y
-        sample += max(int(math.hypot(to_x - x, to_y - y) / (pace * PERIOD)), _LEAST_SAMPLES)
+        sample += max(int(math.hypot(to_x - x, to_y - y) / (pace * PERIOD)), _SHORTEST_LEG_SAMPLES)
         x, y = to_x, to_y
         places[number, 0], places[number, 1] = x, y
         number += 1
@@ -248,20 +251,20 @@ def _others_way(shares, crosses, start, nominal, center, pace, places):  # type:
 
 @njit(cache=True, nogil=True)
 def _meeting(x, y, sample, nominal, pace):  # type: ignore[no-untyped-def]
-    """The sample at which somebody who sets out now in a straight line meets a walker; -1 where they cannot."""
-    for k in range(sample + _LEAST_SAMPLES, nominal.shape[0]):
+    """Return the sample at which a person who starts now on a straight line meets the walker, or -1."""
+    for k in range(sample + _SHORTEST_LEG_SAMPLES, nominal.shape[0]):
         if math.hypot(nominal[k, 0] - x, nominal[k, 1] - y) < pace * PERIOD * (k - sample):
             return k
     return -1
 
 
 @njit(cache=True, nogil=True)
-def _live(  # type: ignore[no-untyped-def]
+def _simulate(  # type: ignore[no-untyped-def]
     starts, legs, number, pace, wander, party, dt, first, links, max_joint_rate, paths
 ):
-    """Walk everybody through all samples, as long as the arm could follow the first of them from sample `first` on.
+    """Simulate all people through all samples, as long as the arm can follow the first one from sample `first` on.
 
-    Who touches another is pushed off.
+    Bodies that overlap are pushed apart.
     """
     people = starts.shape[0]
     active = np.arange(people)
@@ -297,7 +300,7 @@ def _live(  # type: ignore[no-untyped-def]
                     position[j, 0] -= push * dx
                     position[j, 1] -= push * dy
         for i in range(people):
-            # What bodies made of it, not what they wanted.
+            # The velocity after collisions, not the intended one.
             for axis in range(2):
                 velocity[i, axis] = (position[i, axis] - paths[sample, i, axis]) / dt
                 paths[sample, i, 2 + axis] = velocity[i, axis]

@@ -1,4 +1,4 @@
-"""What a detector of people would tell of the arm's camera: image points with sizes and colors, clutter and misses."""
+"""Simulated person detector on the arm's camera: image points with sizes and colors, clutter, misses and merging."""
 
 from __future__ import annotations
 
@@ -16,33 +16,34 @@ from servotrack.envs.track.counts import poisson_quantile
 from servotrack.estimators.camera import project_ground
 
 COLUMNS = 8
-"""Existence; column and row of the middle, width, height (px); red, green, blue (gray levels)."""
-LARGEST = 4.0
+"""Columns of a detection: existence; column and row of the center, width, height (px); red, green, blue."""
+LARGEST_SIZE = 4.0
 """Largest width and height of a detection, image widths."""
 
-_SIZE_NOISE = 0.08  # standard deviation of a size, as a fraction
+_SIZE_NOISE = 0.08  # standard deviation of a size, as a fraction of it
 _CLUTTER_SIZE = (0.3, 1.0)  # diameter of a false detection, m
-_CLUTTER_COLOR = (15.0, 240.0)
+_CLUTTER_COLOR = (15.0, 240.0)  # channels of a false detection's color, gray levels
 _NUMBERS = COLUMNS - 1
-_AROUND = np.array([(np.cos(angle), np.sin(angle)) for angle in 0.25 * np.pi * np.arange(8)])  # a circle's points
+_AROUND = np.array([(np.cos(angle), np.sin(angle)) for angle in 0.25 * np.pi * np.arange(8)])  # points of a circle
 
 
 def capacity(config: FollowConfig) -> int:
-    """Rows of an observation: everybody, and what clutter exceeds once in 1e9 frames."""
+    """Rows of an observation: all people, and the number of false detections exceeded once in 1e9 frames."""
     return config.people + poisson_quantile(config.clutter)
 
 
 class DetectionSensor:
-    """The detections in the newest frames of N cameras, kept up to date by `update`.
+    """Detections in the newest frames of N cameras, kept up to date by `update`.
 
     Args:
-        world: The world, which the sensor only reads.
+        world: World to observe; it is not changed.
 
     Attributes:
-        detections: In the newest frames that arrived, (N, M, COLUMNS), rows in random order, unused ones zeros.
-        truth: Where everybody really is in that frame, (N, P, COLUMNS), in the crowd's order: without noise, clutter,
-            misses and merging; existence 0 for who is hidden, zeros for who is out of view.
-        target_box: Left, top, width, height of the person to follow in the first frame of all, (N, 4) px.
+        detections: Detections in the newest frames that arrived, (N, M, COLUMNS). Rows are in random order, unused rows
+            are zeros.
+        truth: True detections in that frame, (N, P, COLUMNS), in the crowd's order, without noise, clutter, misses and
+            merging. Existence is 0 for hidden people; rows of people out of view are zeros.
+        target_box: Left, top, width, height of the person to follow in the episode's first frame, (N, 4) px.
         frame_time: Time stamps of these frames, (N,) s.
     """
 
@@ -60,16 +61,16 @@ class DetectionSensor:
         self._noise_scales = np.array([config.pixel_noise] * 2 + [size_noise] * 2 + [config.color_noise] * 3)
         self._noise = np.zeros((count, length, config.people, _NUMBERS), np.float32)
         self._missed = np.zeros((count, length, config.people), np.bool_)
-        # False detections of all frames lie one after the other: where those of each frame begin.
+        # False detections of all frames are stored one after the other; this is the first index of each frame.
         self._first_false = np.zeros((count, length + 1), np.int64)
         self._clutter = np.zeros((count, length * (rows - config.people), _NUMBERS), np.float32)
         self._shuffle = np.zeros((count, length, rows), np.float32)
 
     def update(self) -> list[int]:
-        """Take the frames in that have arrived since the last call.
+        """Process the frames that have arrived since the last call.
 
         Returns:
-            The rows whose episode began since then.
+            Rows whose episode began since then.
         """
         world, config = self._world, self._world.config
         fresh = self._arrivals.look()
@@ -89,8 +90,8 @@ class DetectionSensor:
     def _begin(self, row: int) -> None:
         world, config = self._world, self._world.config
         episode = world.episode(row)
-        self._sizes[row], self._colors[row] = episode.looks.sizes, episode.looks.colors
-        # From their beginnings, so that a second sensor on the same episode sees the same.
+        self._sizes[row], self._colors[row] = episode.outfits.sizes, episode.outfits.colors
+        # Fresh streams, so that a second sensor on the same episode reports the same detections.
         streams, (length, people) = Streams(episode.streams.seed), self._missed.shape[1:]
         streams[FollowStream.DETECTION_NOISE].standard_normal(out=self._noise[row], dtype=np.float32)
         self._missed[row] = streams[FollowStream.MISSES].random((length, people)) < config.misses
@@ -103,7 +104,7 @@ class DetectionSensor:
 
 @njit(cache=True, nogil=True)
 def _extent(camera, u, v, heading, tool, x, y, radius, out):  # type: ignore[no-untyped-def]
-    """Width and height (px) of the smallest box around a disc on the plane that is seen at (u, v)."""
+    """Fill `out` with width and height (px) of the smallest box around a disc on the plane that appears at (u, v)."""
     c, s = heading
     width, height = 0.0, 0.0
     for k in range(8):
@@ -115,7 +116,7 @@ def _extent(camera, u, v, heading, tool, x, y, radius, out):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def _deal(free, used, shares):  # type: ignore[no-untyped-def]
-    """A row that is still free, each of them equally likely: one exchange of Fisher and Yates's shuffle."""
+    """Return a free row, all equally likely: one exchange of the Fisher-Yates shuffle."""
     chosen = used + int(shares[used] * (len(free) - used))
     free[used], free[chosen] = free[chosen], free[used]
     return free[used]
@@ -123,7 +124,7 @@ def _deal(free, used, shares):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _between(bounds, share):  # type: ignore[no-untyped-def]
-    """The number at this share of the way from the lower bound to the upper one."""
+    """Interpolate between two bounds: share 0 is the lower one, 1 the upper one."""
     return bounds[0] + (bounds[1] - bounds[0]) * share
 
 
@@ -147,7 +148,7 @@ def _detect(  # type: ignore[no-untyped-def]
         tool[0] = links[i, 0] * np.cos(joints[0]) + links[i, 1] * np.cos(phi)
         tool[1] = links[i, 0] * np.sin(joints[0]) + links[i, 1] * np.sin(phi)
         for k in range(count):
-            # Before the first sample of all, which a frame that was lost at once falls back on, nobody moved.
+            # If the first frame is lost, the sample before it is used; people did not move before that sample.
             before, after = people[i, max(frame - 1, 0), k], people[i, frame, k]
             u, v, seen = capture(camera, links[i], before, after, history[i], frame, size, shutter)
             here = truth[i, k]
@@ -157,7 +158,7 @@ def _detect(  # type: ignore[no-untyped-def]
             here[0], here[1], here[2] = 0.0 if hidden[i, frame, k] else 1.0, u, v
             _extent(camera, u, v, heading, tool, after[0], after[1], 0.5 * sizes[i, k], here[3:5])
             here[5:] = colors[i, k]
-        # Who is found, and together with whom: the first of a group of people who touch speaks for all.
+        # Detected people and their merged groups: the first member of a group stands for all of them.
         for k in range(count):
             group[k] = -1
             if truth[i, k, 0] == 0.0 or missed[i, frame, k]:
@@ -193,8 +194,8 @@ def _detect(  # type: ignore[no-untyped-def]
                 rough[number] = noise_scales[number] * noise[i, frame, k, number]
             out[1] = min(max(0.5 * (left + right) + rough[0], 0.0), size)
             out[2] = min(max(0.5 * (top + bottom) + rough[1], 0.0), size)
-            out[3] = min(max((right - left) * (1.0 + rough[2]), 1.0), LARGEST * size)
-            out[4] = min(max((bottom - top) * (1.0 + rough[3]), 1.0), LARGEST * size)
+            out[3] = min(max((right - left) * (1.0 + rough[2]), 1.0), LARGEST_SIZE * size)
+            out[4] = min(max((bottom - top) * (1.0 + rough[3]), 1.0), LARGEST_SIZE * size)
             for channel in range(3):
                 out[5 + channel] = min(max(out[5 + channel] / members + rough[4 + channel], 0.0), 255.0)
             used += 1

@@ -9,7 +9,7 @@ import numpy as np
 
 from servotrack.envs.follow.config import LEVEL_NAMES, FollowConfig, follow_config
 from servotrack.envs.follow.sensors import FollowSensors
-from servotrack.envs.follow.world import ON_TARGET, FollowWorld
+from servotrack.envs.follow.world import ON_TARGET_DISTANCE, FollowWorld
 from servotrack.envs.servo.env import METADATA as SERVO_METADATA
 from servotrack.envs.servo.env import Observation, UncalibServoEnv
 from servotrack.envs.servo.episode import LEAD
@@ -20,33 +20,33 @@ if TYPE_CHECKING:
 
 METADATA: dict[str, Any] = SERVO_METADATA | {"servotrack_kind": "follow"}
 _COUNTED = ("time_on_target", "identity_error", "lost", "losses", "reacquisitions", "kept")
-"""What the world counts and `info` holds under the same name."""
+"""Attributes of the world that `info` holds under the same name."""
 
 
 class PedestrianServoEnv(UncalibServoEnv):
-    """An arm with a camera that nobody calibrated keeps one person of a walking crowd centered.
+    """An arm with an uncalibrated camera keeps one person of a walking crowd centered.
 
     ## Description
 
     The arm of `UncalibServo-v0` at four times its scale (links of 2 m, the camera 4 m up, 80 px to the meter) carries
-    its camera over a plane on which people walk, driven by social forces. The agent is shown one of them at reset and
-    has to keep that one under the tool, while others cross, come too close to be told apart, wear the same clothes, or
-    disappear under lampshades and umbrellas. What the tracker believes decides where the camera looks next. People are
-    drawn from above and flat on the plane; the parallax of their height is left out.
+    its camera over a plane on which people walk, driven by social forces. At reset the agent gets a picture of one of
+    them. It has to keep this person under the tool while people cross, merge into one detection, wear the same clothes,
+    or are occluded by lampshades and umbrellas. The tracker's estimate decides where the camera looks next. People are
+    drawn from above and flat on the plane, without the parallax of their height.
 
     | level | adds to the arm | adds to the crowd |
     |---|---|---|
-    | 0 `plain` | 2 m links, nothing unknown but by how much | 6 people, every one detected |
+    | 0 `plain` | fixed links (2 m) and camera, no noise | 6 people, all detected |
     | 1 `noise` | 2 px of noise | misses, false detections, people closer than 0.4 m are one detection |
     | 2 `geometry` | random links, focal length, height; mounting within 30 degrees; 3 px | |
-    | 3 `optics` | any mounting angle, principal point, distortion, tilt, aspect | one in five looks like the person |
+    | 3 `optics` | any mounting angle, principal point, distortion, tilt, aspect | one in five dressed alike |
     | 4 `dynamics` | noisy joint rates and encoders, lost frames | three lampshades, an umbrella |
-    | 5 `timing` | one frame of latency, rolling shutter | somebody walks beside the person |
-    | 6 `heavy` | latency of 0 to 2 frames that no stamp tells | 12 people, every second looks like the person |
+    | 5 `timing` | one frame of latency, rolling shutter | a companion walks beside the person |
+    | 6 `heavy` | latency of 0 to 2 frames without time stamps | 12 people, every second dressed alike |
 
     ## Action Space
 
-    As `UncalibServo-v0`: `Box(-1, 1, (2,), float32)`, fractions of `max_joint_rate` (2 rad/s).
+    Same as in `UncalibServo-v0`: `Box(-1, 1, (2,), float32)`, fractions of `max_joint_rate` (2 rad/s).
 
     ## Observation Space
 
@@ -55,41 +55,49 @@ class PedestrianServoEnv(UncalibServoEnv):
     | key | shape | type | unit | meaning |
     |---|---|---|---|---|
     | `joint_angles` | (2,) | float64 | rad | encoder readings at `time` |
-    | `goal` | (2,) | float64 | px | where the person is wanted: where the point under the tool appears |
-    | `frame_time` | (1,) | float64 | s | when the newest frame was taken, or when it arrived if `stamped` is false |
-    | `time` | (1,) | float64 | s | now |
-    | `target_patch` | (32, 32, 3) | uint8 | gray levels | the person to follow in the first frame, 0.8 m of the plane |
+    | `goal` | (2,) | float64 | px | desired image position of the person: the image of the point under the tool |
+    | `frame_time` | (1,) | float64 | s | time when the newest frame was taken, or arrived if `stamped` is false |
+    | `time` | (1,) | float64 | s | current time |
+    | `target_patch` | (32, 32, 3) | uint8 | gray levels | the person to follow in the first frame, 0.8 m wide |
     | `target_box` | (4,) | float64 | px | left, top, width, height of the person in the first frame |
     | `detections` | (M, 8) | float64 | px | existence (0 or 1), column, row, width, height, mean red, green, blue |
     | `image` | (S, S, 3) | uint8 | gray levels | the newest frame; S is `image_size` |
 
-    `detections` or `image`, as the keyword says. `target_patch` and `target_box` stay the same all the episode. Where a
-    frame is lost, the old one stays with its old stamp. Rows of `detections` come in random order, unused ones are
-    zeros. Pixels are the camera's, `camera_size` to a side, or those of the delivered image where there is one.
+    The dictionary holds either `detections` or `image`. `target_patch` and `target_box` are constant during an episode.
+    A lost frame leaves the old one in place, with its old time stamp. Rows of `detections` are in random order, unused
+    rows are zeros. With `detections`, pixels are the camera's (`camera_size` to a side); with `pixels`, those of
+    `image`.
 
-    With `observation="identity"`, for debugging: exactly the observation of `UncalibServo-v0`, the features being those
-    of the right person.
+    `observation="identity"`, for debugging, gives the observation of `UncalibServo-v0` with the features of the right
+    person: a perfect tracker.
 
     ## Rewards
 
-    As `UncalibServo-v0`, with the distance between tool and person.
+    Same as in `UncalibServo-v0`, with the distance between tool and person.
 
-    `info` holds, for evaluation and not for agents: `tracking_error` (m), `feature_error` (px), `success` (below 10 cm
-    now), `time_on_target` (share of the samples so far below 10 cm), `identity_error` (the tool is within 0.5 m of
-    another person and not of the right one), `lost` (the person got farther away than 1 m and has not been within 0.5 m
-    since), `losses` and `reacquisitions` (how often), `kept` (mean distance over the last second below 0.5 m; at the
-    end of an episode: whether the right person was kept) and `truth` (`joint_angles`, `tool`, `target`,
-    `target_velocity`, `people`).
+    `info` is for evaluation, not for agents. It holds:
+
+    | key | meaning |
+    |---|---|
+    | `tracking_error` | distance between tool and person, m |
+    | `feature_error` | distance between feature and goal, px |
+    | `success` | true if the distance is below 10 cm |
+    | `time_on_target` | share of the samples so far with a distance below 10 cm |
+    | `identity_error` | true if the tool is within 0.5 m of another person and not of the right one |
+    | `lost` | true if the person was farther away than 1 m and has not been within 0.5 m since |
+    | `losses`, `reacquisitions` | number of times the person was lost, and reached again |
+    | `kept` | mean distance over the last second below 0.5 m; at the end of an episode: the right person was kept |
+    | `truth` | `joint_angles`, `tool`, `target`, `target_velocity` and `people` |
 
     ## Starting State
 
     Joints at (0, 90) degrees, the person within 1 m of the tool and in view. Everything is drawn from the seed, each
-    quantity from a stream of its own; a person whom the arm could not follow is drawn again.
+    quantity from its own stream. A path that the arm could not follow is drawn again.
 
     ## Episode End
 
-    Termination: the person was out of view for 60 samples (3 s). Truncation: after `warmup` + `horizon` steps (400,
-    20 s).
+    Termination: the person was out of view for 60 consecutive samples (3 s). Truncation: after `warmup` + `horizon`
+    steps (400, 20 s).
 
     ## Arguments
 
@@ -98,13 +106,13 @@ class PedestrianServoEnv(UncalibServoEnv):
     overrides the level's value, for example `gym.make("PedestrianServo-v0", script="crossings", people=9)`.
     `render_mode`: `rgb_array` or `human`.
 
-    An agent that has an opinion where the person is may tell it to the picture: `env.unwrapped.belief = (column, row)`
-    in the camera's pixels, None for none.
+    To show an agent's estimate of the person's position in rendered pictures, set
+    `env.unwrapped.belief = (column, row)`, in camera pixels; None removes it.
 
     ## References
 
-    Helbing and Molnar, "Social force model for pedestrian dynamics", Physical Review E 51(5), 1995, for how people
-    walk. Zhang Ying-bo, "Unscented Kalman filter for on-line estimation of Jacobian matrix", Journal of Computer
+    Helbing and Molnar, "Social force model for pedestrian dynamics", Physical Review E 51(5), 1995, for the motion
+    of people. Zhang Ying-bo, "Unscented Kalman filter for on-line estimation of Jacobian matrix", Journal of Computer
     Applications 31(6), 2011, pp. 1699-1702, for the arm and its camera. The world is this package's own.
 
     ## Version History
@@ -127,7 +135,7 @@ class PedestrianServoEnv(UncalibServoEnv):
         render_mode: str | None = None,
         **axes: Any,
     ) -> None:
-        self._sees = observation, image_size, image_noise
+        self._sensor_arguments = observation, image_size, image_noise
         self.belief: Any = None
         super().__init__(level, render_mode=render_mode, **axes)
 
@@ -143,7 +151,7 @@ class PedestrianServoEnv(UncalibServoEnv):
         return Recorder(self.world, caption=level_caption(self.level))
 
     def _observation_space(self) -> gym.spaces.Dict:
-        self._sensors = FollowSensors(self.world, *self._sees)
+        self._sensors = FollowSensors(self.world, *self._sensor_arguments)
         return self._sensors.space()
 
     def _observe(self) -> Observation:
@@ -156,36 +164,36 @@ class PedestrianServoEnv(UncalibServoEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start a new episode; as `UncalibServoEnv.reset`."""
+        """Start a new episode, see `UncalibServoEnv.reset`."""
         self.belief = None
         return super().reset(seed=seed, options=options)
 
     def _info(self) -> dict[str, Any]:
         world = self.world
         info = super()._info()
-        info["success"] = info["tracking_error"] < ON_TARGET
+        info["success"] = info["tracking_error"] < ON_TARGET_DISTANCE
         info["truth"]["people"] = world.people[0, world.steps[0] + LEAD, :, :2].copy()
         for name in _COUNTED:
             info[name] = getattr(world, name).item(0)
         return info
 
     def privileged(self) -> Observation:
-        """What `PrivilegedObservation` adds: as `FollowWorld` and `FollowSensors` say, without the leading axis."""
+        """Entries that `PrivilegedObservation` adds: those of `FollowWorld` and `FollowSensors`, first row."""
         return {key: value[0] for key, value in (self.world.privileged() | self._sensors.privileged()).items()}
 
 
 def people_now(world: FollowWorld) -> Array:
-    """Everybody's present positions, (N, P, 2) m."""
+    """Current positions of all people, (N, P, 2) m."""
     return world.people[np.arange(world.count), world.now, :, :2]
 
 
 def pictured(sensors: FollowSensors, row: int) -> dict[str, Any]:
-    """What a picture shows of a row's sensors: keywords of `Recorder.frame`."""
+    """Sensor data of a row that its picture shows: keywords of `Recorder.frame`."""
     if sensors.camera is not None:
         return {"camera_image": sensors.camera.images[row]}
     return {"detections": sensors.detector.detections[row] if sensors.observation == "detections" else None}
 
 
 def level_caption(level: int) -> str:
-    """A level's number and name, as pictures show it."""
+    """Number and name of a level, the caption of pictures."""
     return f"level {level} {LEVEL_NAMES[level]}"

@@ -1,4 +1,4 @@
-"""What fate deals an episode of the following world: a servo's episode whose target is a person, and the crowd."""
+"""Random draws of one episode of PedestrianServo: a servo episode whose target is a person, and the crowd."""
 
 from __future__ import annotations
 
@@ -6,35 +6,35 @@ from dataclasses import dataclass, fields
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.crowd import Crowd, draw_paths, walking_crowd
-from servotrack.envs.follow.looks import Looks, draw_looks, hidden_people
+from servotrack.envs.follow.outfits import Outfits, draw_outfits, hidden_people
 from servotrack.envs.servo.episode import Episode, ServoStreams, draw_episode, samples
 from servotrack.estimators.types import Array, Mask
 
 
 @dataclass(frozen=True)
 class FollowEpisode(Episode):
-    """A servo's episode and the crowd around its target, K samples of P people; the person to follow is the first.
+    """A servo episode and the crowd around its target, K samples of P people. The person to follow is the first one.
 
     Attributes:
-        crowd: Where people walk.
-        looks: How they look.
-        hidden: Who is under a lampshade or an umbrella, shape (K, P).
+        crowd: Paths and gait of the people.
+        outfits: Clothes, umbrellas and lampshades.
+        hidden: Mask of the people under a lampshade or another person's umbrella, shape (K, P).
     """
 
     crowd: Crowd
-    looks: Looks
+    outfits: Outfits
     hidden: Mask
 
 
 def draw_follow_episode(config: FollowConfig, seed: int) -> FollowEpisode:
-    """Draw all of an episode.
+    """Make all random draws of one episode.
 
     Args:
-        config: The world.
-        seed: Non-negative integer.
+        config: Parameters of the world.
+        seed: Seed of the episode, a non-negative integer.
 
     Raises:
-        ValueError: As `servotrack.envs.servo.episode.draw_episode`.
+        ValueError: Raised by `servotrack.envs.servo.episode.draw_episode`.
     """
     drawn: list[Array] = []
 
@@ -44,6 +44,6 @@ def draw_follow_episode(config: FollowConfig, seed: int) -> FollowEpisode:
 
     servo = draw_episode(config, seed, motion)
     crowd = walking_crowd(drawn[0], servo.streams)
-    looks = draw_looks(config, servo.streams, crowd)
+    outfits = draw_outfits(config, servo.streams, crowd)
     parts = {field.name: getattr(servo, field.name) for field in fields(Episode)}
-    return FollowEpisode(**parts, crowd=crowd, looks=looks, hidden=hidden_people(crowd, looks))
+    return FollowEpisode(**parts, crowd=crowd, outfits=outfits, hidden=hidden_people(crowd, outfits))

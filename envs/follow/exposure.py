@@ -1,4 +1,4 @@
-"""Compiled kernels behind the arm's camera over a crowd: from the world's tables to the pixels that it delivers."""
+"""Compiled kernels that render the images of the arm's camera over a crowd from the world's tables."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ def _develop(canvas, light, noise, image):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _expose_one(  # type: ignore[no-untyped-def]
-    frame, views, places, step, strength, camera, walk, looks, umbrella, umbrella_color, lamps, ground, light, spread,
+    frame, views, places, step, strength, camera, walk, outfits, umbrella, umbrella_color, lamps, ground, light, spread,
     detail, texels, starts, floor_pose, floor_color, noise, first_row, first_column, boxes, shade, canvas, image,
 ):  # fmt: skip
-    """One picture of everything at its places."""
+    """Render one image: floor, shadows, people, umbrellas and lampshades, light and noise."""
     size = image.shape[0]
     people = len(umbrella)
     poses = np.empty((people, POSE_NUMBERS))
     for k in range(people):
-        pose(looks[k], walk[frame, k, 0], walk[frame, k, 1], walk[frame, k, 2], poses[k])
+        pose(outfits[k], walk[frame, k, 0], walk[frame, k, 1], walk[frame, k, 2], poses[k])
     find_boxes(camera, step, size, size, views, places, poses, umbrella, lamps, boxes)
     shade[:] = np.float32(1.0)
     if strength > 0.0:
@@ -44,7 +44,7 @@ def _expose_one(  # type: ignore[no-untyped-def]
             value = bright[j] * shade[i, j]
             canvas[i, j, 0], canvas[i, j, 1], canvas[i, j, 2] = value * red, value * green, value * blue
     paint_crowd(
-        canvas, ground, spread, 1.0, views, places, walk[frame, :, 0], looks, poses, umbrella, umbrella_color, lamps,
+        canvas, ground, spread, 1.0, views, places, walk[frame, :, 0], outfits, poses, umbrella, umbrella_color, lamps,
         boxes,
     )  # fmt: skip
     for i in range(size):
@@ -54,10 +54,10 @@ def _expose_one(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def expose_crowd(  # type: ignore[no-untyped-def]
-    rows, frames, shutter, step, strength, cameras, links, history, paths, walk, looks, umbrella, umbrella_color, lamps,
-    ground, light, spread, detail, texels, starts, floor_pose, floor_color, noise, noise_offset, images,
+    rows, frames, shutter, step, strength, cameras, links, history, paths, walk, outfits, umbrella, umbrella_color,
+    lamps, ground, light, spread, detail, texels, starts, floor_pose, floor_color, noise, noise_offset, images,
 ):  # fmt: skip
-    """Render the given frames of the chosen rows; with a rolling shutter each image row is seen at its own instant."""
+    """Render the given frames of the chosen rows. A rolling shutter exposes every image row at its own instant."""
     size, people = images.shape[1], paths.shape[2]
     instants = size if shutter > 0.0 else 1
     views, places = np.empty((instants, 4)), np.empty((instants, 2 * people + lamps.shape[1], 2))
@@ -76,7 +76,7 @@ def expose_crowd(  # type: ignore[no-untyped-def]
             for k in range(lamps.shape[1]):
                 places[i, 2 * people + k, 0], places[i, 2 * people + k, 1] = lamps[n, k, 0], lamps[n, k, 1]
         _expose_one(
-            frame, views, places, step, strength, cameras[n], walk[n], looks[n], umbrella[n], umbrella_color[n],
+            frame, views, places, step, strength, cameras[n], walk[n], outfits[n], umbrella[n], umbrella_color[n],
             lamps[n], ground[n], light[n], spread[n], detail[n], texels, starts, floor_pose[n], floor_color[n], noise,
             noise_offset[n, frame, 0], noise_offset[n, frame, 1], boxes, shade, canvas, images[n],
         )  # fmt: skip

@@ -1,7 +1,7 @@
-"""What is seen from straight above at one point of a person; compiled.
+"""Compiled shader of a person at one point, seen from straight above.
 
-Everything is flat on the plane: nothing leans away from the camera with its height. A sample is a point in a figure's
-own axes (forward and left, m) and the width over which an edge is spread there.
+People are flat on the plane, without the parallax of their height. A sample is a point in the person's own axes
+(forward and left, m) and the width over which edges are blurred there.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 
 from numba import njit
 
-from servotrack.envs.track.pedestrians.looks import (
+from servotrack.envs.track.pedestrians.outfits import (
     ARM,
     BACKPACK,
     BAG,
@@ -38,18 +38,18 @@ from servotrack.envs.track.pedestrians.looks import (
 from servotrack.envs.track.pedestrians.shapes import CHECK, OPEN, STRIPES
 
 SUN = (-0.5812, 0.8137)
-"""Where light comes from, a direction on the plane."""
+"""Direction on the plane from which the light comes."""
 POSE_NUMBERS = 7
-"""Left and right foot and hand (how far forward, m), the light in the person's axes, how far all reaches (m)."""
+"""Forward positions of left and right foot and hand (m), light direction in the person's axes, largest extent (m)."""
 HALF_WIDTH = 0.40
-"""Of what belongs to a person, to the left and right of their middle, m."""
+"""Largest extent of a person to the left and right of their center, m."""
 
 _LEFT_FOOT, _RIGHT_FOOT, _LEFT_HAND, _RIGHT_HAND, _LIGHT_FORWARD, _LIGHT_LEFT, REACH = range(7)
-_SHOULDERS, _CHEST = 0.245, 0.138  # half the torso's ellipse, m
-_HEAD = 0.105  # m
-_STEP, _SWING = 0.27, 0.25  # how far feet and hands go to and fro, m
-_TOES = 0.055  # how far forward the feet of somebody who stands are, m
-_FEET_APART, _HANDS_APART = 0.085, 0.262  # from the middle, m
+_SHOULDERS, _CHEST = 0.245, 0.138  # half axes of the torso's ellipse, m
+_HEAD = 0.105  # radius, m
+_STEP, _SWING = 0.27, 0.25  # amplitudes of feet and hands, m
+_TOES = 0.055  # forward position of the feet of a standing person, m
+_FEET_APART, _HANDS_APART = 0.085, 0.262  # distances from the center, m
 _SHOE, _SHOE_WIDTH, _LEG, _SLEEVE, _HAND = 0.135, 0.052, 0.078, 0.060, 0.046  # half widths, m
 _OPAQUE = 0.995
 _FIBER = 0.02  # samples wider than this show no strands of hair, m
@@ -57,7 +57,7 @@ _FIBER = 0.02  # samples wider than this show no strands of hair, m
 
 @njit(cache=True, nogil=True)
 def pose(look, heading, phase, stride, out):  # type: ignore[no-untyped-def]
-    """Where a walking person's hands and feet are, and the light about them."""
+    """Fill `out` with the pose of a walking person: feet, hands, light direction and extent."""
     swing = stride * math.sin(phase)
     out[_LEFT_FOOT], out[_RIGHT_FOOT] = _TOES + _STEP * swing, _TOES - _STEP * swing
     out[_LEFT_HAND], out[_RIGHT_HAND] = 0.04 - _SWING * swing, 0.04 + _SWING * swing
@@ -76,7 +76,7 @@ def pose(look, heading, phase, stride, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def lay(out, cover, brightness, color, start):  # type: ignore[no-untyped-def]
-    """Put a color under what is there already."""
+    """Put a color under the colors that `out` already holds."""
     share = cover * (1.0 - out[3])
     out[3] += share
     share *= brightness
@@ -87,13 +87,13 @@ def lay(out, cover, brightness, color, start):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def inside(distance, width):  # type: ignore[no-untyped-def]
-    """Share of a sample that lies inside an edge, from the distance to it outward."""
+    """Share of a sample inside an edge, from its distance outside the edge (negative inside)."""
     return min(max(0.5 - distance / width, 0.0), 1.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _ellipse(x, y, a, b, width):  # type: ignore[no-untyped-def]
-    """Share of a sample that lies in an ellipse about the origin with these half axes."""
+    """Share of a sample inside an ellipse about the origin with half axes `a` and `b`."""
     u, v, soft = x / a, y / b, width / (a + b)
     k2 = u * u + v * v
     if k2 >= (1.0 + soft) * (1.0 + soft):
@@ -105,7 +105,7 @@ def _ellipse(x, y, a, b, width):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _rod(x, y, x0, y0, x1, y1, radius, width):  # type: ignore[no-untyped-def]
-    """Share of a sample that lies in a rod with round ends."""
+    """Share of a sample inside a rod with round ends."""
     dx, dy = x1 - x0, y1 - y0
     t = min(max(((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy + 1e-9), 0.0), 1.0)
     ox, oy = x - x0 - t * dx, y - y0 - t * dy
@@ -119,7 +119,7 @@ def _rod(x, y, x0, y0, x1, y1, radius, width):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _block(x, y, a, b, width):  # type: ignore[no-untyped-def]
-    """Share of a sample that lies in a rectangle with rounded corners about the origin."""
+    """Share of a sample inside a rectangle with rounded corners about the origin."""
     corner = 0.4 * min(a, b)
     dx, dy = abs(x) - a + corner, abs(y) - b + corner
     if max(dx, dy) > corner + width:
@@ -131,7 +131,7 @@ def _block(x, y, a, b, width):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _head(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-def]
-    """Hair over a face that shows where somebody looks."""
+    """Hair, and the part of the face that shows in front of it."""
     radius = _HEAD * look[HEAD_SIZE]
     x -= 0.02
     far = 1.25 * radius + look[HAIR_LENGTH] + width
@@ -140,7 +140,7 @@ def _head(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-
     qx, qy = x / radius, y / radius
     light = qx * light_x + qy * light_y
     dome = 1.02 + 0.24 * light - 0.22 * (qx * qx + qy * qy)
-    # Bald towards the forehead by the hairline; the face's slope shows in front of it.
+    # The hairline decides how much of the forehead is bald; the face shows in front of it.
     hair = _ellipse(x + radius * (0.16 + 0.5 * look[HAIRLINE]), y, radius * 0.98, radius * 0.93, width)
     if hair > 0.0:
         gx, gy = qx - 0.42 * light_x, qy - 0.42 * light_y
@@ -164,7 +164,7 @@ def _head(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _pattern(look, x, y, width):  # type: ignore[no-untyped-def]
-    """How much of a top's second color shows; patterns blur where samples are too coarse for them."""
+    """Share of a top's second color. Patterns blur where samples are too coarse for them."""
     material = look[TOP_MATERIAL]
     if material == OPEN:
         return inside(abs(y) - 0.17 * look[TOP_DETAIL] - 0.25 * max(x, 0.0), width) * inside(-x, width)
@@ -182,7 +182,7 @@ def _pattern(look, x, y, width):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _torso(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-def]
-    """Shoulders in the top's cloth, darker under the chin."""
+    """Shoulders in the colors of the top, darker under the chin."""
     a, b = _CHEST * look[BUILD], _SHOULDERS * look[BUILD]
     if abs(x) > a + width or abs(y) > b + width:
         return
@@ -197,14 +197,14 @@ def _torso(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped
     second = cover * _pattern(look, x, y, width)
     if second > 0.0:
         lay(out, second, brightness, look, TOP_SECOND)
-        # The first color fills what the second left open of the cover.
+        # The first color fills the rest of the cover.
         cover = (cover - second) / max(1.0 - second, 1e-9)
     lay(out, cover, brightness, look, TOP)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _arms(look, pose, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-def]
-    """Arms that swing, and the hands that show beyond the sleeves."""
+    """Swinging arms, and the hands beyond the sleeves."""
     right = y < 0.0
     if right:
         y, light_y = -y, -light_y
@@ -228,7 +228,7 @@ def _arms(look, pose, light_x, light_y, x, y, width, out):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _legs(look, pose, x, y, width, out):  # type: ignore[no-untyped-def]
-    """Trousers or bare legs, and shoes that step."""
+    """Trousers or bare legs, and stepping shoes."""
     for side in range(2):
         across = y if side == 0 else -y
         if across < -0.03 - width or across > 0.18 + width:
@@ -247,7 +247,7 @@ def _legs(look, pose, x, y, width, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _worn_bag(look, light_x, light_y, x, y, width, out):  # type: ignore[no-untyped-def]
-    """What of a bag lies over the shoulders."""
+    """The part of a bag that lies on the shoulders."""
     if look[BAG] == BACKPACK:
         pack = _block(x + 0.175, y, 0.085, 0.135, width)
         if pack > 0.0:
@@ -262,7 +262,7 @@ def _worn_bag(look, light_x, light_y, x, y, width, out):  # type: ignore[no-unty
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _carried_bag(look, pose, light_y, x, y, width, out):  # type: ignore[no-untyped-def]
-    """What of a bag hangs beside somebody."""
+    """The part of a bag that hangs beside the person."""
     y += 0.30 * look[BUILD]
     if look[BAG] == CASE:
         x -= pose[_RIGHT_HAND]
@@ -274,7 +274,7 @@ def _carried_bag(look, pose, light_y, x, y, width, out):  # type: ignore[no-unty
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def person_at(look, pose, x, y, width, out):  # type: ignore[no-untyped-def]
-    """Add what is seen of a person at a sample, from the top down, to `out`: premultiplied RGB and opacity."""
+    """Add a person's color at a sample to `out` (premultiplied RGB and opacity), from the top down."""
     light_x, light_y = pose[_LIGHT_FORWARD], pose[_LIGHT_LEFT]
     _head(look, light_x, light_y, x, y, width, out)
     if out[3] > _OPAQUE:

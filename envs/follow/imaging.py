@@ -1,4 +1,4 @@
-"""The arm's camera over a crowd: its images, and the picture of whom to follow that an agent is shown at reset."""
+"""Images of the arm's camera over a crowd, and the picture of the person to follow that an agent gets at reset."""
 
 from __future__ import annotations
 
@@ -16,33 +16,32 @@ from servotrack.envs.servo.floor import floor_texture
 from servotrack.envs.servo.imaging import FloorCamera, floor_of, no_rays, noise_offsets, noise_tile
 from servotrack.envs.servo.targets import START
 from servotrack.envs.servo.world import RING
-from servotrack.envs.track.pedestrians.looks import LOOK_NUMBERS
+from servotrack.envs.track.pedestrians.outfits import OUTFIT_NUMBERS
 from servotrack.estimators.camera import project
 from servotrack.estimators.types import Array, Mask
 
 PATCH_SIZE = 32
-"""Width and height of a picture of the person to follow, px."""
+"""Width and height of the picture of the person to follow, px."""
 PATCH_SIDE = 0.8
-"""Width and height of what it shows of the plane, m."""
+"""Width and height of the part of the plane in that picture, m."""
 
-_FLOOR_DOUBLED = 2  # times: the servo's floor, as all of that world, is four times larger here
+_FLOOR_DOUBLED = 2  # times: the floor, like everything of the servo world, is four times larger here
 
 
 class CrowdCamera(FloorCamera):
-    """The images of a following world's N cameras, kept up to date by `update`.
+    """Images of the N cameras of a `FollowWorld`. `update` renders the newest frames.
 
-    People are drawn flat on the plane, as seen from straight above: nobody leans away from the camera with their
-    height.
+    People are drawn flat on the plane, as seen from straight above, without the parallax of their height.
 
     Args:
-        world: The world, which the sensor only reads.
-        image_size: Width and height S of a delivered image, px; it covers the camera's whole field of view.
+        world: World to render; it is not changed.
+        image_size: Width and height S of a delivered image, px. An image covers the camera's whole field of view.
         image_noise: Standard deviation of the noise on every pixel and channel, gray levels.
 
     Attributes:
         images: The newest images that arrived, (N, S, S, 3) uint8, RGB; overwritten by `update`.
-        frame_time: Their time stamps, (N,) s.
-        goal: Taught goals in the images' pixels, (N, 2).
+        frame_time: Time stamps of these images, (N,) s.
+        goal: Goal positions in the images, (N, 2) px.
     """
 
     _world: FollowWorld
@@ -68,11 +67,11 @@ class CrowdCamera(FloorCamera):
 
 
 class CloseUp:
-    """One arm's view for people to look at: any size, no noise, rendered when asked for.
+    """Noise-free view of one arm's camera at any size, rendered on request, for pictures of the world.
 
     Args:
-        world: The world, which is only read.
-        row: Which of its arms.
+        world: World to render; it is not changed.
+        row: Row of the arm.
         image_size: Width and height S, px.
     """
 
@@ -84,11 +83,11 @@ class CloseUp:
         self._crowd = _Crowds(1, samples(world.config), world.config.people, world.config.lamps)
 
     def picture(self, frame: int, history: Array) -> NDArray[np.uint8]:
-        """A frame of the present episode.
+        """Render a frame of the current episode.
 
         Args:
-            frame: Its index into the episode's tables.
-            history: The world's ring of joint angles when it was taken, (RING, 2) rad.
+            frame: Index of the frame in the episode's tables.
+            history: The world's ring buffer of joint angles at the time of the frame, (RING, 2) rad.
 
         Returns:
             A new RGB image, shape (S, S, 3).
@@ -112,37 +111,37 @@ class CloseUp:
 
 
 class _Crowds:
-    """How N crowds walk and look, in the tables that the kernels read."""
+    """Gait and appearance of N crowds, in the tables that the kernels read."""
 
     def __init__(self, count: int, length: int, people: int, lamps: int) -> None:
         self.walk = np.zeros((count, length, people, 3))
-        self.looks = np.zeros((count, people, LOOK_NUMBERS))
+        self.outfits = np.zeros((count, people, OUTFIT_NUMBERS))
         self.umbrella, self.umbrella_color = np.zeros((count, people)), np.zeros((count, people, 3))
         self.lamps = np.zeros((count, lamps, 3))
 
     @property
     def tables(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Heading, phase and stride; looks; umbrellas' radii and colors; lampshades."""
-        return self.walk, self.looks, self.umbrella, self.umbrella_color, self.lamps
+        """Gait (heading, phase, stride); outfits; radii and colors of umbrellas; lampshades."""
+        return self.walk, self.outfits, self.umbrella, self.umbrella_color, self.lamps
 
     def put(self, row: int, episode: FollowEpisode, frames: slice = slice(None)) -> None:
-        """Take an episode's crowd in; lampshades where there is room for them."""
-        crowd, looks = episode.crowd, episode.looks
+        """Store an episode's crowd; lampshades only as far as the table has rows."""
+        crowd, outfits = episode.crowd, episode.outfits
         for column, table in enumerate((crowd.heading, crowd.phase, crowd.stride)):
             self.walk[row, ..., column] = table[frames]
-        self.looks[row], self.lamps[row] = looks.people, looks.lamps[: self.lamps.shape[1]]
-        self.umbrella[row], self.umbrella_color[row] = looks.umbrella, looks.umbrella_color
+        self.outfits[row], self.lamps[row] = outfits.people, outfits.lamps[: self.lamps.shape[1]]
+        self.umbrella[row], self.umbrella_color[row] = outfits.umbrella, outfits.umbrella_color
 
 
 def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) -> NDArray[np.uint8]:
-    """Pictures of whom to follow: a square of the plane about the person, upright in the image, at reset.
+    """Pictures of the person to follow: a square of the plane around the person, upright in the image, at reset.
 
-    Taken through the episode's camera at the instant of the first frame, enlarged, with shadows and whoever stands
-    near, but without umbrellas and lampshades: an agent has to be shown somebody.
+    They are taken through the episode's camera at the instant of the first frame and enlarged. They show shadows and
+    people nearby, but no umbrellas and lampshades, so that the person is always visible.
 
     Args:
-        world: Whose rows have been reset.
-        rows: Which of them.
+        world: World whose rows have been reset.
+        rows: Rows to picture.
         image_noise: Standard deviation of the noise on every pixel and channel, gray levels.
 
     Returns:
@@ -160,7 +159,7 @@ def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) 
         pose, color = _floor(episode)
         trace_rays(camera, step, *(table[0] for table in rays))
         _enlarge(rays.detail)
-        crowd = _Crowds(1, 1, len(episode.looks.people), 0)
+        crowd = _Crowds(1, 1, len(episode.outfits.people), 0)
         crowd.put(0, episode, slice(frame, frame + 1))
         crowd.umbrella[:] = 0.0
         offset = noise_offsets(episode, frame + 1)[None, frame:]
@@ -173,7 +172,7 @@ def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) 
 
 
 def _close_up(episode: FollowEpisode, frame: int) -> tuple[Array, float]:
-    """The camera whose image's corner is that of the patch, and the distance of the patch's pixels in the camera's."""
+    """The camera shifted so that its image begins at the patch's corner, and its pixels per pixel of the patch."""
     x, y = episode.crowd.paths[frame, 0, :2].tolist()
     half, (l1, l2), (theta1, theta2) = 0.5 * PATCH_SIDE, episode.links, START
     around = [(x, y), (x + half, y), (x, y + half), (x - half, y), (x, y - half)]
@@ -191,5 +190,5 @@ def _floor(episode: Episode) -> tuple[Array, Array]:
 
 
 def _enlarge(detail: NDArray[np.uint8]) -> None:
-    """Turn the copies of the servo's floor that fit into those that fit here."""
+    """Convert the levels of detail of the servo's floor to those of this larger floor."""
     detail -= np.minimum(detail, np.uint8(_FLOOR_DOUBLED))

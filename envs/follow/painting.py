@@ -1,7 +1,7 @@
-"""Compiled kernels that paint a crowd over a canvas: shadows, people, and what hangs over them, for any camera above.
+"""Compiled kernels that paint a crowd on a canvas for any camera above: shadows, people, umbrellas, lampshades.
 
-A picture is a canvas of float32 RGB whose pixels look at known points of the plane. Things are numbered: people first,
-then everybody's umbrella (of radius 0 where there is none), then lampshades.
+A canvas is a float32 RGB image whose pixels see known points of the plane. Objects are numbered: people first, then
+one umbrella per person (radius 0 without one), then lampshades.
 """
 
 from __future__ import annotations
@@ -24,17 +24,20 @@ from servotrack.envs.follow.covers import (
 from servotrack.envs.follow.figures import HALF_WIDTH, POSE_NUMBERS, REACH, SUN, person_at, pose
 from servotrack.estimators.camera import project_ground
 
-FARTHEST = 0.35
-"""Pixels that see more of the plane than this (m) show nobody: they would be smaller than any noise."""
+WIDEST_PIXEL = 0.35
+"""Largest width of the plane that a pixel may see and still show people, m. In wider pixels they would be invisible."""
 
-_CORNERS = 8  # of the polygon that stands for a circle
-_FINE, _COARSE = 0.09, 0.17  # up to where a pixel is sampled once (edges are soft), and twice along each axis, m
+_CORNERS = 8  # corners of the polygon that replaces a circle
+_ONE_SAMPLE_WIDTH, _FOUR_SAMPLES_WIDTH = (
+    0.09,
+    0.17,
+)  # widest pixel with one sample (edges are soft), and with 2 x 2 samples; others 3 x 3, m
 _PERSON, _UMBRELLA, _LAMP = range(3)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _box(camera, step, height, width, views, places, k, radius, ahead, box):  # type: ignore[no-untyped-def]
-    """Rows and columns (first, last + 1) that hold a circle for the whole readout; empty where it is out of view."""
+    """Fill `box` with the rows and columns (first, last + 1) of a circle during the readout; empty if out of view."""
     box[:] = 0
     if radius <= 0.0:
         return
@@ -44,7 +47,7 @@ def _box(camera, step, height, width, views, places, k, radius, ahead, box):  # 
         c, s = views[at, 0], views[at, 1]
         x, y = places[at, k, 0] - ahead * SUN[0] - views[at, 2], places[at, k, 1] - ahead * SUN[1] - views[at, 3]
         for corner in range(_CORNERS + 1):
-            # The polygon goes around the circle; its middle counts where no corner is in front of the lens.
+            # The polygon encloses the circle. The last point is its center, for circles without a corner in view.
             r = radius / math.cos(math.pi / _CORNERS) if corner < _CORNERS else 0.0
             angle = 2.0 * math.pi * corner / _CORNERS
             wx, wy = x + r * math.cos(angle), y + r * math.sin(angle)
@@ -61,19 +64,19 @@ def _box(camera, step, height, width, views, places, k, radius, ahead, box):  # 
 def find_boxes(  # type: ignore[no-untyped-def]
     camera, step, height, width, views, places, poses, umbrella, lamps, boxes
 ):
-    """Fill the table of where in the picture each thing's shadow (row 0) and the thing itself (row 1) may be seen.
+    """Fill the table of bounding boxes in the image: of each object's shadow (row 0) and of the object (row 1).
 
     Args:
-        camera: Packed.
-        step: Distance of the picture's pixels in the camera's, px.
-        height: Of the picture, px.
-        width: Of the picture, px.
-        views: Cos and sin of the camera's heading and the point below it, of each picture row or of all. (R, 4).
-        places: Where each thing is then, (R, 2 P + L, 2) m.
-        poses: Of everybody, (P, POSE_NUMBERS).
-        umbrella: Radii, (P,) m.
-        lamps: (L, 3) m.
-        boxes: Rows and columns (first, last + 1), (2, 2 P + L, 4).
+        camera: Packed camera.
+        step: Camera pixels per image pixel.
+        height: Height of the image, px.
+        width: Width of the image, px.
+        views: Cos and sin of the camera's heading and the point below it, per image row or for all rows. (R, 4).
+        places: Positions of all objects at those instants, (R, 2 P + L, 2) m.
+        poses: Poses of all people, (P, POSE_NUMBERS).
+        umbrella: Radii of the umbrellas, (P,) m.
+        lamps: Positions and radii of the lampshades, (L, 3) m.
+        boxes: Output: rows and columns (first, last + 1), (2, 2 P + L, 4).
     """
     people = len(umbrella)
     for k in range(boxes.shape[1]):
@@ -88,7 +91,7 @@ def find_boxes(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def paint_shadows(shade, ground, spread, strength, views, places, umbrella, lamps, boxes):  # type: ignore[no-untyped-def]
-    """Darken `shade`, the share of light that reaches each pixel's point; shadows that overlap are no darker."""
+    """Darken `shade`, the share of light that reaches each pixel's point. Overlapping shadows do not add up."""
     people = len(umbrella)
     for k in range(boxes.shape[1]):
         top, bottom, left, right = boxes[0, k]
@@ -97,12 +100,12 @@ def paint_shadows(shade, ground, spread, strength, views, places, umbrella, lamp
             c, s = view[0], view[1]
             wx, wy = place[0] - view[2], place[1] - view[3]
             gx, gy = c * wx + s * wy, s * wx - c * wy
-            # The direction away from the light, and the one across it, in the camera's frame.
+            # Directions away from the light and across it, in the camera's frame.
             ax, ay = -(c * SUN[0] + s * SUN[1]), -(s * SUN[0] - c * SUN[1])
             bx, by = s * SUN[0] - c * SUN[1], -c * SUN[0] - s * SUN[1]
             for j in range(left, right):
                 width = spread[i, j]
-                if width > FARTHEST:
+                if width > WIDEST_PIXEL:
                     continue
                 dx, dy = ground[i, j, 0] - gx, ground[i, j, 1] - gy
                 along, across = ax * dx + ay * dy, bx * dx + by * dy
@@ -117,9 +120,9 @@ def paint_shadows(shade, ground, spread, strength, views, places, umbrella, lamp
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def paint_crowd(  # type: ignore[no-untyped-def]
-    canvas, ground, spread, opacity, views, places, headings, looks, poses, umbrella, umbrella_color, lamps, boxes
+    canvas, ground, spread, opacity, views, places, headings, outfits, poses, umbrella, umbrella_color, lamps, boxes
 ):
-    """Lay people over the canvas, then umbrellas, then lampshades, the latter two with this opacity."""
+    """Paint people on the canvas, then umbrellas and lampshades with this opacity."""
     people = len(umbrella)
     for k in range(boxes.shape[1]):
         if boxes[1, k, 0] >= boxes[1, k, 1]:
@@ -127,7 +130,7 @@ def paint_crowd(  # type: ignore[no-untyped-def]
         if k < people:
             _paint(
                 canvas, ground, spread, 1.0, views, places[:, k], boxes[1, k], _PERSON, headings[k], poses[k, REACH],
-                looks[k], poses[k],
+                outfits[k], poses[k],
             )  # fmt: skip
         elif k < 2 * people:
             who = k - people
@@ -144,7 +147,7 @@ def paint_crowd(  # type: ignore[no-untyped-def]
 def _paint(  # type: ignore[no-untyped-def]
     canvas, ground, spread, opacity, views, places, box, kind, heading, reach, look, pose
 ):
-    """Lay one thing over the canvas."""
+    """Paint one object on the canvas."""
     rows, columns = spread.shape
     seen, total = np.empty(4), np.empty(4)
     ch, sh = math.cos(heading), math.sin(heading)
@@ -154,12 +157,12 @@ def _paint(  # type: ignore[no-untyped-def]
         c, s = views[at, 0], views[at, 1]
         wx, wy = places[at, 0] - views[at, 2], places[at, 1] - views[at, 3]
         gx, gy = c * wx + s * wy, s * wx - c * wy
-        # From the camera's frame into the thing's own axes; the camera looks from above and sees them mirrored.
+        # From the camera's frame to the object's own axes, which the camera sees mirrored from above.
         xx, xy = c * ch + s * sh, s * ch - c * sh
         yx, yy = xy, -xx
         for j in range(box[2], box[3]):
             width = spread[i, j]
-            if width > FARTHEST:
+            if width > WIDEST_PIXEL:
                 continue
             dx, dy = ground[i, j, 0] - gx, ground[i, j, 1] - gy
             near = reach + 0.71 * width
@@ -168,7 +171,7 @@ def _paint(  # type: ignore[no-untyped-def]
             x, y = xx * dx + xy * dy, yx * dx + yy * dy
             if kind == _PERSON and abs(y) > HALF_WIDTH + 0.71 * width:
                 continue
-            n = 1 if width <= _FINE else 2 if width <= _COARSE else 3
+            n = 1 if width <= _ONE_SAMPLE_WIDTH else 2 if width <= _FOUR_SAMPLES_WIDTH else 3
             total[:] = 0.0
             for sample in range(n * n):
                 u, v = x, y
@@ -180,7 +183,7 @@ def _paint(  # type: ignore[no-untyped-def]
                     dx += 0.5 * down * (ground[a + 1, j, 0] - ground[a - 1, j, 0])
                     dy += 0.5 * down * (ground[a + 1, j, 1] - ground[a - 1, j, 1])
                     u, v = x + xx * dx + xy * dy, y + yx * dx + yy * dy
-                # Things lay their parts under what is there: every sample begins anew.
+                # Objects paint from the top down, each part under the parts before it: every sample starts empty.
                 seen[:] = 0.0
                 if kind == _PERSON:
                     person_at(look, pose, u, v, width / n, seen)
@@ -200,30 +203,30 @@ def _paint(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def paint_panel(  # type: ignore[no-untyped-def]
-    panel, camera, view, ground, spread, strength, opacity, people, walk, looks, umbrella, umbrella_color, lamps
+    panel, camera, view, ground, spread, strength, opacity, people, walk, outfits, umbrella, umbrella_color, lamps
 ):
-    """Paint a crowd over a panel that is there already: what hangs over people with this opacity.
+    """Paint a crowd on a finished panel, umbrellas and lampshades with this opacity.
 
     Args:
-        panel: RGB, (H, W, 3) uint8.
-        camera: Packed, whose pixels are the panel's.
-        view: Cos and sin of its heading and the point below it, (1, 4).
-        ground: What the pixels see, in the camera's frame, (H, W, 2) m.
-        spread: How far apart they see it, (H, W) m.
-        strength: Of shadows.
-        opacity: Of umbrellas, lampshades.
+        panel: RGB image, painted in place, (H, W, 3) uint8.
+        camera: Packed camera whose pixels are the panel's.
+        view: Cos and sin of the camera's heading and the point below it, (1, 4).
+        ground: Point of the plane that each pixel sees, in the camera's frame, (H, W, 2) m.
+        spread: Distance on the plane between neighboring pixels, (H, W) m.
+        strength: Darkness of shadows, 0 to 1.
+        opacity: Opacity of umbrellas and lampshades, 0 to 1.
         people: Positions, (P, >= 2) m.
         walk: Heading, phase and stride, (P, 3).
-        looks: (P, LOOK_NUMBERS).
-        umbrella: Radii, (P,) m.
-        umbrella_color: (P, 3).
-        lamps: (L, 3) m.
+        outfits: Appearance vectors, (P, OUTFIT_NUMBERS).
+        umbrella: Radii of the umbrellas, (P,) m.
+        umbrella_color: Colors of the umbrellas, (P, 3).
+        lamps: Positions and radii of the lampshades, (L, 3) m.
     """
     height, width = spread.shape
     count, things = len(people), 2 * len(people) + len(lamps)
     poses, places = np.empty((count, POSE_NUMBERS)), np.empty((1, things, 2))
     for k in range(count):
-        pose(looks[k], walk[k, 0], walk[k, 1], walk[k, 2], poses[k])
+        pose(outfits[k], walk[k, 0], walk[k, 1], walk[k, 2], poses[k])
         for axis in range(2):
             places[0, k, axis] = places[0, count + k, axis] = people[k, axis]
     for k in range(len(lamps)):
@@ -237,7 +240,19 @@ def paint_panel(  # type: ignore[no-untyped-def]
             for channel in range(3):
                 canvas[i, j, channel] = panel[i, j, channel] * shade[i, j]
     paint_crowd(
-        canvas, ground, spread, opacity, view, places, walk[:, 0], looks, poses, umbrella, umbrella_color, lamps, boxes
+        canvas,
+        ground,
+        spread,
+        opacity,
+        view,
+        places,
+        walk[:, 0],
+        outfits,
+        poses,
+        umbrella,
+        umbrella_color,
+        lamps,
+        boxes,
     )
     for i in range(height):
         for j in range(width):

@@ -1,4 +1,4 @@
-"""Watches one row of a following world and remembers what its picture needs: trails and the distance so far."""
+"""Recorder of one row of a `FollowWorld` for its pictures: trails and distances so far."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from servotrack.estimators.camera import CAMERA_SIZE, project_points
 from servotrack.estimators.types import Array, Image
 
 RECENT = 30
-"""Samples of the person's way that the camera's view shows."""
+"""Number of past samples of the person's path in the camera's view."""
 
 
 class Recorder:
-    """Call `record` after every reset and step; `frame` draws the present.
+    """Records an episode for its pictures. Call `record` after every reset and step; `frame` draws the current state.
 
     Args:
-        world: The world, which the recorder only reads.
-        row: Which of its arms.
-        caption: Written into the picture; lower-case letters, digits and spaces.
+        world: World to draw; it is not changed.
+        row: Row of the arm.
+        caption: Text in the picture: lower-case letters, digits and spaces.
     """
 
     def __init__(self, world: FollowWorld, row: int = 0, caption: str = "") -> None:
@@ -36,25 +36,25 @@ class Recorder:
         self._close_up = CloseUp(world, row, CAMERA_PANEL.width)
 
     def record(self) -> None:
-        """Take the world's newest sample; a sample of a new episode forgets the old one."""
+        """Store the world's newest sample. The first sample of an episode clears the old trails."""
         world, row = self._world, self._row
         step = int(world.steps[row])
         self._first = step if step == 0 else min(self._first, step)
         self._tool[step], self._distance[step] = world.tool[row], world.tracking_error[row]
         self._wrong[step], self._lost[step] = world.identity_error[row], world.lost[row]
-        # The world's ring forgets how the arm stood while frames are lost.
+        # While frames are lost, the world's ring buffer overwrites the joint angles of the newest frame.
         if step == 0 or world.captured[row] != self._captured:
             self._captured, self._history = int(world.captured[row]), world.history[row].copy()
 
     def frame(
         self, camera_image: Image | None = None, detections: Array | None = None, belief: Array | None = None
     ) -> Image:
-        """Draw the present.
+        """Draw the current state.
 
         Args:
-            camera_image: The newest image where the agent has one, RGB, square; else a picture is rendered.
-            detections: In the newest frame, rows of existence, u, v, width, height (px), red, green, blue. (M, 8).
-            belief: Where an agent thinks the person is in the newest frame, (2,) px.
+            camera_image: Newest image that the agent gets, RGB, square. None: an image is rendered.
+            detections: Detections in the newest frame: existence, u, v, width, height (px), red, green, blue. (M, 8).
+            belief: Position of the person in the newest frame as estimated by an agent, (2,) px.
 
         Returns:
             A new RGB image, shape (416, 720, 3), uint8.
@@ -72,7 +72,7 @@ class Recorder:
                 joint_angles=world.joints[row],
                 people=crowd.paths[now, :, :2],
                 walk=np.stack([crowd.heading[now], crowd.phase[now], crowd.stride[now]], axis=-1),
-                looks=episode.looks,
+                outfits=episode.outfits,
                 goal=world.goal[row],
                 camera_size=size,
                 camera_image=camera_image,
@@ -94,7 +94,7 @@ class Recorder:
         )
 
     def _recent_way(self) -> Array:
-        """Where in the newest image the places lie at which the person was before, (k, 2) px."""
+        """The person's past positions on the plane, projected into the newest image, (k, 2) px."""
         world, row = self._world, self._row
         places = world.paths[row, max(self._captured - RECENT, 0) : self._captured + 1, :2]
         camera = np.broadcast_to(world.cameras[row], (len(places), CAMERA_SIZE))

@@ -1,4 +1,4 @@
-"""Pictures of the following world: the arm over the crowd from above, its camera's view, and the distance so far."""
+"""Pictures of PedestrianServo: the arm over the crowd from above, the camera's view, and the distance so far."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
 from servotrack.envs.drawing.palette import FLOOR, INK, PAPER, SOFT_INK, Color, fixed_point, mix
-from servotrack.envs.follow.looks import Looks
+from servotrack.envs.follow.outfits import Outfits
 from servotrack.envs.follow.painting import paint_panel
 from servotrack.envs.servo import backdrop as still
 from servotrack.envs.servo.exposure import trace_rays
@@ -24,15 +24,15 @@ from servotrack.estimators.types import Array, Image, Mask
 BELIEF: Color = (86, 222, 208)
 DETECTED: Color = (250, 216, 120)
 
-_GRID = 1.0  # m
-_FAR_UP = 1e5  # of the camera whose picture is the floor's panel, m: rays are as good as parallel
-_SEEN_THROUGH = 0.55  # opacity of umbrellas and lampshades in the floor's panel
-_SHADOWS = 0.28  # darkness of shadows there
-_ARM = 0.8  # opacity of the arm
-_RING = 0.42  # radius of the ring around the person to follow, m
-_SHORTEST, _LONGEST = 0.01, 4.0  # of the distance's scale, m
+_GRID_SPACING = 1.0  # m
+_PANEL_CAMERA_HEIGHT = 1e5  # height of the camera that draws the floor's panel, m: its rays are nearly parallel
+_COVER_OPACITY = 0.55  # of umbrellas and lampshades in the floor's panel
+_SHADOW_STRENGTH = 0.28  # darkness of shadows in the floor's panel, 0 to 1
+_ARM_OPACITY = 0.8
+_RING_RADIUS = 0.42  # of the ring around the person to follow, m
+_SHORTEST_DISTANCE, _LONGEST_DISTANCE = 0.01, 4.0  # ends of the plot's distance axis, m
 _MARKS = (("wrong person", still.DISTRACTOR, 104, 1), ("lost", still.TARGET, 184, 4))
-"""Names and colors of the marks below the plot, where its legend names them, and how far below it they are, px."""
+"""Marks below the plot: name, color, column of the name in the legend, and distance below the plot, px."""
 
 
 def _none() -> Array:
@@ -41,38 +41,38 @@ def _none() -> Array:
 
 @dataclass(frozen=True)
 class FollowScene:
-    """All that a picture of the following world shows.
+    """Contents of a picture of PedestrianServo.
 
     Attributes:
         links: Link lengths. Shape (2,), m.
-        joint_angles: Shape (2,), rad.
-        people: Everybody's positions, the person to follow first. Shape (P, 2), m.
-        walk: Their headings, phases and strides. Shape (P, 3).
-        looks: How all look.
-        goal: The wanted image point. Shape (2,), px.
+        joint_angles: Joint angles of the arm. Shape (2,), rad.
+        people: Positions of all people, the person to follow first. Shape (P, 2), m.
+        walk: Heading, phase and stride of all people. Shape (P, 3).
+        outfits: Appearance of all people, umbrellas and lampshades.
+        goal: Desired image point. Shape (2,), px.
         camera_size: Width and height of the camera's image, px.
-        camera_image: What the camera sees, any size, RGB uint8.
-        visible: Whether the newest frame shows the person.
-        distance: Of tool and person, m.
-        time: In the episode, s.
+        camera_image: Camera image of any size, RGB uint8.
+        visible: True if the newest frame shows the person.
+        distance: Distance between tool and person, m.
+        time: Time in the episode, s.
         tool_trail: Past tool positions, oldest first. Shape (k, 2), m.
         person_trail: Past positions of the person. Shape (k, 2), m.
-        image_trail: Where in the newest image the person's recent way lies. Shape (k, 2), px.
-        distances: So far, oldest first. Shape (k,), m.
-        wrong: Where the tool was with somebody else. Shape (k,), bool.
-        lost: Where the person had got away. Shape (k,), bool.
-        span: Samples that the plot of distances holds.
-        footprint: Outline of what the camera sees of the floor. Shape (k, 2), m.
-        detections: Rows of existence, u, v, width, height (px), red, green, blue, or None. Shape (M, 8).
-        belief: Where an agent thinks the person is in the image, or None. Shape (2,), px.
-        caption: Names the world; lower-case letters and digits.
+        image_trail: The person's recent path in the newest image. Shape (k, 2), px.
+        distances: Distances so far, oldest first. Shape (k,), m.
+        wrong: Samples at which the tool was at another person. Shape (k,), bool.
+        lost: Samples at which the person was lost. Shape (k,), bool.
+        span: Number of samples of a full plot.
+        footprint: Outline of the floor area in the camera's view. Shape (k, 2), m.
+        detections: Existence, u, v, width, height (px), red, green, blue of each detection, or None. Shape (M, 8).
+        belief: An agent's estimate of the person's position in the image, or None. Shape (2,), px.
+        caption: Name of the world: lower-case letters and digits.
     """
 
     links: Array
     joint_angles: Array
     people: Array
     walk: Array
-    looks: Looks
+    outfits: Outfits
     goal: Array
     camera_size: float
     camera_image: Image
@@ -98,7 +98,7 @@ def draw(scene: FollowScene) -> Image:
     Returns:
         A new RGB image, shape (416, 720, 3).
     """
-    parts = still.backdrop(round(float(np.sum(scene.links)), 6), scene.caption, _GRID)
+    parts = still.backdrop(round(float(np.sum(scene.links)), 6), scene.caption, _GRID_SPACING)
     image = parts.image.copy()
     _draw_floor(still.FLOOR_PANEL.of(image), scene, parts.lit_floor)
     _draw_camera(still.CAMERA_PANEL.of(image), scene)
@@ -115,28 +115,28 @@ def _draw_floor(panel: Image, scene: FollowScene, lit_floor: Image) -> None:
     trail(panel, still.floor_pixels(scene.tool_trail, reach), FLOOR, still.TOOL)
     camera, view, rays = _panel_camera(round(reach, 6))
     crowd = np.ascontiguousarray(panel)
-    looks = scene.looks
+    outfits = scene.outfits
     paint_panel(
-        crowd, camera, view, rays.ground[0], rays.spread[0], _SHADOWS, _SEEN_THROUGH, scene.people, scene.walk,
-        looks.people, looks.umbrella, looks.umbrella_color, looks.lamps,
+        crowd, camera, view, rays.ground[0], rays.spread[0], _SHADOW_STRENGTH, _COVER_OPACITY, scene.people, scene.walk,
+        outfits.people, outfits.umbrella, outfits.umbrella_color, outfits.lamps,
     )  # fmt: skip
     panel[:] = crowd
-    # A tool that is where it should be hides whom it follows.
+    # The arm is translucent, because a tool on target would hide the person.
     draw_arm(crowd, scene.links, scene.joint_angles)
-    cv2.addWeighted(crowd, _ARM, panel, 1.0 - _ARM, 0.0, dst=panel)
+    cv2.addWeighted(crowd, _ARM_OPACITY, panel, 1.0 - _ARM_OPACITY, 0.0, dst=panel)
     still.draw_legend(panel)
-    _ring(panel, still.floor_pixels(scene.people[0], reach), _RING * still.floor_scale(reach), still.TARGET)
+    _ring(panel, still.floor_pixels(scene.people[0], reach), _RING_RADIUS * still.floor_scale(reach), still.TARGET)
     put_text(panel, f"{max(scene.time, 0.0):.1f} s", panel.shape[1] - 14, 20, SOFT_INK, align="right")
 
 
 @lru_cache(maxsize=16)
 def _panel_camera(reach: float) -> tuple[Array, Array, Rays]:
-    """The camera straight above the floor whose picture is the floor's panel: packed, its view, and its rays."""
+    """Camera far above the floor that draws the floor's panel: packed, its view, and its rays."""
     side = still.FLOOR_PANEL.width
     camera = pack_camera(
-        focal=_FAR_UP * still.floor_scale(reach),
-        depth=_FAR_UP,
-        # OpenCV counts from the middle of the first pixel, the camera from its corner.
+        focal=_PANEL_CAMERA_HEIGHT * still.floor_scale(reach),
+        depth=_PANEL_CAMERA_HEIGHT,
+        # OpenCV measures from the center of the first pixel, the camera from its corner.
         center=still.floor_pixels(np.zeros(2), reach) + 0.5,
         half_width=0.5 * side,
     )
@@ -178,17 +178,19 @@ def _ring(panel: Image, center: Array, radius: float, color: Color) -> None:
 
 
 def _distance_height(distance: Array | float) -> Array:
-    """Row in the lower panel of a distance in m, on a logarithmic scale cut at its ends."""
-    span = np.log(_LONGEST / _SHORTEST)
+    """Row in the lower panel of a distance in m, on a logarithmic axis. Values beyond its ends are clipped."""
+    span = np.log(_LONGEST_DISTANCE / _SHORTEST_DISTANCE)
     return (
         still.ERROR_PLOT.top
-        + still.ERROR_PLOT.height * np.log(_LONGEST / np.clip(distance, _SHORTEST, _LONGEST)) / span
+        + still.ERROR_PLOT.height
+        * np.log(_LONGEST_DISTANCE / np.clip(distance, _SHORTEST_DISTANCE, _LONGEST_DISTANCE))
+        / span
     )
 
 
 @lru_cache(maxsize=1)
 def _distance_axes() -> Image:
-    """The lower panel without anything that moves: up to 10 cm is on target, up to half a meter followed."""
+    """Static part of the lower panel, with bands for on target (up to 10 cm) and followed (up to 0.5 m)."""
     panel = np.empty((still.ERROR_PANEL.height, still.ERROR_PANEL.width, 3), np.uint8)
     panel[:] = mix(PAPER, FLOOR, 0.45)
     left, right = still.ERROR_PLOT.left, still.ERROR_PLOT.left + still.ERROR_PLOT.width
@@ -198,7 +200,7 @@ def _distance_axes() -> Image:
         panel[row:bottom, left:right] = mix(PAPER, still.TOOL, strength)
         panel[row, left:right] = mix(PAPER, still.TOOL, 0.45)
         put_text(panel, label, left - 6, row + 3, SOFT_INK, height=6, weight=0.9, align="right")
-    for distance in (_SHORTEST, _LONGEST):
+    for distance in (_SHORTEST_DISTANCE, _LONGEST_DISTANCE):
         panel[round(float(_distance_height(distance))), left:right] = mix(PAPER, INK, 0.12)
     put_text(panel, "distance", left, 14, SOFT_INK)
     for name, color, column, _ in _MARKS:

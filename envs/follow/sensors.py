@@ -1,4 +1,4 @@
-"""What an agent of the following world sees: the camera's frame, detections in it, or the person's features."""
+"""Observations of PedestrianServo: the camera's frame, detections in it, or the person's image features."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 from servotrack.envs.follow.config import FollowConfig
-from servotrack.envs.follow.detections import COLUMNS, LARGEST, DetectionSensor, capacity
+from servotrack.envs.follow.detections import COLUMNS, LARGEST_SIZE, DetectionSensor, capacity
 from servotrack.envs.follow.imaging import PATCH_SIZE, CrowdCamera, target_patches
 from servotrack.envs.follow.world import FollowWorld
 from servotrack.envs.servo.env import Observation, feature_observations, feature_space
@@ -19,27 +19,27 @@ ObservationKind = Literal["pixels", "detections", "identity"]
 
 
 def check_observation(observation: str) -> ObservationKind:
-    """The kind of observation, if there is one of that name; raises ValueError that names them otherwise."""
+    """Return the kind of observation of this name; raises a ValueError with the valid names if there is none."""
     if observation not in get_args(ObservationKind):
         raise ValueError(f"observation must be one of {', '.join(get_args(ObservationKind))}, got {observation!r}")
     return observation  # type: ignore[return-value]
 
 
 class FollowSensors:
-    """The sensors of N arms; observations have a leading axis of N.
+    """Sensors of N arms. Observations have a leading axis of N.
 
     Args:
-        world: The world, which the sensors only read.
+        world: World to observe; it is not changed.
         observation: "pixels", "detections" or "identity".
         image_size: Width and height of images, px.
         image_noise: Standard deviation of the noise on every pixel and channel, gray levels.
 
     Attributes:
-        detector: Also the source of what oracles are told.
-        camera: None where nobody sees pixels.
+        detector: Person detector; also the source of the oracles' true detections.
+        camera: Camera, or None unless `observation` is "pixels".
 
     Raises:
-        ValueError: No such observation, or images that cannot be.
+        ValueError: An unknown `observation`, or an invalid image size or noise.
     """
 
     def __init__(self, world: FollowWorld, observation: str, image_size: int, image_noise: float) -> None:
@@ -52,7 +52,7 @@ class FollowSensors:
             self.camera = CrowdCamera(world, self.image_size, self.image_noise)
 
     def space(self) -> gym.spaces.Dict:
-        """Of one arm's observations; every bound is finite."""
+        """Observation space of one arm. All bounds are finite."""
         config: FollowConfig = self.world.config
         servo = feature_space(config)
         if self.observation == "identity":
@@ -64,17 +64,17 @@ class FollowSensors:
             "target_patch": gym.spaces.Box(0, 255, (PATCH_SIZE, PATCH_SIZE, 3), np.uint8),
         }
         size = float(config.camera_size if self.camera is None else self.image_size)
-        shared["target_box"] = gym.spaces.Box(-LARGEST * size, LARGEST * size, (4,), np.float64)
+        shared["target_box"] = gym.spaces.Box(-LARGEST_SIZE * size, LARGEST_SIZE * size, (4,), np.float64)
         if self.camera is not None:
             image = gym.spaces.Box(0, 255, (self.image_size, self.image_size, 3), np.uint8)
             return gym.spaces.Dict({"image": image, "goal": gym.spaces.Box(0.0, size, (2,), np.float64), **shared})
-        high = np.array([1.0, size, size, LARGEST * size, LARGEST * size, 255.0, 255.0, 255.0])
+        high = np.array([1.0, size, size, LARGEST_SIZE * size, LARGEST_SIZE * size, 255.0, 255.0, 255.0])
         table = np.tile(high, (capacity(config), 1))
         detections = gym.spaces.Box(np.zeros((len(table), COLUMNS)), table, dtype=np.float64)
         return gym.spaces.Dict({"detections": detections, "goal": servo["goal"], **shared})
 
     def observe(self) -> Observation:
-        """The newest sample of all rows, fresh arrays."""
+        """Return the newest observations of all rows, as new arrays."""
         world, detector = self.world, self.detector
         if self.observation == "identity":
             return feature_observations(world)
@@ -104,11 +104,12 @@ class FollowSensors:
         }
 
     def privileged(self) -> dict[str, Array]:
-        """What an oracle may know beside the servo's own secrets, in the camera's pixels whatever the image's size.
+        """Observations for oracles, beside those of `ServoWorld.privileged`.
 
         Returns:
-            `true_people` (N, P, 8): everybody in the newest frame as a perfect detector would tell, existence 0 for who
-            is hidden, zeros for who is out of view; the first is the person to follow.
+            `true_people` (N, P, 8): detections of a perfect detector in the newest frame, in camera pixels for every
+            image size. The first row is the person to follow. Existence is 0 for hidden people; rows of people out of
+            view are zeros.
         """
         self.detector.update()
         return {"true_people": self.detector.truth.copy()}

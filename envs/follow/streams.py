@@ -1,4 +1,4 @@
-"""Child streams of an episode's seed that belong to the crowd and to what detectors make of it."""
+"""Random streams of an episode's seed for the crowd and its detections."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from enum import IntEnum
 
 
 class FollowStream(IntEnum):
-    """Numbers beside those of `servotrack.envs.servo.episode.Stream`; they must never change."""
+    """Stream numbers, distinct from those of `servotrack.envs.servo.episode.Stream`. They must never change."""
 
     PERSON = 2000
     OTHERS = 2001
-    LOOKS = 2002
+    OUTFITS = 2002
     OCCLUDERS = 2003
     DETECTION_NOISE = 2004
     MISSES = 2005

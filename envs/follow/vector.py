@@ -1,4 +1,4 @@
-"""N arms over N crowds as a Gymnasium vector environment, bit for bit the single one."""
+"""N arms over N crowds as a Gymnasium vector environment, bit-identical to N single environments."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import gymnasium as gym
 from servotrack.envs.follow.config import FollowConfig, follow_config
 from servotrack.envs.follow.env import METADATA, level_caption, people_now, pictured
 from servotrack.envs.follow.sensors import FollowSensors
-from servotrack.envs.follow.world import ON_TARGET, FollowWorld
+from servotrack.envs.follow.world import ON_TARGET_DISTANCE, FollowWorld
 from servotrack.envs.servo.env import Observation
 from servotrack.envs.servo.vector import UncalibServoVectorEnv
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
 
 
 class PedestrianServoVectorEnv(UncalibServoVectorEnv):
-    """`PedestrianServo-v0`, N at a time: what `gym.make_vec("PedestrianServo-v0", num_envs=N)` makes.
+    """N `PedestrianServo-v0` environments in one, created by `gym.make_vec("PedestrianServo-v0", num_envs=N)`.
 
     Args:
         num_envs: Number of arms N.
-        level: As in `PedestrianServoEnv`.
-        observation: As in `PedestrianServoEnv`.
-        image_size: As in `PedestrianServoEnv`.
-        image_noise: As in `PedestrianServoEnv`.
-        **arguments: As in `UncalibServoVectorEnv`, axes as in `PedestrianServoEnv`.
+        level: Level of difficulty, 0 to 6.
+        observation: Kind of observation: `detections`, `pixels` or `identity`.
+        image_size: Width and height of images, px.
+        image_noise: Standard deviation of the noise on every pixel and channel, gray levels.
+        **arguments: Arguments of `UncalibServoVectorEnv`, and fields of `FollowConfig`.
     """
 
     metadata: ClassVar[dict[str, Any]] = METADATA  # type: ignore[misc]
@@ -44,7 +44,7 @@ class PedestrianServoVectorEnv(UncalibServoVectorEnv):
         image_noise: float = 3.0,
         **arguments: Any,
     ) -> None:
-        self._sees = observation, image_size, image_noise
+        self._sensor_arguments = observation, image_size, image_noise
         super().__init__(num_envs, level, **arguments)
 
     def _configure(self, level: int, axes: dict[str, Any]) -> FollowConfig:
@@ -52,7 +52,7 @@ class PedestrianServoVectorEnv(UncalibServoVectorEnv):
 
     def _make_world(self, count: int) -> FollowWorld:
         world = FollowWorld(self.config, count)
-        self._sensors = FollowSensors(world, *self._sees)
+        self._sensors = FollowSensors(world, *self._sensor_arguments)
         return world
 
     def _single_observation_space(self) -> gym.spaces.Dict:
@@ -73,7 +73,7 @@ class PedestrianServoVectorEnv(UncalibServoVectorEnv):
         world, told = self.world, super()._told()
         told["truth"]["people"] = people_now(world)
         return told | {
-            "success": world.tracking_error < ON_TARGET,
+            "success": world.tracking_error < ON_TARGET_DISTANCE,
             "time_on_target": world.time_on_target,
             "identity_error": world.identity_error,
             "lost": world.lost,
@@ -83,5 +83,5 @@ class PedestrianServoVectorEnv(UncalibServoVectorEnv):
         }
 
     def privileged(self) -> Observation:
-        """What `VectorPrivilegedObservation` adds, with a leading axis of N."""
+        """Entries that `VectorPrivilegedObservation` adds to observations, with a leading axis of N."""
         return self.world.privileged() | self._sensors.privileged()

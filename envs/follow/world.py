@@ -1,4 +1,4 @@
-"""N arms over N crowds: the servo's world with people for targets, and who is followed."""
+"""N arms over N crowds: the servo world with people as targets, and the scores of following."""
 
 from __future__ import annotations
 
@@ -14,51 +14,52 @@ from servotrack.envs.servo.episode import LEAD, samples
 from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.types import Labels, Mask
 
-LOST_AFTER = 60
-"""Consecutive samples in which the person is out of view that end an episode."""
-ON_TARGET = 0.10
-"""Distance of tool and person that counts as on target, m."""
-FOLLOWED = 0.5
-"""Distance up to which the tool is with somebody, m."""
-AWAY = 1.0
-"""Distance from which on the person counts as lost, m."""
-LAST_SECOND = 20
-"""Samples over which the distance is averaged that decides whether the person is kept."""
+LOST_SAMPLES = 60
+"""An episode ends after this many consecutive samples with the person out of view."""
+ON_TARGET_DISTANCE = 0.10
+"""Largest distance between tool and person that counts as on target, m."""
+FOLLOWED_DISTANCE = 0.5
+"""Largest distance at which the tool counts as following a person, m."""
+LOST_DISTANCE = 1.0
+"""Distance beyond which the person counts as lost, m."""
+KEPT_SAMPLES = 20
+"""Number of last samples whose mean distance decides `kept`: one second."""
 
 
 class FollowWorld(ServoWorld):
-    """N arms, each with its camera over a crowd of P people of whom the first is to be followed.
+    """N arms, each with a camera over a crowd of P people. The first person is the one to follow.
 
     Args:
-        config: The world's parameters.
+        config: Parameters of the world.
         count: Number of arms N.
 
     Attributes:
-        people: Everybody's positions and velocities at all samples, (N, K, P, 4) m, m/s.
-        hidden: Who is under a lampshade or somebody's umbrella, (N, K, P).
-        identity_error: The tool is with another person and not with the right one, (N,) bool.
-        lost: The right person got away and has not been reached again, (N,) bool.
-        losses: How often they got away, (N,).
-        reacquisitions: How often they were reached again, (N,).
-        kept: The mean distance to the right person over the last second is below `FOLLOWED`, (N,) bool.
-        time_on_target: Share of the episode's samples so far with a distance below `ON_TARGET`, (N,).
+        people: Positions and velocities of all people at all samples, (N, K, P, 4) m, m/s.
+        hidden: Mask of the people under a lampshade or another person's umbrella, (N, K, P).
+        identity_error: The tool is within `FOLLOWED_DISTANCE` of another person and not of the right one, (N,) bool.
+        lost: The right person was farther away than `LOST_DISTANCE` and has not been within `FOLLOWED_DISTANCE` since,
+            (N,) bool.
+        losses: Number of times the person was lost, (N,).
+        reacquisitions: Number of times the person was reached again, (N,).
+        kept: The mean distance to the right person over the last second is below `FOLLOWED_DISTANCE`, (N,) bool.
+        time_on_target: Share of the episode's samples so far with a distance below `ON_TARGET_DISTANCE`, (N,).
     """
 
     config: FollowConfig
 
     def __init__(self, config: FollowConfig, count: int) -> None:
-        super().__init__(config, count, LOST_AFTER)
+        super().__init__(config, count, LOST_SAMPLES)
         table = count, samples(config), config.people
         self.people, self.hidden = np.zeros((*table, 4)), np.zeros(table, np.bool_)
         self.identity_error, self.lost = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         self.losses, self.reacquisitions = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self.kept, self.time_on_target = np.zeros(count, np.bool_), np.zeros(count)
         self._on_target = np.zeros(count, np.int64)
-        self._last_errors = np.zeros((count, LAST_SECOND))
+        self._last_errors = np.zeros((count, KEPT_SAMPLES))
 
     @property
     def now(self) -> Labels:
-        """Index of the present sample in the tables of each row, (N,)."""
+        """Index of the current sample in the tables of each row, (N,)."""
         return self.steps + LEAD
 
     def episode(self, row: int) -> FollowEpisode:
@@ -88,7 +89,7 @@ class FollowWorld(ServoWorld):
 
 @njit(cache=True, nogil=True)
 def _cover(rows, captured, hidden, old_features, old_time, visible, features, frame_time):  # type: ignore[no-untyped-def]
-    """A frame in which the person is under something tells no more of them than a lost one."""
+    """Treat a frame in which the person is covered like a lost frame: the features keep their old values."""
     for i in range(rows.shape[0]):
         if rows[i] and visible[i] > 0.0 and hidden[i, captured[i], 0]:
             visible[i] = 0.0
@@ -100,7 +101,7 @@ def _cover(rows, captured, hidden, old_features, old_time, visible, features, fr
 def _follow(  # type: ignore[no-untyped-def]
     rows, steps, people, tool, last_errors, on_target, identity_error, lost, losses, reacquisitions, kept, share
 ):
-    """Keep the books of every chosen row: whom the tool is with, and how long."""
+    """Update the scores of every chosen row: distances, identity errors, losses and reacquisitions."""
     for i in range(rows.shape[0]):
         if not rows[i]:
             continue
@@ -109,22 +110,22 @@ def _follow(  # type: ignore[no-untyped-def]
         nearest = np.inf
         for k in range(1, now.shape[0]):
             nearest = min(nearest, math.hypot(tool[i, 0] - now[k, 0], tool[i, 1] - now[k, 1]))
-        identity_error[i] = nearest < FOLLOWED < own
+        identity_error[i] = nearest < FOLLOWED_DISTANCE < own
         if steps[i] == 0:
-            # Nobody has been followed yet, the right one no more than another.
+            # At the first sample no person has been followed yet, neither the right one nor another.
             identity_error[i] = lost[i] = False
             losses[i] = reacquisitions[i] = on_target[i] = 0
             share[i] = 0.0
             last_errors[i] = own
-            kept[i] = own < FOLLOWED
+            kept[i] = own < FOLLOWED_DISTANCE
             continue
-        if lost[i] and own < FOLLOWED:
+        if lost[i] and own < FOLLOWED_DISTANCE:
             lost[i] = False
             reacquisitions[i] += 1
-        elif not lost[i] and own > AWAY:
+        elif not lost[i] and own > LOST_DISTANCE:
             lost[i] = True
             losses[i] += 1
-        on_target[i] += own < ON_TARGET
+        on_target[i] += own < ON_TARGET_DISTANCE
         share[i] = on_target[i] / steps[i]
-        last_errors[i, steps[i] % LAST_SECOND] = own
-        kept[i] = last_errors[i].mean() < FOLLOWED
+        last_errors[i, steps[i] % KEPT_SAMPLES] = own
+        kept[i] = last_errors[i].mean() < FOLLOWED_DISTANCE

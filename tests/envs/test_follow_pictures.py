@@ -9,7 +9,7 @@ from servotrack.envs.follow.imaging import PATCH_SIDE, PATCH_SIZE, CloseUp, Crow
 from servotrack.envs.follow.recorder import Recorder
 from servotrack.envs.follow.world import FollowWorld
 from servotrack.envs.servo.backdrop import CAMERA_PANEL, ERROR_PANEL, FLOOR_PANEL
-from servotrack.envs.track.pedestrians.looks import BAG, NO_BAG, TOP_MATERIAL
+from servotrack.envs.track.pedestrians.outfits import BAG, NO_BAG, TOP_MATERIAL
 
 SEEDS = range(100_000, 100_008)
 
@@ -98,10 +98,10 @@ def test_a_patch_shows_the_person_s_colors():
     shown, named = [], []
     for seed in range(100_000, 100_040):
         world = world_of(seed, level=2, people=1)
-        looks = world.episode(0).looks
-        if looks.people[0, TOP_MATERIAL] == 0 and looks.people[0, BAG] == NO_BAG:
+        outfits = world.episode(0).outfits
+        if outfits.people[0, TOP_MATERIAL] == 0 and outfits.people[0, BAG] == NO_BAG:
             shown.append(target_patches(world, [0], 0.0)[0][body].mean(axis=0))
-            named.append(looks.colors[0])
+            named.append(outfits.colors[0])
     assert len(shown) >= 6
     # Shading and the shadow under the chin darken all alike.
     darker = np.vdot(shown, named) / np.vdot(named, named)
@@ -116,8 +116,8 @@ def test_a_patch_shows_the_person_s_colors():
 def test_a_patch_shows_the_person_and_not_what_hangs_over_them():
     world = world_of(100_001, level=4, people=2, umbrellas=1, lamps=0, latency=0)
     bare = target_patches(world, [0], 0.0)
-    looks = world.episode(0).looks
-    looks.umbrella[:] = 2.0
+    outfits = world.episode(0).outfits
+    outfits.umbrella[:] = 2.0
     np.testing.assert_array_equal(target_patches(world, [0], 0.0), bare)
 
 
@@ -133,7 +133,7 @@ def test_what_hangs_over_people_hides_them():
 
 def test_a_lampshade_covers_who_is_under_it():
     world = world_of(100_003, level=0, people=1, lamps=1, shadows=0.0)
-    lamp = world.episode(0).looks.lamps[0]
+    lamp = world.episode(0).outfits.lamps[0]
     lamp[2] = 0.4
     moved(world, lamp[:2] + 1e3)
     empty = picture(world)

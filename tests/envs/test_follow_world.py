@@ -9,7 +9,7 @@ from servotrack.envs.follow.config import follow_config
 from servotrack.envs.follow.crowd import BODY_RADIUS
 from servotrack.envs.follow.detections import DetectionSensor, capacity
 from servotrack.envs.follow.episode import draw_follow_episode
-from servotrack.envs.follow.world import AWAY, FOLLOWED, LOST_AFTER, ON_TARGET, FollowWorld
+from servotrack.envs.follow.world import FOLLOWED_DISTANCE, LOST_DISTANCE, LOST_SAMPLES, ON_TARGET_DISTANCE, FollowWorld
 from servotrack.envs.servo.episode import LEAD
 from servotrack.envs.servo.targets import solvable
 from servotrack.estimators.camera import project_points
@@ -79,9 +79,9 @@ def test_companions_stay_beside_the_person():
 
 
 def test_look_alikes_wear_the_persons_clothes():
-    looks = draw_follow_episode(follow_config(0, look_alikes=1.0), 0).looks
-    assert (looks.colors == looks.colors[0]).all()
-    assert (draw_follow_episode(follow_config(0), 0).looks.colors[1:] != looks.colors[0]).any(axis=1).all()
+    outfits = draw_follow_episode(follow_config(0, look_alikes=1.0), 0).outfits
+    assert (outfits.colors == outfits.colors[0]).all()
+    assert (draw_follow_episode(follow_config(0), 0).outfits.colors[1:] != outfits.colors[0]).any(axis=1).all()
 
 
 def test_without_noise_detections_are_the_truth_and_lie_where_people_are():
@@ -199,7 +199,7 @@ def test_losing_following_another_and_finding_again_are_counted():
     world = made(level=0)
     start = world.tool[0].copy()
     aside = np.array([1.0, 0.0])
-    for distance, away in ((AWAY + 0.5, True), (FOLLOWED - 0.2, False)):
+    for distance, away in ((LOST_DISTANCE + 0.5, True), (FOLLOWED_DISTANCE - 0.2, False)):
         world.people[0, :, 0, :2] = start + distance * aside
         world.people[0, :, 1, :2] = start + 0.2 * aside
         world.step(np.zeros((1, 2)))
@@ -207,7 +207,7 @@ def test_losing_following_another_and_finding_again_are_counted():
         assert world.identity_error[0] == away
         assert world.lost[0] == away
     assert world.reacquisitions[0] == 1
-    world.people[0, :, 0, :2] = start + 0.5 * ON_TARGET * aside
+    world.people[0, :, 0, :2] = start + 0.5 * ON_TARGET_DISTANCE * aside
     world.step(np.zeros((1, 2)))
     assert world.time_on_target[0] == pytest.approx(1.0 / 3.0)
 
@@ -219,6 +219,6 @@ def test_an_episode_ends_when_the_person_is_out_of_view_for_three_seconds():
     while not world.terminated[0]:
         world.step(np.zeros((1, 2)))
         steps += 1
-    assert steps == LOST_AFTER
+    assert steps == LOST_SAMPLES
     assert not world.kept[0]
     assert world.reward[0] == 0.0
