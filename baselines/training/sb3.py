@@ -27,20 +27,37 @@ class StableBaselinesVecEnv(VecEnv):
     """Adapter: one call of the vector environment per step, infos split into one dictionary per row.
 
     Args:
-        env: A vector environment in autoreset mode SAME_STEP, as Stable-Baselines3 resets: an episode's last
-            observation is in `infos[i]["terminal_observation"]`.
+        env: A Gymnasium id, from which a vector environment in the needed mode is made; or a vector environment in
+            autoreset mode SAME_STEP, as Stable-Baselines3 resets: an episode's last observation is in
+            `infos[i]["terminal_observation"]`.
+        num_envs: Number of environments side by side, for an id. More use the processor better.
         info_keys: Names of the infos to pass on, all by default. Splitting them into one dictionary per row costs
             time, so leave out unused ones.
+        **env_kwargs: Arguments of the environment, for an id.
 
     Raises:
-        ValueError: Another autoreset mode.
+        ValueError: Another autoreset mode, or `num_envs` or arguments beside a finished vector environment.
     """
 
-    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], info_keys: Collection[str] | None = None) -> None:
+    def __init__(
+        self,
+        env: str | gym.vector.VectorEnv[Any, Any, Any],
+        num_envs: int = 1,
+        info_keys: Collection[str] | None = None,
+        **env_kwargs: Any,
+    ) -> None:
+        if isinstance(env, str):
+            env = _make_same_step(env, num_envs, env_kwargs)
+        elif num_envs != 1 or env_kwargs:
+            raise ValueError(
+                f"num_envs and arguments of the environment go with an id, got num_envs={num_envs}, {env_kwargs} "
+                "beside a vector environment; give them to gym.make_vec"
+            )
         mode = env.metadata.get("autoreset_mode")
         if mode != AutoresetMode.SAME_STEP:
             raise ValueError(
-                f"autoreset_mode must be SAME_STEP for Stable-Baselines3, got {mode}; make the environment with "
+                f"autoreset_mode must be SAME_STEP for Stable-Baselines3, got {mode}; give the id instead of the "
+                "vector environment, or make the environment with "
                 "gym.make_vec(..., autoreset_mode=gymnasium.vector.AutoresetMode.SAME_STEP)"
             )
         self.env = env
@@ -155,6 +172,14 @@ class StableBaselinesVecEnv(VecEnv):
             for row in range(self.num_envs) if complete else np.flatnonzero(mask).tolist():
                 rows[row][key] = listed[row]
         return rows
+
+
+def _make_same_step(env_id: str, num_envs: int, env_kwargs: Mapping[str, Any]) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """Make a vector environment in autoreset mode SAME_STEP; other packages' ids run one by one."""
+    if str(gym.spec(env_id).vector_entry_point).startswith("servotrack."):
+        return gym.make_vec(env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **env_kwargs)
+    mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    return gym.make_vec(env_id, num_envs=num_envs, vectorization_mode="sync", vector_kwargs=mode, **env_kwargs)
 
 
 def _row_of(info: Mapping[str, Any], row: int) -> dict[str, Any]:

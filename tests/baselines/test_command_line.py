@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 import os
 import subprocess
 import sys
@@ -10,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import servotrack as package
 from servotrack.baselines.evaluation.watch import key_action
 
 MISTAKES = [
@@ -58,6 +62,50 @@ def test_a_mistake_is_explained_in_one_line(
     error = capsys.readouterr().err
     assert message in error
     assert "Traceback" not in error
+
+
+def test_no_bar_is_shown_before_a_name_is_refused(tmp_path: Path) -> None:
+    for arguments in (
+        ["evaluate", "UncalibServo-v0", "kff"],
+        ["evaluate", "UncalibServo-v9", "kf"],
+        ["bench", "-a", "x"],
+    ):
+        run = servotrack(*arguments, cwd=tmp_path)
+        assert run.returncode == 2
+        assert run.stdout == ""
+        assert len(run.stderr.splitlines()) == 1, run.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_version_and_help_have_their_usual_options(tmp_path: Path) -> None:
+    assert servotrack("--version", cwd=tmp_path).stdout == f"servotrack {package.__version__}\n"
+    for arguments in (["-h"], ["bench", "-h"], ["track", "-h"]):
+        assert "Usage:" in servotrack(*arguments, cwd=tmp_path).stdout
+    assert "--install-completion" in servotrack("--help", cwd=tmp_path).stdout
+
+
+def test_tables_for_programs_stand_alone_on_stdout(tmp_path: Path) -> None:
+    arguments = ["evaluate", "ClutterTracking-v0", "gnn", "--set", "horizon=10", "-n", "2"]
+    run = servotrack(*arguments, "--format", "json", cwd=tmp_path)
+    rows = json.loads(run.stdout)["ClutterTracking-v0,horizon=10"]
+    assert [row["agent"] for row in rows] == ["gnn"]
+    assert float(rows[0]["OSPA(2) m"].split()[0]) > 0.0
+    assert "gnn" in run.stderr and "need gm-phd" in run.stderr
+    table = list(csv.DictReader(io.StringIO(servotrack(*arguments, "--format", "csv", cwd=tmp_path).stdout)))
+    assert table[0]["OSPA(2) m"] == rows[0]["OSPA(2) m"]
+
+
+def test_a_second_world_leaves_the_page_of_the_first(tmp_path: Path) -> None:
+    for world, agents in (("UncalibServo-v0", "kf,random,oracle"), ("ClutterTracking-v0", "gnn,gm-phd")):
+        run = servotrack(
+            "bench", "--env", world, "-a", agents, "-l", "2", "-n", "2", "-j", "1", "--no-video", cwd=tmp_path
+        )
+        assert run.returncode == 0, run.stderr
+    bench = tmp_path / "results" / "bench"
+    assert "random" in (bench / "UncalibServo-v0" / "leaderboard.md").read_text(encoding="utf-8")
+    assert "gm-phd" in (bench / "ClutterTracking-v0" / "leaderboard.md").read_text(encoding="utf-8")
+    index = (bench / "index.html").read_text(encoding="utf-8")
+    assert "UncalibServo-v0/leaderboard.html" in index and "ClutterTracking-v0/leaderboard.html" in index
 
 
 def test_evaluate_shows_agents_beside_each_other(tmp_path: Path) -> None:

@@ -49,6 +49,20 @@ def test_steps_are_those_of_the_vector_environment() -> None:
                 assert np.array_equal(infos[row]["truth"]["tool"], info["truth"]["tool"][row])
 
 
+def test_an_id_is_made_in_the_mode_that_it_needs() -> None:
+    adapter, given = StableBaselinesVecEnv("UncalibServo-v0", num_envs=3, **SHORT), StableBaselinesVecEnv(make())
+    for env in (adapter, given):
+        env.seed(11)
+    assert np.array_equal(adapter.reset()["features"], given.reset()["features"])
+    foreign = StableBaselinesVecEnv("CartPole-v1", num_envs=2)
+    assert foreign.reset().shape == (2, 4)
+    for _ in range(60):
+        _, _, dones, infos = foreign.step(np.zeros(2, dtype=np.int64))
+        assert all("terminal_observation" in infos[row] for row in np.flatnonzero(dones))
+    with pytest.raises(ValueError, match=r"num_envs and arguments of the environment go with an id, got num_envs=2"):
+        StableBaselinesVecEnv(make(), num_envs=2)
+
+
 def test_seeds_last_for_one_reset() -> None:
     adapter = StableBaselinesVecEnv(make())
     adapter.seed(5)
