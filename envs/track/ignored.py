@@ -8,15 +8,15 @@ from numba import njit
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.types import Array, Mask
 
-CLOSE = 0.5
+IGNORE_REACH = 0.5
 """Share of the cut-off within which an answer is one at a hidden member; of boxes, an IoU of one half."""
 
 
-def forgiven(distances: Array, counted: Mask, hidden: Mask, reported: Mask, cutoff: float) -> Mask:
+def ignored_answers(distances: Array, counted: Mask, hidden: Mask, reported: Mask, cutoff: float) -> Mask:
     """Which answers are left out because they are at somebody who does not count.
 
     Those who count come first: what the best assignment gives to them stays. Each hidden member then excuses at most
-    one of the answers left over, which would be false otherwise, if it lies within `CLOSE` of the cut-off.
+    one of the answers left over, which would be false otherwise, if it lies within `IGNORE_REACH` of the cut-off.
 
     Args:
         distances: Between truths and answers, shape (N, n, k).
@@ -30,12 +30,12 @@ def forgiven(distances: Array, counted: Mask, hidden: Mask, reported: Mask, cuto
     """
     out = np.zeros(reported.shape, np.bool_)
     for row in np.flatnonzero(hidden.any(axis=1)).tolist():
-        _forgive(distances[row], counted[row], hidden[row], reported[row], cutoff, CLOSE * cutoff, out[row])
+        _mark_ignored(distances[row], counted[row], hidden[row], reported[row], cutoff, IGNORE_REACH * cutoff, out[row])
     return out
 
 
 @njit(cache=True, nogil=True)
-def _forgive(distances, counted, hidden, reported, cutoff, reach, out):  # type: ignore[no-untyped-def]
+def _mark_ignored(distances, counted, hidden, reported, cutoff, reach, out):  # type: ignore[no-untyped-def]
     """Fill `out` of one scene."""
     left = reported.copy()
     for kind in range(2):

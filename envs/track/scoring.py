@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numba import njit
 
-from servotrack.envs.track.ignored import forgiven
+from servotrack.envs.track.ignored import ignored_answers
 from servotrack.estimators.metrics import (
     SetScores,
     Track,
@@ -82,7 +82,7 @@ class SetScorer:
             steps: The step of each observer's episode that its answer is for, shape (N,); one beyond the horizon is
                 scored, but not remembered.
             hidden: Members of the truth that are there but do not count, shape (N, n), none of them in `truth_exists`:
-                nobody misses them, and an answer at theirs is left out of all scores; see `forgiven`.
+                nobody misses them, and an answer at theirs is left out of all scores; see `ignored_answers`.
         """
         existence = answers[..., 0]
         self.labels = _labeled(existence, self.labels, self._next)
@@ -91,7 +91,7 @@ class SetScorer:
         distances = self._distances(truth, self.estimates)
         scored = self.reported
         if hidden is not None and hidden.any():
-            scored = scored & ~forgiven(distances, truth_exists, hidden, scored, self._cutoff)
+            scored = scored & ~ignored_answers(distances, truth_exists, hidden, scored, self._cutoff)
         inside = np.flatnonzero(np.asarray(steps) < self._label_history.shape[1])
         at = np.asarray(steps)[inside]
         self._label_history[inside, at] = np.where(scored, self.labels, -1)[inside]

@@ -5,14 +5,14 @@ import pytest
 
 from servotrack.envs.track.pedestrians.config import PedestrianConfig
 from servotrack.envs.track.pedestrians.draw import MOST_PEOPLE, Stage
-from servotrack.envs.track.pedestrians.looks import SKIN, draw_look
+from servotrack.envs.track.pedestrians.outfits import SKIN, draw_outfit
 from servotrack.envs.track.pedestrians.people import Drawn, People
 
 QUIET = {"sensor_noise": 0.0, "camouflage": 0.0}
 RIGHT, AWAY, TOWARDS = 0.0, np.pi / 2, -np.pi / 2
 
 
-def people(feet, heading=RIGHT, phase=0.0, stride=0.0, height=80.0, looks=None, ids=None) -> People:
+def people(feet, heading=RIGHT, phase=0.0, stride=0.0, height=80.0, outfits=None, ids=None) -> People:
     feet = np.array(feet, dtype=np.float64).reshape(-1, 2)
     count = len(feet)
 
@@ -26,7 +26,7 @@ def people(feet, heading=RIGHT, phase=0.0, stride=0.0, height=80.0, looks=None, 
         each(heading),
         each(phase),
         each(stride),
-        np.arange(count) + 5 if looks is None else np.array(looks),
+        np.arange(count) + 5 if outfits is None else np.array(outfits),
     )
 
 
@@ -115,7 +115,7 @@ def test_frames_depend_on_the_seed_and_their_number_but_not_on_what_was_drawn_be
     walked, fresh = Stage(config, 11), Stage(config, 11)
     for frame in range(6):
         walked.draw(people([[100.0 + 20 * frame, 200.0], [60.0, 150.0]], phase=frame), frame)
-    group = people([[150.0, 220.0], [250.0, 170.0]], phase=0.3, stride=1.0, looks=[77, 78])
+    group = people([[150.0, 220.0], [250.0, 170.0]], phase=0.3, stride=1.0, outfits=[77, 78])
     for frame in (150, 3, 150):
         assert_same(walked.draw(group, frame), fresh.draw(group, frame))
     assert (walked.draw(group, 3).image != walked.draw(group, 4).image).mean() > 0.5
@@ -135,7 +135,7 @@ def test_bodies_move_by_fractions_of_a_pixel(stage):
     lobby = stage.draw(people(np.empty((0, 2))), 0).image.astype(np.float64)
 
     def centroid(feet):
-        weight = np.abs(stage.draw(people([feet], looks=[9]), 0).image - lobby).sum(axis=2)
+        weight = np.abs(stage.draw(people([feet], outfits=[9]), 0).image - lobby).sum(axis=2)
         rows, columns = np.indices(weight.shape)
         return np.array([(weight * columns).sum(), (weight * rows).sum()]) / weight.sum()
 
@@ -156,10 +156,10 @@ def test_legs_swing_with_the_phase_and_stand_still_without_a_stride(stage):
 
 
 def test_faces_are_seen_from_the_front_and_hair_from_behind(stage):
-    look, seen = 2, []
-    skin = draw_look(look, 0.0, np.zeros((1, 3)))[SKIN : SKIN + 3]
+    outfit, seen = 2, []
+    skin = draw_outfit(outfit, 0.0, np.zeros((1, 3)))[SKIN : SKIN + 3]
     for heading in (TOWARDS, AWAY):
-        drawn = stage.draw(people([[200.0, 260.0]], heading=heading, height=110.0, looks=[look]), 0)
+        drawn = stage.draw(people([[200.0, 260.0]], heading=heading, height=110.0, outfits=[outfit]), 0)
         top = int(drawn.boxes[0, 1])
         head = drawn.image[top : top + 14][drawn.owners[top : top + 14] == 1]
         seen.append((np.abs(head - skin).max(axis=1) < 60).mean())
@@ -168,14 +168,14 @@ def test_faces_are_seen_from_the_front_and_hair_from_behind(stage):
 
 def test_walking_left_is_the_mirror_of_walking_right_in_extent(stage):
     right, left = (
-        stage.draw(people([[192.0, 240.0]], heading=heading, phase=1.0, stride=1.0, looks=[5]), 0).boxes[0]
+        stage.draw(people([[192.0, 240.0]], heading=heading, phase=1.0, stride=1.0, outfits=[5]), 0).boxes[0]
         for heading in (RIGHT, np.pi)
     )
     assert right[0] - 192.0 == pytest.approx(192.0 - left[0] - left[2], abs=3.0)
 
 
 def test_looks_change_the_picture_and_nothing_of_the_position(stage):
-    images = [stage.draw(people([[200.0, 240.0]], looks=[look]), 0).image for look in range(6)]
+    images = [stage.draw(people([[200.0, 240.0]], outfits=[outfit]), 0).image for outfit in range(6)]
     for k in range(1, 6):
         assert (images[0] != images[k]).any()
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import servotrack  # noqa: F401
-from servotrack.envs.track.ignored import forgiven
+from servotrack.envs.track.ignored import ignored_answers
 from servotrack.envs.track.scoring import SetScorer
 from servotrack.estimators.detect import BlobFinder, MaskedBackground
 from servotrack.estimators.metrics import box_distances, mot_scores, ospa2, point_distances
@@ -198,13 +198,13 @@ def test_who_counts_comes_first():
     assert (found.gospa.location[0], found.gospa.missed[0], found.gospa.false[0]) == (12.0, 0.0, 0.0)
 
 
-def test_forgiving_is_decided_scene_by_scene():
+def test_ignored_answers_are_decided_scene_by_scene():
     distances = np.full((2, 2, 2), 1.0)
     distances[0, 1, 1] = distances[1, 0, 0] = 0.2
     counted = np.array([[True, False], [False, True]])
     reported = np.array([[True, True], [True, False]])
     hidden = np.array([[False, True], [False, False]])
-    assert forgiven(distances, counted, hidden, reported, 1.0).tolist() == [[False, True], [False, False]]
+    assert ignored_answers(distances, counted, hidden, reported, 1.0).tolist() == [[False, True], [False, False]]
 
 
 def test_scorer_without_hidden_members_is_as_before():

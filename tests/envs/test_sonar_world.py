@@ -44,7 +44,7 @@ def test_papers_targets_stand_out_as_much_as_its_ratios_say():
     # Per element over 0 to 6 kHz: 600 bins of noise.
     assert scene.power.sum(axis=1)[:2] == pytest.approx([600 * 10**-1.5, 600 * 10**-1.0])
     mean = power_moments(config, scene, 20).mean
-    tone, band = mean[config.looks == 55.0][0], mean[config.looks == 95.0][0]
+    tone, band = mean[config.beam_bearings == 55.0][0], mean[config.beam_bearings == 95.0][0]
     assert tone - 1.0 == pytest.approx(48 * 600 * 10**-1.5 / 111, rel=0.06)
     assert band - 1.0 == pytest.approx(48 * 600 * 10**-1.0 / 111, rel=0.06)
     faint = power_moments(*drawn(snr_offset=-20.0, **EXACT), 20).mean
@@ -56,7 +56,7 @@ def test_mean_power_is_the_beam_pattern():
     at = 90
     here = np.flatnonzero(scene.exists[at])
     expected = config.ambient.mean() + sum(
-        beam_pattern(config.array, config.band.frequencies, scene.power[i], config.looks, scene.bearings[at, i])
+        beam_pattern(config.array, config.band.frequencies, scene.power[i], config.beam_bearings, scene.bearings[at, i])
         for i in here
     )
     assert power_moments(config, scene, at).mean == pytest.approx(expected, rel=2e-3)
@@ -103,8 +103,8 @@ def test_noise_of_a_record_has_mean_one_and_the_variance_of_its_averages():
 def test_a_wave_comes_from_where_it_is():
     config, scene = drawn(variant="rates", fidelity="snapshots", snr_offset=20.0, **EXACT)
     snapshots = draw_snapshots(config, scene, Streams(0)[0], 12)
-    powers = beamform(config.array, config.band.frequencies, snapshots, config.looks)
-    loudest = config.looks[powers.argmax()]
+    powers = beamform(config.array, config.band.frequencies, snapshots, config.beam_bearings)
+    loudest = config.beam_bearings[powers.argmax()]
     assert loudest == pytest.approx(103.0, abs=0.5)
 
 
@@ -121,7 +121,7 @@ def test_records_are_a_function_of_seed_and_number():
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_drawn_targets_can_be_told_apart(seed):
+def test_drawn_targets_can_be_separated(seed):
     for variant in ("random", "trial"):
         config, scene = drawn(variant=variant, seed=seed)
         k = config.horizon
@@ -202,12 +202,12 @@ def test_swapped_identities_cost_ospa2_and_nothing_else():
     assert info["ospa2"] > 1.0
 
 
-def test_told_is_the_receiver_and_nothing_of_the_scene():
+def test_scene_model_describes_only_the_receiver():
     for level in LEVELS:
-        told = scene_model_of(sonar_config(level))
-        assert told.averages == 1110
-        assert told._replace(looks=None) == scene_model_of(sonar_config(0))._replace(looks=None)
-        assert not any("target" in name or "snr" in name for name in told._fields)
+        model = scene_model_of(sonar_config(level))
+        assert model.averages == 1110
+        assert model._replace(beam_bearings=None) == scene_model_of(sonar_config(0))._replace(beam_bearings=None)
+        assert not any("target" in name or "snr" in name for name in model._fields)
 
 
 @pytest.mark.parametrize(

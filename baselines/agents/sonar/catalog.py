@@ -32,7 +32,7 @@ class BearingTracker(Estimator[Array, Any, SetEstimate], Protocol):
 
 def fitting_rates(scene: SonarModel) -> tuple[float, ...]:
     """Return rates up to `FASTEST_RATE`, deg/s; half a step of the rate moves a target by one beam per row."""
-    step = 2.0 * float(scene.looks[1] - scene.looks[0]) / scene.period
+    step = 2.0 * float(scene.beam_bearings[1] - scene.beam_bearings[0]) / scene.period
     most = max(1, round(FASTEST_RATE / step))
     return tuple((step * np.arange(-most, most + 1)).tolist())
 
@@ -44,7 +44,7 @@ def _hmm(likelihood: Literal["row", "cell"]) -> Callable[[SonarModel], HMMBearin
             array=scene.array,
             band=scene.band,
             shading=scene.shading,  # type: ignore[arg-type]
-            beams=len(scene.looks),
+            beams=len(scene.beam_bearings),
             snapshots=scene.averages // len(scene.band.frequencies),
             period=scene.period,
             rates=fitting_rates(scene),
@@ -57,7 +57,7 @@ def _hmm(likelihood: Literal["row", "cell"]) -> Callable[[SonarModel], HMMBearin
 
 def _viterbi(scene: SonarModel) -> ViterbiNulling:
     return ViterbiNulling(
-        beams=len(scene.looks),
+        beams=len(scene.beam_bearings),
         averages=scene.averages,
         period=scene.period,
         rates=fitting_rates(scene),
@@ -68,7 +68,7 @@ def _viterbi(scene: SonarModel) -> ViterbiNulling:
 
 def _peaks(tracker: type[PeakTracker]) -> Callable[[SonarModel], PeakTracker]:
     def make(scene: SonarModel) -> PeakTracker:
-        return tracker(beams=len(scene.looks), averages=scene.averages, period=scene.period, lag=scene.lag)
+        return tracker(beams=len(scene.beam_bearings), averages=scene.averages, period=scene.period, lag=scene.lag)
 
     return make
 

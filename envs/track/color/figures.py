@@ -23,7 +23,7 @@ _TROUSERS = ((44, 54, 82), (52, 50, 50), (98, 88, 72), (70, 78, 66), (120, 110, 
 HAIR_STYLES = ("short", "bob", "long", "bun", "cap")
 
 
-class Looks(NamedTuple):
+class Appearance(NamedTuple):
     """What one person looks like.
 
     Attributes:
@@ -52,29 +52,31 @@ class Figure(NamedTuple):
     fringe: Layer
 
 
-def draw_looks(rng: np.random.Generator) -> Looks:
-    """A person of random looks."""
+def draw_appearance(rng: np.random.Generator) -> Appearance:
+    """A person of random appearance."""
     skin, hair, clothes, stripes = (_varied(rng, palette) for palette in (_SKINS, _HAIRS, _CLOTHES, _CLOTHES))
     style, pattern = int(rng.integers(len(HAIR_STYLES))), int(rng.integers(3))
     if HAIR_STYLES[style] == "cap":
         hair = stripes
-    return Looks(skin, hair, clothes, stripes, style, pattern)
+    return Appearance(skin, hair, clothes, stripes, style, pattern)
 
 
-def similar_looks(like: Looks, rng: np.random.Generator, similarity: float) -> Looks:
+def similar_appearance(like: Appearance, rng: np.random.Generator, similarity: float) -> Appearance:
     """A person who looks like another one, as much as `similarity` (0 to 1) says; the clothes are nearly a stranger's.
 
     Paper 001 tracks heads: who is to be taken for another has the head, not the shirt, in common.
     """
-    other = draw_looks(rng)
+    other = draw_appearance(rng)
     skin, hair = (_mix(theirs, own, similarity) for theirs, own in ((other.skin, like.skin), (other.hair, like.hair)))
     style = like.style if rng.random() < similarity else other.style
-    return Looks(skin, hair, _mix(other.clothes, like.clothes, 0.4 * similarity), other.stripes, style, other.pattern)
+    return Appearance(
+        skin, hair, _mix(other.clothes, like.clothes, 0.4 * similarity), other.stripes, style, other.pattern
+    )
 
 
-def paint_figure(looks: Looks, rng: np.random.Generator) -> Figure:
+def paint_figure(appearance: Appearance, rng: np.random.Generator) -> Figure:
     """A person's layers; `rng` decides strands, folds and the face's proportions."""
-    return Figure(_body(looks, rng), _hair(looks, rng), _face(looks, rng), _fringe(looks, rng))
+    return Figure(_body(appearance, rng), _hair(appearance, rng), _face(appearance, rng), _fringe(appearance, rng))
 
 
 def put_figure(image: Image, figure: Figure, center: Array, height: float, roll: float, yaw: float) -> None:
@@ -151,10 +153,10 @@ def _strands(rng: np.random.Generator, columns: int = 26) -> Array:
     return np.clip(lines * sheen + 0.03 * rng.standard_normal((12, columns)), 0.45, 1.6)
 
 
-def _hair(looks: Looks, rng: np.random.Generator) -> Layer:
+def _hair(appearance: Appearance, rng: np.random.Generator) -> Layer:
     canvas = _canvas()
-    color = canvas.shades(looks.hair, _strands(rng))
-    style = HAIR_STYLES[looks.style]
+    color = canvas.shades(appearance.hair, _strands(rng))
+    style = HAIR_STYLES[appearance.style]
     if style == "bun":
         canvas.paint(oval(0, -38, 11, 9), color)
     canvas.paint(oval(0, -3, 29, 33), color)
@@ -167,20 +169,20 @@ def _hair(looks: Looks, rng: np.random.Generator) -> Layer:
     return canvas.layer()
 
 
-def _face(looks: Looks, rng: np.random.Generator) -> Layer:
+def _face(appearance: Appearance, rng: np.random.Generator) -> Layer:
     canvas = _canvas()
     x, y = np.meshgrid(np.linspace(-1, 1, 32), np.linspace(-1, 1, 32))
     side = rng.choice([-1.0, 1.0])
     light = 1.02 + 0.22 * side * x - 0.06 * y - 0.5 * x**2 + 0.012 * rng.standard_normal(x.shape)
-    skin = canvas.shades(looks.skin, light)
+    skin = canvas.shades(appearance.skin, light)
     width, chin = rng.uniform(22.5, 25.5), rng.uniform(33.0, 36.0)
     jaw = oval(0, 2, width, chin)
     jaw[:, 0] *= 1.0 - 0.13 * np.clip((jaw[:, 1] - 8.0) / 28.0, 0.0, 1.0)
     for sign in (-1.0, 1.0):
-        canvas.paint(oval(sign * width, 5, 3.6, 6.2), canvas.shades(looks.skin, 0.84 * light))
+        canvas.paint(oval(sign * width, 5, 3.6, 6.2), canvas.shades(appearance.skin, 0.84 * light))
     canvas.paint(jaw, skin)
-    dark = _mix(looks.skin, (30.0, 18.0, 16.0), 0.62)
-    brow = _mix(looks.hair, (30.0, 20.0, 16.0), 0.5)
+    dark = _mix(appearance.skin, (30.0, 18.0, 16.0), 0.62)
+    brow = _mix(appearance.hair, (30.0, 20.0, 16.0), 0.5)
     eye = _varied(rng, ((62, 44, 30), (84, 112, 140), (70, 96, 70)))
     apart = rng.uniform(9.0, 10.8)
     for sign in (-1.0, 1.0):
@@ -190,22 +192,24 @@ def _face(looks: Looks, rng: np.random.Generator) -> Layer:
         canvas.paint(np.array([[sign * (apart - 6), -7.0], [sign * (apart + 6), -8.2], [sign * (apart + 6.6), -6.6],
                                [sign * (apart - 6), -5.2]]), brow)  # fmt: skip
     nose = np.array([[0.6, -1.0], [2.8, 11.0], [-3.2, 11.0], [-2.4, 9.4]])
-    canvas.paint(nose, _mix(looks.skin, (110.0, 60.0, 44.0), 0.34))
-    canvas.paint(oval(0, 19, rng.uniform(6.5, 8.5), 2.6), _mix(looks.skin, (165.0, 52.0, 56.0), 0.68))
+    canvas.paint(nose, _mix(appearance.skin, (110.0, 60.0, 44.0), 0.34))
+    canvas.paint(oval(0, 19, rng.uniform(6.5, 8.5), 2.6), _mix(appearance.skin, (165.0, 52.0, 56.0), 0.68))
     canvas.paint(np.array([[-6.5, 18.6], [6.5, 18.6], [6.5, 19.4], [-6.5, 19.4]]), dark)
     if rng.random() < 0.3:
         beard = oval(0, 6, width * 0.98, chin - 4.5, 18.0, 162.0)
         inner = oval(0, 8, width * 0.5, 15.0, 165.0, 15.0)
-        canvas.paint(np.concatenate([beard, inner]), canvas.shades(_mix(looks.hair, dark, 0.3), light), inside=True)
+        canvas.paint(
+            np.concatenate([beard, inner]), canvas.shades(_mix(appearance.hair, dark, 0.3), light), inside=True
+        )
     return canvas.layer()
 
 
-def _fringe(looks: Looks, rng: np.random.Generator) -> Layer:
+def _fringe(appearance: Appearance, rng: np.random.Generator) -> Layer:
     canvas = _canvas()
-    color = canvas.shades(looks.hair, _strands(rng))
-    if HAIR_STYLES[looks.style] == "cap":
+    color = canvas.shades(appearance.hair, _strands(rng))
+    if HAIR_STYLES[appearance.style] == "cap":
         canvas.paint(oval(0, -8, 29.5, 30, 180.0, 360.0), color)
-        canvas.paint(oval(0, -10, 25, 6.0), canvas.shades(looks.hair, np.full((4, 4), 0.62)))
+        canvas.paint(oval(0, -10, 25, 6.0), canvas.shades(appearance.hair, np.full((4, 4), 0.62)))
         return canvas.layer()
     height = rng.uniform(8.0, 15.0)
     part = rng.uniform(-12.0, 12.0)
@@ -216,7 +220,7 @@ def _fringe(looks: Looks, rng: np.random.Generator) -> Layer:
     return canvas.layer()
 
 
-def _body(looks: Looks, rng: np.random.Generator) -> Layer:
+def _body(appearance: Appearance, rng: np.random.Generator) -> Layer:
     """Down to the knees: shoulders, arms that hang a little apart, trousers."""
     canvas = Canvas(-84, 14, 168, 366)
     x = np.linspace(-1.0, 1.0, 40)[None, :]
@@ -228,10 +232,10 @@ def _body(looks: Looks, rng: np.random.Generator) -> Layer:
     legs = np.array([[-hips, 205.0], [hips, 205.0], [hips - 4, 375.0], [5.0, 375.0], [0.0, 250.0], [-5.0, 375.0],
                      [4 - hips, 375.0]])  # fmt: skip
     canvas.paint(legs, canvas.shades(trousers, light))
-    hand = canvas.shades(looks.skin, 0.8 * light)
+    hand = canvas.shades(appearance.skin, 0.8 * light)
     for sign in (-1.0, 1.0):
         canvas.paint(oval(sign * (half + 3), 246, 9, 13), hand)
-    shirt, second = canvas.shades(looks.clothes, light), canvas.shades(looks.stripes, light)
+    shirt, second = canvas.shades(appearance.clothes, light), canvas.shades(appearance.stripes, light)
     trunk = np.concatenate([
         np.array([[-15.0, 46.0]]), oval(24 - half, 80, 26, 24, 255.0, 180.0),
         np.array([[-half - 9, 240.0], [11 - half, 240.0], [17 - half, 120.0], [-hips - 2, 225.0], [hips + 2, 225.0],
@@ -239,7 +243,7 @@ def _body(looks: Looks, rng: np.random.Generator) -> Layer:
         oval(half - 24, 80, 26, 24, 360.0, 285.0), np.array([[15.0, 46.0]]),
     ])  # fmt: skip
     canvas.paint(trunk, shirt)
-    if looks.pattern:
+    if appearance.pattern:
         step = rng.uniform(14.0, 22.0)
         # Only on the shirt: on the way down the pattern ends at the hips.
         for k in range(int(170.0 / step)):
@@ -248,10 +252,10 @@ def _body(looks: Looks, rng: np.random.Generator) -> Layer:
                 [[-half - 9, at], [half + 9, at], [half + 9, at + 0.42 * step], [-half - 9, at + 0.42 * step]]
             )
             canvas.paint(band, second, inside=True)
-        for k in range(int(168.0 / step) if looks.pattern == 2 else 0):
+        for k in range(int(168.0 / step) if appearance.pattern == 2 else 0):
             at = -84.0 + k * step
             band = np.array([[at, 46.0], [at + 0.3 * step, 46.0], [at + 0.3 * step, 222.0], [at, 222.0]])
             canvas.paint(band, second, inside=True)
     neck = np.array([[-12.0, 22.0], [12.0, 22.0], [13.0, 46.0], [7.0, 58.0], [0.0, 62.0], [-7.0, 58.0], [-13.0, 46.0]])
-    canvas.paint(neck, canvas.shades(looks.skin, np.linspace(0.55, 1.0, 8)[:, None] * np.ones((1, 8))))
+    canvas.paint(neck, canvas.shades(appearance.skin, np.linspace(0.55, 1.0, 8)[:, None] * np.ones((1, 8))))
     return canvas.layer()

@@ -15,13 +15,13 @@ from servotrack.envs.track.color.backdrop import paint_backdrop
 from servotrack.envs.track.color.config import ColorConfig
 from servotrack.envs.track.color.figures import (
     HEAD,
+    Appearance,
     Figure,
-    Looks,
-    draw_looks,
+    draw_appearance,
     head_boxes,
     paint_figure,
     put_figure,
-    similar_looks,
+    similar_appearance,
 )
 from servotrack.envs.track.color.layers import Canvas, Layer, Placement, put
 from servotrack.envs.track.color.scripts import SCENE_ROOM, Motion, Script, Stream, draw_script
@@ -65,12 +65,12 @@ def draw_scene(config: ColorConfig, seed: int) -> Scene:
     """
     streams = Streams(seed)
     script = draw_script(config, streams)
-    looks = draw_looks(streams[Stream.FIGURE])
-    target = paint_figure(looks, streams[Stream.FIGURE])
+    appearance = draw_appearance(streams[Stream.FIGURE])
+    target = paint_figure(appearance, streams[Stream.FIGURE])
     distractors = []
     for member in range(config.distractors):
         rng = streams[Stream.DISTRACTOR, member]
-        distractors.append(paint_figure(similar_looks(looks, rng, config.similarity), rng))
+        distractors.append(paint_figure(similar_appearance(appearance, rng, config.similarity), rng))
     occluders = tuple(_paint_occluder(streams[Stream.OCCLUDER, member]) for member in range(config.occlusions))
     frames = config.horizon + 1
     field = streams[Stream.NOISE].standard_normal(
@@ -79,7 +79,7 @@ def draw_scene(config: ColorConfig, seed: int) -> Scene:
     noise = np.clip(np.rint(config.sensor_noise * field), -127, 127).astype(np.int8)
     shifts = streams[Stream.NOISE_SHIFT].integers(0, 2 * _NOISE_MARGIN + 1, (frames, 2))
     boxes = head_boxes(target, *script.target)
-    backdrop = _paint_backdrop(config, streams[Stream.BACKDROP], looks)
+    backdrop = _paint_backdrop(config, streams[Stream.BACKDROP], appearance)
     return Scene(script, target, tuple(distractors), occluders, backdrop, boxes, noise, shifts)
 
 
@@ -142,18 +142,18 @@ def _at(motion: Motion, k: int) -> tuple[Array, float, float, float]:
     return motion.centers[k], float(motion.heights[k]), float(motion.rolls[k]), float(motion.yaws[k])
 
 
-def _paint_backdrop(config: ColorConfig, rng: np.random.Generator, looks: Looks) -> Image:
+def _paint_backdrop(config: ColorConfig, rng: np.random.Generator, appearance: Appearance) -> Image:
     room = SCENE_ROOM * config.zoom
     width = int(np.ceil(room * config.width + 4.0 * config.pan))
     height = int(np.ceil(room * config.height + 2.0 * config.pan))
-    return paint_backdrop(rng, width, height, (looks.skin, looks.hair), config.camouflage)
+    return paint_backdrop(rng, width, height, (appearance.skin, appearance.hair), config.camouflage)
 
 
 def _paint_occluder(rng: np.random.Generator) -> Figure | Layer:
     """A board of two heads' width that somebody carries past, or a person."""
     if rng.random() < 0.4:
-        looks = draw_looks(rng)
-        return paint_figure(looks, rng)
+        appearance = draw_appearance(rng)
+        return paint_figure(appearance, rng)
     canvas = Canvas(-68, -110, 136, 220)
     color = rng.uniform(40.0, 210.0, 3)
     grain = np.clip(1.0 + 0.06 * rng.standard_normal((44, 30)), 0.7, 1.3)

@@ -13,7 +13,7 @@ from servotrack.envs.track.pedestrians.config import PedestrianConfig
 from servotrack.envs.track.pedestrians.effects import Light, Sensor
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, lobby_camera
 from servotrack.envs.track.pedestrians.jpeg import JpegCoder
-from servotrack.envs.track.pedestrians.looks import LOOK_NUMBERS, draw_look
+from servotrack.envs.track.pedestrians.outfits import OUTFIT_NUMBERS, draw_outfit
 from servotrack.envs.track.pedestrians.people import Drawn, People
 from servotrack.envs.track.pedestrians.props import PropPatches, lobby_plants, occluders
 from servotrack.envs.track.pedestrians.shading import cast_shadow, contact_shade
@@ -77,7 +77,7 @@ class Stage:
         self._wind = float(streams[_WIND].uniform(0.0, 2.0 * math.pi))
         props = lobby_plants(camera, streams[_PLANTS]) + occluders(camera, config.occluders, streams[_OCCLUDERS])
         self._prop_patches = PropPatches(props, config.plant, self._wind, self._grain)
-        self._looks: dict[int, Array] = {}
+        self._outfits: dict[int, Array] = {}
         self._pool = np.empty(1 << 16, dtype=np.float32)
 
     def draw(self, people: People, frame: int) -> Drawn:
@@ -137,16 +137,16 @@ class Stage:
     def _pose(self, people: People) -> tuple[Array, Labels, Labels]:
         """Parts of all bodies, their drawing orders (the number of parts last), and the extents of their patches."""
         count = len(people.ids)
-        looks = np.empty((count, LOOK_NUMBERS))
-        for row, seed in enumerate(people.looks.tolist()):
-            if seed not in self._looks:
-                self._looks[seed] = draw_look(seed, self._config.camouflage, self._blending)
-            looks[row] = self._looks[seed]
+        outfits = np.empty((count, OUTFIT_NUMBERS))
+        for row, seed in enumerate(people.outfit_seeds.tolist()):
+            if seed not in self._outfits:
+                self._outfits[seed] = draw_outfit(seed, self._config.camouflage, self._blending)
+            outfits[row] = self._outfits[seed]
         parts = np.zeros((count, MAX_PARTS, NUMBERS))
         orders = np.zeros((count, MAX_PARTS + 1), dtype=np.int64)
         extents = np.zeros((count, 4), dtype=np.int64)
         _pose_bodies(
-            looks,
+            outfits,
             people.feet,
             people.height,
             people.heading,
@@ -168,12 +168,21 @@ def _slope(row, horizon, focal):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _pose_bodies(looks, feet, heights, headings, phases, strides, horizon, focal, parts, orders, extents):  # type: ignore[no-untyped-def]
-    for n in range(len(looks)):
+def _pose_bodies(outfits, feet, heights, headings, phases, strides, horizon, focal, parts, orders, extents):  # type: ignore[no-untyped-def]
+    for n in range(len(outfits)):
         slope = _slope(feet[n, 1], horizon, focal)
         tilt = slope / math.sqrt(1.0 + slope * slope)
         count = pose_person(
-            looks[n], feet[n, 0], feet[n, 1], heights[n], headings[n], phases[n], strides[n], tilt, parts[n], orders[n]
+            outfits[n],
+            feet[n, 0],
+            feet[n, 1],
+            heights[n],
+            headings[n],
+            phases[n],
+            strides[n],
+            tilt,
+            parts[n],
+            orders[n],
         )
         orders[n, -1] = count
         extents[n, 0], extents[n, 1], extents[n, 2], extents[n, 3] = extent(parts[n], count)

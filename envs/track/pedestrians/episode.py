@@ -59,5 +59,5 @@ def _seen(done: Walk, camera: Camera, dt: float) -> ImagePath:
         walked[:, 0],
         walked[:, 1],
         walked[:, 2],
-        done.plan.looks,
+        done.plan.outfit_seed,
     )

@@ -28,7 +28,7 @@ class ImagePath(NamedTuple):
         heading: Shape (k,), rad.
         phase: Shape (k,), rad.
         stride: Shape (k,).
-        looks: Seed of how they look.
+        outfit_seed: Seed of how they look.
     """
 
     first: int
@@ -37,7 +37,7 @@ class ImagePath(NamedTuple):
     heading: Array
     phase: Array
     stride: Array
-    looks: int
+    outfit_seed: int
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Movement:
         heading: Shape (K, n), rad.
         phase: Shape (K, n), rad.
         stride: Shape (K, n).
-        looks: Shape (K, n), int.
+        outfit_seeds: Shape (K, n), int.
         width: Of the image, px.
     """
 
@@ -61,7 +61,7 @@ class Movement:
     heading: Array
     phase: Array
     stride: Array
-    looks: Labels
+    outfit_seeds: Labels
     width: float
 
     def people(self, frame: int) -> tuple[People, NDArray[np.intp]]:
@@ -77,7 +77,7 @@ class Movement:
             self.heading[frame][rows],
             self.phase[frame][rows],
             self.stride[frame][rows],
-            self.looks[frame][rows],
+            self.outfit_seeds[frame][rows],
         )
         return people, rows
 
@@ -114,7 +114,7 @@ def assemble(paths: Sequence[ImagePath], frames: int, rows: int, width: float, s
         identity += 1
         free_from[row] = stop
         at, of = slice(start, stop), slice(start - path.first, stop - path.first)
-        made.ids[at, row], made.looks[at, row] = identity, path.looks
+        made.ids[at, row], made.outfit_seeds[at, row] = identity, path.outfit_seed
         made.feet[at, row], made.height[at, row] = path.feet[of], path.height[of]
         made.heading[at, row] = path.heading[of]
         made.phase[at, row], made.stride[at, row] = path.phase[of], path.stride[of]

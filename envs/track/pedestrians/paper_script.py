@@ -93,9 +93,11 @@ def meet_split_third_guy(config: PedestrianConfig, camera: Camera, streams: Stre
         party = []
         for birth, death, start, legs in people:
             stature = float(np.clip(1.74 + 0.07 * body.standard_normal(), 1.58, 1.9))
-            looks = int(body.integers(0, 2**62))
+            outfit_seed = int(body.integers(0, 2**62))
             party.append(
-                Plan(birth, (float(start[0]), float(start[1])), np.array(legs), 0.8, stature, looks, _STEADY, death)
+                Plan(
+                    birth, (float(start[0]), float(start[1])), np.array(legs), 0.8, stature, outfit_seed, _STEADY, death
+                )
             )
         parties.append(party)
     return parties

@@ -20,7 +20,7 @@ class People(NamedTuple):
         heading: Where they face: 0 to the right, pi/2 away from the camera. Shape (n,), rad.
         phase: Of the gait; one stride of two steps is 2 pi. Shape (n,), rad.
         stride: How far arms and legs swing: 0 standing, 1 walking at full pace. Shape (n,).
-        looks: Seed of a person's clothes, skin, build. Shape (n,), int.
+        outfit_seeds: Seed of a person's clothes, skin, build. Shape (n,), int.
     """
 
     ids: Labels
@@ -29,7 +29,7 @@ class People(NamedTuple):
     heading: Array
     phase: Array
     stride: Array
-    looks: Labels
+    outfit_seeds: Labels
 
 
 class Drawn(NamedTuple):

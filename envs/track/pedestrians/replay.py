@@ -63,10 +63,10 @@ def replay(recorded: RecordedTracks, config: PedestrianConfig, camera: Camera, s
         streams: Of the episode, for looks.
     """
     body = streams[Stream.BODY]
-    looks = body.integers(0, 2**62, len(recorded.tracks))
+    outfit_seeds = body.integers(0, 2**62, len(recorded.tracks))
     phases = body.uniform(0.0, 2.0 * math.pi, len(recorded.tracks))
     paths = []
-    for track, look, phase in zip(recorded.tracks, looks.tolist(), phases.tolist(), strict=True):
+    for track, outfit_seed, phase in zip(recorded.tracks, outfit_seeds.tolist(), phases.tolist(), strict=True):
         tall = track.states[:, 3] >= _SMALLEST
         if not tall.any():
             continue
@@ -83,7 +83,7 @@ def replay(recorded: RecordedTracks, config: PedestrianConfig, camera: Camera, s
         length = np.hypot(*direction.T)
         movement = direction * np.divide(way, length, out=np.zeros_like(way), where=length > 0.0)[:, None]
         walked = gait(movement, np.full(len(steps), math.nan), math.nan, phase, 1.0 / config.frame_rate)
-        paths.append(ImagePath(int(steps[0]), feet, height, walked[:, 0], walked[:, 1], walked[:, 2], look))
+        paths.append(ImagePath(int(steps[0]), feet, height, walked[:, 0], walked[:, 1], walked[:, 2], outfit_seed))
     paths.sort(key=lambda path: path.first)
     return paths
 

@@ -44,7 +44,7 @@ class Plan:
         legs: Where they go one after the other, rows as `social_force` names them. Shape (legs, 6).
         pace: Speed they like, m/s.
         stature: Body height, m.
-        looks: Seed of how they look.
+        outfit_seed: Seed of how they look.
         wander: Small changes of direction: amplitude (rad), rate (rad per frame), phase (rad).
         death: Frame at which they are gone; None: when their legs are done.
     """
@@ -54,7 +54,7 @@ class Plan:
     legs: Array
     pace: float
     stature: float
-    looks: int
+    outfit_seed: int
     wander: tuple[float, float, float]
     death: int | None = None
 

@@ -1,4 +1,4 @@
-"""A walking body: joints in space from gait, heading and look, then parts on the image as the camera sees them."""
+"""A walking body: joints in space from gait, heading and outfit, then parts on the image as the camera sees them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,34 @@ import math
 import numpy as np
 from numba import njit
 
-from servotrack.envs.track.pedestrians import looks
+from servotrack.envs.track.pedestrians.outfits import (
+    ARM,
+    BACKPACK,
+    BAG,
+    BAG_COLOR,
+    BUILD,
+    CASE,
+    COAT,
+    FOLDS,
+    HAIR,
+    HAIR_LENGTH,
+    HAIRLINE,
+    HEAD_SIZE,
+    PHONE,
+    POCKET,
+    RELIEF_TOP,
+    RELIEF_TROUSERS,
+    SHOES,
+    SHOULDER_BAG,
+    SKIN,
+    SKIRT,
+    SLEEVE,
+    TOP,
+    TOP_DETAIL,
+    TOP_MATERIAL,
+    TOP_SECOND,
+    TROUSERS,
+)
 from servotrack.envs.track.pedestrians.shapes import (
     BRIGHTNESS,
     CAPS,
@@ -52,7 +79,7 @@ _CASE_WIDTHS = np.array([0.010, 0.070, 0.074, 0.075, 0.075, 0.074])
 
 
 @njit(cache=True, nogil=True)
-def _put(parts, k, view, a, b, widths, scale, color, look, relief, bright):  # type: ignore[no-untyped-def]
+def _put(parts, k, view, a, b, widths, scale, color, outfit, relief, bright):  # type: ignore[no-untyped-def]
     """Write one tube from body point `a` to `b` (forward, left, up; heights)."""
     x, y, height, cosine, sine, tilt = view[0], view[1], view[2], view[3], view[4], view[5]
     part = parts[k]
@@ -69,8 +96,8 @@ def _put(parts, k, view, a, b, widths, scale, color, look, relief, bright):  # t
         part[WIDTHS + i] = widths[i] * scale * height
     part[CAPS] = part[CAPS + 1] = 1.0
     for c in range(3):
-        part[COLOR + c] = look[color + c]
-        part[SECOND + c] = look[color + c]
+        part[COLOR + c] = outfit[color + c]
+        part[SECOND + c] = outfit[color + c]
     part[MATERIAL], part[RELIEF], part[BRIGHTNESS] = PLAIN, relief, bright
     part[FORWARD], part[FORWARD + 1], part[FORWARD + 2] = cosine, -sine * tilt, -sine * math.sqrt(1.0 - tilt * tilt)
     part[TILT], part[DEPTH] = tilt, depth
@@ -79,7 +106,7 @@ def _put(parts, k, view, a, b, widths, scale, color, look, relief, bright):  # t
 
 
 @njit(cache=True, nogil=True)
-def _leg(parts, k, view, look, side, phase, stride, bodies, drop):  # type: ignore[no-untyped-def]
+def _leg(parts, k, view, outfit, side, phase, stride, bodies, drop):  # type: ignore[no-untyped-def]
     """Thigh, shin and shoe of one leg; `drop` is how far the hip sinks. Returns the next free part."""
     hip, knee, ankle, toe = bodies[0], bodies[1], bodies[2], bodies[3]
     swing, bend, lift = leg_angles(phase, stride)
@@ -90,23 +117,23 @@ def _leg(parts, k, view, look, side, phase, stride, bodies, drop):  # type: igno
     ankle[0] = knee[0] + _SHIN * math.sin(swing - bend)
     ankle[1] = side * _HIP_SIDE * 0.9
     ankle[2] = knee[2] - _SHIN * math.cos(swing - bend)
-    relief = look[looks.RELIEF_TROUSERS]
+    relief = outfit[RELIEF_TROUSERS]
     bright = 1.0 if -side * view[3] > 0.0 else 0.93  # the far leg is a little in the other one's shade
-    if look[looks.SKIRT] > 0.0:
-        k = _put(parts, k, view, hip, knee, _THIGH_WIDTHS, 0.86 * look[looks.BUILD], looks.SKIN, look, 0.6, bright)
-        k = _put(parts, k, view, knee, ankle, _BARE_SHIN_WIDTHS, look[looks.BUILD], looks.SKIN, look, 0.6, bright)
+    if outfit[SKIRT] > 0.0:
+        k = _put(parts, k, view, hip, knee, _THIGH_WIDTHS, 0.86 * outfit[BUILD], SKIN, outfit, 0.6, bright)
+        k = _put(parts, k, view, knee, ankle, _BARE_SHIN_WIDTHS, outfit[BUILD], SKIN, outfit, 0.6, bright)
     else:
-        k = _put(parts, k, view, hip, knee, _THIGH_WIDTHS, look[looks.BUILD], looks.TROUSERS, look, relief, bright)
-        parts[k - 1, GRAIN] = look[looks.FOLDS]
-        k = _put(parts, k, view, knee, ankle, _SHIN_WIDTHS, look[looks.BUILD], looks.TROUSERS, look, relief, bright)
-        parts[k - 1, GRAIN] = look[looks.FOLDS]
+        k = _put(parts, k, view, hip, knee, _THIGH_WIDTHS, outfit[BUILD], TROUSERS, outfit, relief, bright)
+        parts[k - 1, GRAIN] = outfit[FOLDS]
+        k = _put(parts, k, view, knee, ankle, _SHIN_WIDTHS, outfit[BUILD], TROUSERS, outfit, relief, bright)
+        parts[k - 1, GRAIN] = outfit[FOLDS]
         parts[k - 1, CAPS + 1] = 0.5
     toe[0] = ankle[0] + 0.082 * math.cos(lift)
     toe[1] = ankle[1] + side * 0.012
     toe[2] = ankle[2] - 0.012 + 0.082 * math.sin(lift)
     ankle[0] -= 0.022 * math.cos(lift)
     ankle[2] -= 0.010 + 0.022 * math.sin(lift)
-    k = _put(parts, k, view, ankle, toe, _SHOE_WIDTHS, 0.92, looks.SHOES, look, 0.7, bright)
+    k = _put(parts, k, view, ankle, toe, _SHOE_WIDTHS, 0.92, SHOES, outfit, 0.7, bright)
     parts[k - 1, DEPTH] -= 0.02
     return k
 
@@ -126,17 +153,17 @@ def leg_angles(phase, stride):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _arm(parts, k, view, look, side, phase, stride, lean, drop, bodies):  # type: ignore[no-untyped-def]
+def _arm(parts, k, view, outfit, side, phase, stride, lean, drop, bodies):  # type: ignore[no-untyped-def]
     """Upper arm, forearm, hand and what the hand carries. Returns the next free part."""
     shoulder, elbow, wrist, end = bodies[0], bodies[1], bodies[2], bodies[3]
-    build = look[looks.BUILD]
+    build = outfit[BUILD]
     swing = stride * (0.38 * math.sin(phase) + 0.02)
     bend, spread = 0.14 + stride * (0.16 + 0.16 * math.sin(phase)), 0.13
-    if side < 0.0 and look[looks.ARM] == looks.POCKET:
+    if side < 0.0 and outfit[ARM] == POCKET:
         swing, bend, spread = -0.30 + 0.12 * swing, 0.62, 0.32
-    elif side < 0.0 and look[looks.ARM] == looks.PHONE:
+    elif side < 0.0 and outfit[ARM] == PHONE:
         swing, bend, spread = 0.22 + 0.1 * swing, 1.75, 0.12
-    if side > 0.0 and look[looks.BAG] == looks.CASE:
+    if side > 0.0 and outfit[BAG] == CASE:
         swing, bend, spread = 0.35 * swing, 0.08, 0.12
     shoulder[0], shoulder[1], shoulder[2] = lean * _SHOULDER, side * _SHOULDER_SIDE * build, _SHOULDER - drop
     elbow[0] = shoulder[0] + _UPPER_ARM * math.sin(swing)
@@ -148,11 +175,11 @@ def _arm(parts, k, view, look, side, phase, stride, lean, drop, bodies):  # type
     end[0] = wrist[0] + 0.045 * math.sin(swing + bend)
     end[1] = wrist[1]
     end[2] = wrist[2] - 0.045 * math.cos(swing + bend)
-    relief = look[looks.RELIEF_TOP]
-    k = _put(parts, k, view, wrist, end, _HAND_WIDTHS, 0.95, looks.SKIN, look, 0.6, 1.0)
+    relief = outfit[RELIEF_TOP]
+    k = _put(parts, k, view, wrist, end, _HAND_WIDTHS, 0.95, SKIN, outfit, 0.6, 1.0)
     outward = -0.06 * side * view[3]  # arms hang outside the torso
     parts[k - 1, DEPTH] += outward
-    if side > 0.0 and look[looks.BAG] == looks.CASE:
+    if side > 0.0 and outfit[BAG] == CASE:
         k = _put(
             parts,
             k,
@@ -161,17 +188,17 @@ def _arm(parts, k, view, look, side, phase, stride, lean, drop, bodies):  # type
             _below(end, 0.12, bodies[4]),
             _CASE_WIDTHS,
             0.35 + 0.65 * abs(view[3]),
-            looks.BAG_COLOR,
-            look,
+            BAG_COLOR,
+            outfit,
             0.35,
             1.0,
         )
         parts[k - 1, CAPS] = parts[k - 1, CAPS + 1] = 0.12
         parts[k - 1, DEPTH] += outward
-    k = _put(parts, k, view, elbow, wrist, _FOREARM_WIDTHS, build, looks.SLEEVE, look, relief, 1.0)
+    k = _put(parts, k, view, elbow, wrist, _FOREARM_WIDTHS, build, SLEEVE, outfit, relief, 1.0)
     parts[k - 1, DEPTH] += outward
-    k = _put(parts, k, view, shoulder, elbow, _UPPER_ARM_WIDTHS, build, looks.TOP, look, relief, 0.98)
-    parts[k - 1, GRAIN] = look[looks.FOLDS]
+    k = _put(parts, k, view, shoulder, elbow, _UPPER_ARM_WIDTHS, build, TOP, outfit, relief, 0.98)
+    parts[k - 1, GRAIN] = outfit[FOLDS]
     parts[k - 1, DEPTH] += outward
     return k
 
@@ -183,12 +210,12 @@ def _below(point, distance, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def pose_person(look, x, y, height, heading, phase, stride, tilt, parts, order):  # type: ignore[no-untyped-def]
+def pose_person(outfit, x, y, height, heading, phase, stride, tilt, parts, order):  # type: ignore[no-untyped-def]
     """Fill `parts` with a body standing at (x, y) and `order` with the order to draw them in; returns their number."""
     cosine, sine = math.cos(heading), math.sin(heading)
     view = np.array([x, y, height, cosine, sine, tilt])
     bodies = np.zeros((5, 3))
-    build = look[looks.BUILD]
+    build = outfit[BUILD]
     # The hip hangs as high as the straighter leg holds it.
     reach = 0.0
     for side in (0.0, math.pi):
@@ -196,66 +223,70 @@ def pose_person(look, x, y, height, heading, phase, stride, tilt, parts, order):
         reach = max(reach, _THIGH * math.cos(swing) + _SHIN * math.cos(swing - bend))
     drop = _HIP - _ANKLE - reach
     lean = 0.035 * stride
-    k = _leg(parts, 0, view, look, 1.0, phase, stride, bodies, drop)
-    k = _leg(parts, k, view, look, -1.0, phase + math.pi, stride, bodies, drop)
-    k = _arm(parts, k, view, look, 1.0, phase + math.pi, stride, lean, drop, bodies)
-    k = _arm(parts, k, view, look, -1.0, phase, stride, lean, drop, bodies)
+    k = _leg(parts, 0, view, outfit, 1.0, phase, stride, bodies, drop)
+    k = _leg(parts, k, view, outfit, -1.0, phase + math.pi, stride, bodies, drop)
+    k = _arm(parts, k, view, outfit, 1.0, phase + math.pi, stride, lean, drop, bodies)
+    k = _arm(parts, k, view, outfit, -1.0, phase, stride, lean, drop, bodies)
 
     torso = np.empty(SAMPLES)
     for i in range(SAMPLES):
         torso[i] = build * math.hypot(_TORSO_FRONT[i] * sine, _TORSO_SIDE[i] * cosine)
     upper, lower = bodies[0], bodies[1]
-    relief = look[looks.RELIEF_TOP]
+    relief = outfit[RELIEF_TOP]
 
-    if look[looks.SKIRT] > 0.0:
+    if outfit[SKIRT] > 0.0:
         upper[0], upper[1], upper[2] = 0.0, 0.0, 0.56 - drop
-        lower[0], lower[1], lower[2] = 0.0, 0.0, 0.50 - look[looks.SKIRT] - drop
+        lower[0], lower[1], lower[2] = 0.0, 0.0, 0.50 - outfit[SKIRT] - drop
         skirt = np.empty(SAMPLES)
         for i in range(SAMPLES):
             skirt[i] = torso[4] * (0.98 + 0.07 * i) + 0.02 * stride * i / SAMPLES
-        k = _put(parts, k, view, upper, lower, skirt, 1.0, looks.TROUSERS, look, look[looks.RELIEF_TROUSERS], 1.0)
+        k = _put(parts, k, view, upper, lower, skirt, 1.0, TROUSERS, outfit, outfit[RELIEF_TROUSERS], 1.0)
         parts[k - 1, CAPS] = parts[k - 1, CAPS + 1] = 0.18
-        parts[k - 1, GRAIN] = look[looks.FOLDS]
+        parts[k - 1, GRAIN] = outfit[FOLDS]
         parts[k - 1, DEPTH] = 0.5 * tilt + 0.02 - 0.001
     upper[0], upper[1], upper[2] = lean * 0.835, 0.0, 0.835 - drop
-    lower[0], lower[1], lower[2] = 0.0, 0.0, 0.50 - look[looks.COAT] - drop
-    k = _put(parts, k, view, upper, lower, torso, 1.0, looks.TOP, look, relief, 1.0)
+    lower[0], lower[1], lower[2] = 0.0, 0.0, 0.50 - outfit[COAT] - drop
+    k = _put(parts, k, view, upper, lower, torso, 1.0, TOP, outfit, relief, 1.0)
     torso_depth = 0.66 * tilt
     part = parts[k - 1]
     part[CAPS], part[CAPS + 1] = 0.45, 0.15
-    part[MATERIAL], part[DETAIL], part[GRAIN] = look[looks.TOP_MATERIAL], look[looks.TOP_DETAIL], look[looks.FOLDS]
+    part[MATERIAL], part[DETAIL], part[GRAIN] = (
+        outfit[TOP_MATERIAL],
+        outfit[TOP_DETAIL],
+        outfit[FOLDS],
+    )
     for c in range(3):
-        part[SECOND + c] = look[looks.TOP_SECOND + c]
+        part[SECOND + c] = outfit[TOP_SECOND + c]
     part[DEPTH] = torso_depth
 
-    if look[looks.BAG] == looks.BACKPACK:
+    if outfit[BAG] == BACKPACK:
         upper[0], upper[1], upper[2] = -0.085, 0.0, 0.79 - drop
         lower[0], lower[1], lower[2] = -0.095, 0.0, 0.60 - drop
-        k = _put(parts, k, view, upper, lower, _BAG_WIDTHS, 0.72 + 0.28 * abs(sine), looks.BAG_COLOR, look, 0.6, 1.0)
+        k = _put(parts, k, view, upper, lower, _BAG_WIDTHS, 0.72 + 0.28 * abs(sine), BAG_COLOR, outfit, 0.6, 1.0)
         parts[k - 1, CAPS] = parts[k - 1, CAPS + 1] = 0.4
         parts[k - 1, DEPTH] = torso_depth + 0.2 * sine
-    elif look[looks.BAG] == looks.SHOULDER_BAG:
+    elif outfit[BAG] == SHOULDER_BAG:
         upper[0], upper[1], upper[2] = -0.03, 0.125, 0.58 - drop
         lower[0], lower[1], lower[2] = -0.03, 0.130, 0.49 - drop
-        k = _put(parts, k, view, upper, lower, _BAG_WIDTHS, 0.55 + 0.35 * abs(cosine), looks.BAG_COLOR, look, 0.5, 1.0)
+        k = _put(parts, k, view, upper, lower, _BAG_WIDTHS, 0.55 + 0.35 * abs(cosine), BAG_COLOR, outfit, 0.5, 1.0)
         parts[k - 1, CAPS] = parts[k - 1, CAPS + 1] = 0.25
         parts[k - 1, DEPTH] = torso_depth - 0.18 * cosine
 
     upper[0], upper[1], upper[2] = lean * 0.88, 0.0, 0.885 - drop
     lower[0], lower[1], lower[2] = lean * 0.83, 0.0, 0.838 - drop
-    k = _put(parts, k, view, upper, lower, _NECK_WIDTHS, 1.0, looks.SKIN, look, 0.6, 0.80)
+    k = _put(parts, k, view, upper, lower, _NECK_WIDTHS, 1.0, SKIN, outfit, 0.6, 0.80)
     parts[k - 1, DEPTH] = torso_depth - 0.001
     upper[0], upper[1], upper[2] = lean + 0.004, 0.0, _HEAD_HIGH - drop
     lower[0], lower[1], lower[2] = lean + 0.008, 0.0, _HEAD_LOW - drop
-    k = _put(parts, k, view, upper, lower, _HEAD_WIDTHS, look[looks.HEAD_SIZE], looks.HAIR, look, 0.65, 1.0)
+    k = _put(parts, k, view, upper, lower, _HEAD_WIDTHS, outfit[HEAD_SIZE], HAIR, outfit, 0.65, 1.0)
     part = parts[k - 1]
-    part[MATERIAL], part[DETAIL], part[DEPTH] = HEAD, look[looks.HAIRLINE], torso_depth + 0.05
+    part[MATERIAL], part[DETAIL], part[DEPTH] = HEAD, outfit[HAIRLINE], torso_depth + 0.05
     for c in range(3):
-        part[SECOND + c] = look[looks.SKIN + c]
-    if look[looks.HAIR_LENGTH] > 0.0:
+        part[SECOND + c] = outfit[SKIN + c]
+    if outfit[HAIR_LENGTH] > 0.0:
         upper[0], upper[1], upper[2] = lean - 0.022, 0.0, 0.945 - drop
-        lower[0], lower[1], lower[2] = lean - 0.034, 0.0, 0.905 - look[looks.HAIR_LENGTH] - drop
-        k = _put(parts, k, view, upper, lower, _HAIR_WIDTHS, look[looks.HEAD_SIZE], looks.HAIR, look, 0.5, 1.0)
+        lower[0], lower[1], lower[2] = lean - 0.034, 0.0, 0.905 - outfit[HAIR_LENGTH] - drop
+        k = _put(parts, k, view, upper, lower, _HAIR_WIDTHS, outfit[HEAD_SIZE], HAIR, outfit, 0.5, 1.0)
         # Seen from behind it hides head and shoulders, from the front the head hides it.
         parts[k - 1, DEPTH] = torso_depth + (0.06 if sine > 0.0 else 0.01 if cosine * cosine > 0.5 else -0.02)
     for i in range(k):

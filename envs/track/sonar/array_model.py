@@ -16,7 +16,7 @@ class SonarModel(NamedTuple):
         array: Elements, spacing, speed of sound.
         band: Frequencies that are summed over.
         shading: Of the elements.
-        looks: Look directions of the beams, shape (beams,), deg.
+        beam_bearings: Look directions of the beams, shape (beams,), deg.
         averages: M, bins times snapshots: noise has a relative variance of 1/M.
         period: Time between records, s.
         lag: An answer is for the record this many before the newest.
@@ -26,7 +26,7 @@ class SonarModel(NamedTuple):
     array: LineArray
     band: Band
     shading: str
-    looks: Array
+    beam_bearings: Array
     averages: int
     period: float
     lag: int
@@ -39,7 +39,7 @@ def scene_model_of(config: SonarConfig) -> SonarModel:
         array=config.array,
         band=config.band,
         shading=config.shading,
-        looks=config.looks,
+        beam_bearings=config.beam_bearings,
         averages=config.averages,
         period=config.period,
         lag=config.lag,

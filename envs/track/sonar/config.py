@@ -131,7 +131,7 @@ class SonarConfig:
         return Band(self.band_low, self.band_high, self.bin_width)
 
     @cached_property
-    def looks(self) -> Array:
+    def beam_bearings(self) -> Array:
         """Look directions, shape (beams,), deg."""
         return bearings(self.beams)
 

@@ -47,8 +47,8 @@ def draw_powers(config: SonarConfig, scene: SonarScene, seed: int, record: int) 
     """Beam powers before they are normalized, over the mean noise of a bin; arguments as in `draw_record`."""
     rng = Streams(seed)[Stream.RECORD, record]
     if config.fidelity == "snapshots":
-        return beamform(config.array, config.band.frequencies, draw_snapshots(config, scene, rng, record), config.looks,
-                        config.shading)  # type: ignore[arg-type]  # fmt: skip
+        snapshots, bearings = draw_snapshots(config, scene, rng, record), config.beam_bearings
+        return beamform(config.array, config.band.frequencies, snapshots, bearings, config.shading)  # type: ignore[arg-type]
     return _moment_powers(config, scene, rng, record)
 
 
@@ -103,7 +103,7 @@ def power_moments(config: SonarConfig, scene: SonarScene, record: int) -> Moment
     F, K = len(config.band.frequencies), config.snapshots
     here = np.flatnonzero(scene.exists[record])
     table = _pattern_table(config.array, config.band, config.shading)
-    cosines = np.cos(np.radians(config.looks))
+    cosines = np.cos(np.radians(config.beam_bearings))
     sources = np.cos(np.radians(scene.bearings[record, here]))
     mean, square, patterns = _sums(table, cosines, sources, scene.power[here], scene.tonal[here], config.ambient)
     power = scene.power[here]
@@ -149,17 +149,17 @@ def _correlation_root(array: LineArray, band: Band, beams: int, shading: Shading
 
 
 @njit(cache=True, nogil=True)
-def _sums(table, looks, sources, power, tonal, ambient):  # type: ignore[no-untyped-def]
+def _sums(table, beam_bearings, sources, power, tonal, ambient):  # type: ignore[no-untyped-def]
     """Sums over the bins of mean powers, of their variances times K, and each source's part of the means."""
     points, bins = table.shape
-    beams, count = len(looks), len(sources)
+    beams, count = len(beam_bearings), len(sources)
     mean, square, patterns = np.zeros(beams), np.zeros(beams), np.zeros((count, beams))
     here = np.empty(bins)
     for beam in range(beams):
         steady = 0.0
         here[:] = ambient
         for i in range(count):
-            position = abs(looks[beam] - sources[i]) * (points - 1) / 2.0
+            position = abs(beam_bearings[beam] - sources[i]) * (points - 1) / 2.0
             below = min(int(position), points - 2)
             part = position - below
             total = 0.0

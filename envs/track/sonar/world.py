@@ -160,7 +160,7 @@ class SonarWorld:
         config = self.config
         return (
             f"record {self.steps[row]}/{config.horizon + config.lag}  targets={int(self.exists[row].sum())}  "
-            f"loudest beam={config.looks[self.observations[row].argmax()]:.2f} deg  "
+            f"loudest beam={config.beam_bearings[self.observations[row].argmax()]:.2f} deg  "
             f"reported={int(self.scorer.reported[row].sum())}  ospa={self.ospa[row]:.2f} deg  "
             f"gospa={self.gospa[row]:.2f} deg  cardinality {self.cardinality_error[row]:+d}"
         )

@@ -10,20 +10,20 @@ from servotrack.envs.streams import Streams
 from servotrack.estimators.types import Array
 
 SKIN, HAIR, TOP, TOP_SECOND, SLEEVE, TROUSERS, SHOES, BAG_COLOR = range(0, 24, 3)
-"""Where a look's colors begin, RGB in gray levels."""
+"""Where a outfit's colors begin, RGB in gray levels."""
 BUILD, HEAD_SIZE, HAIRLINE, HAIR_LENGTH = 24, 25, 26, 27
 """Factors on width and head, how far back the hair begins, and how far it falls, heights."""
 TOP_MATERIAL, TOP_DETAIL, COAT, SHORT_SLEEVE = 28, 29, 30, 31
 """The top's material (`shapes`), its number, how far it falls below the hip (heights), and 1 for bare forearms."""
 SKIRT, BAG, ARM, RELIEF_TOP, RELIEF_TROUSERS, FOLDS = 32, 33, 34, 35, 36, 37
 """Length of a skirt (heights), kind of bag, what the right arm does, strength of shading and folds."""
-LOOK_NUMBERS = 38
+OUTFIT_NUMBERS = 38
 
 NO_BAG, BACKPACK, SHOULDER_BAG, CASE = range(4)
 SWINGING, POCKET, PHONE = range(3)
 
 _SHAPE, _PAINT, _BLEND = range(3)
-"""Streams of a look; `_BLEND` decides which clothes are in the background's colors."""
+"""Streams of a outfit; `_BLEND` decides which clothes are in the background's colors."""
 
 _SKINS = ((236, 196, 168), (224, 172, 138), (198, 146, 110), (150, 104, 74), (104, 70, 50), (74, 50, 38))
 _HAIRS = (
@@ -67,41 +67,41 @@ _SHOES = ((22, 20, 20), (54, 34, 24), (30, 30, 36), (216, 216, 214))
 _BAGS = ((60, 36, 24), (24, 24, 28), (140, 30, 36), (30, 60, 90), (176, 120, 60))
 
 
-def draw_look(seed: int, camouflage: float, background: Array) -> Array:
-    """A person's look.
+def draw_outfit(seed: int, camouflage: float, background: Array) -> Array:
+    """A person's outfit.
 
     Args:
-        seed: Of the look.
+        seed: Of the outfit.
         camouflage: Probability of each piece of clothing to be in a background color.
         background: Colors to choose from for that, shape (k, 3), gray levels.
 
     Returns:
-        Shape (LOOK_NUMBERS,).
+        Shape (OUTFIT_NUMBERS,).
     """
     streams = Streams(seed)
-    return compose_look(streams[_SHAPE], streams[_PAINT], streams[_BLEND], camouflage, background)
+    return compose_outfit(streams[_SHAPE], streams[_PAINT], streams[_BLEND], camouflage, background)
 
 
-def compose_look(
+def compose_outfit(
     shape: np.random.Generator,
     paint: np.random.Generator,
     blend: np.random.Generator,
     camouflage: float,
     background: Array,
 ) -> Array:
-    """A person's look from generators, which may be one and the same; otherwise as `draw_look`.
+    """A person's outfit from generators, which may be one and the same; otherwise as `draw_outfit`.
 
     Args:
         shape: Decides build, cut and what is carried.
         paint: Decides colors.
         blend: Decides which clothes are in the background's colors.
-        camouflage: As in `draw_look`.
-        background: As in `draw_look`.
+        camouflage: As in `draw_outfit`.
+        background: As in `draw_outfit`.
 
     Returns:
-        Shape (LOOK_NUMBERS,).
+        Shape (OUTFIT_NUMBERS,).
     """
-    look = np.zeros(LOOK_NUMBERS)
+    outfit = np.zeros(OUTFIT_NUMBERS)
 
     def choose(colors: tuple[tuple[int, int, int], ...], spread: float) -> list[float]:
         chosen, brightness = colors[int(paint.integers(len(colors)))], paint.uniform(1.0 - spread, 1.0 + spread)
@@ -116,32 +116,32 @@ def compose_look(
         (SHOES, _SHOES, 0.1),
         (BAG_COLOR, _BAGS, 0.15),
     ):
-        look[part : part + 3] = choose(colors, spread)
-    look[BUILD] = shape.uniform(0.92, 1.12)
-    look[HEAD_SIZE] = shape.uniform(0.96, 1.06)
-    look[HAIRLINE] = shape.uniform(-0.2, 0.25)
+        outfit[part : part + 3] = choose(colors, spread)
+    outfit[BUILD] = shape.uniform(0.92, 1.12)
+    outfit[HEAD_SIZE] = shape.uniform(0.96, 1.06)
+    outfit[HAIRLINE] = shape.uniform(-0.2, 0.25)
     long_hair = shape.random() < 0.38
-    look[HAIR_LENGTH] = shape.uniform(0.05, 0.14) if long_hair else 0.0
+    outfit[HAIR_LENGTH] = shape.uniform(0.05, 0.14) if long_hair else 0.0
     kind = shape.random()
-    look[TOP_MATERIAL] = 0 if kind < 0.42 else 2 if kind < 0.75 else 3 if kind < 0.88 else 4
-    look[TOP_DETAIL] = (0.0, 0.0, shape.uniform(0.22, 0.42), shape.integers(4, 8), shape.integers(3, 6))[
-        int(look[TOP_MATERIAL])
+    outfit[TOP_MATERIAL] = 0 if kind < 0.42 else 2 if kind < 0.75 else 3 if kind < 0.88 else 4
+    outfit[TOP_DETAIL] = (0.0, 0.0, shape.uniform(0.22, 0.42), shape.integers(4, 8), shape.integers(3, 6))[
+        int(outfit[TOP_MATERIAL])
     ]
-    look[COAT] = shape.uniform(0.08, 0.2) if look[TOP_MATERIAL] in (0, 2) and shape.random() < 0.3 else 0.03
-    look[SHORT_SLEEVE] = float(look[TOP_MATERIAL] != 2 and shape.random() < 0.35)
-    look[SKIRT] = shape.uniform(0.2, 0.3) if long_hair and shape.random() < 0.4 else 0.0
-    look[BAG] = (BACKPACK, SHOULDER_BAG, CASE, NO_BAG)[bisect_left((0.18, 0.34, 0.46), shape.random())]
-    look[ARM] = (POCKET, PHONE, SWINGING)[bisect_left((0.12, 0.24), shape.random())]
-    look[RELIEF_TOP], look[RELIEF_TROUSERS], look[FOLDS] = 0.75, 0.7, 0.10
+    outfit[COAT] = shape.uniform(0.08, 0.2) if outfit[TOP_MATERIAL] in (0, 2) and shape.random() < 0.3 else 0.03
+    outfit[SHORT_SLEEVE] = float(outfit[TOP_MATERIAL] != 2 and shape.random() < 0.35)
+    outfit[SKIRT] = shape.uniform(0.2, 0.3) if long_hair and shape.random() < 0.4 else 0.0
+    outfit[BAG] = (BACKPACK, SHOULDER_BAG, CASE, NO_BAG)[bisect_left((0.18, 0.34, 0.46), shape.random())]
+    outfit[ARM] = (POCKET, PHONE, SWINGING)[bisect_left((0.12, 0.24), shape.random())]
+    outfit[RELIEF_TOP], outfit[RELIEF_TROUSERS], outfit[FOLDS] = 0.75, 0.7, 0.10
     if camouflage > 0.0:
         blends, chosen = blend.random(2) < camouflage, background[blend.integers(len(background), size=2)]
         if blends[0]:
-            look[TOP : TOP + 3] = chosen[0]
-            look[TOP_SECOND : TOP_SECOND + 3] = chosen[0] * 0.94
-            look[RELIEF_TOP] = 0.3
+            outfit[TOP : TOP + 3] = chosen[0]
+            outfit[TOP_SECOND : TOP_SECOND + 3] = chosen[0] * 0.94
+            outfit[RELIEF_TOP] = 0.3
         if blends[1]:
-            look[TROUSERS : TROUSERS + 3] = chosen[1]
-            look[RELIEF_TROUSERS] = 0.3
-    sleeve = SKIN if look[SHORT_SLEEVE] else TOP
-    look[SLEEVE : SLEEVE + 3] = look[sleeve : sleeve + 3]
-    return look
+            outfit[TROUSERS : TROUSERS + 3] = chosen[1]
+            outfit[RELIEF_TROUSERS] = 0.3
+    sleeve = SKIN if outfit[SHORT_SLEEVE] else TOP
+    outfit[SLEEVE : SLEEVE + 3] = outfit[sleeve : sleeve + 3]
+    return outfit
