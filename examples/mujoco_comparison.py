@@ -105,61 +105,11 @@ def _shown(errors: Array | None) -> str:
 TEXT = """# A MuJoCo arm
 
 `examples/mujoco_arm.py` drives planar MuJoCo arms of two and three links with the estimators and the controller of
-`servotrack.estimators.jacobian`, unchanged and with the same settings. A driver for a real robot has the same interface:
-measurements in, joint rates out. The camera is MuJoCo's own, at the tool. "rendered": its image is rendered and the
-center of mass of the red target found in it. "projected": the target's position is projected through the camera's pose and
-field of view. The target follows the ellipse of the paper `unscented_jacobian`, eq. (32), with {noise} px of noise, and the
-joints follow a commanded rate with the lag of a velocity servo.
-
-Mean tracking error after 3 s of one run, mm; infinite where the target was lost for good."""
-    kind, joints = WORLDS[world]
-    if kind == "pymunk":
-        errors = pymunk_errors(estimator, FIRST_TEST_SEED + run)
-    else:
-        arm = mujoco_arm.PlanarArm(joints, rendered=kind == "rendered", pixel_noise=PIXEL_NOISE, seed=run)
-        with closing(arm):
-            errors = mujoco_arm.tracking_errors(arm, controller(estimator))
-    settled = errors[round(3.0 / mujoco_arm.PERIOD) :]
-    return 1e3 * float(settled.mean()) if settled.size else np.inf
-
-
-def page(runs: int, jobs: int) -> str:
-    """The page with the table."""
-    cells = [
-        (world, estimator)
-        for estimator in mujoco_arm.ESTIMATORS
-        for world, (_, joints) in WORLDS.items()
-        if joints == 2 or estimator not in mujoco_arm.TWO_LINKS_ONLY
-    ]
-    tasks = [(world, estimator, run) for world, estimator in cells for run in range(runs)]
-    errors = joblib.Parallel(n_jobs=jobs)(joblib.delayed(steady_error)(*task) for task in tasks)
-    found = dict(zip(cells, np.array(errors).reshape(len(cells), runs), strict=True))
-    lines = [f"| estimator | {' | '.join(WORLDS)} |", "|---|" + "---|" * len(WORLDS)]
-    for estimator in mujoco_arm.ESTIMATORS:
-        shown = [_shown(found.get((world, estimator))) for world in WORLDS]
-        lines.append(f"| {estimator} | {' | '.join(shown)} |")
-    versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("servotrack", "mujoco", "pymunk", "numpy"))
-    return TEXT.format(
-        runs=runs, noise=PIXEL_NOISE, table="\n".join(lines), versions=f"Python {platform.python_version()}, {versions}"
-    )
-
-
-def _shown(errors: Array | None) -> str:
-    return (
-        "two links only"
-        if errors is None
-        else f"{np.median(errors):.2f} ({errors.min():.2f} to {errors.max():.2f})"
-    )
-
-
-TEXT = """# A MuJoCo arm
-
-`examples/mujoco_arm.py` drives planar MuJoCo arms of two and three links with the estimators and the controller of
-`servotrack.estimators.jacobian`, unchanged and with the same settings: what a driver of a real robot has to write is a
-measurement out and joint rates in. The camera is MuJoCo's own, at the tool. "rendered": its image is rendered and the
-red target's center of mass found in it; "projected": the target's position is projected through the camera's pose and
-field of view. The target is paper 002's ellipse, eq. (32), {noise} px of noise are added, and the arm's joints follow a
-commanded rate with the lag of a velocity servo.
+`servotrack.estimators.jacobian`, unchanged and with the same settings. A driver for a real robot has the same
+interface: measurements in, joint rates out. The camera is MuJoCo's own, at the tool. "rendered": its image is
+rendered and the center of mass of the red target found in it. "projected": the target's position is projected through
+the camera's pose and field of view. The target follows the ellipse of the paper `unscented_jacobian`, eq. (32), with
+{noise} px of noise, and the joints follow a commanded rate with the lag of a velocity servo.
 
 Mean tracking error after 3 s, mm: median over {runs} noise seeds (lowest to highest).
 
@@ -167,9 +117,9 @@ Mean tracking error after 3 s, mm: median over {runs} noise seeds (lowest to hig
 
 Written by `python examples/mujoco_comparison.py` with {versions}.
 
-The two-link arm has pymunk's link lengths, camera and joint stops. The three-link arm is redundant: the control law takes the
-smallest joint motion and avoids neither its stops at 2.6 rad nor singular poses. The large errors there are runs in which the
-arm drifts to a stretched pose and its elbow swings through it at the rate limit.
+The two-link arm has pymunk's link lengths, camera and joint stops. The three-link arm is redundant: the control law
+takes the smallest joint motion and avoids neither its stops at 2.6 rad nor singular poses. The large errors there are
+runs in which the arm drifts to a stretched pose and its elbow swings through it at the rate limit.
 """
 
 
