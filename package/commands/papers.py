@@ -7,27 +7,27 @@ from typing import Annotated
 
 import typer
 
-from servotrack.commands.terms import (
-    console,
-)
+from servotrack.baselines.papers.reproduce import PAPERS, find_paper, reproduce_paper
+from servotrack.baselines.papers.request import Recording
+from servotrack.commands.terms import console
 
 
 def reproduce(
     paper: Annotated[
         str,
-        typer.Argument(
-            help="`gm_phd_video`: GM-PHD filter on video; `monte_carlo_color`: Monte-Carlo color tracking; "
-            "`unscented_jacobian`: unscented Kalman filter of the image Jacobian; `hmm_sonar`: hidden Markov models on "
-            "bearing-time records; `pairwise_markov`: PHD and CBMeMBer filters under pairwise Markov models; "
-            "`transfer`: rank correlation of trackers between rendered people and your sequences."
-        ),
+        typer.Argument(help="; ".join(f"`{known.name}`: {known.summary}" for known in PAPERS.values()) + "."),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for tables, figures and claims.")] = Path(
         "results/reproduce"
     ),
     runs: Annotated[
         int | None,
-        typer.Option(min=1, help="Runs per algorithm; more narrow the intervals. Default: 8 to 500, by paper."),
+        typer.Option(
+            min=1,
+            help="Runs per algorithm; more narrow the intervals. Default: "
+            + ", ".join(f"{known.default_runs} for {known.name}" for known in PAPERS.values())
+            + ".",
+        ),
     ] = None,
     claims: Annotated[Path | None, typer.Option(help="Claims file to fill in. Default: a copy in OUTPUT.")] = None,
     source: Annotated[
@@ -35,7 +35,8 @@ def reproduce(
         typer.Option(
             "--source",
             "-s",
-            help="For `gm_phd_video` and `transfer`: your video or MOTChallenge folder. Repeatable.",
+            help="For " + " and ".join(f"`{known.name}`" for known in PAPERS.values() if known.takes_recordings) + ": "
+            "your video or MOTChallenge folder. Repeatable.",
         ),
     ] = None,
     truth: Annotated[
@@ -51,9 +52,6 @@ def reproduce(
     ] = None,
 ) -> None:
     """Reproduce a paper: tables and figures beside the paper's own, and a verdict on each of its claims."""
-    from servotrack.baselines.papers.reproduce import find_paper, reproduce_paper
-    from servotrack.baselines.papers.request import Recording
-
     name = find_paper(paper).name
     sources = source or []
     truths: list[str | None] = [*truth] if truth else [None] * len(sources)
