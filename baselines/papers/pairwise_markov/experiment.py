@@ -8,15 +8,17 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from servotrack.baselines.agents.clutter.catalog import FilterSettings, track_filter
 from servotrack.envs.streams import episode_seed
 from servotrack.envs.track.clutter.config import ClutterConfig, clutter_config
 from servotrack.envs.track.clutter.episode import ClutterEpisode, draw_episode
-from servotrack.envs.track.clutter.scene_model import scene_model_of
+from servotrack.envs.track.clutter.scene_model import SceneModel, scene_model_of
 from servotrack.estimators.metrics import ospa2, score_points, stack_tracks, tracks_from_rows, trajectory_gospa
+from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.stateful import Stateful
-from servotrack.estimators.types import Array, Labels, Mask
+from servotrack.estimators.types import Array, Estimator, Labels, Mask
 
 CUTOFF = 100.0
 """The c of OSPA and GOSPA, m."""
@@ -115,9 +117,14 @@ def run_condition(condition: Condition, seeds: Sequence[int]) -> dict[str, Measu
     return {name: _run_method(name, condition, scans, truth, exists) for name in condition.methods}
 
 
-def _run_method(name: str, condition: Condition, scans: Array, truth: Array, exists: Mask) -> Measures:
+def _stateful_filter(name: str, scene: SceneModel) -> Stateful[ArrayLike, Any, SetEstimate]:
     filter_name, settings = METHODS[name]
-    tracker = Stateful(track_filter(filter_name, scene_model_of(condition.config), settings))
+    estimator: Estimator[ArrayLike, Any, SetEstimate] = track_filter(filter_name, scene, settings)
+    return Stateful(estimator)
+
+
+def _run_method(name: str, condition: Condition, scans: Array, truth: Array, exists: Mask) -> Measures:
+    tracker = _stateful_filter(name, scene_model_of(condition.config))
     steps, runs = scans.shape[:2]
     columns = {key: np.zeros((runs, steps)) for key in Measures._fields[:6]}
     labels: list[Labels] = []
@@ -172,8 +179,7 @@ def time_steps(names: Sequence[str], condition: Condition, seeds: Sequence[int])
     for episode in draw_runs(condition.config, seeds):
         scans = [scan[scan[:, 0] > 0.5, 1:] for scan in episode.measurements[:-1]]
         for name in names:
-            filter_name, settings = METHODS[name]
-            tracker = Stateful(track_filter(filter_name, scene, settings))
+            tracker = _stateful_filter(name, scene)
             durations = []
             for z in scans:
                 begin = time.perf_counter()
@@ -200,8 +206,7 @@ class SingleRun(NamedTuple):
 def single_run(name: str, condition: Condition, seed: int) -> SingleRun:
     """Return one run of one method."""
     (episode,) = draw_runs(condition.config, [seed])
-    filter_name, settings = METHODS[name]
-    tracker = Stateful(track_filter(filter_name, scene_model_of(condition.config), settings))
+    tracker = _stateful_filter(name, scene_model_of(condition.config))
     estimates, measurements = [], []
     for step, scan in enumerate(episode.measurements[:-1]):
         z = scan[scan[:, 0] > 0.5, 1:]
