@@ -1,4 +1,4 @@
-"""What all tracking worlds share: sets as fixed arrays, an observer's answer, its score, and the picture of both."""
+"""Base classes of all tracking environments: sets as fixed arrays, checked actions, info, rendering."""
 
 from __future__ import annotations
 
@@ -21,14 +21,17 @@ METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 10
 
 
 def set_space(rows: int, low: ArrayLike, high: ArrayLike) -> gym.spaces.Box:
-    """Sets of at most `rows` members as a Box of shape (rows, 1 + d): existence from 0 to 1, then the members.
+    """Return the space of sets of at most `rows` members: existence from 0 to 1 in column 0, then the member.
 
-    Unused rows are zeros, so that bounds which leave zero out are widened to it.
+    Unused rows are zeros; bounds that exclude zero are therefore widened to include it.
 
     Args:
-        rows: Most members.
+        rows: Maximum number of members.
         low: Lowest member, shape (d,).
         high: Highest member, shape (d,).
+
+    Returns:
+        Box of shape (rows, 1 + d), float64.
     """
     lowest = np.minimum(np.concatenate([[0.0], np.asarray(low, dtype=np.float64)]), 0.0)
     highest = np.maximum(np.concatenate([[1.0], np.asarray(high, dtype=np.float64)]), 0.0)
@@ -36,10 +39,10 @@ def set_space(rows: int, low: ArrayLike, high: ArrayLike) -> gym.spaces.Box:
 
 
 def check_answer(action: Any, shape: tuple[int, ...]) -> Array:
-    """An answer as float64 of the right shape.
+    """Return an action as a float64 array of the given shape.
 
     Raises:
-        ValueError: No numbers, another shape, or a value that is not finite.
+        ValueError: If the action is not numeric, has another shape or contains NaN or infinity.
     """
     try:
         values = np.asarray(action, dtype=np.float64)
@@ -47,26 +50,26 @@ def check_answer(action: Any, shape: tuple[int, ...]) -> Array:
         raise ValueError(f"action must be numbers of shape {shape}, got {action!r}") from error
     if values.shape != shape:
         raise ValueError(
-            f"action must have shape {shape}, that of the action space, got {values.shape}; rows of a set that are not "
-            "used are zeros"
+            f"action must have shape {shape}, that of the action space, got {values.shape}; fill unused rows of a "
+            "set with zeros"
         )
     if not np.isfinite(values).all():
-        raise ValueError("action must be finite, got NaN or infinity; rows of a set that are not used are zeros")
+        raise ValueError("action must be finite, got NaN or infinity; fill unused rows of a set with zeros")
     return values
 
 
 class TrackEnv(gym.Env[Any, Array]):
-    """One scene and its observer. Subclasses give a batched world, the spaces, and a recorder for the picture.
+    """Tracking environment with one scene. Subclasses provide a batched world, the spaces and a recorder.
 
-    The world's public array `observations` is what agents see; its dictionaries `truth()`, `scores()` and
-    `episode_scores()` are what `info` tells.
+    The array `world.observations` holds the observations. The dictionaries returned by `world.truth()`,
+    `world.scores()` and `world.episode_scores()` are the content of `info`.
 
     Args:
-        world: A batched world with one row.
-        observation_space: Of `world.observations`, a row of them.
-        action_space: As `set_space` makes it.
+        world: Batched world with one row.
+        observation_space: Space of a row of `world.observations`.
+        action_space: Space of the estimated sets, made by `set_space`.
         render_mode: None, `rgb_array` or `human`.
-        title: Of the window.
+        title: Title of the window.
     """
 
     metadata: ClassVar[dict[str, Any]] = METADATA  # type: ignore[misc]
@@ -94,21 +97,21 @@ class TrackEnv(gym.Env[Any, Array]):
 
     @abstractmethod
     def _make_recorder(self) -> Any:
-        """What remembers the past for the picture."""
+        """Return the recorder that stores the past steps for pictures."""
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start a new episode.
 
         Args:
-            seed: Decides this episode and, without further seeds, all later ones.
-            options: None are known.
+            seed: Seed of this episode and, if later resets pass no seed, of all later ones.
+            options: Must be None or empty.
 
         Returns:
-            The first observation, and info.
+            First observation, and info.
 
         Raises:
-            ValueError: `options` holds anything, or a negative seed.
-            TypeError: A seed that is no integer.
+            ValueError: If `options` is not empty or the seed is negative.
+            TypeError: If the seed is not an integer.
         """
         seed = check_seed(seed)
         if seed is not None or self._np_random is None:
@@ -123,14 +126,14 @@ class TrackEnv(gym.Env[Any, Array]):
         """Answer the newest observation.
 
         Args:
-            action: The set believed in, shape of the action space; the row is the identity.
+            action: Estimated set, with the shape of the action space; a row is an identity.
 
         Returns:
-            The next observation, reward, terminated, truncated, info.
+            Next observation, reward, terminated, truncated, info.
 
         Raises:
-            ValueError: An action of another shape, or not finite.
-            gymnasium.error.ResetNeeded: No episode is running.
+            ValueError: If the action has another shape or is not finite.
+            gymnasium.error.ResetNeeded: If no episode is running.
         """
         assert self.action_space.shape is not None
         values = check_answer(action, self.action_space.shape)
@@ -144,14 +147,14 @@ class TrackEnv(gym.Env[Any, Array]):
         return world.observations[0].copy(), float(world.reward[0]), terminated, truncated, self._info()
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """Draw the scan that was answered last (after a reset the first one) with the answer.
+        """Draw the last answered observation with the answer; after a reset, draw the first observation.
 
         Returns:
-            With `rgb_array` a new RGB frame, uint8; with `human` None, for reset and step show the frames themselves;
-            None without a render mode.
+            New RGB frame, uint8, with render mode `rgb_array`. None with `human`, because reset and step show the
+            frames, and without a render mode.
 
         Raises:
-            gymnasium.error.ResetNeeded: Before the first reset.
+            gymnasium.error.ResetNeeded: If the environment was never reset.
         """
         if self._recorder is None:
             gym.logger.warn('render() draws nothing without a render mode; try gym.make(id, render_mode="rgb_array")')
@@ -161,7 +164,7 @@ class TrackEnv(gym.Env[Any, Array]):
         return self._recorder.frame() if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Close the window, if there is one."""
+        """Close the window, if one is open."""
         if self._viewer is not None:
             self._viewer.close()
 
@@ -181,21 +184,21 @@ class TrackEnv(gym.Env[Any, Array]):
         return info
 
     def privileged(self) -> dict[str, Array]:
-        """What `PrivilegedObservation` adds: as the world's `privileged`, without the leading axis."""
+        """Return the entries that `PrivilegedObservation` adds: `world.privileged()` without the leading axis."""
         return {key: value[0] for key, value in self.world.privileged().items()}
 
 
 class TrackVectorEnv(BatchedVectorEnv):
-    """N scenes and their observers. Subclasses give a batched world, the spaces, and recorders for the pictures.
+    """Tracking environment with N scenes. Subclasses provide a batched world, the spaces and the recorders.
 
     Args:
-        world: A batched world with N rows.
-        num_envs: N, as `check_count` returned it.
-        observation_space: Of one scene.
-        action_space: Of one scene.
+        world: Batched world with N rows.
+        num_envs: Number of scenes N.
+        observation_space: Observation space of one scene.
+        action_space: Action space of one scene.
         render_mode: None or `rgb_array`.
-        autoreset_mode: As a Gymnasium `AutoresetMode` or its value.
-        max_episode_steps: Shortens episodes, as `gym.make`'s argument of that name does.
+        autoreset_mode: Gymnasium `AutoresetMode` or its value.
+        max_episode_steps: Maximum number of steps of an episode; None: the horizon of the world.
     """
 
     metadata: ClassVar[dict[str, Any]] = METADATA  # type: ignore[misc]

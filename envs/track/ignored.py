@@ -1,4 +1,7 @@
-"""Answers at members of the truth that are there but do not count, as people whom others hide."""
+"""Ignored targets: ground truth that is present but not scored, for example occluded people.
+
+MOTChallenge treats its ignore regions in the same way.
+"""
 
 from __future__ import annotations
 
@@ -9,24 +12,25 @@ from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.types import Array, Mask
 
 IGNORE_REACH = 0.5
-"""Share of the cut-off within which an answer is one at a hidden member; of boxes, an IoU of one half."""
+"""Largest distance between an ignored target and its answer, fractions of the cut-off; for boxes, an IoU of 0.5."""
 
 
 def ignored_answers(distances: Array, counted: Mask, hidden: Mask, reported: Mask, cutoff: float) -> Mask:
-    """Which answers are left out because they are at somebody who does not count.
+    """Return the mask of answers that are not scored because they match an ignored target.
 
-    Those who count come first: what the best assignment gives to them stays. Each hidden member then excuses at most
-    one of the answers left over, which would be false otherwise, if it lies within `IGNORE_REACH` of the cut-off.
+    Scored targets come first: answers that the optimal assignment gives to them are kept. Each ignored target then
+    removes at most one of the remaining answers, if it lies within `IGNORE_REACH` times the cut-off. Such an answer
+    would otherwise count as a false target.
 
     Args:
-        distances: Between truths and answers, shape (N, n, k).
-        counted: Truths that count, shape (N, n).
-        hidden: Truths that are there but do not count, shape (N, n).
-        reported: Answers, shape (N, k).
-        cutoff: Distance from which an answer has nothing to do with a truth.
+        distances: Distances between true targets and answers, shape (N, n, k).
+        counted: True targets that are scored, shape (N, n).
+        hidden: True targets that are present but ignored, shape (N, n).
+        reported: Reported answers, shape (N, k).
+        cutoff: Distance from which an answer cannot be assigned to a target.
 
     Returns:
-        Shape (N, k).
+        Mask of the ignored answers, shape (N, k).
     """
     out = np.zeros(reported.shape, np.bool_)
     for row in np.flatnonzero(hidden.any(axis=1)).tolist():
@@ -36,7 +40,7 @@ def ignored_answers(distances: Array, counted: Mask, hidden: Mask, reported: Mas
 
 @njit(cache=True, nogil=True)
 def _mark_ignored(distances, counted, hidden, reported, cutoff, reach, out):  # type: ignore[no-untyped-def]
-    """Fill `out` of one scene."""
+    """Fill `out`, the mask of ignored answers, for one scene."""
     left = reported.copy()
     for kind in range(2):
         members = np.flatnonzero(counted) if kind == 0 else np.flatnonzero(hidden)

@@ -1,4 +1,4 @@
-"""Scores of set-valued answers: identities out of rows, the reward, and OSPA(2) at an episode's end."""
+"""Scores of set-valued answers: identities from rows, OSPA and GOSPA per step, OSPA(2) at the end of an episode."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from servotrack.estimators.metrics import (
 from servotrack.estimators.types import Array, Labels, Mask
 
 REPORTED_FROM = 0.5
-"""Existence from which a row is reported."""
+"""Smallest existence with which a row is reported."""
 HELD_FROM = 0.05
-"""Existence from which a row keeps its identity without being reported; below it the identity ends."""
+"""Smallest existence with which a row keeps its identity. Below it the identity ends."""
 
 
 class SetScorer:
-    """Scores of N observers, step by step; a row of an answer is an identity.
+    """Scores of N observers, step by step. A row of an answer is an identity.
 
     Args:
         count: Number of observers N.
-        rows: Rows of an answer.
-        dimension: Numbers of a state d.
-        horizon: Steps of an episode.
-        cutoff: The c of OSPA, GOSPA and OSPA(2).
-        distances: Base distances of two arrays of states, (N, n, d) and (N, k, d) to (N, n, k).
+        rows: Number of rows of an answer.
+        dimension: Dimension d of a state.
+        horizon: Number of steps of an episode.
+        cutoff: Cut-off c of OSPA, GOSPA and OSPA(2).
+        distances: Function that maps two arrays of states, (N, n, d) and (N, k, d), to base distances (N, n, k).
 
     Attributes:
-        labels: Identity of each row, shape (N, rows), -1 where the row holds none.
-        reported: Which rows are reported, shape (N, rows).
+        labels: Identity of each row, shape (N, rows); -1 for an unused row.
+        reported: Rows that are reported, shape (N, rows).
         estimates: States in the rows, shape (N, rows, d).
     """
 
@@ -60,7 +60,7 @@ class SetScorer:
         self._state_history = np.zeros((count, horizon, rows, dimension))
 
     def reset(self, row: int) -> None:
-        """Forget one observer's episode."""
+        """Clear the episode of one observer."""
         self.labels[row], self.reported[row], self.estimates[row] = -1, False, 0.0
         self._next[row] = 0
         self._label_history[row] = -1
@@ -73,16 +73,16 @@ class SetScorer:
         steps: Sequence[int] | Labels,
         hidden: Mask | None = None,
     ) -> SetScores:
-        """Take one step's answers in.
+        """Score the answers of one step.
 
         Args:
-            answers: Shape (N, rows, 1 + d), existence first.
-            truth: Shape (N, n, d).
-            truth_exists: Shape (N, n).
-            steps: The step of each observer's episode that its answer is for, shape (N,); one beyond the horizon is
-                scored, but not remembered.
-            hidden: Members of the truth that are there but do not count, shape (N, n), none of them in `truth_exists`:
-                nobody misses them, and an answer at theirs is left out of all scores; see `ignored_answers`.
+            answers: Answers, shape (N, rows, 1 + d), existence in column 0.
+            truth: True states, shape (N, n, d).
+            truth_exists: True targets that are scored, shape (N, n).
+            steps: Step of each observer's episode, shape (N,). A step beyond the horizon is scored, but not stored for
+                OSPA(2).
+            hidden: True targets that are present but ignored, shape (N, n), disjoint from `truth_exists`. They do not
+                count as missed, and an answer at their place is left out of all scores; see `ignored_answers`.
         """
         existence = answers[..., 0]
         self.labels = _labeled(existence, self.labels, self._next)
@@ -99,15 +99,15 @@ class SetScorer:
         return score_distances(distances, truth_exists, scored, self._cutoff)
 
     def tracks(self, row: int) -> list[Track]:
-        """What one observer has reported so far, one track per identity, without the answers that do not count."""
+        """Return the reported tracks of one observer, one per identity, without ignored answers."""
         return tracks_from_rows(self._label_history[row], self._state_history[row])
 
     def trajectory_score(self, row: int, truth: Array) -> float:
-        """OSPA(2) of one observer's whole episode.
+        """Return OSPA(2) of the whole episode of one observer.
 
         Args:
-            row: Which of the N.
-            truth: True tracks, shape (n, horizon, d), NaN where a target does not exist.
+            row: Index of the observer.
+            truth: True tracks, shape (n, horizon, d); NaN while a target does not exist.
         """
         tracks = stack_tracks(self.tracks(row), truth.shape[1], truth.shape[2])
         if self._distances is point_distances:
@@ -117,7 +117,7 @@ class SetScorer:
 
 @njit(cache=True, nogil=True)
 def _labeled(existence, labels, following):  # type: ignore[no-untyped-def]
-    """Identities after an answer, shape (N, rows): a row that was empty gets `following`, which is counted up."""
+    """Return the identities after an answer, shape (N, rows). New ones are numbered from `following`, changed in place."""
     out = np.full(labels.shape, -1, np.int64)
     for row in range(len(labels)):
         for k in range(labels.shape[1]):

@@ -1,4 +1,4 @@
-"""Every parameter of the clutter world, and the levels that set them."""
+"""Parameters of the clutter environment, and the levels that set them."""
 
 from __future__ import annotations
 
@@ -28,49 +28,53 @@ NOISE_STRUCTURES = ("HMM", *STRUCTURES)
 PAPER_COUNT = 12
 """Targets of the paper's scenario."""
 BIRTH_SITES = np.array([(0.0, 0.0), (400.0, -600.0), (-800.0, -200.0), (-200.0, 800.0)])
-"""Where targets appear, m; read at the default half width of 2000 m and scaled with it."""
+"""Birth sites, m, at the default half width of 2000 m. They scale with the half width."""
 _SITES_HALF_WIDTH = 2000.0
 _SENSOR_DISTANCE = 1.5
-"""The range-bearing sensor stands on the x axis, left of the region, this many half widths from its middle: no bearing
-of the region is near pi."""
+"""Distance of the range-bearing sensor from the middle of the region, half widths. It stands on the negative x axis, so
+that all bearings of the region stay far from pi."""
 _REACH = 10.0
-"""Standard deviations of measurement noise that the spaces leave room for around the region."""
+"""Margin of the spaces around the region, standard deviations of the measurement noise."""
 
 
 @dataclass(frozen=True)
 class ClutterConfig:
-    """All that defines a clutter world.
+    """Parameters of a clutter environment.
 
     Attributes:
-        scenario: `paper` (paper 004's twelve targets) or `random` (births and deaths drawn anew in every episode).
+        scenario: `paper` (twelve targets with the birth and death times of Zhang et al. 2017) or `random` (births and
+            deaths drawn in every episode).
         horizon: Scans of an episode.
-        half_width: The region is [-half_width, half_width] squared, m. A target that leaves it is drawn again in the
-            scenario `paper`, and gone in `random`.
+        half_width: Half the side of the square region, m. A path that leaves the region is drawn again in the scenario
+            `paper`; in `random` the target disappears.
         period: Time between scans, s.
-        structure: `HMM`, or S1 to S6: how process and measurement noise depend on each other (see
+        structure: Dependence between process and measurement noise: `HMM` (independent) or S1 to S6 (see
             `servotrack.estimators.rfs.models.pairwise_structure`).
-        acceleration_noise: sigma_v of nearly constant velocity, m/s^1.5.
+        acceleration_noise: Process noise sigma_v of the nearly-constant-velocity model, m/s^1.5. Larger values give
+            more curved paths.
         position_noise: Standard deviation of a measured coordinate, m.
         sensor: `position`, or `range-bearing` from (-1.5 half_width, 0).
         range_noise: Standard deviation of a measured range, m.
         bearing_noise: Standard deviation of a measured bearing, rad.
-        detection_probability: That a target is in a scan.
-        clutter_rate: Mean number of false measurements in a scan, uniform over what the sensor sees.
-        survival_probability: From scan to scan; decides deaths in `random`, and is told to agents.
-        max_targets: Most targets of an episode.
-        initial_targets: Mean number at the first scan, Poisson (`random`).
+        detection_probability: Probability that a scan contains a measurement of a target.
+        clutter_rate: Mean number of false measurements in a scan, uniform over the field of view.
+        survival_probability: Probability that a target survives from one scan to the next. It sets the deaths in
+            `random`, and is part of the scene model in both scenarios.
+        max_targets: Maximum number of targets in an episode.
+        initial_targets: Mean number of targets at the first scan, Poisson (`random`).
         birth_rate: Mean number of new targets per scan, Poisson (`random`).
-        births: `sites` or `anywhere` (`random`).
-        birth_spread: Standard deviation of new positions about a site, m (`random`; told always).
-        birth_speed: Standard deviation of a new velocity's coordinates, m/s (`random`; told always).
-        maneuver_rate: Probability per scan that a target takes up a new turn rate.
-        max_turn_rate: Turn rates are uniform up to this, either way, rad/s.
-        told_detection_probability: What agents are told; None: the truth.
-        told_clutter_rate: What agents are told; None: the truth.
-        told_births: What agents are told: `sites`, `anywhere`; None: the truth.
-        max_measurements: Rows of an observation; None: max_targets and the 1 - 1e-9 quantile of the clutter.
+        births: Birth places: `sites` (four Gaussians) or `anywhere` (uniform over the region) (`random`).
+        birth_spread: Standard deviation of new positions around a site, m (`random`). Part of the scene model.
+        birth_speed: Standard deviation of each coordinate of a new velocity, m/s (`random`). Part of the scene model.
+        maneuver_rate: Probability per scan that a target starts to turn at a new rate.
+        max_turn_rate: Bound of turn rates, rad/s. They are uniform in [-max_turn_rate, max_turn_rate].
+        told_detection_probability: Detection probability in the scene model that agents get; None: the true one.
+        told_clutter_rate: Clutter rate in the scene model; None: the true one.
+        told_births: Birth places in the scene model, `sites` or `anywhere`; None: the true ones.
+        max_measurements: Rows of an observation; None: max_targets plus the 1 - 1e-9 quantile of the number of false
+            measurements.
         max_estimates: Rows of an action; None: 2 max_targets + 16.
-        cutoff: The c of reward and scores, m.
+        cutoff: Cut-off c of the reward and of OSPA, GOSPA and OSPA(2), m.
     """
 
     scenario: str = "paper"
@@ -102,7 +106,7 @@ class ClutterConfig:
     cutoff: float = 100.0
 
     def __post_init__(self) -> None:
-        """Check every field; raises ValueError that names the argument, the value and what would be right."""
+        """Check every field. A ValueError names the argument, its value and the valid values."""
         for name, options in _CHOICES:
             value = getattr(self, name)
             if value not in options and not (name == "told_births" and value is None):
@@ -119,17 +123,17 @@ class ClutterConfig:
             raise ValueError(
                 f"max_measurements must be at least max_targets = {self.max_targets}, got {self.max_measurements}"
             )
-        self.motion  # noqa: B018 - a structure that the noise levels do not admit fails here, with its condition named
+        self.motion  # noqa: B018 - raises if the noise levels violate a condition of the structure
 
     @cached_property
     def motion(self) -> HiddenMarkovModel | PairwiseMarkovModel:
-        """Motion and position measurement of one target."""
+        """Motion and measurement model of one target."""
         linear = constant_velocity(self.acceleration_noise, self.position_noise, period=self.period)
         return linear if self.structure == "HMM" else pairwise_structure(linear, self.structure)  # type: ignore[arg-type]
 
     @property
     def sensor_position(self) -> tuple[float, float]:
-        """Where the range-bearing sensor stands, m."""
+        """Position of the range-bearing sensor, m."""
         return (-_SENSOR_DISTANCE * self.half_width, 0.0)
 
     @property
@@ -139,7 +143,7 @@ class ClutterConfig:
 
     @property
     def seen(self) -> tuple[Array, Array]:
-        """What the sensor sees, as the lowest and highest measurement of clutter, each shape (2,)."""
+        """Field of view of the sensor: lowest and highest false measurement, each of shape (2,)."""
         h = self.half_width
         if self.sensor == "position":
             return np.array([-h, -h]), np.array([h, h])
@@ -149,7 +153,7 @@ class ClutterConfig:
 
     @property
     def measurement_bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest measurement, each shape (2,): what the sensor sees, with room for noise."""
+        """Lowest and highest measurement, each of shape (2,): the field of view with a margin for noise."""
         low, high = self.seen
         if self.sensor == "position":
             room = np.full(2, _REACH * self.position_noise)
@@ -201,16 +205,16 @@ AXES = tuple(f.name for f in fields(ClutterConfig))
 
 
 def clutter_config(level: int = 0, **axes: Any) -> ClutterConfig:
-    """The configuration of a level, with single parameters overridden.
+    """Return the configuration of a level, with some parameters overridden.
 
     Args:
         level: 0 `paper`, 1 `random`, 2 `low detection`, 3 `maneuvers`, 4 `range-bearing`, 5 `wrong detection`,
-            6 `wrong clutter`, 7 `wrong births`; from 2 on each differs from `random` in what its name says.
-        **axes: Fields of `ClutterConfig`.
+            6 `wrong clutter`, 7 `wrong births`. Levels 2 to 7 change `random` in the way that their name says.
+        **axes: Fields of `ClutterConfig` with the values to use.
 
     Raises:
-        ValueError: A level that does not exist, or a value outside its bounds.
-        TypeError: An unknown keyword; the message suggests the nearest known one.
+        ValueError: If the level does not exist or a value is outside its bounds.
+        TypeError: If a keyword is unknown; the message suggests the nearest known one.
     """
     level = check_level(level, len(_LEVELS))
     check_keywords(axes, AXES)

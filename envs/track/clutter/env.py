@@ -1,4 +1,4 @@
-"""Point targets in clutter: the world of the random-finite-set filters."""
+"""ClutterTracking-v0: multi-target tracking of point targets in clutter, the setting of random-finite-set filters."""
 
 from __future__ import annotations
 
@@ -17,65 +17,69 @@ _METADATA = METADATA | {"servotrack_kind": "clutter"}
 
 
 class ClutterTrackingEnv(TrackEnv):
-    """Count and locate targets, nobody knows how many, by scans in which some are missing and most is clutter.
+    """Track an unknown and changing number of point targets in scans with missed detections and clutter.
 
     ## Description
 
-    Targets move over a square region with nearly constant velocity. They appear and vanish. Every second a sensor
-    delivers a scan: of each target at most one noisy measurement, and false measurements, in no order. The agent is an
-    observer. It changes nothing in the world; it answers every scan with the set of targets it believes in, and keeps
-    their identities apart.
+    Targets move over a square region with nearly constant velocity. They appear and disappear. Every second a sensor
+    delivers a scan: at most one noisy measurement of each target, and false measurements (clutter), in random order.
+    The agent is a passive observer: its actions do not influence the targets. It answers every scan with an estimate of
+    the set of targets and of their identities.
 
     | level | world |
     |---|---|
-    | 0 `paper` | paper 004: twelve targets at known times, 20 false measurements per scan, pairwise Markov noise S1 |
-    | 1 `random` | births, deaths and motion drawn anew |
+    | 0 `paper` | Zhang et al. 2017: 12 targets at fixed times, 20 false detections per scan, pairwise Markov noise S1 |
+    | 1 `random` | random births and deaths, up to 40 targets |
     | 2 `low detection` | detection probability 0.6, 60 false measurements per scan |
-    | 3 `maneuvers` | targets that turn at up to 0.2 rad/s |
-    | 4 `range-bearing` | a sensor beside the region measures range (5 m) and bearing (0.005 rad) |
-    | 5 `wrong detection` | agents are told a detection probability of 0.98; it is 0.8 |
-    | 6 `wrong clutter` | agents are told 5 false measurements per scan; there are 40 |
-    | 7 `wrong births` | agents are told four birth sites; targets appear anywhere |
+    | 3 `maneuvers` | targets turn at up to 0.2 rad/s |
+    | 4 `range-bearing` | a sensor beside the region measures range (sigma 5 m) and bearing (sigma 0.005 rad) |
+    | 5 `wrong detection` | the scene model gives a detection probability of 0.98; the true one is 0.8 |
+    | 6 `wrong clutter` | the scene model gives 5 false measurements per scan; the true mean is 40 |
+    | 7 `wrong births` | the scene model gives four birth sites; targets appear anywhere |
 
-    The public attribute `scene_model` holds the parameters that agents may know, a
-    `servotrack.envs.track.clutter.scene_model.SceneModel`.
+    The attribute `scene_model`, a `servotrack.envs.track.clutter.scene_model.SceneModel`, holds the parameters that
+    agents may use: motion and measurement model, detection probability, clutter and births. On levels 5 to 7 one of
+    them is wrong on purpose.
 
     ## Action Space
 
-    `Box((max_estimates, 3), float64)`: the answer, one row per identity: existence, x and y in m. An existence of at
-    least 0.5 reports the target; from 0.05 to 0.5 the row keeps its identity silently; below 0.05 the identity ends and
-    the row is free for another.
+    `Box((max_estimates, 3), float64)`: the estimated set, one row per identity: existence probability, x and y in m. An
+    existence of at least 0.5 reports the target. From 0.05 to 0.5 the target is not reported, but the row keeps its
+    identity. Below 0.05 the identity ends and the row is free for another target.
 
     ## Observation Space
 
     `Box((max_measurements, 3), float64)`: the scan, one row per measurement: 1, then x and y in m (range in m and
-    bearing in rad at level 4). The rows are in random order; unused rows are zeros at the end. `max_measurements` is by
-    default the most targets plus what the clutter exceeds once in 1e9 scans; on overflow only clutter is dropped.
+    bearing in rad on level 4). The rows are in random order; unused rows at the end are zeros. By default
+    `max_measurements` is `max_targets` plus the number of false measurements that is exceeded once in 1e9 scans. If a
+    scan has more measurements than rows, false measurements are dropped.
 
     ## Rewards
 
     `-GOSPA(c = cutoff, p = 1, alpha = 2) / c` of the answer to each scan: a missed or a false target costs one half, a
-    located one its error over c.
+    localized target costs its position error divided by c.
 
-    `info` holds, for evaluation and not for agents: `ospa`, `gospa` and its parts `location_error`, `missed_error`,
-    `false_error` (m), `cardinality_error`, all of the last answer and from the first answer on; at the episode's end
-    `ospa2`, OSPA(2) over the trajectories, where identity counts (m); and `truth` of the newest scan: `states`
-    (max_targets, 4) as x, vx, y, vy, `exists`, and `source`, the target behind each measurement (-1 clutter, -2 none).
+    `info` serves evaluation; agents must not use it. From the first answer on it holds the scores of the last answer:
+    `ospa`, `gospa` and its parts `location_error`, `missed_error` and `false_error` (m), and `cardinality_error`. At
+    the end of the episode `ospa2` is OSPA(2) over the trajectories, which also penalizes identity switches (m). `truth`
+    is the ground truth of the newest scan: `states` (max_targets, 4) as x, vx, y, vy; `exists`; and `source`, the index
+    of the target that caused each measurement (-1 for clutter, -2 for an unused row).
 
     ## Starting State
 
-    Scan one. Motion, births, deaths, detections, noise, clutter and order are drawn from the seed, each from a stream
-    of its own; all observers on one seed see the same scans. In the paper's scenario a path that leaves the region is
-    drawn again; at the other levels such a target is gone.
+    The first scan. Motion, births, deaths, detections, noise, clutter and order are drawn from the seed, each from its
+    own random stream, so that all agents get the same scans for the same seed. On level 0 a path that leaves the region
+    is drawn again; on the other levels the target disappears.
 
     ## Episode End
 
-    Never by termination. Truncation: after `horizon` answers (default 100). The scan that then comes is not scored.
+    Truncation after `horizon` answers (default 100); the environment never terminates. The last observation is not
+    scored.
 
     ## Arguments
 
-    `level` (0 to 7, default 0) and every field of `ClutterConfig` as a keyword that overrides the level's value, for
-    example `gym.make("ClutterTracking-v0", level=1, detection_probability=0.9, max_targets=100, birth_rate=1.0)`.
+    `level` (0 to 7, default 0), and every field of `ClutterConfig` as a keyword that overrides the value of the level,
+    for example `gym.make("ClutterTracking-v0", level=1, detection_probability=0.9, max_targets=100, birth_rate=1.0)`.
     `render_mode`: `rgb_array` or `human`.
 
     ## References
@@ -107,15 +111,15 @@ class ClutterTrackingEnv(TrackEnv):
 
 
 class ClutterTrackingVectorEnv(TrackVectorEnv):
-    """`ClutterTracking-v0`, N at a time: what `gym.make_vec("ClutterTracking-v0", num_envs=N)` makes.
+    """Vector environment of `ClutterTracking-v0`, made by `gym.make_vec("ClutterTracking-v0", num_envs=N)`.
 
     Args:
         num_envs: Number of scenes N.
-        level: As in `ClutterTrackingEnv`.
-        render_mode: None or `rgb_array`; frames of all N come as a tuple.
+        level: Level from 0 to 7; see `ClutterTrackingEnv`.
+        render_mode: None or `rgb_array`; `render()` returns a tuple of N frames.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as a Gymnasium `AutoresetMode` or its value.
-        max_episode_steps: Shortens episodes, as `gym.make`'s argument of that name does.
-        **axes: As in `ClutterTrackingEnv`.
+        max_episode_steps: Maximum number of steps of an episode; None: `horizon`.
+        **axes: Fields of `ClutterConfig`; see `ClutterTrackingEnv`.
     """
 
     metadata: ClassVar[dict[str, Any]] = _METADATA  # type: ignore[misc]

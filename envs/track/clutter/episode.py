@@ -1,4 +1,4 @@
-"""What fate deals an episode of the clutter world: targets, detections and clutter, all drawn before scan one."""
+"""Random draws of one clutter episode: targets, detections and clutter, all drawn before the first scan."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from servotrack.envs.track.counts import poisson_quantile
 from servotrack.estimators.types import Array, Labels, Mask
 
 _CANDIDATES = 16
-"""Paths drawn at a time for one target, of which the first that stays inside counts."""
+"""Number of paths drawn at a time for one target in the scenario `paper`; the first that stays inside is used."""
 _MAX_DRAWS = 4096
+"""Number of paths drawn for one target before `draw_episode` fails."""
 
 
 class Stream(IntEnum):
-    """Child streams of an episode's seed. Appending one shifts no other; the numbers must never change."""
+    """Child streams of an episode's seed. The numbers must never change; new streams are appended."""
 
     MOTION = 0
     MANEUVER = 1
@@ -34,7 +35,7 @@ class Stream(IntEnum):
 
 
 class PaperTarget(NamedTuple):
-    """A target of paper 004's scenario: first and last scan (counted from 1), and its first state."""
+    """A target of the scenario `paper`: first and last scan (counted from 1), and initial state (x, vx, y, vy)."""
 
     first: int
     last: int | None
@@ -63,9 +64,9 @@ class ClutterEpisode:
 
     Attributes:
         states: True states, shape (K, n, 4), m and m/s; zeros where a target does not exist.
-        exists: Shape (K, n), bool.
-        measurements: What is observed, shape (K, M, 3): existence and two coordinates.
-        source: Which target each measurement comes from, shape (K, M): -1 for clutter, -2 for an empty row.
+        exists: Targets that exist, shape (K, n), bool.
+        measurements: Scans, shape (K, M, 3): existence and two coordinates.
+        source: Index of the target that caused each measurement, shape (K, M): -1 for clutter, -2 for an unused row.
     """
 
     states: Array
@@ -75,14 +76,14 @@ class ClutterEpisode:
 
 
 def draw_episode(config: ClutterConfig, seed: int) -> ClutterEpisode:
-    """Draw all of an episode.
+    """Draw all random quantities of an episode.
 
     Args:
-        config: The world.
-        seed: Non-negative integer.
+        config: Parameters of the environment.
+        seed: Seed of the episode, a non-negative integer.
 
     Raises:
-        ValueError: A target never stays inside the region for as long as it is to live.
+        ValueError: If no path of a target of the scenario `paper` stays inside the region.
     """
     streams = Streams(seed)
     scans, n = config.horizon + 1, config.max_targets
@@ -114,7 +115,7 @@ def _births(config: ClutterConfig, streams: Streams) -> tuple[Labels, Labels, Ar
     rng = streams[Stream.BIRTH]
     counts = rng.poisson(np.concatenate([[config.initial_targets], np.full(scans - 1, config.birth_rate)]))
     first = np.repeat(np.arange(scans), counts)[: config.max_targets]
-    # Places are drawn for all that there could be, so that one target's place does not depend on the others' number.
+    # Places are drawn for max_targets, so that the place of a target does not depend on the number of targets.
     anywhere = rng.uniform(-config.half_width, config.half_width, (config.max_targets, 2))
     site = rng.integers(0, len(config.sites), config.max_targets)
     about = config.birth_spread * rng.standard_normal((config.max_targets, 2))
@@ -128,10 +129,10 @@ def _births(config: ClutterConfig, streams: Streams) -> tuple[Labels, Labels, Ar
 
 
 def _draw_path(config: ClutterConfig, streams: Streams, target: int, start: Array, life: slice) -> Array:
-    """State and measured position of a target at every scan of its life, shape (scans alive, 6).
+    """Return state and measured position of a target at every scan of its life, shape (scans alive, 6).
 
-    In the paper's scenario, where lives are given, the first path inside the region counts; otherwise a target that
-    leaves the region is gone.
+    In the scenario `paper`, where lifetimes are given, the first path that stays inside the region is used. In `random`
+    the target disappears when it leaves the region.
     """
     steps, total = life.stop - life.start, config.horizon + 1
     model = config.motion.packed
@@ -141,7 +142,7 @@ def _draw_path(config: ClutterConfig, streams: Streams, target: int, start: Arra
     turns = _turn_rates(config, streams, target)[life]
     candidates = _CANDIDATES if config.scenario == "paper" else 1
     for _ in range(_MAX_DRAWS // candidates):
-        # Whole episodes are drawn whatever the target's life, so that changing it changes nothing else.
+        # Noise is drawn for the whole episode, so that a change of the lifetime changes no other draw.
         noise = rng.standard_normal((candidates, total, 6))[:, :steps]
         paths = np.empty((candidates, steps, 6))
         chosen, length = _simulate(
@@ -169,9 +170,9 @@ def _turn_rates(config: ClutterConfig, streams: Streams, target: int) -> Array:
 
 @njit(cache=True, nogil=True)
 def _simulate(transition, root, spread, first, noise, turns, half_width, paths):  # type: ignore[no-untyped-def]
-    """Fill paths of (state, measured position); the index and length of the first that stays inside, or of the last.
+    """Fill paths of (state, measured position). Return index and length of the first that stays inside, or of the last.
 
-    A turning target's velocity turns before every step; its measurement error, position and the noise are untouched.
+    The velocity of a turning target is rotated before every step. Position, measurement error and noise are not.
     """
     candidates, steps, size = paths.shape
     length = 0
@@ -209,7 +210,7 @@ def _range_bearing(config: ClutterConfig, streams: Streams, states: Array) -> Ar
 
 
 def _scan(config: ClutterConfig, streams: Streams, exists: Mask, values: Array) -> tuple[Array, Labels]:
-    """Detections and clutter of all scans, shuffled: measurements (K, M, 3) and their sources (K, M)."""
+    """Return the shuffled detections and clutter of all scans: measurements (K, M, 3) and sources (K, M)."""
     scans, n = exists.shape
     rows = config.measurement_rows
     most = poisson_quantile(config.clutter_rate)
@@ -222,7 +223,7 @@ def _scan(config: ClutterConfig, streams: Streams, exists: Mask, values: Array) 
     measurements, source = np.zeros((scans, rows, 3)), np.full((scans, rows), -2, dtype=np.int64)
     for scan in range(scans):
         targets = np.flatnonzero(detected[scan])
-        # On overflow only clutter is dropped.
+        # If the rows do not suffice, only clutter is dropped.
         false = min(int(counts[scan]), rows - len(targets))
         found = np.concatenate([values[scan, targets], clutter[scan, :false]])
         origin = np.concatenate([targets, np.full(false, -1)])

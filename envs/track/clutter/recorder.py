@@ -11,11 +11,11 @@ from servotrack.estimators.types import Array, Image, Labels, Mask
 
 
 class Recorder:
-    """Call `record` after every reset and step; `frame` draws the scan that was answered last.
+    """Recorder of one scene. Call `record` after every reset and step; `frame` draws the last answered scan.
 
     Args:
-        world: The world, which the recorder only reads.
-        row: Which of its scenes.
+        world: World to record; it is not changed.
+        row: Index of the scene.
     """
 
     def __init__(self, world: ClutterWorld, row: int = 0) -> None:
@@ -26,7 +26,7 @@ class Recorder:
         self._errors: list[float] = []
 
     def record(self) -> None:
-        """Take the world's newest answer; a reset forgets the old episode."""
+        """Store the newest answer of the world. After a reset, drop the previous episode."""
         world, row = self._world, self._row
         if world.steps[row] == 0:
             self._labels, self._reported, self._estimates, self._errors = [], [], [], []
@@ -39,7 +39,7 @@ class Recorder:
         self._errors.append(float(world.ospa[row]))
 
     def frame(self) -> Image:
-        """Draw the scan answered last, or the first one before any answer.
+        """Draw the last answered scan, or the first scan before any answer.
 
         Returns:
             A new RGB image, shape (544, 800, 3), uint8.
@@ -74,7 +74,7 @@ class Recorder:
         )
 
     def _trails(self) -> tuple[list[Trail], list[Trail]]:
-        """Trails of the identities that are reported now, and of those held silently."""
+        """Return the trails of reported identities, and of those that are held without being reported."""
         reported: list[Trail] = []
         held: list[Trail] = []
         if not self._labels:
@@ -83,7 +83,7 @@ class Recorder:
         for number, label in enumerate(self._labels[-1].tolist()):
             if label < 0:
                 continue
-            # A row keeps its identity, so that its past is in the same row.
+            # An identity stays in its row, so that its past is in the same row.
             past = [self._estimates[k][number] for k in recent if self._labels[k][number] == label]
             trail = Trail(label, np.array(past[::-1]))
             (reported if self._reported[-1][number] else held).append(trail)

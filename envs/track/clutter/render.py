@@ -1,4 +1,4 @@
-"""Pictures of a tracking scene: scan, truth and answer from above, and how number and error went so far."""
+"""Pictures of a clutter scene: scan, ground truth and answer from above, and plots of target number and OSPA."""
 
 from __future__ import annotations
 
@@ -30,15 +30,16 @@ _NUMBER_PANEL = Panel(544, _MARGIN, 240, 248)
 _ERROR_PANEL = Panel(544, 280, 240, 248)
 _GRID_LINES = 8
 _BANDS = 5
+"""Number of pieces of a trail; each has one opacity."""
 _ERROR_COLOR: Color = VERMILION
 
 
 class Trail(NamedTuple):
-    """Where one identity was, oldest first.
+    """Past positions of one identity, oldest first.
 
     Attributes:
-        label: Decides the color.
-        points: Shape (k, 2), m.
+        label: Identity; it decides the color.
+        points: Positions, shape (k, 2), m.
     """
 
     label: int
@@ -47,21 +48,21 @@ class Trail(NamedTuple):
 
 @dataclass(frozen=True)
 class TrackScene:
-    """All that a picture of a tracking scene shows.
+    """Content of a picture of a clutter scene.
 
     Attributes:
-        half_width: The panel shows [-half_width, half_width] squared, m.
-        measurements: Of the scan, shape (z, 2), m.
+        half_width: Half the side of the square that the panel shows, m.
+        measurements: Measurements of the scan, shape (z, 2), m.
         truth: True positions, shape (n, 2), m.
         true_trails: Past positions of the true targets that exist now, (k, 2) each, m.
-        reported: Trails of the reported identities, the present estimate last.
-        held: Trails of identities held silently.
+        reported: Trails of the reported identities, current estimate last.
+        held: Trails of identities that are held without being reported.
         true_numbers: Number of targets at each scan so far, shape (k,).
-        reported_numbers: Reported targets at each scan answered so far, shape (k,).
+        reported_numbers: Number of reported targets at each answered scan, shape (k,).
         errors: OSPA of each answer so far, shape (k,), m.
         cutoff: Largest OSPA, m.
-        horizon: Scans of an episode.
-        sensor_lines: Lines that the sensor's measurements lie on, shape (z, 2, 2), m; none for position sensors.
+        horizon: Number of scans of an episode.
+        sensor_lines: Lines from the sensor to its measurements, shape (z, 2, 2), m; empty for position sensors.
     """
 
     half_width: float
@@ -143,7 +144,7 @@ def _draw_scene(panel: Image, scene: TrackScene) -> None:
 
 
 def _trail(panel: Image, trail: Trail, half_width: float, opacity: float) -> None:
-    """A polyline that fades with age, in bands of one color each."""
+    """Draw a polyline that fades with age, in pieces of one color each."""
     points = _pixels(trail.points[-TRAIL_LENGTH:], half_width)
     color = identity_color(trail.label)
     for band in range(_BANDS):
@@ -157,7 +158,7 @@ def _trail(panel: Image, trail: Trail, half_width: float, opacity: float) -> Non
 
 
 def _pixels(points: Array, half_width: float) -> NDArray[np.int32]:
-    """Fixed-point pixels in the scene's panel of points in m, y upwards; far outside, they stop at its neighborhood."""
+    """Return fixed-point pixels in the scene's panel of points in m, y upwards. Points far outside are clipped."""
     side = float(_SCENE_PANEL.width)
     scaled = side / 2.0 * (1.0 + np.clip(np.asarray(points) / half_width, -4.0, 4.0) * np.array([1.0, -1.0]))
     return np.rint(scaled * (1 << SUBPIXEL_BITS)).astype(np.int32)

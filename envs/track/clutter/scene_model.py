@@ -1,4 +1,4 @@
-"""What the agents of a clutter world are told about it, on the mismatched levels partly wrong."""
+"""The scene model that agents get. On mismatched levels some of its parameters are wrong on purpose."""
 
 from __future__ import annotations
 
@@ -19,20 +19,21 @@ Model = HiddenMarkovModel | PairwiseMarkovModel | RangeBearingModel
 
 
 class SceneModel(NamedTuple):
-    """What agents are told about a clutter world, on the mismatched levels partly wrong.
+    """Model of the scene that agents get. On mismatched levels some of its parameters are wrong on purpose.
 
     Attributes:
-        model: Motion and measurement of a target.
-        hidden_markov: The same without the dependence of its noises, where `model` is a pairwise Markov model.
-        survival_probability: From scan to scan.
-        detection_probability: Of a target in a scan.
+        model: Motion and measurement model of a target.
+        hidden_markov: The same model with independent noises, for filters that cannot use a pairwise Markov model.
+        survival_probability: Probability that a target survives from one scan to the next.
+        detection_probability: Probability that a scan contains a measurement of a target.
         clutter_rate: Mean number of false measurements in a scan.
-        seen_low, seen_high: Where false measurements lie, uniformly. Shape (2,).
-        birth_means: States at which targets appear, shape (b, 4); None: anywhere.
-        birth_covariance: Shape (4, 4).
-        birth_weights: Expected number of new targets at each, shape (b,); one number where they appear anywhere.
-        half_width: Of the region, m.
-        cutoff: Of the scores, m.
+        seen_low, seen_high: Bounds of the uniformly distributed false measurements, shape (2,).
+        birth_means: Mean states of new targets, shape (b, 4); None if targets appear anywhere.
+        birth_covariance: Covariance of the states of new targets, shape (4, 4).
+        birth_weights: Expected number of new targets per scan at each mean, shape (b,). Shape (1,) if targets appear
+            anywhere.
+        half_width: Half the side of the square region, m.
+        cutoff: Cut-off c of the scores, m.
     """
 
     model: Model
@@ -50,15 +51,16 @@ class SceneModel(NamedTuple):
 
     @property
     def clutter_intensity(self) -> float:
-        """Expected false measurements per unit of measurement space."""
+        """Expected number of false measurements in a scan per unit of measurement space."""
         return self.clutter_rate / float(np.prod(self.seen_high - self.seen_low))
 
 
 _PAPER_BIRTH_WEIGHT = 0.03
+"""Expected number of new targets per scan at each site in the scenario `paper`."""
 
 
 def scene_model_of(config: ClutterConfig) -> SceneModel:
-    """What the agents of a world are told about it."""
+    """Return the scene model of an environment with these parameters."""
     linear = constant_velocity(config.acceleration_noise, config.position_noise, period=config.period)
     model: Model = config.motion
     hidden_markov: HiddenMarkovModel | RangeBearingModel = linear

@@ -1,4 +1,4 @@
-"""N clutter worlds at once: the one piece of bookkeeping behind the single and the vector environment."""
+"""N clutter scenes stepped together, for the single and the vector environment."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from servotrack.estimators.types import Array, Labels, Mask
 
 
 class ClutterWorld:
-    """N scenes with N observers, stepped together; arrays carry a leading axis of N.
+    """N scenes with one observer each, stepped together. Arrays have a leading axis of N.
 
-    An observer sees scan k and answers with the set it believes in at k; `step` scores that answer and moves on to
-    scan k + 1. After `reset` and `step` the newest scan lies in the public arrays below; copy what you keep.
+    The observer gets scan k and answers with its estimate of the set of targets at scan k. `step` scores the answer and
+    advances to scan k + 1. After `reset` and `step` the attributes describe the newest scan; copy them to keep them.
 
     Args:
-        config: The world's parameters.
+        config: Parameters of the environment.
         count: Number of scenes N.
 
     Attributes:
         measurements: The newest scan, shape (N, M, 3): existence and two coordinates.
         states: True states now, shape (N, n, 4), m and m/s; zeros where a target does not exist.
-        exists: Which targets exist now, shape (N, n), bool.
-        source: Which target each measurement comes from, shape (N, M): -1 clutter, -2 an empty row.
-        steps: Scans answered so far, shape (N,).
+        exists: Targets that exist now, shape (N, n), bool.
+        source: Index of the target that caused each measurement, shape (N, M): -1 clutter, -2 an unused row.
+        steps: Number of answered scans, shape (N,).
         reward: -GOSPA / cutoff of the last answer, shape (N,).
-        terminated: Never; shape (N,), bool.
-        truncated: All scans answered, shape (N,), bool.
-        ospa, gospa, location, missed, false: Of the last answer, shape (N,), m.
-        cardinality_error: Reported targets minus true ones, shape (N,), int.
-        ospa2: Of the episode, shape (N,), m; 0 until `truncated`.
-        scorer: Identities and reported rows of the last answer.
+        terminated: Always False, shape (N,).
+        truncated: True if all scans are answered, shape (N,), bool.
+        ospa, gospa, location, missed, false: Scores of the last answer, shape (N,), m.
+        cardinality_error: Number of reported targets minus number of true ones, shape (N,), int.
+        ospa2: OSPA(2) of the episode, shape (N,), m; 0 until `truncated`.
+        scorer: Holds identities and reported rows of the last answer.
     """
 
     def __init__(self, config: ClutterConfig, count: int) -> None:
@@ -54,11 +54,11 @@ class ClutterWorld:
         self._observe()
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
-        """Start new episodes in some rows; the others are left as they are, to the bit.
+        """Start new episodes in some rows. The other rows do not change.
 
         Args:
-            rows: Which of the N.
-            seeds: One episode seed for each, non-negative integers.
+            rows: Indices of the scenes.
+            seeds: Episode seed of each, non-negative integers.
         """
         for row, seed in zip(rows, seeds, strict=True):
             episode = draw_episode(self.config, seed)
@@ -69,12 +69,12 @@ class ClutterWorld:
         self._observe()
 
     def step(self, answers: Array, running: Mask | None = None) -> None:
-        """Score every row's answer to its newest scan, and show the next scan.
+        """Score the answers to the newest scans, and advance to the next scans.
 
         Args:
-            answers: Shape (N, rows, 3): existence and position, m.
-            running: Which of the N have an episode under way, (N,) bool; None for all. The others wait for their reset
-                at the scan they are at.
+            answers: Answers, shape (N, rows, 3): existence and position, m.
+            running: True for scenes whose episode is running, shape (N,), bool; None: all. The other scenes stay at
+                their scan until they are reset.
         """
         if running is None:
             running = np.ones(self.count, np.bool_)
@@ -94,25 +94,25 @@ class ClutterWorld:
         self.states, self.exists = self._states[rows, self.steps], self._exists[rows, self.steps]
 
     def true_tracks(self, row: int) -> Array:
-        """Positions of one scene's targets at the scored scans, shape (n, horizon, 2), m; NaN where there is none."""
+        """Return the true positions at the scored scans, shape (n, horizon, 2), m; NaN if a target is absent."""
         positions = self._states[row, :-1][:, :, [0, 2]]
         return np.where(self._exists[row, :-1, :, None], positions, np.nan).swapaxes(0, 1)
 
     def scan(self, row: int, step: int) -> tuple[Array, Labels, Array, Mask]:
-        """One scene's scan: measurements (M, 3), sources (M,), true states (n, 4), existence (n,); views."""
+        """Return views of a scan: measurements (M, 3), sources (M,), true states (n, 4), existence (n,)."""
         return self._measurements[row, step], self._source[row, step], self._states[row, step], self._exists[row, step]
 
     @property
     def observations(self) -> Array:
-        """What agents see: the newest scan, shape (N, M, 3)."""
+        """Observations: the newest scans, shape (N, M, 3)."""
         return self.measurements
 
     def truth(self) -> dict[str, Any]:
-        """What `info["truth"]` tells of the newest scan, arrays of N rows."""
+        """Return the entries of `info["truth"]` for the newest scan, arrays of N rows."""
         return {"states": self.states, "exists": self.exists, "source": self.source}
 
     def scores(self) -> dict[str, Any]:
-        """What `info` tells of the last answer, arrays of N rows."""
+        """Return the entries of `info` for the last answer, arrays of N rows."""
         return {
             "ospa": self.ospa,
             "gospa": self.gospa,
@@ -123,15 +123,15 @@ class ClutterWorld:
         }
 
     def episode_scores(self) -> dict[str, Any]:
-        """What `info` tells at an episode's end, arrays of N rows."""
+        """Return the entries of `info` at the end of an episode, arrays of N rows."""
         return {"ospa2": self.ospa2}
 
     def privileged(self) -> dict[str, Array]:
-        """What an oracle may know, besides the observation; arrays of N rows.
+        """Return the privileged information of oracle agents, arrays of N rows.
 
         Returns:
-            `true_source` (N, M): the target that each measurement comes from, -1 for clutter, -2 for an empty row;
-            `true_states` (N, n, 4), m and m/s; `true_existence` (N, n), 0 or 1.
+            `true_source` (N, M): index of the target that caused each measurement, -1 for clutter, -2 for an unused
+            row; `true_states` (N, n, 4), m and m/s; `true_existence` (N, n), 0 or 1.
         """
         return {
             "true_source": self.source.astype(np.float64),
@@ -140,7 +140,7 @@ class ClutterWorld:
         }
 
     def debug_view(self, row: int = 0) -> str:
-        """One scene's state as text, for debugging."""
+        """Return the state of a scene as text, for debugging."""
         return (
             f"scan {self.steps[row]}/{self.config.horizon}  targets={int(self.exists[row].sum())}  "
             f"measurements={int(self.measurements[row, :, 0].sum())}  reported={int(self.scorer.reported[row].sum())}  "
