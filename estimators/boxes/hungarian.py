@@ -1,4 +1,4 @@
-"""Kalman tracks and one Hungarian assignment by overlap per frame: the plain baseline (SORT, Bewley et al. 2016)."""
+"""Kalman tracks and one Hungarian assignment by overlap per frame: a simple baseline (SORT, Bewley et al. 2016)."""
 
 from __future__ import annotations
 
@@ -12,22 +12,19 @@ from servotrack.estimators.boxes.report import box_covariances, check_detections
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import box_distances
-from servotrack.estimators.rfs.sets import SetEstimate
+from servotrack.estimators.rfs.sets import TENTATIVE_EXISTENCE, SetEstimate
 from servotrack.estimators.types import Array, Labels
-
-TENTATIVE = 0.25
-"""Existence given for a track that is not confirmed."""
 
 
 class KalmanState(NamedTuple):
     """State of a `KalmanHungarian`.
 
     Attributes:
-        mean: As in `BoxTracks`. Shape (T, 6).
-        variance: As in `BoxTracks`. Shape (T, 8).
-        label: Shape (T,).
-        hits: Frames in a row that detected the track, until it is confirmed. Shape (T,).
-        missed: Frames since the last detection. Shape (T,).
+        mean: Means as in `BoxTracks`. Shape (T, 6).
+        variance: Variances as in `BoxTracks`. Shape (T, 8).
+        label: Identities. Shape (T,).
+        hits: Number of consecutive frames with a detection, until the track is confirmed. Shape (T,).
+        missed: Number of frames since the last detection. Shape (T,).
         next_label: The next new identity.
     """
 
@@ -45,18 +42,21 @@ class KalmanHungarian:
 
     Args:
         frame_rate: Frames per second.
-        acceleration: Of people, heights/s^1.5.
+        acceleration: Root spectral density of people's acceleration, heights/s^1.5. Raising it follows turns faster and
+            smooths less.
         speed: Standard deviation of a new track's velocity, heights/s.
-        drift: Relative change of sizes, 1/s^0.5.
-        position_noise: Standard deviation of a detection's center, heights.
-        size_noise: Of its width and height, heights.
-        overlap: Least intersection over union of a match, in (0, 1).
-        confirm: Detections in a row that confirm a track.
-        misses: Frames without a detection after which a confirmed track ends.
-        shown_misses: Frames without a detection for which it is still reported.
+        drift: Relative random walk of sizes, 1/s^0.5.
+        position_noise: Standard deviation of a detection's center, heights. Raising it smooths more.
+        size_noise: Standard deviation of a detection's width and height, heights.
+        overlap: Smallest intersection over union of a match, in (0, 1). Raising it breaks more tracks and confuses
+            fewer people.
+        confirm: Number of consecutive detections that confirm a track.
+        misses: Number of frames without a detection after which a confirmed track ends.
+        shown_misses: Number of frames without a detection for which a confirmed track is still reported.
+        smallest_size: Lower limit of a track's width and height, px.
 
     Raises:
-        ValueError: Naming the argument that is out of range.
+        ValueError: An argument is out of range.
     """
 
     frame_rate: float = 25.0
@@ -69,9 +69,18 @@ class KalmanHungarian:
     confirm: int = 3
     misses: int = 8
     shown_misses: int = 2
+    smallest_size: float = 2.0
 
     def __post_init__(self) -> None:
-        for name in ("frame_rate", "acceleration", "speed", "drift", "position_noise", "size_noise"):
+        for name in (
+            "frame_rate",
+            "acceleration",
+            "speed",
+            "drift",
+            "position_noise",
+            "size_noise",
+            "smallest_size",
+        ):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise ValueError(f"{name} must be finite and > 0, got {getattr(self, name)!r}")
         if not 0.0 < self.overlap < 1.0:
@@ -83,7 +92,7 @@ class KalmanHungarian:
             )
 
     def initial(self, detections: Detections) -> KalmanState:
-        """State before the first frame: no tracks; the detections are not looked at."""
+        """State before the first frame: no tracks. The detections are not read."""
         none = np.zeros(0, np.int64)
         return KalmanState(np.zeros((0, 6)), np.zeros((0, 8)), none, none, none, 1)
 
@@ -91,7 +100,7 @@ class KalmanHungarian:
         """Predict, assign, correct.
 
         Raises:
-            ValueError: Detections that are not finite.
+            ValueError: Detections are not finite.
         """
         check_detections(detections)
         boxes = np.array(detections.boxes, dtype=np.float64)
@@ -101,18 +110,18 @@ class KalmanHungarian:
         tracks, count = len(mean), len(boxes)
         cost = np.ones((tracks, count + tracks)) - self.overlap
         cost[:, :count] = box_distances(center_boxes(mean), boxes)
-        # A pair below the wanted overlap costs more than no partner.
+        # A pair with less overlap costs more than no partner.
         cost[:, :count][cost[:, :count] > 1.0 - self.overlap] = 2.0
         partner = assign(cost, tracks, count + tracks)
         partner[partner >= count] = -1
-        correct_boxes(mean, variance, partner, boxes, noise)
+        correct_boxes(mean, variance, partner, boxes, noise, float(self.smallest_size))
         found = partner >= 0
         missed = np.where(found, 0, state.missed + 1)
         confirmed = state.hits >= self.confirm
         hits = np.where(confirmed, state.hits, np.where(found, state.hits + 1, 0))
         keep = np.flatnonzero((hits > 0) & (missed <= self.misses))
         new = np.setdiff1d(np.arange(count), partner)
-        start, spread = started_boxes(boxes[new], self.position_noise, self.size_noise, self.speed)
+        start, spread = started_boxes(boxes[new], noise, self.speed, self.smallest_size)
         ones, zeros = np.ones(len(new), np.int64), np.zeros(len(new), np.int64)
         after = KalmanState(
             np.concatenate([mean[keep], start]),
@@ -124,5 +133,5 @@ class KalmanHungarian:
         )
         shown = (after.hits >= self.confirm) & (after.missed <= self.shown_misses)
         covariances = box_covariances(after.variance[:, [0, 3]], after.variance[:, 6:])
-        existence = np.where(shown, 1.0, TENTATIVE)
+        existence = np.where(shown, 1.0, TENTATIVE_EXISTENCE)
         return after, set_of_boxes(center_boxes(after.mean), covariances, after.label, existence)

@@ -1,29 +1,29 @@
-"""Identities kept through merges and short occlusions: a layer over any tracker of boxes, by motion and appearance.
+"""Re-identification after merges and short occlusions, by motion and appearance, on top of any tracker of boxes.
 
-A filter that loses a person and finds the person again gives a new identity; a filter whose two people were one blob
-for a while may hand their identities over crosswise. This layer renames: it takes a new identity for one that was
-lost a moment ago where place, size and appearance agree, and it exchanges two identities that parted from an overlap
-each looking like the other. It is causal: what was reported is not changed.
+A filter that loses a person and finds the person again gives a new identity, and two people who formed one blob for a
+while may leave it with exchanged identities. This layer renames: a new identity takes the name of a recently lost one
+if position, size and appearance agree, and two identities that separate after an overlap exchange their names if each
+has the appearance of the other. It is causal: earlier estimates do not change.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from servotrack.estimators.boxes.identity_kernel import (
-    APART,
     any_parted,
     find_rivals,
     follow,
     look_up,
-    mix_looks,
-    own_looks,
+    mix_appearances,
+    own_appearances,
 )
-from servotrack.estimators.boxes.merged import split_merged
+from servotrack.estimators.boxes.merged import SplitRules, split_merged
 from servotrack.estimators.boxes.overlap import covered_by
+from servotrack.estimators.boxes.report import BoxTracker
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import box_distances
@@ -31,27 +31,28 @@ from servotrack.estimators.rfs.sets import HELD, SetEstimate
 from servotrack.estimators.types import Array, Labels, Mask
 
 NO_MATCH = 1e3
-"""Cost beyond that of any allowed pair."""
+"""Cost above that of any allowed pair."""
 
 
 class KnownIdentities(NamedTuple):
-    """What is remembered of k identities.
+    """Memory of k identities.
 
     Attributes:
-        name: As reported. Shape (k,).
-        inner: The tracker's identity that bears the name now. Shape (k,).
+        name: Reported identity. Shape (k,).
+        inner: The tracker's identity that has this name now. Shape (k,).
         box: Last box. Shape (k, 4), px.
-        velocity: Of the center. Shape (k, 2), px per frame.
-        look: Mean appearance, of unit length, or zero. Shape (k, F).
-        absent: Frames since last reported. Shape (k,).
-        rival: Name of the identity it overlaps, or overlapped last and has not parted from; 0 for none. Shape (k,).
+        velocity: Velocity of the center. Shape (k, 2), px per frame.
+        appearance: Mean appearance vector of unit length, or zero. Shape (k, F).
+        absent: Number of frames since the last report. Shape (k,).
+        rival: Name of the identity that it overlaps, or overlapped last and has not separated from; 0 for none. Shape
+            (k,).
     """
 
     name: Labels
     inner: Labels
     box: Array
     velocity: Array
-    look: Array
+    appearance: Array
     absent: Labels
     rival: Labels
 
@@ -60,8 +61,8 @@ class IdentityState(NamedTuple):
     """State of `KeptIdentities`.
 
     Attributes:
-        tracker: The tracker's.
-        known: Identities alive or lost a moment ago.
+        tracker: State of the tracker, of the tracker's own type.
+        known: Identities that are alive or were lost recently.
         next_name: The next new identity.
     """
 
@@ -72,28 +73,44 @@ class IdentityState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class KeptIdentities:
-    """A tracker of boxes whose identities are kept through merges and short occlusions.
+    """A tracker of boxes that keeps identities through merges and short occlusions.
 
     Args:
-        tracker: Anything with `initial(detections)` and `step(state, detections)` that reports boxes.
-        memory: Frames for which a lost identity can return.
-        reach: How far from its predicted place it may return, heights; grows with the square root of the absence.
-        similarity: Least similarity of appearance, where there is one.
-        merge_overlap: Share of the smaller box from which two people count as merged.
-        margin: By how much the similarities of exchanged identities must exceed those of kept ones.
-        split: Whether the tracker is given blobs that cover several known people taken apart.
+        tracker: Tracker of boxes whose identities are renamed.
+        memory: Number of frames for which a lost identity can return. Raising it joins more tracks, also wrong ones.
+        reach: Largest distance from the predicted center at which an identity returns after one frame, heights; it
+            grows with the square root of the absence.
+        similarity: Smallest similarity of appearance for a return, if both appearances are known. Raising it joins
+            fewer tracks.
+        merge_overlap: Overlap, as a share of the smaller box, from which two people count as merged.
+        margin: Smallest excess of the similarities of exchanged identities over those of kept ones. Raising it
+            exchanges fewer.
+        split: True to split blobs that cover several known people before the tracker reads them.
+        size_change: Largest change of the height at a return, |log(new / old)|.
+        appearance_rate: Weight of a new frame in an identity's mean appearance, in (0, 1].
+        velocity_rate: Weight of a new frame in an identity's velocity, in (0, 1].
+        parted_overlap: Overlap, as a share of the smaller box, up to which merged people count as separated.
+        match_distance: Largest distance, one minus overlap, of a reported box to the detection that its appearance is
+            taken from.
+        split_rules: Conditions under which a blob is split.
 
     Raises:
-        ValueError: Naming the argument that is out of range.
+        ValueError: An argument is out of range.
     """
 
-    tracker: Any
+    tracker: BoxTracker
     memory: int = 50
     reach: float = 0.3
     similarity: float = 0.7
     merge_overlap: float = 0.3
     margin: float = 0.2
     split: bool = True
+    size_change: float = 0.4
+    appearance_rate: float = 0.1
+    velocity_rate: float = 0.3
+    parted_overlap: float = 0.05
+    match_distance: float = 0.6
+    split_rules: SplitRules = field(default_factory=SplitRules)
 
     def __post_init__(self) -> None:
         if self.memory < 1 or not self.reach > 0.0 or not 0.0 < self.merge_overlap <= 1.0:
@@ -101,27 +118,41 @@ class KeptIdentities:
                 "memory must be at least 1, reach > 0 and merge_overlap in (0, 1], got "
                 f"{self.memory!r}, {self.reach!r}, {self.merge_overlap!r}"
             )
+        for name in ("appearance_rate", "velocity_rate"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} must be in (0, 1], got {getattr(self, name)!r}")
+        for name in ("size_change", "parted_overlap", "match_distance"):
+            if not getattr(self, name) >= 0.0:
+                raise ValueError(f"{name} must be at least 0, got {getattr(self, name)!r}")
 
     def initial(self, detections: Detections) -> IdentityState:
-        """State before the first frame: nobody is known."""
+        """State before the first frame: no identities."""
         none, features = np.zeros(0, np.int64), detections.features.shape[1]
         known = KnownIdentities(none, none, np.zeros((0, 4)), np.zeros((0, 2)), np.zeros((0, features)), none, none)
         return IdentityState(self.tracker.initial(detections), known, 1)
 
     def step(self, state: IdentityState, detections: Detections) -> tuple[IdentityState, SetEstimate]:
-        """Fold a frame's detections in; errors as the tracker's."""
+        """Update with the detections of a frame; errors as in the tracker's `step`."""
         if self.split:
-            detections = split_merged(detections, _expected(state.known))
+            detections = split_merged(detections, _expected(state.known), self.split_rules)
         inner, estimate = self.tracker.step(state.tracker, detections)
-        look, seen = _looks(estimate.states, detections)
-        known, next_name = self._adopt(state.known, estimate, look, seen, state.next_name)
-        known = self._watch(known, estimate, look, seen)
-        if look.shape[1]:
-            known = self._exchange(known, estimate, look, seen)
+        appearance, seen = self._appearances(estimate.states, detections)
+        known, next_name = self._adopt(state.known, estimate, appearance, seen, state.next_name)
+        known = self._watch(known, estimate, appearance, seen)
+        if appearance.shape[1]:
+            known = self._exchange(known, estimate, appearance, seen)
         return IdentityState(inner, known, next_name), self._named(known, estimate)
 
+    def _appearances(self, boxes: Array, detections: Detections) -> tuple[Array, Mask]:
+        """Appearance of the detection that each box overlaps most, and mask of known ones. Shapes (k, F) and (k,)."""
+        features = detections.features
+        if features.shape[1] == 0 or len(features) == 0 or len(boxes) == 0:
+            return np.zeros((len(boxes), features.shape[1])), np.zeros(len(boxes), np.bool_)
+        distance = box_distances(boxes, detections.boxes)
+        return own_appearances(distance, np.ascontiguousarray(features), float(self.match_distance))
+
     def _named(self, known: KnownIdentities, estimate: SetEstimate) -> SetEstimate:
-        """The estimate under the names, all others that are remembered being held."""
+        """Rename the estimate; all other remembered identities are held."""
         silent = known.absent > 0
         return replace(
             estimate,
@@ -132,19 +163,19 @@ class KeptIdentities:
         )
 
     def _adopt(
-        self, known: KnownIdentities, estimate: SetEstimate, look: Array, seen: Mask, next_name: int
+        self, known: KnownIdentities, estimate: SetEstimate, appearance: Array, seen: Mask, next_name: int
     ) -> tuple[KnownIdentities, int]:
-        """Give every new identity of the tracker a name: that of a lost one where all agrees, else a new one."""
+        """Give every new identity of the tracker a name: that of a matching lost identity, else a new one."""
         new = np.flatnonzero(~_among(estimate.labels, known.inner))
         if len(new) == 0:
             return known, next_name
-        # Who is still held by the tracker is not lost: it can come back by itself.
+        # An identity that the tracker still holds is not lost: the tracker itself can report it again.
         alive = _among(known.inner, np.concatenate([estimate.labels, estimate.held_labels]))
         lost = np.flatnonzero(~alive & (known.absent < self.memory))
         inner = known.inner.copy()
         taken = np.zeros(len(new), np.bool_)
         if len(lost):
-            cost = self._return_costs(known, lost, estimate.states[new], look[new], seen[new])
+            cost = self._return_costs(known, lost, estimate.states[new], appearance[new], seen[new])
             padded = np.concatenate([cost, np.full((len(lost), len(lost)), 1.0)], axis=1)
             partner = assign(np.ascontiguousarray(padded), len(lost), padded.shape[1])
             back = np.flatnonzero(partner < len(new))
@@ -158,47 +189,56 @@ class KeptIdentities:
             estimate.labels[fresh],
             estimate.states[fresh],
             np.zeros((count, 2)),
-            look[fresh],
+            appearance[fresh],
             zeros,
             zeros,
         )
         joined = [np.concatenate([a, b]) for a, b in zip(known._replace(inner=inner), arrivals, strict=True)]
         return KnownIdentities(*joined), next_name + count
 
-    def _return_costs(self, known: KnownIdentities, lost: Labels, boxes: Array, look: Array, seen: Mask) -> Array:
-        """Cost of a lost identity being a new one, below 1 where possible. Shape (lost, new)."""
+    def _return_costs(self, known: KnownIdentities, lost: Labels, boxes: Array, appearance: Array, seen: Mask) -> Array:
+        """Cost of matching a lost identity with a new one, below 1 for an allowed match. Shape (lost, new)."""
         absent = known.absent[lost] + 1.0
         old, height = known.box[lost], known.box[lost, 3]
         center = old[:, :2] + old[:, 2:] / 2.0 + known.velocity[lost] * absent[:, None]
         gap = center[:, None] - (boxes[:, :2] + boxes[:, 2:] / 2.0)[None]
         distance = np.sqrt((gap * gap).sum(axis=2)) / (height * self.reach * np.sqrt(absent))[:, None]
         size = np.abs(np.log(np.maximum(boxes[None, :, 3], 1.0) / np.maximum(height, 1.0)[:, None]))
-        possible = (distance < 1.0) & (size < 0.4)
+        possible = (distance < 1.0) & (size < self.size_change)
         cost = 0.5 * distance + 0.3 * size
-        if look.shape[1]:
-            similar = known.look[lost] @ look.T
-            comparable = np.asarray(known.look[lost].any(axis=1))[:, None] & seen[None]
+        if appearance.shape[1]:
+            similar = known.appearance[lost] @ appearance.T
+            comparable = np.asarray(known.appearance[lost].any(axis=1))[:, None] & seen[None]
             possible &= ~comparable | (similar >= self.similarity)
             cost += np.where(comparable, 0.4 * (1.0 - similar), 0.0)
         return np.where(possible, cost, NO_MATCH)
 
-    def _watch(self, known: KnownIdentities, estimate: SetEstimate, look: Array, seen: Mask) -> KnownIdentities:
-        """Follow the reported identities; those lost for too long are forgotten."""
+    def _watch(self, known: KnownIdentities, estimate: SetEstimate, appearance: Array, seen: Mask) -> KnownIdentities:
+        """Update the memory of the reported identities and drop those that were lost for too long."""
         rows, box, velocity, absent = follow(
-            known.inner, known.box, known.velocity, known.absent, estimate.labels, np.ascontiguousarray(estimate.states)
+            known.inner,
+            known.box,
+            known.velocity,
+            known.absent,
+            estimate.labels,
+            np.ascontiguousarray(estimate.states),
+            float(self.velocity_rate),
         )
         here = rows >= 0
         rival = find_rivals(known.name, known.rival, box, here, self.merge_overlap)
-        mean_look = known.look
-        if look.shape[1]:
-            mean_look = mix_looks(known.look, look, rows, seen, rival)
+        mean = known.appearance
+        if appearance.shape[1]:
+            mean = mix_appearances(known.appearance, appearance, rows, seen, rival, float(self.appearance_rate))
         keep = (absent <= self.memory) | _among(known.inner, estimate.held_labels)
-        after = KnownIdentities(known.name, known.inner, box, velocity, mean_look, absent, rival)
+        after = KnownIdentities(known.name, known.inner, box, velocity, mean, absent, rival)
         return after if keep.all() else KnownIdentities(*[values[keep] for values in after])
 
-    def _exchange(self, known: KnownIdentities, estimate: SetEstimate, look: Array, seen: Mask) -> KnownIdentities:
-        """Rivals that have parted: exchange their names where they look like each other; then they are no rivals."""
-        if not any_parted(known.name, known.inner, known.rival, known.box, estimate.labels, seen):
+    def _exchange(
+        self, known: KnownIdentities, estimate: SetEstimate, appearance: Array, seen: Mask
+    ) -> KnownIdentities:
+        """Exchange the names of rivals that have separated if each has the other's appearance; end their rivalry."""
+        parted_overlap = float(self.parted_overlap)
+        if not any_parted(known.name, known.inner, known.rival, known.box, estimate.labels, seen, parted_overlap):
             return known
         row_of = {label: row for row, label in enumerate(estimate.labels.tolist())}
         place = {name: k for k, name in enumerate(known.name.tolist())}
@@ -211,11 +251,12 @@ class KeptIdentities:
             a, b = row_of.get(int(inner[k]), -1), row_of.get(int(inner[other]), -1)
             if a < 0 or b < 0 or not (seen[a] and seen[b]):
                 continue
-            if _shares(known.box[[k, other]])[0, 1] > APART:
+            if _shares(known.box[[k, other]])[0, 1] > parted_overlap:
                 continue
-            kept = float(known.look[k] @ look[a] + known.look[other] @ look[b])
-            crossed = float(known.look[k] @ look[b] + known.look[other] @ look[a])
-            if known.look[k].any() and known.look[other].any() and crossed > kept + self.margin:
+            mine, others = known.appearance[k], known.appearance[other]
+            kept = float(mine @ appearance[a] + others @ appearance[b])
+            crossed = float(mine @ appearance[b] + others @ appearance[a])
+            if mine.any() and others.any() and crossed > kept + self.margin:
                 inner[k], inner[other] = inner[other], inner[k]
             if rival[other] == known.name[k]:
                 rival[other] = 0
@@ -229,12 +270,12 @@ class KeptIdentities:
 
 
 def _among(labels: Labels, others: Labels) -> Mask:
-    """Which labels are among the others; for a handful this is faster than a sort."""
+    """Mask of the labels that are among the others; for few labels this is faster than a sort."""
     return (labels[:, None] == others).any(axis=1)
 
 
 def _expected(known: KnownIdentities) -> Array:
-    """Where those reported in the last frame are expected in this one. Shape (k, 4), px."""
+    """Boxes expected in this frame for the identities reported in the last one. Shape (k, 4), px."""
     here = known.absent == 0
     box = known.box[here].copy()
     box[:, :2] += known.velocity[here]
@@ -245,11 +286,3 @@ def _shares(boxes: Array) -> Array:
     """Intersections as shares of the smaller box of each pair. Shape (k, k)."""
     share = covered_by(boxes, boxes)
     return np.maximum(share, share.T)
-
-
-def _looks(boxes: Array, detections: Detections) -> tuple[Array, Mask]:
-    """Appearance of the detection each box overlaps most, and whether there is one. Shapes (k, F) and (k,)."""
-    features = detections.features
-    if features.shape[1] == 0 or len(features) == 0 or len(boxes) == 0:
-        return np.zeros((len(boxes), features.shape[1])), np.zeros(len(boxes), np.bool_)
-    return own_looks(box_distances(boxes, detections.boxes), np.ascontiguousarray(features))

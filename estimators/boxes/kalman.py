@@ -1,4 +1,4 @@
-"""Kalman filter of boxes: nearly constant velocity of the center, a random walk of the size, noises in body heights."""
+"""Kalman filter of boxes: nearly constant velocity of the center, random walk of the size, noise in body heights."""
 
 from __future__ import annotations
 
@@ -9,9 +9,6 @@ from numba import njit
 
 from servotrack.estimators.types import Array
 
-SMALLEST_SIZE = 2.0
-"""Lowest width and height of a track, px."""
-
 
 @njit(cache=True, nogil=True)
 def predict_boxes(mean, variance, missed, period, noise):  # type: ignore[no-untyped-def]
@@ -19,13 +16,15 @@ def predict_boxes(mean, variance, missed, period, noise):  # type: ignore[no-unt
 
     Args:
         mean: Center column, its velocity, center row, its velocity, width, height. Shape (T, 6), px and px/s.
-        variance: Of position, of both, of velocity, for columns and for rows; of width, of height. Shape (T, 8).
-        missed: Frames since the last detection. Shape (T,).
+        variance: Variance of the position, covariance of position and velocity, variance of the velocity, for columns
+            and then for rows; then variances of width and height. Shape (T, 8).
+        missed: Number of frames since the last detection. Shape (T,).
         period: Time between frames, s.
-        noise: Acceleration, heights/s^1.5; drift of the sizes, 1/s^0.5; memory of a velocity while unseen, s.
+        noise: Acceleration, heights/s^1.5; drift of the sizes, 1/s^0.5; time constant of the velocity of an undetected
+            track, s.
 
     Returns:
-        The predicted mean and variance.
+        Predicted mean and variance.
     """
     acceleration, drift, memory = noise
     t = period
@@ -49,8 +48,17 @@ def predict_boxes(mean, variance, missed, period, noise):  # type: ignore[no-unt
 
 
 @njit(cache=True, nogil=True)
-def correct_boxes(mean, variance, partner, boxes, noise):  # type: ignore[no-untyped-def]
-    """Kalman correction, in place, of the tracks that have a partner; the four measured entries are independent."""
+def correct_boxes(mean, variance, partner, boxes, noise, smallest_size):  # type: ignore[no-untyped-def]
+    """Kalman correction, in place, of the tracks that have a partner; the four measured entries are independent.
+
+    Args:
+        mean: Means as in `predict_boxes`; changed. Shape (T, 6).
+        variance: Variances as in `predict_boxes`; changed. Shape (T, 8).
+        partner: Index of each track's detection, -1 for none. Shape (T,).
+        boxes: Left, top, width, height of the detections. Shape (Z, 4), px.
+        noise: Standard deviations of a measured center and of a measured size, heights.
+        smallest_size: Lower limit of width and height, px.
+    """
     for i in range(mean.shape[0]):
         j = partner[i]
         if j < 0:
@@ -69,16 +77,24 @@ def correct_boxes(mean, variance, partner, boxes, noise):  # type: ignore[no-unt
         for k in range(2):
             S = (noise[1] * height) ** 2 + variance[i, 6 + k]
             gain = variance[i, 6 + k] / S
-            mean[i, 4 + k] = max(mean[i, 4 + k] + gain * (boxes[j, 2 + k] - mean[i, 4 + k]), SMALLEST_SIZE)
+            mean[i, 4 + k] = max(mean[i, 4 + k] + gain * (boxes[j, 2 + k] - mean[i, 4 + k]), smallest_size)
             variance[i, 6 + k] *= 1.0 - gain
 
 
-def started_boxes(boxes: Array, position_noise: float, size_noise: float, speed: float) -> tuple[Array, Array]:
-    """Mean and variance of new tracks, of which one detection is known; noises as shares of the height."""
+def started_boxes(boxes: Array, noise: tuple[float, float], speed: float, smallest_size: float) -> tuple[Array, Array]:
+    """Mean and variance of new tracks with one detection each.
+
+    Args:
+        boxes: Left, top, width, height of the detections. Shape (k, 4), px.
+        noise: Standard deviations of a measured center and of a measured size, heights.
+        speed: Standard deviation of the velocity, heights/s.
+        smallest_size: Lower limit of width and height, px.
+    """
+    position_noise, size_noise = noise
     height = boxes[:, 3:]
     mean, variance = np.zeros((len(boxes), 6)), np.zeros((len(boxes), 8))
     mean[:, [0, 2]] = boxes[:, :2] + boxes[:, 2:] / 2.0
-    mean[:, 4:] = np.maximum(boxes[:, 2:], SMALLEST_SIZE)
+    mean[:, 4:] = np.maximum(boxes[:, 2:], smallest_size)
     variance[:, [0, 3]] = (position_noise * height) ** 2
     variance[:, [2, 5]] = (speed * height) ** 2
     variance[:, 6:] = (size_noise * height) ** 2
@@ -86,7 +102,7 @@ def started_boxes(boxes: Array, position_noise: float, size_noise: float, speed:
 
 
 def center_boxes(mean: Array) -> Array:
-    """The boxes of tracks: left, top, width, height. Shape (T, 4), px."""
+    """Boxes of tracks: left, top, width, height. Shape (T, 4), px."""
     boxes = np.empty((len(mean), 4))
     boxes[:, 2:] = mean[:, 4:]
     boxes[:, :2] = mean[:, [0, 2]] - 0.5 * mean[:, 4:]

@@ -1,6 +1,8 @@
-"""Blobs that cover several known people, taken apart before a tracker uses them."""
+"""Split blobs that cover several known people before a tracker uses them."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -9,50 +11,62 @@ from servotrack.estimators.boxes.overlap import covered_boxes, covered_by
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.types import Array
 
-COVERED = 0.6
-"""Share of a predicted box inside a blob from which the person may be part of it."""
 
-LARGER = 1.4
-"""A blob this much wider or taller than a person holds more than this person."""
+class SplitRules(NamedTuple):
+    """Conditions under which `split_merged` splits a blob.
 
-SOLID = 0.97
-"""Detections whose area is more of their box than this are boxes of a detector of people, not blobs."""
+    Attributes:
+        covered: Smallest share of a predicted box inside a blob for the person to be part of it. Raising it splits
+            fewer blobs.
+        larger: Ratio of a blob's width or height to a person's from which the blob holds more than this person.
+            Raising it splits fewer blobs.
+        solid: Largest ratio of a blob's area to its box's. Detections of a larger ratio are boxes of a person detector
+            and never split.
+        duplicate: Overlap of two predicted boxes, as a share of the smaller one, from which they count as one person.
+            Raising it gives more parts.
+        largest_shift: Largest shift of a predicted box toward a blob's edge, as a share of the box's size along that
+            axis.
+    """
 
-SAME = 0.7
-"""Of two predicted boxes that share this much of the smaller one, only one person can be seen in a blob."""
+    covered: float = 0.6
+    larger: float = 1.4
+    solid: float = 0.97
+    duplicate: float = 0.7
+    largest_shift: float = 0.25
 
-LARGEST_SHIFT = 0.25
-"""Most that a blob's edge moves a predicted box, as a share of the box's size along that axis."""
 
+def split_merged(detections: Detections, predicted: Array, rules: SplitRules | None = None) -> Detections:
+    """Replace each blob that covers several known people by one detection per person.
 
-def split_merged(detections: Detections, predicted: Array) -> Detections:
-    """One detection per known person in place of each blob that covers several.
-
-    Each person's share is the predicted box, moved so that the outermost of them touch the blob's edges. Its
-    appearance is unknown (zeros). Only blobs are taken apart, that is, detections whose area is less than their box's:
-    a detector of people means one person by each box.
+    The part of a person is the predicted box, moved so that the outermost boxes touch the blob's edges. Its appearance
+    is unknown (zeros). Only blobs are split, that is, detections whose area is less than that of their box: a box of
+    a person detector stands for one person.
 
     Args:
-        detections: What a detector found.
+        detections: Detections of one frame.
         predicted: Boxes at which known people are expected. Shape (T, 4), px.
+        rules: Conditions of a split; None for the defaults.
 
     Returns:
-        The same object where no blob covers several people.
+        New detections, or the same object if no blob covers several people.
     """
+    rules = rules or SplitRules()
     boxes = np.asarray(detections.boxes, dtype=np.float64)
-    blob = detections.areas < SOLID * boxes[:, 2] * boxes[:, 3]
-    if len(predicted) < 2 or not _may_cover_several(np.ascontiguousarray(boxes), blob, predicted):
+    blob = detections.areas < rules.solid * boxes[:, 2] * boxes[:, 3]
+    if len(predicted) < 2 or not _may_cover_several(
+        np.ascontiguousarray(boxes), blob, predicted, rules.covered, rules.larger
+    ):
         return detections
-    predicted = _distinct(predicted)
+    predicted = _distinct(predicted, rules.duplicate)
     share = covered_by(predicted, boxes).T
-    larger = (boxes[:, None, 2:] > LARGER * predicted[None, :, 2:]).any(axis=2)
+    larger = (boxes[:, None, 2:] > rules.larger * predicted[None, :, 2:]).any(axis=2)
     # A person belongs to one blob.
-    inside = (share >= COVERED) & larger & blob[:, None] & (share == share.max(axis=0))
+    inside = (share >= rules.covered) & larger & blob[:, None] & (share == share.max(axis=0))
     several = np.flatnonzero(inside.sum(axis=1) >= 2)
     if len(several) == 0:
         return detections
     keep = np.flatnonzero(inside.sum(axis=1) < 2)
-    sources = [(j, _shares_of(boxes[j], predicted[inside[j]])) for j in several.tolist()]
+    sources = [(j, _shares_of(boxes[j], predicted[inside[j]], rules.largest_shift)) for j in several.tolist()]
     parts = np.concatenate([part for _, part in sources])
     origin = np.concatenate([np.full(len(part), j) for j, part in sources])
     people = np.bincount(origin, minlength=len(boxes))[origin]
@@ -66,29 +80,29 @@ def split_merged(detections: Detections, predicted: Array) -> Detections:
 
 
 @njit(cache=True, nogil=True)
-def _may_cover_several(boxes, blob, predicted):  # type: ignore[no-untyped-def]
-    """Whether any blob covers two people or more; in most frames none does, and nothing else need be looked at."""
+def _may_cover_several(boxes, blob, predicted, least_cover, ratio):  # type: ignore[no-untyped-def]
+    """Return True if any blob may cover two people or more; a fast test that ends most frames."""
     covered = covered_boxes(predicted, boxes)
     for j in range(len(boxes)):
         count = 0
         for k in range(len(predicted) if blob[j] else 0):
-            larger = boxes[j, 2] > LARGER * predicted[k, 2] or boxes[j, 3] > LARGER * predicted[k, 3]
-            if covered[k, j] >= COVERED and larger:
+            larger = boxes[j, 2] > ratio * predicted[k, 2] or boxes[j, 3] > ratio * predicted[k, 3]
+            if covered[k, j] >= least_cover and larger:
                 count += 1
         if count >= 2:
             return True
     return False
 
 
-def _distinct(people: Array) -> Array:
-    """The boxes without those that hide behind an earlier one or repeat it."""
+def _distinct(people: Array, duplicate: float) -> Array:
+    """Remove boxes that lie behind an earlier one or repeat it."""
     share = covered_by(people, people)
-    same = np.tril(np.maximum(share, share.T) >= SAME, -1)
+    same = np.tril(np.maximum(share, share.T) >= duplicate, -1)
     return people[~same.any(axis=1)] if same.any() else people
 
 
-def _shares_of(blob: Array, people: Array) -> Array:
-    """Predicted boxes inside one blob, moved by its edges. Shape (k, 4), px."""
+def _shares_of(blob: Array, people: Array, largest_shift: float) -> Array:
+    """Predicted boxes inside one blob, moved toward its edges. Shape (k, 4), px."""
     out = people.copy()
     for axis in (0, 1):
         low, high = people[:, axis], people[:, axis] + people[:, 2 + axis]
@@ -97,6 +111,6 @@ def _shares_of(blob: Array, people: Array) -> Array:
         shift = np.full(len(people), 0.5 * (start + stop))
         if first != last:
             shift[first], shift[last] = start, stop
-        limit = LARGEST_SHIFT * people[:, 2 + axis]
+        limit = largest_shift * people[:, 2 + axis]
         out[:, axis] += np.clip(shift, -limit, limit)
     return out

@@ -1,6 +1,6 @@
-"""Models of one person in the image for the filters of `servotrack.estimators.rfs`, and boxes to and from them.
+"""Models of one person in the image for the filters of `servotrack.estimators.rfs`, and their measurements.
 
-Time is counted in frames here, as paper 000 does: velocities are px per frame.
+Time is counted in frames here, as in paper 000: velocities are px per frame.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def centroid_model(process_noise: float, measurement_noise: float, frames: float
         frames: t, time between two measurements, frames.
 
     Raises:
-        ValueError: For a value that is not positive.
+        ValueError: A value is not positive.
     """
     _check(process_noise=process_noise, measurement_noise=measurement_noise, frames=frames)
     axes = np.eye(2)
@@ -44,14 +44,14 @@ def box_model(
     """Constant velocity of the box's center and a random walk of its size, state [x, vx, y, vy, w, h].
 
     Args:
-        process_noise: As in `centroid_model`, px per frame^2.
+        process_noise: Process noise of the center as in `centroid_model`, px per frame^2.
         measurement_noise: Standard deviation of a measured center, px.
-        drift: Standard deviation of the size's change in a frame, px.
+        drift: Standard deviation of the change of the size per frame, px.
         size_noise: Standard deviation of a measured width or height, px.
         frames: Time between two measurements, frames.
 
     Raises:
-        ValueError: For a value that is not positive.
+        ValueError: A value is not positive.
     """
     _check(drift=drift, size_noise=size_noise)
     center = centroid_model(process_noise, measurement_noise, frames)
@@ -65,7 +65,7 @@ def box_model(
 
 
 def measurements(detections: Detections, kind: Kind) -> Array:
-    """What a filter is given of a frame: centroids, or centers and sizes. Shape (k, 2) or (k, 4), px."""
+    """Measurements of a frame for a filter: centroids, or centers and sizes. Shape (k, 2) or (k, 4), px."""
     if kind == "centroid":
         return np.asarray(detections.centroids, dtype=np.float64)
     boxes = np.asarray(detections.boxes, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""After the fact: gaps of tracks filled and fragments dropped. What no observer could have answered in time."""
+"""Offline post-processing of tracks: fill gaps and drop short fragments. The result is not causal."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from servotrack.estimators.metrics.tracks import Track
 
 
 def fill_gaps(tracks: Sequence[Track], longest: int, shortest: int = 1) -> list[Track]:
-    """Tracks whose gaps are filled by straight lines, without the very short ones.
+    """Fill the gaps of tracks by linear interpolation and drop very short tracks.
 
     Args:
-        tracks: Of boxes or other states.
-        longest: Most missing steps that are filled, at least 0.
-        shortest: Tracks with fewer states than this are dropped, at least 1.
+        tracks: Tracks of boxes or other states.
+        longest: Largest number of consecutive missing steps that are filled, at least 0.
+        shortest: Tracks with fewer states are dropped, at least 1.
 
     Returns:
         New tracks, in the same order.
 
     Raises:
-        ValueError: Naming the argument that is out of range.
+        ValueError: `longest` or `shortest` is out of range.
     """
     if longest < 0 or shortest < 1:
         raise ValueError(f"longest must be at least 0 and shortest at least 1, got {longest!r}, {shortest!r}")

@@ -1,4 +1,4 @@
-"""How much of a box another one covers."""
+"""Share of a box that another box covers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def covered_by(boxes: Array, others: Array) -> Array:
 
     Args:
         boxes: Left, top, width, height. Shape (k, 4), px.
-        others: Shape (n, 4), px.
+        others: Left, top, width, height. Shape (n, 4), px.
 
     Returns:
         Shape (k, n), from 0 to 1; 0 for boxes without an area.
@@ -23,7 +23,7 @@ def covered_by(boxes: Array, others: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def covered_boxes(boxes, others):  # type: ignore[no-untyped-def]
-    """`covered_by` for compiled code; the arrays are contiguous."""
+    """Compute `covered_by` in compiled code; the arrays must be contiguous."""
     out = np.zeros((boxes.shape[0], others.shape[0]))
     for i in range(boxes.shape[0]):
         left, top, width, height = boxes[i]

@@ -1,4 +1,4 @@
-"""From frames to boxes with identities: a detector and a tracker as one estimator."""
+"""A detector and a tracker of boxes as one estimator: from frames to boxes with identities."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 
 from numpy.typing import ArrayLike
 
+from servotrack.estimators.boxes.report import BoxTracker
+from servotrack.estimators.detect.detections import Detector
 from servotrack.estimators.rfs.sets import SetEstimate
 
 
@@ -14,8 +16,8 @@ class DetectThenTrackState(NamedTuple):
     """State of a `DetectThenTrack`.
 
     Attributes:
-        detector: The detector's.
-        tracker: The tracker's; None before the first frame.
+        detector: State of the detector, of the detector's own type.
+        tracker: State of the tracker, of the tracker's own type; None before the first frame.
     """
 
     detector: Any
@@ -24,29 +26,29 @@ class DetectThenTrackState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DetectThenTrack:
-    """Frame in, boxes with identities out.
+    """Detects in every frame and tracks the detections.
 
     Args:
-        detector: As in `servotrack.estimators.detect`.
-        tracker: As in `servotrack.estimators.boxes`.
+        detector: A detector of `servotrack.estimators.detect`.
+        tracker: A tracker of `servotrack.estimators.boxes`.
     """
 
-    detector: Any
-    tracker: Any
+    detector: Detector
+    tracker: BoxTracker
 
     def initial(self, frames: ArrayLike) -> DetectThenTrackState:
-        """State before the first frame; the detector may learn the background of what it is given.
+        """State before the first frame; the detector may learn the background from the given frames.
 
         Args:
-            frames: What the detector's `initial` takes: a frame, or several that are not answered.
+            frames: Input of the detector's `initial`: one frame, or several frames, for which no boxes are reported.
         """
         return DetectThenTrackState(self.detector.initial(frames), None)
 
     def step(self, state: DetectThenTrackState, frame: ArrayLike) -> tuple[DetectThenTrackState, SetEstimate]:
-        """Detect in a frame and track what was found.
+        """Detect in a frame and track the detections.
 
         Args:
-            state: As returned by `initial` or `step`.
+            state: Result of `initial` or of the last `step`.
             frame: RGB, uint8. Shape (H, W, 3).
         """
         detector, detections = self.detector.step(state.detector, frame)

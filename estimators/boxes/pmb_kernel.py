@@ -1,4 +1,4 @@
-"""Compiled recursion of the Poisson multi-Bernoulli filter of boxes: one Gaussian per person, sizes as the unit."""
+"""Compiled kernels of the Poisson multi-Bernoulli filter of boxes: one Gaussian per person, noise in body heights."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def overlap_share(mean, i, j):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def visible_shares(mean, existence, frame_width, frame_height):  # type: ignore[no-untyped-def]
-    """Of each track the share that no nearer person hides, and the share inside the frame (1 for an unknown frame).
+    """Share of each track that no nearer person hides, and share inside the frame (1 if its size is unknown).
 
-    The nearer of two people stands lower in the image.
+    Of two people the one whose feet are lower in the image is nearer.
     """
     count = mean.shape[0]
     visible, inside = np.ones(count), np.ones(count)
@@ -46,19 +46,19 @@ def visible_shares(mean, existence, frame_width, frame_height):  # type: ignore[
 
 @njit(cache=True, nogil=True)
 def pair_distances(mean, variance, boxes, noise, gate):  # type: ignore[no-untyped-def]
-    """Squared Mahalanobis distance and log share of the certainty, of every pair inside the gate.
+    """Squared Mahalanobis distance and log sqrt(det R / det S) of every pair inside the gate.
 
-    The second is log sqrt(det R / det S): how thin the prediction's uncertainty spreads a track over measurements.
+    The second lowers the likelihood of a track whose predicted measurement is uncertain.
 
     Args:
-        mean: Predicted. Shape (T, 6).
-        variance: Predicted. Shape (T, 8).
+        mean: Predicted means. Shape (T, 6).
+        variance: Predicted variances. Shape (T, 8).
         boxes: Left, top, width, height. Shape (Z, 4), px.
-        noise: Standard deviation of a measured position and of a size, as shares of the height.
-        gate: Largest squared distance; beyond, the distance is infinite.
+        noise: Standard deviations of a measured center and of a measured size, heights.
+        gate: Largest squared distance; for other pairs the distance is infinite.
 
     Returns:
-        Both of shape (T, Z).
+        Both arrays, shape (T, Z) each.
     """
     distance = np.full((mean.shape[0], boxes.shape[0]), np.inf)
     thinness = np.zeros((mean.shape[0], boxes.shape[0]))
@@ -82,13 +82,16 @@ def pair_distances(mean, variance, boxes, noise, gate):  # type: ignore[no-untyp
 
 @njit(cache=True, nogil=True)
 def associate(weight):  # type: ignore[no-untyped-def]
-    """Marginals and the best assignment of tracks to detections.
+    """Marginal probabilities and the best assignment of tracks to detections.
 
     Args:
-        weight: Of "track i caused detection j" over "i is missed and j is false or new". Shape (T, Z).
+        weight: Weight of "track i caused detection j", divided by that of "i is missed and j is false or new". Shape
+            (T, Z).
 
     Returns:
-        missed (T,), assigned (T,): probability that a track caused any; fresh (Z,); partner (T,), -1 for none.
+        missed (T,): probability that a track caused no detection; assigned (T,): probability that it caused one; fresh
+        (Z,): probability that no track caused the detection; partner (T,): detection in the best assignment, -1 for
+        none.
     """
     tracks, detections = weight.shape
     pairs = 0
@@ -117,18 +120,18 @@ def associate(weight):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def mix_looks(look, own, partner, features, seen, least_rate):  # type: ignore[no-untyped-def]
-    """Mix the appearances of their detections into those of tracks, in place: a mean at first, then a fading one.
+def mix_appearances(appearance, own, partner, features, seen, least_rate):  # type: ignore[no-untyped-def]
+    """Average the appearances of detections into those of tracks, in place: a mean first, then exponentially weighted.
 
     Args:
-        look: Of unit length, or zero. Shape (T, F).
-        own: Which tracks' detections show them alone. Shape (T,).
-        partner: Detection of each track. Shape (T,).
-        features: Of the detections; zeros where unknown. Shape (Z, F).
-        seen: Detections of each track so far. Shape (T,).
-        least_rate: Least weight of a new frame.
+        appearance: Mean appearance vectors of unit length, or zero; changed. Shape (T, F).
+        own: Mask of the tracks whose detection shows only them. Shape (T,).
+        partner: Index of each track's detection. Shape (T,).
+        features: Appearance vectors of the detections; zeros if unknown. Shape (Z, F).
+        seen: Number of detections of each track so far. Shape (T,).
+        least_rate: Smallest weight of a new frame.
     """
-    for i in range(look.shape[0]):
+    for i in range(appearance.shape[0]):
         if not own[i]:
             continue
         new = features[partner[i]]
@@ -140,8 +143,8 @@ def mix_looks(look, own, partner, features, seen, least_rate):  # type: ignore[n
         rate = max(least_rate, 1.0 / (seen[i] + 1.0))
         length = 0.0
         for k in range(new.shape[0]):
-            look[i, k] = (1.0 - rate) * look[i, k] + rate * new[k]
-            length += look[i, k] * look[i, k]
+            appearance[i, k] = (1.0 - rate) * appearance[i, k] + rate * new[k]
+            length += appearance[i, k] * appearance[i, k]
         length = math.sqrt(length)
         for k in range(new.shape[0]):
-            look[i, k] /= length
+            appearance[i, k] /= length

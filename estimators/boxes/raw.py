@@ -1,4 +1,4 @@
-"""No filter: what a detector finds is the answer, and nobody has an identity that lasts."""
+"""No filter: reports every detection, with new identities in every frame."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from servotrack.estimators.rfs.sets import SetEstimate
 
 @dataclass(frozen=True)
 class RawDetections:
-    """Reports every detection under an identity of its own; the state is the next new identity."""
+    """Reports every detection with a new identity; the state is the next new identity."""
 
     def initial(self, detections: Detections) -> int:
-        """The first identity."""
+        """Return the first identity."""
         return 1
 
     def step(self, state: int, detections: Detections) -> tuple[int, SetEstimate]:
         """Report the detections of a frame.
 
         Raises:
-            ValueError: Detections that are not finite.
+            ValueError: Detections are not finite.
         """
         check_detections(detections)
         count = len(detections.boxes)

@@ -1,23 +1,31 @@
-"""What all trackers of boxes share: checks of what comes in, and the form of what goes out."""
+"""Contract of the trackers of boxes: the type, checks of their detections, and the form of their estimates."""
 
 from __future__ import annotations
+
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from servotrack.estimators.detect.detections import Detections
-from servotrack.estimators.rfs.sets import HELD, SetEstimate
-from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.rfs.sets import HELD, REPORTED, SetEstimate
+from servotrack.estimators.types import Array, Estimator, Labels
+
+BoxTracker: TypeAlias = Estimator[Detections, Any, SetEstimate]
+"""Tracker of boxes, with a state of its own type; its estimates have states (left, top, width, height), px."""
+
+LARGEST_HELD = 0.49
+"""Upper limit of the existence of an identity that is held but not reported."""
 
 
 def check_detections(detections: Detections, features: int | None = None) -> None:
-    """Raise where detections are not what a tracker can use.
+    """Raise ValueError for detections that a tracker cannot use.
 
     Args:
-        detections: What a detector found.
-        features: Wanted numbers of an appearance; None for any.
+        detections: Detections of one frame.
+        features: Required length of an appearance vector; None for any.
 
     Raises:
-        ValueError: Values that are not finite, sizes below 0, or appearances of another size.
+        ValueError: Values are not finite, sizes are below 0, or appearance vectors have another length.
     """
     boxes = detections.boxes
     if boxes.ndim != 2 or boxes.shape[1] != 4:
@@ -34,7 +42,7 @@ def check_detections(detections: Detections, features: int | None = None) -> Non
 
 
 def box_covariances(position: Array, size: Array) -> Array:
-    """Covariances of (left, top, width, height) where centers and sizes are independent.
+    """Covariances of (left, top, width, height) for independent centers and sizes.
 
     Args:
         position: Variances of the center. Shape (k, 2).
@@ -52,26 +60,26 @@ def box_covariances(position: Array, size: Array) -> Array:
 
 
 def set_of_boxes(
-    boxes: Array, covariances: Array, labels: Labels, existence: Array, report: float = 0.5
+    boxes: Array, covariances: Array, labels: Labels, existence: Array, report: float = REPORTED
 ) -> SetEstimate:
-    """Split identities into those reported and those held silently.
+    """Split identities into reported and held ones.
 
     Args:
         boxes: Left, top, width, height. Shape (k, 4), px.
-        covariances: Shape (k, 4, 4).
-        labels: Shape (k,).
-        existence: Shape (k,).
-        report: Existence from which an identity is reported.
+        covariances: Covariances of the boxes. Shape (k, 4, 4).
+        labels: Identities. Shape (k,).
+        existence: Probabilities of existence. Shape (k,).
+        report: Existence from which an identity is reported. Raising it reports fewer.
     """
     shown = existence >= report
     held = ~shown & (existence >= HELD)
     return SetEstimate(
         boxes[shown],
         labels[shown],
-        np.maximum(existence[shown], 0.5),
+        np.maximum(existence[shown], REPORTED),
         covariances[shown],
         np.asarray(existence.sum()),
         labels[held],
         boxes[held],
-        np.minimum(existence[held], 0.49),
+        np.minimum(existence[held], LARGEST_HELD),
     )

@@ -1,30 +1,37 @@
-"""Boxes from any filter of `servotrack.estimators.rfs`: detections in as measurements, identities out as boxes."""
+"""Trackers of boxes made from the filters of `servotrack.estimators.rfs`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.boxes.model import Kind, measurements
 from servotrack.estimators.boxes.report import check_detections
 from servotrack.estimators.detect.detections import Detections
+from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.sets import SetEstimate
-from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.types import Array, Estimator, Labels
 
-SIZE_RATE = 0.2
-"""Weight of a new size in that of an identity whose filter knows only its centroid."""
+
+class SetFilter(Estimator[ArrayLike, Any, SetEstimate], Protocol):
+    """Filter over random finite sets with a model of one target."""
+
+    @property
+    def model(self) -> TargetModel:
+        """Motion and measurement model of one target."""
 
 
 class BoxSetState(NamedTuple):
     """State of a `BoxSetFilter`.
 
     Attributes:
-        belief: The filter's.
+        belief: State of the filter, of the filter's own type.
         labels: Identities whose size is known. Shape (k,).
-        shapes: Of each: the box's left and top less the centroid, width, height. Shape (k, 4), px.
+        shapes: Left and top of each identity's box relative to its centroid, width, height. Shape (k, 4), px.
     """
 
     belief: Any
@@ -38,31 +45,36 @@ class BoxSetFilter:
 
     Args:
         filter: A filter of `servotrack.estimators.rfs` with a model of `servotrack.estimators.boxes.model`.
-        kind: "centroid": the filter gets centroids, and the box around a reported one is that of the nearest
-            detection, averaged over time. "box": the filter has sizes in its state.
+        kind: "centroid": the filter tracks centroids, and the box around a centroid is that of the nearest detection,
+            averaged over time. "box": the filter has sizes in its state.
+        size_rate: Weight of a new box in the averaged box of an identity, in (0, 1], for "centroid" only. Raising it
+            follows changes of size faster and averages less.
 
     Raises:
-        ValueError: A model whose measurement is of another size.
+        ValueError: The model's measurement has another size, or `size_rate` is out of range.
     """
 
-    filter: Any
+    filter: SetFilter
     kind: Kind = "centroid"
+    size_rate: float = 0.2
 
     def __post_init__(self) -> None:
+        if not 0.0 < self.size_rate <= 1.0:
+            raise ValueError(f"size_rate must be in (0, 1], got {self.size_rate!r}")
         wanted, got = (2 if self.kind == "centroid" else 4), self.filter.model.packed.observation.shape[0]
         if wanted != got:
             raise ValueError(f"a filter of kind {self.kind!r} must measure {wanted} numbers, got a model with {got}")
 
     def initial(self, detections: Detections) -> BoxSetState:
-        """State before the first frame; the detections are not looked at."""
+        """State before the first frame. The detections are not read."""
         z = np.zeros((0, 2 if self.kind == "centroid" else 4))
         return BoxSetState(self.filter.initial(z), np.zeros(0, np.int64), np.zeros((0, 4)))
 
     def step(self, state: BoxSetState, detections: Detections) -> tuple[BoxSetState, SetEstimate]:
-        """Predict to the next frame and fold its detections in.
+        """Predict to the next frame and update with its detections.
 
         Raises:
-            ValueError: Detections that are not finite.
+            ValueError: Detections are not finite.
         """
         check_detections(detections)
         belief, found = self.filter.step(state.belief, measurements(detections, self.kind))
@@ -76,7 +88,7 @@ class BoxSetFilter:
             return BoxSetState(belief, state.labels, state.shapes), shown
         labels = np.concatenate([found.labels, found.held_labels])
         centers = np.concatenate([found.states, found.held_states])[:, [0, 2]]
-        shapes = _shapes(state, labels, centers, detections)
+        shapes = _shapes(state, labels, centers, detections, self.size_rate)
         boxes = shapes.copy()
         boxes[:, :2] += centers
         covariances = np.zeros((len(found.labels), 4, 4))
@@ -87,31 +99,33 @@ class BoxSetFilter:
 
 
 def _boxes(states: Array) -> Array:
-    """[x, vx, y, vy, w, h] as boxes."""
+    """Convert states [x, vx, y, vy, w, h] to boxes."""
     size = np.maximum(states[:, 4:6], 1.0)
     return np.concatenate([states[:, [0, 2]] - size / 2.0, size], axis=1)
 
 
 def _covariances(estimate: SetEstimate) -> Array:
-    """Of boxes, from those of [x, vx, y, vy, w, h]."""
+    """Covariances of boxes from those of states [x, vx, y, vy, w, h]."""
     J = np.array([[1, 0, 0, 0, -0.5, 0], [0, 0, 1, 0, 0, -0.5], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1.0]])
     return np.einsum("ij,kjl,ml->kim", J, estimate.covariances, J)
 
 
-def _shapes(state: BoxSetState, labels: Labels, centers: Array, detections: Detections) -> Array:
-    """The box around each identity's centroid: as remembered, mixed with that of the nearest detection that is near."""
+def _shapes(state: BoxSetState, labels: Labels, centers: Array, detections: Detections, size_rate: float) -> Array:
+    """Box around each identity's centroid: the known one, averaged with that of the nearest detection if it is near."""
     shapes = np.empty((len(labels), 4))
     remembered = _recall(state.labels, state.shapes, labels, shapes)
     if not remembered.all():
-        shapes[~remembered] = _UNKNOWN if len(state.shapes) == 0 else np.median(state.shapes, axis=0)
+        # Without any known box, one of a single pixel.
+        unknown = np.array([-0.5, -0.5, 1.0, 1.0])
+        shapes[~remembered] = unknown if len(state.shapes) == 0 else np.median(state.shapes, axis=0)
     if len(detections.boxes):
-        _learn(centers, remembered, detections.boxes, detections.centroids, shapes)
+        _learn(centers, remembered, detections.boxes, detections.centroids, float(size_rate), shapes)
     return shapes
 
 
 @njit(cache=True, nogil=True)
 def _recall(known, known_shapes, labels, shapes):  # type: ignore[no-untyped-def]
-    """Fill in the shapes of known labels; returns which are known."""
+    """Fill in the shapes of known labels and return the mask of the known ones."""
     found = np.zeros(len(labels), np.bool_)
     for k in range(len(labels)):
         for other in range(len(known)):
@@ -123,8 +137,8 @@ def _recall(known, known_shapes, labels, shapes):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True)
-def _learn(centers, remembered, boxes, centroids, shapes):  # type: ignore[no-untyped-def]
-    """Mix the shape of the nearest detection in; a shape that was not remembered is replaced by it."""
+def _learn(centers, remembered, boxes, centroids, size_rate, shapes):  # type: ignore[no-untyped-def]
+    """Average the shape of the nearest detection in; it replaces a shape that was not remembered."""
     for k in range(len(centers)):
         nearest, least = 0, np.inf
         for j in range(len(boxes)):
@@ -132,17 +146,14 @@ def _learn(centers, remembered, boxes, centroids, shapes):  # type: ignore[no-un
             distance = dx * dx + dy * dy
             if distance < least:
                 nearest, least = j, distance
-        # Farther than half a box away it is another one's.
+        # A detection farther than half a box away belongs to another identity.
         near = (
             abs(centroids[nearest, 0] - centers[k, 0]) <= 0.5 * shapes[k, 2]
             and abs(centroids[nearest, 1] - centers[k, 1]) <= 0.5 * shapes[k, 3]
         )
         if remembered[k] and not near:
             continue
-        rate = SIZE_RATE if remembered[k] else 1.0
+        rate = size_rate if remembered[k] else 1.0
         for c in range(4):
             seen = boxes[nearest, c] - (centroids[nearest, c] if c < 2 else 0.0)
             shapes[k, c] += rate * (seen - shapes[k, c])
-
-
-_UNKNOWN = np.array([-0.5, -0.5, 1.0, 1.0])

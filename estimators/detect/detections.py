@@ -1,25 +1,25 @@
-"""What a detector found in one frame: the one form in which detectors hand their findings to trackers."""
+"""Detections of one frame, in the form that all detectors return and all trackers accept."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from servotrack.estimators.types import Array
+from servotrack.estimators.types import Array, Estimator
 
 
 class Detections(NamedTuple):
-    """What was found in one frame, k objects; pixel i spans i to i + 1.
+    """Detections of one frame, k objects; pixel i spans i to i + 1.
 
     Attributes:
         boxes: Left, top, width and height. Shape (k, 4), px.
-        centroids: Of the object's pixels where a detector has a mask, else of the box. Shape (k, 2), px.
-        areas: Number of the object's pixels, else of the box. Shape (k,), px.
-        confidences: As the detector gives them, on a scale of its own; 1 where it gives none. Shape (k,).
-        features: Appearance, rows of unit length, so that a product of two is their similarity; F is 0 where there is
-            none. Shape (k, F).
+        centroids: Centroids of the object's pixels if the detector has a mask, else of the box. Shape (k, 2), px.
+        areas: Number of the object's pixels if the detector has a mask, else of the box. Shape (k,), px.
+        confidences: Confidences on the detector's own scale; 1 if it gives none. Shape (k,).
+        features: Appearance vectors of unit length, so that the product of two is their similarity; F is 0 without
+            appearance. Shape (k, F).
     """
 
     boxes: Array
@@ -29,15 +29,19 @@ class Detections(NamedTuple):
     features: Array
 
 
+Detector: TypeAlias = Estimator[ArrayLike, Any, Detections]
+"""Detector of objects in frames, with a state of its own type."""
+
+
 def detections_from_boxes(boxes: ArrayLike, confidences: ArrayLike | None = None) -> Detections:
-    """Detections of which only boxes are known, as files of public detections hold them.
+    """Detections with boxes and confidences only, as in files of public detections.
 
     Args:
         boxes: Left, top, width and height. Shape (k, 4), px; k may be 0.
-        confidences: Shape (k,); None for 1.
+        confidences: Confidences, shape (k,); None for 1.
 
     Raises:
-        ValueError: Another shape, values that are not finite, or a negative width or height.
+        ValueError: The shape is wrong, values are not finite, or a width or height is negative.
     """
     array = np.array(boxes, dtype=np.float64)
     if array.size == 0:

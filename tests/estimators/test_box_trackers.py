@@ -15,6 +15,7 @@ from servotrack.estimators.boxes import (
     KalmanHungarian,
     KeptIdentities,
     RawDetections,
+    SplitRules,
     box_model,
     centroid_model,
     fill_gaps,
@@ -196,12 +197,12 @@ def test_a_split_is_found_by_spawning() -> None:
     assert found(()) == 1
 
 
-def meeting(looks: bool) -> list[Detections]:
+def meeting(by_appearance: bool) -> list[Detections]:
     """Two walk up to each other, are one blob for a while, and each goes back where it came from."""
-    size = 2 if looks else 0
+    size = 2 if by_appearance else 0
 
     def two(gap: float) -> Detections:
-        return people([100.0 - gap, 100.0 + gap], [0, 1] if looks else None)
+        return people([100.0 - gap, 100.0 + gap], [0, 1] if by_appearance else None)
 
     approach = [two(60.0 - 2.5 * k) for k in range(20)]
     merged = [blob(100.0 - WIDTH / 2 - 4.0, 100.0 + WIDTH / 2 + 4.0, size)] * 10
@@ -210,9 +211,9 @@ def meeting(looks: bool) -> list[Detections]:
 
 
 def test_identities_are_kept_through_a_merge_by_appearance_and_lost_without() -> None:
-    def kept(looks: bool) -> bool:
+    def kept(by_appearance: bool) -> bool:
         tracker = KeptIdentities(KalmanHungarian(misses=20), split=False)
-        answers = follow(tracker, meeting(looks))
+        answers = follow(tracker, meeting(by_appearance))
         before = [identity_at(answers[18], 100.0 - 15.0), identity_at(answers[18], 100.0 + 15.0)]
         after = [identity_at(answers[-1], 100.0 - 59.5), identity_at(answers[-1], 100.0 + 59.5)]
         assert min(before + after) > 0
@@ -225,16 +226,16 @@ def test_identities_are_kept_through_a_merge_by_appearance_and_lost_without() ->
 def test_a_lost_identity_returns_where_it_is_expected_and_to_nobody_else() -> None:
     tracker = KeptIdentities(KalmanHungarian(misses=2), memory=30)
 
-    def after(x: float, look: int) -> tuple[int, int]:
+    def after(x: float, appearance: int) -> tuple[int, int]:
         frames = [people([50.0 + 2.0 * k], [0]) for k in range(15)] + [people([], [])] * 8
-        frames += [people([x + 2.0 * k], [look]) for k in range(6)]
+        frames += [people([x + 2.0 * k], [appearance]) for k in range(6)]
         answers = follow(tracker, frames)
         return identity_at(answers[14], 78.0), identity_at(answers[-1], x + 10.0)
 
     old, new = after(96.0, 0)
     assert old == new > 0
-    for x, look in ((96.0, 1), (200.0, 0)):
-        old, new = after(x, look)
+    for x, appearance in ((96.0, 1), (200.0, 0)):
+        old, new = after(x, appearance)
         assert new > 0
         assert old != new
 
@@ -252,6 +253,8 @@ def test_merged_blobs_are_taken_apart_at_the_people_expected() -> None:
         assert split_merged(same, expected[2:]) is same
     whole = detections_from_boxes([[82.0, 70.0, 40.0, HEIGHT]])
     assert split_merged(whole, expected) is whole
+    merged = blob(82.0, 122.0)
+    assert split_merged(merged, expected, SplitRules(larger=2.5)) is merged
 
 
 def test_a_frame_goes_through_detector_and_tracker() -> None:
@@ -291,14 +294,19 @@ def test_gaps_are_filled_by_straight_lines() -> None:
         (lambda: BoxPMB(detection=1.0), "detection"),
         (lambda: BoxPMB(revival=1.0), "revival"),
         (lambda: BoxPMB(overlap=-1.0), "overlap"),
+        (lambda: BoxPMB(gate_tail=0.0), "gate_tail"),
+        (lambda: BoxPMB(least_existence=0.0), "least_existence"),
+        (lambda: BoxPMB(appearance_limits=(1.0, -1.0)), "appearance_limits"),
         (lambda: KalmanHungarian(overlap=0.0), "overlap"),
         (lambda: KalmanHungarian(speed=np.nan), "speed"),
         (lambda: KalmanHungarian(confirm=0), "confirm"),
         (lambda: KeptIdentities(RawDetections(), memory=0), "memory"),
+        (lambda: KeptIdentities(RawDetections(), velocity_rate=0.0), "velocity_rate"),
         (lambda: centroid_model(0.0, 1.0), "process_noise"),
         (lambda: box_model(1.0, 1.0, 1.0, -1.0), "size_noise"),
         (lambda: fill_gaps([], longest=-1), "longest"),
         (lambda: BoxSetFilter(set_filter().filter, "box"), "4 numbers"),
+        (lambda: BoxSetFilter(set_filter().filter, size_rate=0.0), "size_rate"),
     ],
 )
 def test_errors_name_the_argument(make: Any, name: str) -> None:

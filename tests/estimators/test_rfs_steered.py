@@ -123,7 +123,7 @@ def test_steering_out_of_range_is_refused(knobs, message):
 def test_arguments_out_of_range_are_refused():
     hint, _ = scene()
     steered = steered_phd(hint)
-    with pytest.raises(ValueError, match="anywhere.expected must be 1"):
+    with pytest.raises(ValueError, match=r"anywhere\.expected must be 1"):
         SteeredPHD(steered.filter, MeasurementBirth(expected=0.5))
     with pytest.raises(ValueError, match="births must be finite and >= 0"):
         SteadyPHD(steered, births=-1.0)
