@@ -73,7 +73,7 @@ class DetectionSensor:
             Rows whose episode began since then.
         """
         world, config = self._world, self._world.config
-        fresh = self._arrivals.look()
+        fresh = self._arrivals.update()
         for row in fresh:
             self._begin(row)
         _detect(

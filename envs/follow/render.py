@@ -14,7 +14,7 @@ from servotrack.envs.drawing.glyphs import put_text
 from servotrack.envs.drawing.palette import FLOOR, INK, PAPER, SOFT_INK, Color, fixed_point, mix
 from servotrack.envs.follow.outfits import Outfits
 from servotrack.envs.follow.painting import paint_panel
-from servotrack.envs.servo import backdrop as still
+from servotrack.envs.servo import backdrop
 from servotrack.envs.servo.exposure import trace_rays
 from servotrack.envs.servo.imaging import Rays, no_rays
 from servotrack.envs.servo.render import crosshair, draw_arm, light_footprint, round_corners, trail
@@ -31,7 +31,7 @@ _SHADOW_STRENGTH = 0.28  # darkness of shadows in the floor's panel, 0 to 1
 _ARM_OPACITY = 0.8
 _RING_RADIUS = 0.42  # of the ring around the person to follow, m
 _SHORTEST_DISTANCE, _LONGEST_DISTANCE = 0.01, 4.0  # ends of the plot's distance axis, m
-_MARKS = (("wrong person", still.DISTRACTOR, 104, 1), ("lost", still.TARGET, 184, 4))
+_MARKS = (("wrong person", backdrop.DISTRACTOR, 104, 1), ("lost", backdrop.TARGET, 184, 4))
 """Marks below the plot: name, color, column of the name in the legend, and distance below the plot, px."""
 
 
@@ -98,21 +98,21 @@ def draw(scene: FollowScene) -> Image:
     Returns:
         A new RGB image, shape (416, 720, 3).
     """
-    parts = still.backdrop(round(float(np.sum(scene.links)), 6), scene.caption, _GRID_SPACING)
+    parts = backdrop.backdrop(round(float(np.sum(scene.links)), 6), scene.caption, _GRID_SPACING)
     image = parts.image.copy()
-    _draw_floor(still.FLOOR_PANEL.of(image), scene, parts.lit_floor)
-    _draw_camera(still.CAMERA_PANEL.of(image), scene)
-    still.ERROR_PANEL.of(image)[:] = _distance_axes()
-    _draw_distance(still.ERROR_PANEL.of(image), scene)
+    _draw_floor(backdrop.FLOOR_PANEL.of(image), scene, parts.lit_floor)
+    _draw_camera(backdrop.CAMERA_PANEL.of(image), scene)
+    backdrop.ERROR_PANEL.of(image)[:] = _distance_axes()
+    _draw_distance(backdrop.ERROR_PANEL.of(image), scene)
     round_corners(image, parts)
     return image
 
 
 def _draw_floor(panel: Image, scene: FollowScene, lit_floor: Image) -> None:
     reach = float(np.sum(scene.links))
-    light_footprint(panel, still.floor_pixels(scene.footprint, reach), lit_floor)
-    trail(panel, still.floor_pixels(scene.person_trail, reach), FLOOR, still.TARGET)
-    trail(panel, still.floor_pixels(scene.tool_trail, reach), FLOOR, still.TOOL)
+    light_footprint(panel, backdrop.floor_pixels(scene.footprint, reach), lit_floor)
+    trail(panel, backdrop.floor_pixels(scene.person_trail, reach), FLOOR, backdrop.TARGET)
+    trail(panel, backdrop.floor_pixels(scene.tool_trail, reach), FLOOR, backdrop.TOOL)
     camera, view, rays = _panel_camera(round(reach, 6))
     crowd = np.ascontiguousarray(panel)
     outfits = scene.outfits
@@ -124,20 +124,25 @@ def _draw_floor(panel: Image, scene: FollowScene, lit_floor: Image) -> None:
     # The arm is translucent, because a tool on target would hide the person.
     draw_arm(crowd, scene.links, scene.joint_angles)
     cv2.addWeighted(crowd, _ARM_OPACITY, panel, 1.0 - _ARM_OPACITY, 0.0, dst=panel)
-    still.draw_legend(panel)
-    _ring(panel, still.floor_pixels(scene.people[0], reach), _RING_RADIUS * still.floor_scale(reach), still.TARGET)
+    backdrop.draw_legend(panel)
+    _ring(
+        panel,
+        backdrop.floor_pixels(scene.people[0], reach),
+        _RING_RADIUS * backdrop.floor_scale(reach),
+        backdrop.TARGET,
+    )
     put_text(panel, f"{max(scene.time, 0.0):.1f} s", panel.shape[1] - 14, 20, SOFT_INK, align="right")
 
 
 @lru_cache(maxsize=16)
 def _panel_camera(reach: float) -> tuple[Array, Array, Rays]:
     """Camera far above the floor that draws the floor's panel: packed, its view, and its rays."""
-    side = still.FLOOR_PANEL.width
+    side = backdrop.FLOOR_PANEL.width
     camera = pack_camera(
-        focal=_PANEL_CAMERA_HEIGHT * still.floor_scale(reach),
+        focal=_PANEL_CAMERA_HEIGHT * backdrop.floor_scale(reach),
         depth=_PANEL_CAMERA_HEIGHT,
         # OpenCV measures from the center of the first pixel, the camera from its corner.
-        center=still.floor_pixels(np.zeros(2), reach) + 0.5,
+        center=backdrop.floor_pixels(np.zeros(2), reach) + 0.5,
         half_width=0.5 * side,
     )
     rays = no_rays(1, side)
@@ -149,15 +154,15 @@ def _draw_camera(panel: Image, scene: FollowScene) -> None:
     side = panel.shape[0]
     scale = side / scene.camera_size
     cv2.resize(scene.camera_image, (side, side), dst=panel, interpolation=cv2.INTER_NEAREST)
-    trail(panel, scene.image_trail * scale, mix(FLOOR, still.LENS, 0.5), still.TARGET)
+    trail(panel, scene.image_trail * scale, mix(FLOOR, backdrop.LENS, 0.5), backdrop.TARGET)
     if scene.detections is not None:
         _draw_detections(panel, scene.detections, scale)
     crosshair(panel, scene.goal * scale)
     if scene.belief is not None:
         _ring(panel, scene.belief * scale, 13.0, BELIEF)
-    put_text(panel, still.CAMERA_LABEL, *still.LABEL_PLACE, still.GOAL)
+    put_text(panel, backdrop.CAMERA_LABEL, *backdrop.LABEL_PLACE, backdrop.GOAL)
     if not scene.visible:
-        put_text(panel, "not seen", side - 14, 20, still.TARGET, align="right")
+        put_text(panel, "not seen", side - 14, 20, backdrop.TARGET, align="right")
 
 
 def _draw_detections(panel: Image, detections: Array, scale: float) -> None:
@@ -181,8 +186,8 @@ def _distance_height(distance: Array | float) -> Array:
     """Row in the lower panel of a distance in m, on a logarithmic axis. Values beyond its ends are clipped."""
     span = np.log(_LONGEST_DISTANCE / _SHORTEST_DISTANCE)
     return (
-        still.ERROR_PLOT.top
-        + still.ERROR_PLOT.height
+        backdrop.ERROR_PLOT.top
+        + backdrop.ERROR_PLOT.height
         * np.log(_LONGEST_DISTANCE / np.clip(distance, _SHORTEST_DISTANCE, _LONGEST_DISTANCE))
         / span
     )
@@ -191,14 +196,14 @@ def _distance_height(distance: Array | float) -> Array:
 @lru_cache(maxsize=1)
 def _distance_axes() -> Image:
     """Static part of the lower panel, with bands for on target (up to 10 cm) and followed (up to 0.5 m)."""
-    panel = np.empty((still.ERROR_PANEL.height, still.ERROR_PANEL.width, 3), np.uint8)
+    panel = np.empty((backdrop.ERROR_PANEL.height, backdrop.ERROR_PANEL.width, 3), np.uint8)
     panel[:] = mix(PAPER, FLOOR, 0.45)
-    left, right = still.ERROR_PLOT.left, still.ERROR_PLOT.left + still.ERROR_PLOT.width
-    bottom = still.ERROR_PLOT.top + still.ERROR_PLOT.height
+    left, right = backdrop.ERROR_PLOT.left, backdrop.ERROR_PLOT.left + backdrop.ERROR_PLOT.width
+    bottom = backdrop.ERROR_PLOT.top + backdrop.ERROR_PLOT.height
     for distance, label, strength in ((0.5, "0.5 m", 0.06), (0.1, "10 cm", 0.10)):
         row = round(float(_distance_height(distance)))
-        panel[row:bottom, left:right] = mix(PAPER, still.TOOL, strength)
-        panel[row, left:right] = mix(PAPER, still.TOOL, 0.45)
+        panel[row:bottom, left:right] = mix(PAPER, backdrop.TOOL, strength)
+        panel[row, left:right] = mix(PAPER, backdrop.TOOL, 0.45)
         put_text(panel, label, left - 6, row + 3, SOFT_INK, height=6, weight=0.9, align="right")
     for distance in (_SHORTEST_DISTANCE, _LONGEST_DISTANCE):
         panel[round(float(_distance_height(distance))), left:right] = mix(PAPER, INK, 0.12)
@@ -210,7 +215,7 @@ def _distance_axes() -> Image:
 
 
 def _draw_distance(panel: Image, scene: FollowScene) -> None:
-    plot = still.ERROR_PLOT
+    plot = backdrop.ERROR_PLOT
     columns = plot.left + plot.width * np.arange(len(scene.distances)) / max(scene.span - 1, 1)
     for (_, color, _, below), at in zip(_MARKS, (scene.wrong, scene.lost), strict=True):
         row = plot.top + plot.height + below
@@ -219,5 +224,5 @@ def _draw_distance(panel: Image, scene: FollowScene) -> None:
     if len(columns) > 1:
         curve = fixed_point(np.stack([columns, _distance_height(scene.distances)], axis=-1))
         cv2.polylines(panel, [curve], False, INK, 1, cv2.LINE_AA, 4)
-        cv2.circle(panel, curve[-1].tolist(), 45, still.TARGET, -1, cv2.LINE_AA, 4)
+        cv2.circle(panel, curve[-1].tolist(), 45, backdrop.TARGET, -1, cv2.LINE_AA, 4)
     put_text(panel, f"{scene.distance:.2f} m", plot.left + plot.width, 14, INK, align="right")

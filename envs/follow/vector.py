@@ -69,10 +69,10 @@ class PedestrianServoVectorEnv(UncalibServoVectorEnv):
     def _pictured(self, row: int) -> dict[str, Any]:
         return pictured(self._sensors, row)
 
-    def _told(self) -> dict[str, Any]:
-        world, told = self.world, super()._told()
-        told["truth"]["people"] = people_now(world)
-        return told | {
+    def _all_infos(self) -> dict[str, Any]:
+        world, infos = self.world, super()._all_infos()
+        infos["truth"]["people"] = people_now(world)
+        return infos | {
             "success": world.tracking_error < ON_TARGET_DISTANCE,
             "time_on_target": world.time_on_target,
             "identity_error": world.identity_error,

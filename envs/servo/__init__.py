@@ -1,1 +1,1 @@
-"""The arm servos: one physical world behind features, pixels, single and vector environments."""
+"""UncalibServo: one simulated arm world behind the feature and pixel environments, single and vectorized."""

@@ -1,8 +1,8 @@
 """Planar two-link arms in one pymunk Space.
 
-Two dynamic rods, the camera's 0.2 kg folded into the second; pivots, joint stops and motors as constraints, no gravity.
-Arms share the Space but nothing else, and constraints are solved in the order in which they were added: motors, stops,
-pivots last, so that what a motor asks for never tears a joint apart.
+Each arm has two dynamic rods, the camera's 0.2 kg added to the second one, and pivots, joint stops and motors as
+constraints. There is no gravity. Arms share the Space but do not interact. Constraints are solved in the order in which
+they were added: motors, stops, pivots last, so that a motor never pulls a joint apart.
 """
 
 from __future__ import annotations
@@ -19,17 +19,19 @@ from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
 from servotrack.estimators.types import Array
 
 LINK_MASS = 1.0
+"""Mass of each link, kg."""
 CAMERA_MASS = 0.2
+"""Mass of the camera, kg."""
 _PIVOT_BIAS = 0.01**60
 _ANGLES = pymunk.batch.BodyFields.BODY_ID | pymunk.batch.BodyFields.ANGLE
-_FEW = 16
-"""Up to this number of bodies each is asked for its angle; more are read in one call, which costs as much as twenty."""
+_FEW_BODIES = 16
+"""Up to this number of bodies, angles are read one by one; more are read in one call, which costs as much as twenty."""
 _set_rate = pymunk.SimpleMotor.rate.fset  # type: ignore[attr-defined]
-"""What `motor.rate = ...` ends in, without pymunk's detour over `__setattr__`, which costs as much again."""
+"""Setter behind `motor.rate = ...`; pymunk's own `__setattr__` would double the time."""
 
 
 class _Arm:
-    """One arm in a Space: its two bodies for good, and constraints that every start makes anew."""
+    """One arm in a Space: two permanent bodies, and constraints that every start creates anew."""
 
     def __init__(self, space: pymunk.Space, max_motor_torque: float) -> None:
         self._space = space
@@ -41,8 +43,8 @@ class _Arm:
         space.add(*self.bodies)
 
     def start(self, links: Array) -> None:
-        """Rest at the start pose with links (2,) m; the bits that follow are those of an arm in a fresh Space."""
-        # Removing a constraint moves the Space's last one into its slot; in reverse order a whole arm moves, in order.
+        """Rest at the start pose with links (2,) m. The motion that follows is bit-identical to that in a new Space."""
+        # Removing a constraint moves the Space's last one into its slot. In reverse order, a whole arm moves in order.
         for constraint in reversed(self._constraints):
             self._space.remove(constraint)
         l1, l2 = float(links[0]), float(links[1])
@@ -63,7 +65,7 @@ class _Arm:
                 l1 * np.sin(theta1) + center * np.sin(theta1 + theta2),
             ),
         )
-        # Constraints remember impulses that nothing can clear, so they are made anew.
+        # Constraints keep impulses that cannot be cleared, so new ones are created.
         ground = self._space.static_body
         self.motors = (pymunk.SimpleMotor(ground, upper, 0.0), pymunk.SimpleMotor(upper, lower, 0.0))
         for motor in self.motors:
@@ -90,7 +92,7 @@ def _rest(body: pymunk.Body, mass: float, moment: float, angle: float, position:
 
 
 class ArmSpace:
-    """N arms in one Space, driven by joint rates for one control period at a time.
+    """N arms in one Space, driven by joint rates, one control period per step.
 
     Args:
         config: Torque limit, substeps and solver iterations.
@@ -104,37 +106,37 @@ class ArmSpace:
         self._space.iterations = config.solver_iterations
         self._substep = PERIOD / config.substeps
         self._arms: list[_Arm | None] = [None] * count
-        self._missing = count
+        self._not_started = count
         self._bodies: list[Any] = [None] * (2 * count)
         self._motors: list[pymunk.SimpleMotor | None] = [None] * (2 * count)
         self._body_ids = np.zeros((count, 2), np.int64)
         self._places: NDArray[np.intp] | None = None
         self._buffer = pymunk.batch.Buffer()
         self.angles = np.tile(START, (count, 1))
-        """Joint angles, shape (N, 2), rad; the solver's truth, written by every `step`."""
+        """True joint angles, shape (N, 2), rad; updated by every `step`."""
 
     def reset(self, row: int, links: Array) -> None:
-        """Start one arm anew with links (2,) m at the start pose; the others keep their bits."""
+        """Restart one arm with links (2,) m at the start pose. The other arms are not changed."""
         arm = self._arms[row]
         if arm is None:
             arm = self._arms[row] = _Arm(self._space, self._config.max_motor_torque)
             self._bodies[2 * row : 2 * row + 2] = arm.bodies
             self._body_ids[row] = [body.id for body in arm.bodies]
-            self._missing -= 1
+            self._not_started -= 1
         arm.start(links)
         self._motors[2 * row : 2 * row + 2] = arm.motors
         self.angles[row] = START
 
     def step(self, rates: Array) -> None:
         """Drive all joints at `rates` (N, 2) rad/s for one control period and read the angles."""
-        if self._missing:
+        if self._not_started:
             raise RuntimeError(f"arms {[row for row, arm in enumerate(self._arms) if arm is None]} were never reset")
         # Chipmunk's motors turn the second body against the sign of their rate.
         for motor, rate in zip(self._motors, rates.ravel().tolist(), strict=True):
             _set_rate(motor, -rate)
         for _ in range(self._config.substeps):
             self._space.step(self._substep)
-        if len(self._bodies) <= _FEW:
+        if len(self._bodies) <= _FEW_BODIES:
             for row, (upper, lower) in enumerate(zip(self._bodies[::2], self._bodies[1::2], strict=True)):
                 first = upper.angle
                 self.angles[row] = first, lower.angle - first
@@ -144,7 +146,7 @@ class ArmSpace:
             self.angles[:, 1] = angles[:, 1] - angles[:, 0]
 
     def _all_angles(self) -> Array:
-        """All bodies' angles in one call; the Space lists them in an order of its own, the static body among them."""
+        """Angles of all bodies, read in one call and reordered: the Space lists bodies in its own order."""
         self._buffer.clear()
         pymunk.batch.get_space_bodies(self._space, _ANGLES, self._buffer)
         if self._places is None:
@@ -154,7 +156,7 @@ class ArmSpace:
         return np.frombuffer(self._buffer.float_buf(), np.float64)[self._places]
 
     def tool_gap(self) -> float:
-        """Largest distance between two ends that a pivot holds together, m: how far the solver let a joint open."""
+        """Largest gap between two ends that a pivot holds together, m: the solver's error."""
         worst = 0.0
         for arm in filter(None, self._arms):
             for pivot in arm.pivots:

@@ -1,4 +1,4 @@
-"""Which frames have arrived since a sensor last looked, and what their stamps say."""
+"""Detection of new frames and new episodes since a sensor's last update, with the frames' time stamps."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from servotrack.envs.servo.world import ServoWorld
 
 
 class Arrivals:
-    """The newest frames of a world's N arms, as one sensor has taken note of them.
+    """Newest frames of a world's N arms, as seen by one sensor.
 
     Args:
-        world: The world, which is only read.
+        world: World to observe; it is not changed.
 
     Attributes:
-        rows: Whose frame is another than at the last look, (N,) bool.
+        rows: Mask of the arms with a new frame since the last update, (N,) bool.
         frame_time: Time stamps of the newest frames, (N,) s.
     """
 
@@ -29,19 +29,19 @@ class Arrivals:
         self._captured = np.full(world.count, -1)
         self.rows, self.frame_time = np.zeros(world.count, np.bool_), np.zeros(world.count)
 
-    def look(self) -> list[int]:
-        """Take note of the newest frames.
+    def update(self) -> list[int]:
+        """Register the newest frames.
 
         Returns:
-            The rows whose episode began since the last look.
+            Rows whose episode began since the last update.
         """
         world, config = self._world, self._world.config
-        # An episode is frozen: another object is another episode.
+        # Episodes are frozen, so another object means another episode.
         fresh = [row for row, another in enumerate(map(is_not, self._episodes, world.episodes)) if another]
         for row in fresh:
             self._episodes[row] = world.episodes[row]
             self._captured[row] = -1
-        _note(
+        _register(
             self._captured, world.captured, LEAD + config.warmup, float(config.rolling_shutter), config.stamped,
             world.time, self.rows, self.frame_time,
         )  # fmt: skip
@@ -49,7 +49,7 @@ class Arrivals:
 
 
 @njit(cache=True, nogil=True)
-def _note(known, captured, first, shutter, stamped, time, rows, frame_time):  # type: ignore[no-untyped-def]
+def _register(known, captured, first, shutter, stamped, time, rows, frame_time):  # type: ignore[no-untyped-def]
     for i in range(rows.shape[0]):
         rows[i] = known[i] != captured[i]
         if rows[i]:

@@ -1,4 +1,4 @@
-"""Everything in a servo picture that does not move: palette, layout, floor, scales; painted once per reach and kept."""
+"""Static part of a servo picture: layout, floor, axes. Painted once per reach and cached."""
 
 from __future__ import annotations
 
@@ -35,19 +35,17 @@ GOAL: Color = (242, 240, 232)
 
 WIDTH, HEIGHT = 720, 416
 MARGIN = 16
-
-
 FLOOR_PANEL = Panel(MARGIN, MARGIN, 384, 384)
 CAMERA_PANEL = Panel(416, MARGIN, 288, 288)
 ERROR_PANEL = Panel(416, 320, 288, 80)
 _CORNER_RADIUS = 7
 CAMERA_LABEL, LABEL_PLACE = "camera", (14, 20)
 
-# The floor's window in units of the arm's reach; the base stands left of and below the middle, where targets are rare.
+# The floor's window in units of the arm's reach. The base is left of and below the center, where targets are rare.
 _WINDOW_SIDE, _WINDOW_LEFT, _WINDOW_BOTTOM = 1.5, -0.36, -0.52
 
 ERROR_DECADES = (-4, 0)
-"""The error plot's axis spans 0.1 mm to 1 m."""
+"""Powers of ten at the ends of the error plot's axis: 0.1 mm and 1 m."""
 ERROR_PLOT = Panel(38, 24, 236, 48)  # inside ERROR_PANEL
 
 
@@ -57,27 +55,27 @@ def floor_scale(reach: float) -> float:
 
 
 def floor_pixels(points: Array, reach: float) -> Array:
-    """Pixels in the floor panel of points in the base frame, shape (..., 2), m -> px."""
+    """Map points in the base frame (m) to pixels of the floor panel, shape (..., 2)."""
     scale = floor_scale(reach)
     origin = np.array([-_WINDOW_LEFT * reach * scale, FLOOR_PANEL.height + _WINDOW_BOTTOM * reach * scale])
     return origin + np.asarray(points) * np.array([scale, -scale])
 
 
 def error_height(error: Array | float) -> Array:
-    """Row in the error panel of a tracking error in m, on a logarithmic scale cut at the axis's ends."""
+    """Row in the error panel of a tracking error in m, on a logarithmic axis. Values beyond its ends are clipped."""
     low, high = ERROR_DECADES
     decade = np.log10(np.clip(error, 10.0**low, 10.0**high))
     return ERROR_PLOT.top + ERROR_PLOT.height * (high - decade) / (high - low)
 
 
 class Backdrop(NamedTuple):
-    """The still parts of a picture.
+    """Static parts of a picture.
 
     Attributes:
-        image: The whole picture without anything that moves, (HEIGHT, WIDTH, 3) uint8.
-        lit_floor: The floor panel as it looks inside the camera's footprint.
+        image: Picture without moving parts, (HEIGHT, WIDTH, 3) uint8.
+        lit_floor: Floor panel as drawn inside the camera's footprint.
         rim: Flat pixel indices of the panels' rounded corners, int64.
-        rim_opacity: How much of the panel shows there, (k, 1) float32.
+        rim_opacity: Share of the panel in those pixels; the rest is paper, (k, 1) float32.
     """
 
     image: Image
@@ -88,7 +86,7 @@ class Backdrop(NamedTuple):
 
 @lru_cache(maxsize=16)
 def backdrop(reach: float, caption: str, spacing: float = GRID_SPACING) -> Backdrop:
-    """The backdrop for an arm of this reach (m), with a caption and grid lines this far apart (m)."""
+    """Backdrop for an arm of this reach (m), with a caption and grid lines `spacing` m apart."""
     image = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
     image[:] = PAPER
     FLOOR_PANEL.of(image)[:] = _floor(reach, spacing)
@@ -104,7 +102,7 @@ def backdrop(reach: float, caption: str, spacing: float = GRID_SPACING) -> Backd
 
 
 def draw_legend(panel: Image) -> None:
-    """Tell in the floor's panel which color is whose."""
+    """Draw the legend of target and tool into the floor's panel."""
     put_text(panel, "target", 28, 20, SOFT_INK)
     put_text(panel, "tool", 84, 20, SOFT_INK)
     for x, color in ((19, TARGET), (75, TOOL)):
@@ -112,7 +110,7 @@ def draw_legend(panel: Image) -> None:
 
 
 def _floor(reach: float, spacing: float) -> Image:
-    """Warm plaster with a fine grain and a grid, which the camera may see too."""
+    """Floor with a fine grain, a grid, and the circle of the arm's reach."""
     side = FLOOR_PANEL.width
     rng = np.random.default_rng(0)
     grain = rng.normal(0.0, 0.9, (side, side))
@@ -134,7 +132,7 @@ def _floor(reach: float, spacing: float) -> Image:
 
 
 def _error_axes(panel: Image) -> None:
-    """Decades of the tracking error, and the 10 mm below which an instant counts as a success."""
+    """Axis of the tracking error, with the band below 10 mm that counts as success."""
     panel[:] = mix(PAPER, FLOOR, 0.45)
     left, right = ERROR_PLOT.left, ERROR_PLOT.left + ERROR_PLOT.width
     labels = {0: "1 m", -1: "0.1 m", -2: "1 cm", -3: "1 mm", -4: "0.1 mm"}
@@ -150,7 +148,7 @@ def _error_axes(panel: Image) -> None:
 
 
 def _rounded_corners() -> tuple[Labels, FloatArray]:
-    """Where the panels' square corners show paper instead, and how much of the panel shows there."""
+    """Pixels at the panels' rounded corners, and the share of the panel in each of them."""
     fine, radius = 8, _CORNER_RADIUS
     quarter = np.zeros((radius * fine, radius * fine), dtype=np.uint8)
     cv2.circle(quarter, (radius * fine, radius * fine), radius * fine, 255, -1)

@@ -37,7 +37,7 @@ def action_space() -> gym.spaces.Box:
 
 
 def feature_space(config: ServoConfig) -> gym.spaces.Dict:
-    """Observation space of the feature worlds; every bound is finite."""
+    """Observation space of the feature environments. All bounds are finite."""
 
     def box(low: float, high: float, size: int) -> gym.spaces.Box:
         return gym.spaces.Box(low, high, (size,), np.float64)
@@ -56,7 +56,7 @@ def feature_space(config: ServoConfig) -> gym.spaces.Dict:
 
 
 def feature_observations(world: ServoWorld) -> Observation:
-    """The newest sample of all rows, fresh arrays with a leading axis of N."""
+    """Return the newest observations of all rows, as new arrays with a leading axis of N."""
     return {
         "joint_angles": world.joint_angles.copy(),
         "features": world.features.copy(),
@@ -68,30 +68,31 @@ def feature_observations(world: ServoWorld) -> Observation:
 
 
 class UncalibServoEnv(gym.Env[Observation, FloatArray]):
-    """An arm with a camera that nobody calibrated follows a moving target.
+    """An arm with an uncalibrated camera follows a moving target.
 
     ## Description
 
-    A planar two-link arm carries a camera at its tool, looking down on a plane. A target moves over the plane. The
-    agent commands joint rates and has to keep the target under the tool, that is, at the pixel where the tool was
-    taught to appear. Nobody tells it the links' lengths, the focal length, the height, how the camera is mounted, or
-    how the target moves; from level to level the optics get worse, and noise, lost frames and latency join in. The
-    physics is pymunk's, at five substeps per control period of 50 ms.
+    A planar two-link arm carries a camera at its tool that looks down on a plane. A target moves on the plane. The
+    agent commands joint rates and has to keep the target under the tool, that is, at the goal pixel. The link lengths,
+    the focal length, the height and mounting of the camera, and the target's motion are unknown to the agent. Higher
+    levels add lens distortion, noise, lost frames and latency. The physics engine is pymunk, with five substeps per
+    control period of 50 ms.
 
     | level | adds |
     |---|---|
-    | 0 `paper` | paper 002, eq. 32: an ellipse, known start, no noise, 8 unscored steps to get started |
+    | 0 `paper` | paper 002, eq. 32: an ellipse, fixed start, no noise, 8 unscored warm-up steps |
     | 1 `noise` | 0.5 px of noise, a random ellipse |
-    | 2 `geometry` | random links, focal length, height; mounting within 30 degrees; 1 px; no unscored steps |
+    | 2 `geometry` | random links, focal length, height; mounting within 30 degrees; 1 px; no warm-up |
     | 3 `optics` | any mounting angle, principal point, distortion, tilt, aspect |
-    | 4 `dynamics` | a target of two sines, noisy joint rates and encoders, lost frames |
+    | 4 `dynamics` | a target that moves along two sines per axis, noisy joint rates and encoders, lost frames |
     | 5 `timing` | one frame of latency, rolling shutter |
-    | 6 `heavy` | abrupt waypoints, outliers, more lost frames, latency of 0 to 2 frames that no stamp tells |
+    | 6 `heavy` | abrupt waypoints, outliers, more lost frames, latency of 0 to 2 frames without time stamps |
 
     ## Action Space
 
-    `Box(-1, 1, (2,), float32)`: the joint rates as fractions of `max_joint_rate` (2 rad/s). Each is clipped by
-    itself, as hardware does; scale the whole vector if you want to keep its direction. A joint stops before its stop.
+    `Box(-1, 1, (2,), float32)`: the joint rates as fractions of `max_joint_rate` (2 rad/s). Each
+    rate is clipped separately, as hardware does; scale the whole vector to keep its direction. Joints halt just
+    before their stops.
 
     ## Observation Space
 
@@ -101,28 +102,30 @@ class UncalibServoEnv(gym.Env[Observation, FloatArray]):
     |---|---|---|---|
     | `joint_angles` | (2,) | rad | encoder readings at `time` |
     | `features` | (2,) | px | image point of the target in the newest frame in which it was seen |
-    | `goal` | (2,) | px | where it is wanted: where the point under the tool appears |
-    | `visible` | (1,) | 0 or 1 | 1: a new frame with the target in it arrived; 0: `features` and `frame_time` are old |
-    | `frame_time` | (1,) | s | when that frame was taken (its middle row), or when it arrived if `stamped` is false |
-    | `time` | (1,) | s | now; the warm-up lies before 0, scoring starts after 0 |
+    | `goal` | (2,) | px | desired image point of the target: the image of the point under the tool |
+    | `visible` | (1,) | 0 or 1 | 1: a new frame that shows the target arrived; 0: `features` and `frame_time` are old |
+    | `frame_time` | (1,) | s | time when that frame was taken (middle row), or arrived if `stamped` is false |
+    | `time` | (1,) | s | current time; the warm-up is before 0, scoring starts after 0 |
 
     ## Rewards
 
-    `clip(1 - ln(1 + d / 2 mm) / ln(1 + 2 m / 2 mm), 0, 1)` with d the distance between tool and target in the plane:
-    a slope from metres down to millimetres. 0 during the warm-up and at termination, so that ending early never pays.
+    `clip(1 - ln(1 + d / 2 mm) / ln(1 + 2 m / 2 mm), 0, 1)` with d the distance between tool and target in the plane.
+    The logarithm gives a slope from meters down to millimeters. The reward is 0 during the warm-up and at termination,
+    so ending an episode early never pays.
 
-    `info` holds, for evaluation and not for agents: `tracking_error` (d in m), `feature_error` (px, true and present),
-    `success` (d below 10 mm now) and `truth` (`joint_angles`, `tool`, `target`, `target_velocity`).
+    `info` is for evaluation, not for agents. It holds `tracking_error` (d, m), `feature_error` (distance between the
+    true current features and the goal, px), `success` (d below 10 mm) and `truth` (`joint_angles`, `tool`, `target`,
+    `target_velocity`).
 
     ## Starting State
 
-    Joints at (0, 90) degrees. Links, camera, target, noise and so on are drawn from the seed, each from a stream of
-    its own. A layout that no controller could solve is drawn again: joint limits with a margin, at most 0.8 of the
-    joint rate limit, away from the eye-in-hand singularity, target in view at the start.
+    Joints at (0, 90) degrees. Links, camera, target and noise are drawn from the seed, each from its own random stream.
+    A layout is drawn again until the arm can follow the target with a margin to its joint stops, at most 0.8 of the
+    joint rate limit and away from the eye-in-hand singularity, and until the target is in view at the start.
 
     ## Episode End
 
-    Termination: the target was out of view for 20 samples. Truncation: after `warmup` + `horizon` steps.
+    Termination: the target was out of view for 20 consecutive samples. Truncation: after `warmup` + `horizon` steps.
 
     ## Arguments
 
@@ -130,8 +133,8 @@ class UncalibServoEnv(gym.Env[Observation, FloatArray]):
     example `gym.make("UncalibServo-v0", level=5, pixel_noise=2.0, latency=(0, 2))`. `render_mode`: `rgb_array` or
     `human`.
 
-    A copy (`copy.deepcopy`) made in mid-episode does not continue to the bit: the physics engine does not copy what its
-    solver remembers. Plan on replays of the actions from the same seed instead.
+    A copy (`copy.deepcopy`) made in mid-episode does not continue bit-identically, because the physics engine does not
+    copy its solver's internal state. For planning, replay the actions from the same seed instead.
 
     ## References
 
@@ -164,7 +167,7 @@ class UncalibServoEnv(gym.Env[Observation, FloatArray]):
         return ServoWorld(self.config, 1)
 
     def _make_screen(self) -> tuple[Recorder | None, Viewer | None]:
-        """What drawing takes in this render mode; OpenCV and pygame are imported only where they are needed."""
+        """Recorder and viewer for this render mode. OpenCV and pygame are imported only if needed."""
         if self.render_mode is None:
             return None, None
         viewer = None
@@ -199,15 +202,15 @@ class UncalibServoEnv(gym.Env[Observation, FloatArray]):
         """Start a new episode.
 
         Args:
-            seed: Decides this episode and, without further seeds, all later ones.
-            options: None are known.
+            seed: Seed of this episode and, without further seeds, of all later ones.
+            options: Must be None or empty; there are no options.
 
         Returns:
             Observation and info.
 
         Raises:
-            ValueError: `options` holds anything, or `seed` is negative.
-            TypeError: `seed` is no integer.
+            ValueError: `options` is not empty, or `seed` is negative.
+            TypeError: `seed` is not an integer.
         """
         check_options(options)
         if seed is not None or self._np_random is None:
@@ -222,13 +225,13 @@ class UncalibServoEnv(gym.Env[Observation, FloatArray]):
         """Command joint rates for one control period of 50 ms.
 
         Args:
-            action: Shape (2,), fractions of `max_joint_rate`.
+            action: Joint rates as fractions of `max_joint_rate`, shape (2,).
 
         Returns:
             Observation, reward, terminated, truncated, info.
 
         Raises:
-            ValueError: An action of another shape, or not finite.
+            ValueError: The action has a wrong shape or is not finite.
             gymnasium.error.ResetNeeded: No episode is running.
         """
         values = check_actions(action, (2,))
@@ -243,11 +246,11 @@ class UncalibServoEnv(gym.Env[Observation, FloatArray]):
         return observation, float(world.reward[0]), terminated, truncated, self._info()
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """Draw the present.
+        """Draw the current state.
 
         Returns:
-            With `rgb_array` a new RGB frame, shape (416, 720, 3), uint8; with `human` None, for reset and step show the
-            frames themselves; None without a render mode.
+            With `rgb_array`, a new RGB frame, shape (416, 720, 3), uint8. With `human`, None: `reset` and `step` show
+            the frames. Without a render mode, None.
 
         Raises:
             gymnasium.error.ResetNeeded: Before the first reset.
@@ -265,7 +268,7 @@ class UncalibServoEnv(gym.Env[Observation, FloatArray]):
             self._viewer.close()
 
     def _pictured(self) -> dict[str, Any]:
-        """What `Recorder.frame` should show besides the world itself."""
+        """Sensor data for the picture: keywords of `Recorder.frame`."""
         return {}
 
     def _show(self) -> None:
@@ -290,41 +293,41 @@ class UncalibServoEnv(gym.Env[Observation, FloatArray]):
         }
 
     def privileged(self) -> Observation:
-        """What `PrivilegedObservation` adds: as `ServoWorld.privileged`, without the leading axis."""
+        """Entries that `PrivilegedObservation` adds: those of `ServoWorld.privileged`, without the leading axis."""
         return {key: value[0] for key, value in self.world.privileged().items()}
 
 
 class UncalibServoReachEnv(UncalibServoEnv):
-    """An arm with a camera that nobody calibrated moves over a target at rest.
+    """An arm with an uncalibrated camera moves its tool over a target at rest.
 
     ## Description
 
-    As `UncalibServo-v0`, but the target rests: at (0.6, 0.6) m at level 0 (paper 002, section 3.2), anywhere within
-    reach above.
+    Same as `UncalibServo-v0`, but the target rests: at (0.6, 0.6) m at level 0 (paper 002, section 3.2), anywhere
+    within reach at higher levels.
 
     ## Action Space
 
-    As `UncalibServo-v0`.
+    Same as in `UncalibServo-v0`.
 
     ## Observation Space
 
-    As `UncalibServo-v0`.
+    Same as in `UncalibServo-v0`.
 
     ## Rewards
 
-    As `UncalibServo-v0`.
+    Same as in `UncalibServo-v0`.
 
     ## Starting State
 
-    As `UncalibServo-v0`.
+    Same as in `UncalibServo-v0`.
 
     ## Episode End
 
-    As `UncalibServo-v0`, with a default `horizon` of 100 steps (5 s).
+    Same as in `UncalibServo-v0`, with a default `horizon` of 100 steps (5 s).
 
     ## Arguments
 
-    As `UncalibServo-v0`.
+    Same as in `UncalibServo-v0`.
 
     ## References
 

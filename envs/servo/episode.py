@@ -1,4 +1,4 @@
-"""What fate deals an episode: everything random, drawn before the first step, each quantity from its own stream."""
+"""Random draws of one episode. All are made before the first step, each quantity from its own stream."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from servotrack.estimators.camera import pack_camera, project_ground, project_po
 from servotrack.estimators.types import Array, Mask
 
 LEAD = 6
-"""Samples that the tables hold before the reset, for frames that were on their way."""
-_MAX_DRAWS = 2000
+"""Number of samples before the reset in an episode's tables, for frames taken before the reset."""
+_MAX_DRAWS = 2000  # of a layout, until one is solvable
 _PAPER_TARGETS = ("paper", "paper_point")
 
 
 class Stream(IntEnum):
-    """Child streams of an episode's seed. Appending one shifts no other; the numbers must never change."""
+    """Stream numbers of an episode's seed. A new stream does not change the others; the numbers must never change."""
 
     LINKS = 0
     FOCAL = 1
@@ -50,7 +50,7 @@ class ServoStreams(Streams):
     """The random streams of one servo episode."""
 
     def uniform(self, stream: Stream, bounds: Range, size: int | None = None) -> float | Array:
-        """Uniform draws; a range of no width uses no stream. Returns a float, or shape (size,)."""
+        """Draw uniformly from a range; a single value uses no stream. Returns a float, or shape (size,)."""
         low, high = bounds
         if low == high:
             return float(low) if size is None else np.full(size, float(low))
@@ -59,22 +59,21 @@ class ServoStreams(Streams):
 
 @dataclass(frozen=True)
 class Episode:
-    """One episode's hidden constants and tables; K = LEAD + warmup + horizon + 1 samples, the reset at index LEAD.
+    """Hidden constants and tables of one episode: K = LEAD + warmup + horizon + 1 samples, the reset at index LEAD.
 
     Attributes:
-        streams: The streams that it came from; images draw more from them.
-        links: Shape (2,), m.
-        camera: Packed, shape (CAMERA_SIZE,).
-        goal: Taught goal features: where the point under the tool appears. Shape (2,), px.
-        path: Target positions and velocities, shape (K, 4), m and m/s.
-        feature_noise: Noise and outliers added to each frame's features, shape (K, 2), px, or (0, 2) where there is
-            none.
-        dropped: Whether a frame is lost, shape (K,), or (0,).
-        latency: Age of frames at arrival, periods.
-        gain: Factor on each joint's rate, shape (2,).
-        rate_noise: Shape (K, 2), rad/s, or (0, 2).
-        encoder_noise: Shape (K, 2), rad, or (0, 2).
-        noise_levels: Standard deviations of encoder noise (rad) and rate noise (rad/s) of this episode, shape (2,).
+        streams: Random streams of the episode; image sensors draw from them too.
+        links: Link lengths. Shape (2,), m.
+        camera: Packed camera. Shape (CAMERA_SIZE,).
+        goal: Goal features: image of the point under the tool. Shape (2,), px.
+        path: Target positions and velocities. Shape (K, 4), m and m/s.
+        feature_noise: Noise and outliers added to each frame's features. Shape (K, 2), px, or (0, 2) without noise.
+        dropped: Mask of lost frames. Shape (K,), or (0,) if none are lost.
+        latency: Age of frames at arrival, control periods.
+        gain: Factor on each joint's rate. Shape (2,).
+        rate_noise: Noise on the joint rates. Shape (K, 2), rad/s, or (0, 2) without noise.
+        encoder_noise: Noise on the observed joint angles. Shape (K, 2), rad, or (0, 2) without noise.
+        noise_levels: Standard deviations of encoder noise (rad) and rate noise (rad/s) in this episode. Shape (2,).
     """
 
     streams: ServoStreams
@@ -97,27 +96,27 @@ def samples(config: ServoConfig) -> int:
 
 
 def sample_times(config: ServoConfig) -> Array:
-    """Instants of the tables' rows, shape (K,), s; time 0 is where scoring starts."""
+    """Times of the tables' rows, shape (K,), s. Scoring starts at time 0."""
     return (np.arange(samples(config), dtype=np.float64) - LEAD - config.warmup) * PERIOD
 
 
 Motion = Callable[["ServoStreams", Array], Array]
-"""Draws a target's path (K, 4) for an arm with these links."""
+"""Function that draws a target's path (K, 4) for an arm with these links."""
 
 
 def draw_episode(config: ServoConfig, seed: int, motion: Motion | None = None) -> Episode:
-    """Draw all of an episode.
+    """Make all random draws of one episode.
 
-    A layout that cannot be solved (see `solvable`), in which the target starts out of view, or whose goal lies outside
-    the image is drawn again.
+    A layout is drawn again if it cannot be solved (see `solvable`), if the target starts out of view, or if the goal
+    lies outside the image.
 
     Args:
-        config: The world.
-        seed: Non-negative integer.
-        motion: Draws the target's motion where `config.target` does not say all of it.
+        config: Parameters of the world.
+        seed: Seed of the episode, a non-negative integer.
+        motion: Draws the target's path instead of `config.target`.
 
     Raises:
-        ValueError: No solvable layout among many draws: the ranges contradict each other.
+        ValueError: No solvable layout was found in many draws: the ranges contradict each other.
     """
     streams = ServoStreams(seed)
     links, camera, path = _draw_layout(config, streams, motion)
@@ -163,7 +162,7 @@ def _draw_layout(config: ServoConfig, streams: ServoStreams, motion: Motion | No
             continue
         start, seen = project_points(camera, links, START, path[LEAD, :2])
         u, v, before_fold = project_ground(camera, 0.0, 0.0)
-        # A goal outside the image would have the agent steer the target out of view.
+        # With a goal outside the image, the agent would have to steer the target out of view.
         if seen and before_fold and _in_image(config, *start) and _in_image(config, u, v):
             return links, camera, path
     raise ValueError(
@@ -178,7 +177,7 @@ def _in_image(config: ServoConfig, u: float, v: float) -> bool:
 
 
 def _is_fixed(config: ServoConfig) -> bool:
-    """Whether layout and target are the paper's own, given and not to be rejected."""
+    """Return True if layout and target are the paper's fixed ones, which are never rejected."""
     ranges = (config.links, config.focal, config.depth, config.distortion)
     offsets = (config.mounting, config.principal_offset, config.tilt, config.aspect)
     return config.target in _PAPER_TARGETS and all(low == high for low, high in ranges) and not any(offsets)
@@ -213,7 +212,7 @@ def _draw_camera(config: ServoConfig, streams: ServoStreams) -> Array:
 
 
 def _gaussian_block(streams: ServoStreams, stream: Stream, level: Range, count: int) -> tuple[Array, float]:
-    """White noise for both joints at every sample, of a level drawn for the episode: (count, 2), and the level."""
+    """Draw a noise level for the episode. Returns white noise of both joints, (count, 2), and the level."""
     if level == (0.0, 0.0):
         return _NONE, 0.0
     sigma = float(streams.uniform(stream, level))

@@ -1,4 +1,4 @@
-"""Compiled kernels behind the arm's camera: what its pixels see of the floor, and the colors they deliver."""
+"""Compiled kernels that render the arm's camera: rays to the floor, floor texture, markers, noise."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from servotrack.estimators.camera import ground_point, project_ground
 DISC_RADIUS = 0.025
 """Radius of a marker's colored disc, m."""
 RING_RADIUS = 0.033
-"""Outer radius of the white ring around it, m."""
+"""Outer radius of the white ring around the disc, m."""
 TARGET_COLOR = (222, 64, 38)
 DISTRACTOR_COLOR = (46, 98, 196)
 RING_COLOR = (236, 234, 228)
 NOISE_SIDE = 256
-"""Rows of the noise tile, and columns before it repeats; a power of two."""
+"""Period of the noise tile along rows and columns, px; a power of two."""
 
 _VIGNETTING = 0.30  # loss of light at one half width from the principal point
-_FARTHEST_MARKER = 0.2  # pixels that see more floor than this (m) show no markers: they would be smaller than any noise
-_SHIFT = 64.0  # tiles; farther than any ray that matters
-_SAMPLES = 4  # per axis and pixel, at markers' edges
+_WIDEST_MARKER_PIXEL = 0.2  # width of the floor in a pixel beyond which markers are invisible and left out, m
+_SHIFT = 64.0  # added to texture coordinates so that they are positive, tiles
+_SAMPLES = 4  # samples per axis in a pixel at a marker's edge
 
 
 @njit(cache=True, nogil=True)
 def trace_rays(camera, step, ground, light, spread, detail):  # type: ignore[no-untyped-def]
-    """Fill one camera's ray tables; `step` is the distance of delivered pixels in camera pixels."""
+    """Fill one camera's ray tables; `step` is the number of camera pixels per image pixel."""
     size = ground.shape[0]
     for i in range(size):
         for j in range(size):
@@ -39,7 +39,7 @@ def trace_rays(camera, step, ground, light, spread, detail):  # type: ignore[no-
             ground[i, j, 0] = gx
             ground[i, j, 1] = gy
             back_u, back_v, seen = project_ground(camera, gx, gy)
-            # Beyond the lens's fold and above the horizon no floor point comes back to the same pixel.
+            # Pixels beyond the lens's fold or above the horizon do not project back to themselves.
             if seen and abs(back_u - u) + abs(back_v - v) < 0.5:
                 rho2 = ((u - camera[2]) ** 2 + (v - camera[3]) ** 2) * camera[17] ** 2
                 light[i, j] = 1.0 / (1.0 + _VIGNETTING * rho2)
@@ -57,7 +57,7 @@ def trace_rays(camera, step, ground, light, spread, detail):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def _covered(ground, i, j, x, y):  # type: ignore[no-untyped-def]
-    """Shares of pixel (i, j) that a marker's disc and its ring at (x, y) cover."""
+    """Shares of pixel (i, j) that the disc and the ring of a marker at (x, y) cover."""
     size = ground.shape[0]
     a, b = min(max(i, 1), size - 2), min(max(j, 1), size - 2)
     xu, yu = 0.5 * (ground[i, b + 1, 0] - ground[i, b - 1, 0]), 0.5 * (ground[i, b + 1, 1] - ground[i, b - 1, 1])
@@ -79,9 +79,9 @@ def _covered(ground, i, j, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def row_view(y, shutter, camera, links, history, frame, view):  # type: ignore[no-untyped-def]
-    """Write cos and sin of the heading and the tool at the instant of the image row at height `y` (0 to 1).
+    """Write the camera's heading (cos, sin) and the tool at the instant of the image row at height `y` (0 to 1).
 
-    Returns the sample before that instant, and how much of the period to the frame's own sample has passed.
+    Returns the sample before that instant, and the elapsed share of the period from there to the frame's own sample.
     """
     before = max(frame - 1, 0)
     f = 1.0 - shutter * (1.0 - y) / PERIOD
@@ -98,7 +98,7 @@ def row_view(y, shutter, camera, links, history, frame, view):  # type: ignore[n
 
 @njit(cache=True, nogil=True)
 def _marker_view(y, shutter, camera, links, history, path, distractor, frame, view):  # type: ignore[no-untyped-def]
-    """As `row_view`, and write target and distractor in the camera's untilted frame behind it."""
+    """Like `row_view`, and also write target and distractor in the camera's untilted frame."""
     before, f = row_view(y, shutter, camera, links, history, frame, view)
     for k in range(2):
         table = path if k == 0 else distractor
@@ -111,8 +111,8 @@ def _marker_view(y, shutter, camera, links, history, path, distractor, frame, vi
 
 @njit(cache=True, nogil=True)
 def look_down(view, ground, detail, texels, starts, pose, out):  # type: ignore[no-untyped-def]
-    """Brightness of the floor along one image row, bilinear in the texture's copy that fits each pixel."""
-    # From the camera's frame straight into tiles of the texture, shifted so far that every coordinate is positive.
+    """Compute the floor's brightness along one image row, bilinear at each pixel's level of detail."""
+    # From the camera's frame to texture coordinates in tiles, shifted so that they are positive.
     fc, fs = pose[0] / TILE, pose[1] / TILE
     xx, xy = fc * view[0] - fs * view[1], fc * view[1] + fs * view[0]
     yx, yy = xy, -xx
@@ -127,7 +127,7 @@ def look_down(view, ground, detail, texels, starts, pose, out):  # type: ignore[
         x, y = (xx * gx + xy * gy + x0) * side, (yx * gx + yy * gy + y0) * side
         whole_x, whole_y = np.int64(x), np.int64(y)
         fx, fy = x - whole_x, y - whole_y
-        # Unsigned indices spare the check for negative ones at every access.
+        # Unsigned indices avoid a check for negative values at every access.
         column, row = np.uint64(whole_x), np.uint64(whole_y)
         start = starts[level]
         top, bottom = start + (row & last) * np.uint64(side), start + ((row + one) & last) * np.uint64(side)
@@ -139,7 +139,7 @@ def look_down(view, ground, detail, texels, starts, pose, out):  # type: ignore[
 
 @njit(cache=True, nogil=True)
 def _develop(bright, light, color, noise, image):  # type: ignore[no-untyped-def]
-    """Turn one row of brightness into one row of noisy pixels."""
+    """Convert one row of brightness to noisy pixels."""
     red, green, blue = np.float32(color[0]), np.float32(color[1]), np.float32(color[2])
     half, black, white = np.float32(0.5), np.float32(0.0), np.float32(255.0)
     for j in range(image.shape[0]):
@@ -151,7 +151,7 @@ def _develop(bright, light, color, noise, image):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True)
 def _paint_marker(ground, spread, i, j, x, y, color, paint):  # type: ignore[no-untyped-def]
-    """Lay a marker at (x, y) over the color of pixel (i, j); whether it touches the pixel at all."""
+    """Paint a marker at (x, y) over the color of pixel (i, j). Returns True if it touches the pixel."""
     # Half the diagonal of a square pixel.
     near = RING_RADIUS + 0.71 * spread[i, j]
     if (ground[i, j, 0] - x) ** 2 + (ground[i, j, 1] - y) ** 2 > near * near:
@@ -164,7 +164,7 @@ def _paint_marker(ground, spread, i, j, x, y, color, paint):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def _marker_box(camera, gx0, gy0, gx1, gy1, step, spread):  # type: ignore[no-untyped-def]
-    """Rows and columns (first, last + 1) that hold a marker which moves between two points of the camera's frame."""
+    """Rows and columns (first, last + 1) of a marker that moves between two points of the camera's frame."""
     size = spread.shape[0]
     u0, v0, seen0 = project_ground(camera, gx0, gy0)
     u1, v1, seen1 = project_ground(camera, gx1, gy1)
@@ -172,7 +172,7 @@ def _marker_box(camera, gx0, gy0, gx1, gy1, step, spread):  # type: ignore[no-un
         return 0, 0, 0, 0
     i = min(max(int(0.5 * (v0 + v1) / step), 0), size - 1)
     j = min(max(int(0.5 * (u0 + u1) / step), 0), size - 1)
-    # The finest pixels near by bound the marker's size from above.
+    # The finest pixels nearby give an upper bound of the marker's size.
     finest = spread[i, j]
     for a in (max(i - 2, 0), min(i + 2, size - 1)):
         for b in (max(j - 2, 0), min(j + 2, size - 1)):
@@ -189,7 +189,7 @@ def expose(  # type: ignore[no-untyped-def]
     rows, frames, shutter, step, cameras, links, history, paths, distractors, ground, light, spread, detail, texels,
     starts, floor_pose, floor_color, noise, noise_offset, images,
 ):  # fmt: skip
-    """Render the given frames of the chosen rows; with a rolling shutter each image row is seen at its own instant."""
+    """Render the given frames of the chosen rows. A rolling shutter exposes every image row at its own instant."""
     size = images.shape[1]
     views, bright, paint = np.empty((size, 8)), np.empty((size, size), np.float32), np.empty(3)
     for n in range(rows.shape[0]):
@@ -214,11 +214,11 @@ def expose(  # type: ignore[no-untyped-def]
             for i in range(top, bottom):
                 grain = noise[(i + first_row) & (NOISE_SIDE - 1)]
                 for j in range(left, right):
-                    if spread[n, i, j] > _FARTHEST_MARKER or light[n, i, j] == 0.0:
+                    if spread[n, i, j] > _WIDEST_MARKER_PIXEL or light[n, i, j] == 0.0:
                         continue
                     for channel in range(3):
                         paint[channel] = floor_color[n, channel] * bright[i, j]
-                    # Both markers at every pixel, the target last: it lies on top where they meet.
+                    # Both markers at every pixel, the target last, on top of the distractor.
                     look, width = ground[n], spread[n]
                     covered = _paint_marker(look, width, i, j, views[i, 6], views[i, 7], DISTRACTOR_COLOR, paint)
                     covered |= _paint_marker(look, width, i, j, views[i, 4], views[i, 5], TARGET_COLOR, paint)

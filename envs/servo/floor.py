@@ -1,4 +1,4 @@
-"""The texture of a workshop's concrete floor: one seamless tile and its coarser copies, painted once per process."""
+"""Texture of a concrete floor: one seamless tile and its mipmap levels, painted once per process."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 from servotrack.estimators.types import FloatArray
 
 SIDE = 512
-"""Width and height of the finest copy of the tile, texels; a power of two."""
+"""Width and height of the tile at the finest level, texels; a power of two."""
 TILE = 1.024
 """Width and height of the tile on the floor, m."""
 
-# Cells per tile, and standard deviation.
+# Cells per tile, and standard deviation of the brightness.
 _OCTAVES = ((4, 0.05), (9, 0.06), (23, 0.06), (61, 0.055), (149, 0.05), (331, 0.045))
 _SLAB = 256  # texels between two joints
 _SPECKS, _SCRATCHES = 900, 26
 
 
 class FloorTexture(NamedTuple):
-    """The tile at all resolutions, brightness about 1.
+    """Mipmap of the tile, brightness about 1.
 
     Attributes:
-        texels: All copies one after the other, each row by row, float32.
-        starts: Where in `texels` each copy begins; copy k has SIDE / 2**k texels a side.
+        texels: All levels one after the other, each row by row, float32.
+        starts: Index in `texels` of the first texel of each level. Level k has SIDE / 2**k texels a side.
     """
 
     texels: FloatArray
@@ -36,7 +36,7 @@ class FloorTexture(NamedTuple):
 
 @lru_cache(maxsize=1)
 def floor_texture() -> FloorTexture:
-    """The floor: cloudy at several scales, joints between slabs, specks of gravel and a few scratches."""
+    """Paint the floor: clouds at several scales, joints between slabs, specks of gravel and a few scratches."""
     rng = np.random.default_rng(2011)
     tile = np.ones((SIDE, SIDE), dtype=np.float32)
     for cells, strength in _OCTAVES:
@@ -49,19 +49,19 @@ def floor_texture() -> FloorTexture:
     joint = np.abs((np.arange(SIDE) + _SLAB // 2) % _SLAB - _SLAB // 2)
     dark = 1.0 - 0.45 * np.clip(2.5 - joint, 0.0, 1.0).astype(np.float32)
     tile = np.clip(tile * dark[:, None] * dark[None, :], 0.25, 1.7).astype(np.float32)
-    copies = [tile]
-    while len(copies[-1]) > 1:
-        fine = copies[-1]
-        copies.append(0.25 * (fine[::2, ::2] + fine[1::2, ::2] + fine[::2, 1::2] + fine[1::2, 1::2]))
-    starts = np.cumsum([0, *(copy.size for copy in copies[:-1])])
-    return FloorTexture(np.concatenate([copy.ravel() for copy in copies]), starts.astype(np.uint64))
+    levels = [tile]
+    while len(levels[-1]) > 1:
+        fine = levels[-1]
+        levels.append(0.25 * (fine[::2, ::2] + fine[1::2, ::2] + fine[::2, 1::2] + fine[1::2, 1::2]))
+    starts = np.cumsum([0, *(level.size for level in levels[:-1])])
+    return FloorTexture(np.concatenate([level.ravel() for level in levels]), starts.astype(np.uint64))
 
 
 def _cloud(rng: np.random.Generator, cells: int, strength: float) -> FloatArray:
-    """Smooth seamless noise with this many cells a side."""
+    """Smooth seamless noise with `cells` cells a side."""
     values = rng.standard_normal((cells, cells)).astype(np.float32)
     border = 4
-    # Wrapped before it is enlarged, so that the interpolation is seamless.
+    # Wrapped before enlarging, so that the interpolation is seamless.
     wrapped = np.pad(values, border, mode="wrap")
     place = ((np.arange(SIDE, dtype=np.float32) + 0.5) * (cells / SIDE) - 0.5 + border).astype(np.float32)
     columns, rows = np.meshgrid(place, place)
@@ -69,7 +69,7 @@ def _cloud(rng: np.random.Generator, cells: int, strength: float) -> FloatArray:
 
 
 def _stroke(tile: FloatArray, x: float, y: float, dx: float, dy: float, radius: float, shade: float) -> None:
-    """Add a soft dot or line that continues on the opposite side."""
+    """Add a soft dot or line that wraps around the tile's borders."""
     pad = int(radius + 3)
     low_x, high_x = int(min(x, x + dx)) - pad, int(max(x, x + dx)) + pad
     low_y, high_y = int(min(y, y + dy)) - pad, int(max(y, y + dy)) + pad

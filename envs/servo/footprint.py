@@ -1,4 +1,4 @@
-"""What of the floor the camera sees, and how the floor's grid looks to it."""
+"""Footprint of the camera on the floor, and the floor's grid lines in the camera's image."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from servotrack.estimators.types import Array
 GRID_SPACING = 0.2
 """Distance of the floor's grid lines, m."""
 
-_BORDER_POINTS = 12  # along each side of the image: enough for the curved border of a distorted image
-_WIDE = 1.6  # views that are followed farther than this (m) show every second line
+_BORDER_POINTS = 12  # per side of the image: enough for the curved border of a distorted image
+_SPARSE_REACH = 1.6  # grids that reach farther from the tool than this (m) have every second line
 _STRAIGHT_POINTS, _CURVED_POINTS = 13, 25  # per line, without and with distortion
-_NEAREST, _FARTHEST = 0.4, 2.4  # least and greatest distance from the tool to which the floor's grid is followed, m
+_LEAST_REACH, _LARGEST_REACH = 0.4, 2.4  # bounds of the distance from the tool to the end of the grid, m
 
 
 @lru_cache(maxsize=8)
@@ -47,16 +47,17 @@ def _footprint(cam, l1, l2, theta1, theta2, border, farthest, out):  # type: ign
 
 
 def camera_footprint(camera: Array, links: Array, joint_angles: Array, camera_size: int) -> Array:
-    """Outline on the floor of what the camera sees.
+    """Outline of the floor area in the camera's view.
 
     Args:
         camera: One packed camera, shape (CAMERA_SIZE,).
-        links: Shape (2,), m.
-        joint_angles: Shape (2,), rad.
+        links: Link lengths, shape (2,), m.
+        joint_angles: Joint angles, shape (2,), rad.
         camera_size: Width and height of the image, px.
 
     Returns:
-        Corners of a closed polygon in the base frame, shape (48, 2), m; nothing is farther than ten times the depth.
+        Corners of a closed polygon in the base frame, shape (48, 2), m, at most ten times the
+            depth away from the point below the camera.
     """
     border = _border(camera_size)
     out = np.empty_like(border)
@@ -83,7 +84,7 @@ def _floor_lines(cam, l1, l2, theta1, theta2, spacing, size, points, lengths):  
             else:
                 x, y = center_x + along, center_y + offset
             u, v, seen = project(cam, l1, l2, theta1, theta2, x, y)
-            # A margin of one image keeps the stretches that cross the border.
+            # A margin of one image keeps line segments that cross the border.
             if seen and -size < u < 2.0 * size and -size < v < 2.0 * size:
                 points[line, lengths[line], 0] = u
                 points[line, lengths[line], 1] = v
@@ -91,19 +92,19 @@ def _floor_lines(cam, l1, l2, theta1, theta2, spacing, size, points, lengths):  
 
 
 def floor_lines(camera: Array, links: Array, joint_angles: Array, camera_size: int) -> list[Array]:
-    """The grid lines of the floor around the tool as the camera sees them.
+    """Grid lines of the floor around the tool in the camera's image.
 
     Args:
         camera: One packed camera, shape (CAMERA_SIZE,).
-        links: Shape (2,), m.
-        joint_angles: Shape (2,), rad.
+        links: Link lengths, shape (2,), m.
+        joint_angles: Joint angles, shape (2,), rad.
         camera_size: Width and height of the image, px.
 
     Returns:
-        Polylines of image points, each of shape (k, 2), px; they may leave the image.
+        Polylines of image points, each of shape (k, 2), px. Points may lie outside the image.
     """
-    reach = min(max(1.5 * camera_size * camera[4] / camera[0], _NEAREST), _FARTHEST)
-    spacing = GRID_SPACING if reach <= _WIDE else 2.0 * GRID_SPACING
+    reach = min(max(1.5 * camera_size * camera[4] / camera[0], _LEAST_REACH), _LARGEST_REACH)
+    spacing = GRID_SPACING if reach <= _SPARSE_REACH else 2.0 * GRID_SPACING
     per_axis = 2 * math.ceil(reach / spacing) + 1
     points = np.empty((2 * per_axis, _CURVED_POINTS if camera[16] else _STRAIGHT_POINTS, 2))
     lengths = np.empty(2 * per_axis, dtype=np.int64)

@@ -1,7 +1,7 @@
-"""The arm's camera: images of a textured floor, the target's marker and a distractor's, through the full camera model.
+"""Images of the arm's camera through the full camera model: textured floor, target marker and distractor.
 
-What each pixel sees of the floor is constant in the camera's frame for a whole episode, because height, tilt and lens
-are; so the rays are traced once per episode, and a frame only turns and shifts them.
+Height, tilt and lens are constant during an episode, so each pixel's floor point is constant in the camera's frame. The
+rays are traced once per episode; a frame only rotates and shifts them.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from servotrack.estimators.types import Array, FloatArray, Labels, Mask
 
 
 class Rays(NamedTuple):
-    """What the pixels of N cameras see, each constant for an episode.
+    """Rays of the pixels of N cameras, constant during an episode.
 
     Attributes:
         ground: Floor points at the pixels' centers in the cameras' untilted frames, (N, S, S, 2) m.
-        light: Share of the light that arrives, 0 where the lens shows no floor, (N, S, S).
-        spread: How far apart neighboring pixels look on the floor, (N, S, S) m.
-        detail: The floor texture's copy that fits that distance, (N, S, S).
+        light: Share of the light that arrives, 0 for pixels that show no floor, (N, S, S).
+        spread: Distance on the floor between neighboring pixels, (N, S, S) m.
+        detail: Level of detail of the floor's texture for that distance, (N, S, S).
     """
 
     ground: FloatArray
@@ -38,17 +38,17 @@ class Rays(NamedTuple):
 
 
 class FloorCamera:
-    """What every arm's camera over a floor has in common: which frames arrive when, rays, floor and noise.
+    """Base class of cameras over a floor: arrival of frames, rays, floor and noise.
 
     Args:
-        world: The world, which the sensor only reads.
-        image_size: Width and height S of a delivered image, px; it covers the camera's whole field of view.
+        world: World to render; it is not changed.
+        image_size: Width and height S of a delivered image, px. An image covers the camera's whole field of view.
         image_noise: Standard deviation of the noise on every pixel and channel, gray levels.
 
     Attributes:
         images: The newest images that arrived, (N, S, S, 3) uint8, RGB; overwritten by `update`.
-        frame_time: Their time stamps, (N,) s.
-        goal: Taught goals in the images' pixels, (N, 2).
+        frame_time: Time stamps of these images, (N,) s.
+        goal: Goal positions in the images, (N, 2) px.
     """
 
     def __init__(self, world: ServoWorld, image_size: int, image_noise: float) -> None:
@@ -65,14 +65,14 @@ class FloorCamera:
 
     def update(self) -> None:
         """Render the frames that have arrived since the last call."""
-        for row in self._arrivals.look():
+        for row in self._arrivals.update():
             episode = self._world.episodes[row]
             assert episode is not None
             self._begin(row, episode)
         self._expose(self._arrivals.rows)
 
     def _begin(self, row: int, episode: Episode) -> None:
-        """Take in a row's new episode."""
+        """Load a row's new episode."""
         self.goal[row] = episode.goal * self._scale
         self._noise_offset[row] = noise_offsets(episode, self._noise_offset.shape[1])
         self._floor_pose[row], self._floor_color[row] = floor_of(episode)
@@ -84,14 +84,14 @@ class FloorCamera:
 
 
 class ImageSensor(FloorCamera):
-    """The images of a servo world's N cameras, kept up to date by `update`; arguments and attributes: `FloorCamera`."""
+    """Images of a servo world's N cameras, kept up to date by `update`. Arguments and attributes: see `FloorCamera`."""
 
     def __init__(self, world: ServoWorld, image_size: int, image_noise: float) -> None:
         super().__init__(world, image_size, image_noise)
         self._distractors = np.zeros((world.count, samples(world.config), 4))
 
     def distractor(self, row: int) -> Array:
-        """True present position of one row's distractor, (2,) m."""
+        """True current position of one row's distractor, (2,) m."""
         return self._distractors[row, self._world.steps[row] + LEAD, :2]
 
     def _begin(self, row: int, episode: Episode) -> None:
@@ -108,7 +108,7 @@ class ImageSensor(FloorCamera):
 
 
 def no_rays(count: int, image_size: int) -> Rays:
-    """Tables for the rays of N images of S x S pixels, still empty."""
+    """Empty ray tables of N images of S x S pixels."""
     table = count, image_size, image_size
     return Rays(
         ground=np.zeros((*table, 2), np.float32),
@@ -119,7 +119,7 @@ def no_rays(count: int, image_size: int) -> Rays:
 
 
 def floor_of(episode: Episode) -> tuple[Array, Array]:
-    """How an episode's floor lies (cos, sin, shift in tiles; (4,)) and its color at brightness 1 (3,)."""
+    """Pose of an episode's floor (cos, sin, shift in tiles; (4,)) and its color at brightness 1 (3,)."""
     rng = _stream(episode, Stream.FLOOR)
     angle, brightness, warmth = rng.uniform((0.0, 105.0, -0.06), (2.0 * math.pi, 165.0, 0.08))
     shift = rng.uniform(0.0, 1.0, 2)
@@ -128,25 +128,25 @@ def floor_of(episode: Episode) -> tuple[Array, Array]:
 
 
 def noise_offsets(episode: Episode, length: int) -> Labels:
-    """Where in the noise tile each of an episode's frames begins, (length, 2)."""
+    """First row and column in the noise tile of each of an episode's frames, (length, 2)."""
     return _stream(episode, Stream.IMAGE_NOISE).integers(0, NOISE_SIDE, (length, 2))
 
 
 @lru_cache(maxsize=16)
 def noise_tile(level: float, image_size: int) -> FloatArray:
-    """Sensor noise that frames read at random offsets, (256, 256 + image_size, 3); it repeats to the right."""
+    """Sensor noise that frames read at random offsets, (256, 256 + image_size, 3); columns repeat after 256."""
     tile = np.random.default_rng(0).standard_normal((NOISE_SIDE, NOISE_SIDE, 3))
     columns = np.arange(NOISE_SIDE + image_size) % NOISE_SIDE
     return (level * tile[:, columns]).astype(np.float32)
 
 
 def _stream(episode: Episode, stream: Stream) -> np.random.Generator:
-    """A stream from its beginning, so that a second sensor on the same episode sees the same floor."""
+    """Return a fresh copy of a stream, so that a second sensor on the same episode sees the same floor."""
     return Streams(episode.streams.seed)[stream]
 
 
 def _distractor_path(episode: Episode, times: Array) -> Array:
-    """Positions and velocities of the distractor, (K, 4): it circles slowly near the target's path, or rests there."""
+    """Draw positions and velocities of the distractor, (K, 4). It circles slowly near the target's path, or rests."""
     rng = _stream(episode, Stream.DISTRACTOR)
     low, high = episode.path[:, :2].min(axis=0) - 0.1, episode.path[:, :2].max(axis=0) + 0.1
     center = rng.uniform(low, high)

@@ -1,4 +1,4 @@
-"""Every parameter of the servo world, and the ladder of levels that sets them."""
+"""Parameters of the servo world, and its levels of difficulty."""
 
 from __future__ import annotations
 
@@ -18,36 +18,38 @@ NOISE_KINDS = ("gaussian", "uniform", "laplace", "quantized")
 
 @dataclass(frozen=True)
 class ServoConfig:
-    """All that defines a servo world. A range (low, high) is drawn anew, uniformly, for every episode.
+    """Parameters of a servo world. A range (low, high) is drawn uniformly, anew for every episode.
 
     Attributes:
         target: Motion of the target: `paper` (paper 002, eq. 32, scaled with the arm), `paper_point` (its section
-            3.2, at rest), `point` (at rest anywhere in reach), `ellipse`, `two_sine`, `waypoints`.
+            3.2, at rest), `point` (at rest anywhere in reach), `ellipse`, `two_sine` (two sines along each axis),
+            `waypoints` (straight runs between random points).
         links: Length of each link, drawn separately, m.
         focal: Focal length over pixel pitch, px.
         depth: Height of the camera over the plane, m.
-        mounting: Camera turned about its axis by up to this angle either way, rad.
-        principal_offset: Principal point off the image's center by up to this much along each axis, px.
+        mounting: Largest rotation of the camera about its axis, either way, rad.
+        principal_offset: Largest offset of the principal point from the image's center along each axis, px.
         distortion: Radial distortion k1, at one half width from the principal point.
-        tilt: Optical axis tilted by up to this angle about each image axis, rad.
-        aspect: Vertical focal length larger or smaller by up to this fraction.
-        pixel_noise: Standard deviation of the features' noise, px.
-        noise_kind: `gaussian`, `uniform`, `laplace`, or `quantized` (gaussian, then rounded to whole pixels).
-        outlier_rate: Probability that a frame's features are an outlier.
+        tilt: Largest tilt of the optical axis about each image axis, rad.
+        aspect: Largest relative difference between vertical and horizontal focal length.
+        pixel_noise: Standard deviation of the noise on features, px.
+        noise_kind: Distribution of this noise: `gaussian`, `uniform`, `laplace`, or `quantized` (gaussian, then rounded
+            to whole pixels).
+        outlier_rate: Probability that a frame's features are outliers.
         outlier_size: Standard deviation of an outlier along each axis, px.
         dropout: Probability that a frame is lost.
         latency: Age of a frame when it arrives, whole control periods, (lowest, highest).
-        stamped: Whether `frame_time` tells the truth; otherwise it is the time of arrival.
+        stamped: True: `frame_time` is the time when the frame was taken. False: the time of its arrival.
         rolling_shutter: Time from the first to the last image row, s.
         actuation_noise: Standard deviation of the noise on joint rates, rad/s.
-        actuation_gain: Each joint's rate is off by up to this fraction.
+        actuation_gain: Largest relative error of each joint's rate, constant during an episode.
         encoder_noise: Standard deviation of the noise on observed joint angles, rad.
         warmup: Unscored steps before time 0, with the target at rest.
         horizon: Scored steps of an episode.
         max_joint_rate: Joint rate at action 1, rad/s.
-        max_motor_torque: Torque limit of the joint motors, N m; 2 to 10 makes a sluggish arm.
+        max_motor_torque: Torque limit of the joint motors, N m. Values of 2 to 10 make the arm sluggish.
         substeps: Physics steps per control period.
-        solver_iterations: Constraint solver iterations per physics step.
+        solver_iterations: Iterations of the constraint solver per physics step.
         camera_size: Width and height of the camera's image, px.
     """
 
@@ -82,7 +84,7 @@ class ServoConfig:
     camera_size: int = 480
 
     def __post_init__(self) -> None:
-        """Check every field; raises ValueError that names the argument, the value and what would be right."""
+        """Check all fields; raises a ValueError with the argument, its value and the valid values."""
         for name in _RANGES:
             object.__setattr__(self, name, self._range(name))
         for name, options in (("target", self.TARGETS), ("noise_kind", NOISE_KINDS)):
@@ -101,7 +103,7 @@ class ServoConfig:
             elif name not in _RANGES:
                 object.__setattr__(self, name, float(value))
         if any(int(end) != end for end in self.latency):
-            raise ValueError(f"latency counts whole control periods, got {self.latency!r}")
+            raise ValueError(f"latency must be a whole number of control periods, got {self.latency!r}")
         if self.outlier_rate > 0 and self.outlier_size == 0:
             raise ValueError("outlier_rate > 0 contradicts outlier_size = 0; give outlier_size in px")
         if not isinstance(self.stamped, bool):
@@ -110,7 +112,7 @@ class ServoConfig:
             raise ValueError("stamped=False with latency 0 hides nothing; give latency=(low, high) or stamped=True")
 
     def _range(self, name: str) -> Range:
-        """A field as (low, high); a number stands for itself twice."""
+        """Return a field as (low, high); a single number becomes (number, number)."""
         value = getattr(self, name)
         if _is_number(value):
             return (float(value), float(value))
@@ -191,12 +193,12 @@ AXES = tuple(f.name for f in fields(ServoConfig))
 
 
 def servo_config(level: int = 3, **axes: Any) -> ServoConfig:
-    """The configuration of a level of the ladder, with single axes overridden.
+    """Return the configuration of a level, with single fields overridden.
 
     Args:
-        level: 0 `paper`, 1 `noise`, 2 `geometry`, 3 `optics`, 4 `dynamics`, 5 `timing`, 6 `heavy`; each adds to those
-            before it.
-        **axes: Fields of `ServoConfig`; a number where a range is expected means that number always.
+        level: 0 `paper`, 1 `noise`, 2 `geometry`, 3 `optics`, 4 `dynamics`, 5 `timing`, 6 `heavy`. Each adds to the
+            levels before it.
+        **axes: Fields of `ServoConfig`. A single number for a range means a constant value.
 
     Raises:
         ValueError: A level outside 0 to 6, or a value outside its bounds.
@@ -212,17 +214,17 @@ def rung(
     known: Sequence[str],
     beside: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """What a level of a ladder sets, whose steps each add to those before, and what single axes override.
+    """Return the settings of a level, with single axes overridden. Each level adds to the levels before it.
 
     Args:
-        ladder: What each step adds.
-        level: Whole number from 0.
+        ladder: Settings that each level adds.
+        level: Number of the level, from 0.
         axes: Keywords that override the level's values.
-        known: Names that an axis may have.
+        known: Valid names of axes.
         beside: Further keywords of the environment, besides `level`.
 
     Raises:
-        ValueError: A level that the ladder does not have.
+        ValueError: An unknown level.
         TypeError: An unknown axis; the message suggests the nearest known one.
     """
     level = check_level(level, len(ladder))
@@ -234,9 +236,9 @@ def rung(
 
 
 def reach_config(level: int = 3, **axes: Any) -> ServoConfig:
-    """The configuration of the positioning task: as `servo_config`, but the target rests and 5 s have to do.
+    """Return the configuration of the positioning task: `servo_config` with a target at rest and a horizon of 5 s.
 
-    Level 0 is the paper's point (0.6, 0.6) m (paper 002, section 3.2), higher levels draw one within reach.
+    Level 0 has the paper's point (0.6, 0.6) m (paper 002, section 3.2). Higher levels draw a point within reach.
     """
     target = "paper_point" if level == 0 else "point"
     return servo_config(level, **({"target": target, "horizon": 100} | axes))

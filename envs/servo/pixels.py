@@ -1,4 +1,4 @@
-"""The arm servo seen through its camera: images instead of features."""
+"""The arm servo with camera images instead of features."""
 
 from __future__ import annotations
 
@@ -13,26 +13,28 @@ from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.vector import UncalibServoVectorEnv
 
 IMAGE_SIZES = (32, 480)
+"""Smallest and largest image size, px."""
 IMAGE_NOISES = (0.0, 50.0)
+"""Smallest and largest image noise, gray levels."""
 
 
 class UncalibServoPixelsEnv(UncalibServoEnv):
-    """An arm with a camera that nobody calibrated follows a moving target, and all it gets is the image.
+    """An arm with an uncalibrated camera follows a moving target by the camera's images.
 
     ## Description
 
-    The world of `UncalibServo-v0`, before anybody has extracted features. The camera sees a concrete floor, the
-    target's marker, a red disc of 25 mm radius in a white ring, and a distractor's, the same in blue, which rests or
-    circles slowly near the target's path. The whole camera model shapes the image: tilt, distortion, aspect,
-    vignetting, and black where the lens shows no floor. A rolling shutter exposes every image row at its own instant.
-    A lost frame leaves the old image with its old stamp.
+    The world of `UncalibServo-v0` with images instead of features. The camera sees a concrete floor, the target's
+    marker (a red disc of 25 mm radius in a white ring), and the same marker in blue as a distractor, which rests or
+    circles slowly near the target's path. Images are rendered with the full camera model: tilt, distortion, aspect and
+    vignetting; pixels without floor are black. A rolling shutter exposes every image row at its own instant. A lost
+    frame leaves the old image in place, with its old time stamp.
 
-    `pixel_noise`, `noise_kind` and the outliers of a level belong to features and leave images as they are; the
-    image's own noise is `image_noise`.
+    `pixel_noise`, `noise_kind` and the outliers of a level act only on features. The noise of images is
+    `image_noise`.
 
     ## Action Space
 
-    As `UncalibServo-v0`.
+    Same as in `UncalibServo-v0`.
 
     ## Observation Space
 
@@ -42,32 +44,33 @@ class UncalibServoPixelsEnv(UncalibServoEnv):
     |---|---|---|---|---|
     | `image` | (S, S, 3) | uint8 | gray levels | RGB image of the newest frame that arrived; S is `image_size` |
     | `joint_angles` | (2,) | float64 | rad | encoder readings at `time` |
-    | `goal` | (2,) | float64 | px | column and row at which the target is wanted; pixel k spans k to k + 1 |
-    | `frame_time` | (1,) | float64 | s | when its middle row was taken, or when it arrived if `stamped` is false |
-    | `time` | (1,) | float64 | s | now; the warm-up lies before 0, scoring starts after 0 |
+    | `goal` | (2,) | float64 | px | desired column and row of the target; pixel k spans k to k + 1 |
+    | `frame_time` | (1,) | float64 | s | time when its middle row was taken, or it arrived if `stamped` is false |
+    | `time` | (1,) | float64 | s | current time; the warm-up is before 0, scoring starts after 0 |
 
     ## Rewards
 
-    As `UncalibServo-v0`. `info` too; its `feature_error` counts the camera's own pixels, `camera_size` to a side.
+    Same as in `UncalibServo-v0`, also `info`. `feature_error` is in camera pixels (`camera_size` to a side), not in
+    pixels of `image`.
 
     ## Starting State
 
-    As `UncalibServo-v0`; floor, distractor and image noise are drawn from streams of their own, so that one seed
-    means the same arm, camera and target in both worlds.
+    Same as in `UncalibServo-v0`. Floor, distractor and image noise have their own random streams, so one seed gives the
+    same arm, camera and target in both environments.
 
     ## Episode End
 
-    As `UncalibServo-v0`.
+    Same as in `UncalibServo-v0`.
 
     ## Arguments
 
     `image_size`: width and height of the image, 32 to 480 px (default 96). `image_noise`: standard deviation of the
-    noise on each pixel and channel, 0 to 50 gray levels (default 3). All others as `UncalibServo-v0`.
+    noise on each pixel and channel, 0 to 50 gray levels (default 3). All others as in `UncalibServo-v0`.
 
     ## References
 
     Zhang Ying-bo, "Unscented Kalman filter for on-line estimation of Jacobian matrix", Journal of Computer Applications
-    31(6), 2011, pp. 1699-1702, for the arm and its camera; the images are this package's own.
+    31(6), 2011, pp. 1699-1702, for the arm and its camera. The images are this package's own.
 
     ## Version History
 
@@ -106,14 +109,14 @@ class UncalibServoPixelsEnv(UncalibServoEnv):
 
 
 class UncalibServoPixelsVectorEnv(UncalibServoVectorEnv):
-    """`UncalibServoPixels-v0`, N at a time: what `gym.make_vec("UncalibServoPixels-v0", num_envs=N)` makes.
+    """N `UncalibServoPixels-v0` environments in one, created by `gym.make_vec("UncalibServoPixels-v0", num_envs=N)`.
 
     Args:
         num_envs: Number of arms N.
-        level: As in `UncalibServoEnv`.
-        image_size: As in `UncalibServoPixelsEnv`.
-        image_noise: As in `UncalibServoPixelsEnv`.
-        **arguments: As in `UncalibServoVectorEnv`.
+        level: Level of difficulty, 0 to 6.
+        image_size: Width and height of the image, 32 to 480 px.
+        image_noise: Standard deviation of the noise on each pixel and channel, 0 to 50 gray levels.
+        **arguments: Arguments of `UncalibServoVectorEnv`.
     """
 
     def __init__(
@@ -142,7 +145,7 @@ class UncalibServoPixelsVectorEnv(UncalibServoVectorEnv):
 
 
 def pixel_space(config: ServoConfig, image_size: int) -> gym.spaces.Dict:
-    """Observation space of the pixel worlds; every bound is finite."""
+    """Observation space of the pixel environments. All bounds are finite."""
     features = feature_space(config)
     return gym.spaces.Dict(
         {
@@ -156,7 +159,7 @@ def pixel_space(config: ServoConfig, image_size: int) -> gym.spaces.Dict:
 
 
 def check_image_arguments(image_size: int, image_noise: float) -> tuple[int, float]:
-    """Size and noise of images, if they can be; raises ValueError that names the argument and its bounds otherwise."""
+    """Return size and noise of images; raises a ValueError with the argument and its bounds if they are invalid."""
     low, high = IMAGE_SIZES
     if isinstance(image_size, bool) or not isinstance(image_size, (int, np.integer)) or not low <= image_size <= high:
         raise ValueError(f"image_size must be a whole number of {low} to {high} px, got {image_size!r}")

@@ -1,4 +1,4 @@
-"""Watches one row of a servo world and remembers what its picture needs: trails and the error so far."""
+"""Recorder of one row of a `ServoWorld` for its pictures: trails and errors so far."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from servotrack.estimators.types import Array, Image
 
 
 class Recorder:
-    """Call `record` after every reset and step; `frame` draws the present.
+    """Records an episode for its pictures. Call `record` after every reset and step; `frame` draws the current state.
 
     Args:
-        world: The world, which the recorder only reads.
-        row: Which of its arms.
-        caption: Written into the picture; lower-case letters, digits and spaces.
+        world: World to draw; it is not changed.
+        row: Row of the arm.
+        caption: Text in the picture: lower-case letters, digits and spaces.
     """
 
     def __init__(self, world: ServoWorld, row: int = 0, caption: str = "") -> None:
@@ -31,7 +31,7 @@ class Recorder:
         self._first = 0
 
     def record(self) -> None:
-        """Take the world's newest sample; a sample of a new episode forgets the old one."""
+        """Store the world's newest sample. The first sample of an episode clears the old trails."""
         world, row = self._world, self._row
         step = int(world.steps[row])
         self._first = step if step == 0 else min(self._first, step)
@@ -39,11 +39,11 @@ class Recorder:
         self._error[step] = world.tracking_error[row]
 
     def frame(self, camera_image: Image | None = None, distractor: Array | None = None) -> Image:
-        """Draw the present.
+        """Draw the current state.
 
         Args:
-            camera_image: The newest camera image where the world has one, RGB, square; it replaces the floor's grid.
-            distractor: Position of a marker that is not the target, where there is one, (2,) m.
+            camera_image: Newest camera image, RGB, square. None: the grid of the floor is drawn instead.
+            distractor: Position of the distractor, if there is one, (2,) m.
 
         Returns:
             A new RGB image, shape (416, 720, 3), uint8.
@@ -77,5 +77,5 @@ class Recorder:
 
 
 def level_caption(level: int) -> str:
-    """A level's number and name, as pictures show it."""
+    """Number and name of a level, the caption of pictures."""
     return f"level {level} {LEVEL_NAMES[level]}"

@@ -1,4 +1,4 @@
-"""Pictures of the servo world: the arm from above, the camera's view, and the tracking error so far."""
+"""Pictures of UncalibServo: the arm from above, the camera's view, and the tracking error so far."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 
 from servotrack.envs.drawing.glyphs import put_text
 from servotrack.envs.drawing.palette import FLOOR, INK, IVORY, PAPER, SOFT_INK, Color, fixed_point, mix
-from servotrack.envs.servo import backdrop as still
+from servotrack.envs.servo import backdrop
 from servotrack.estimators.types import Array, Image
 
 TRAIL_LENGTH = 126
-"""Samples of a trail that are still visible: one period of the paper's ellipse."""
+"""Number of visible samples of a trail: one period of the paper's ellipse."""
 ERROR_SPAN = 260
-"""Samples that the error plot holds before it scrolls: an episode with its warm-up."""
+"""Number of samples in the error plot before it scrolls: an episode with its warm-up."""
 
-_BANDS = 7
-# Three thin lines side by side (in sixteenths of a pixel) look like one of two pixels, at half OpenCV's price for it.
+_BANDS = 7  # bands of constant color in a trail
+# Three thin lines side by side (offsets in 1/16 px) look like one 2 px wide, in half of OpenCV's time for that.
 _STRANDS = np.array([(-5, -5), (6, -2), (-2, 6)], dtype=np.int32)[:, None]
-_SHADOW_OFFSET = np.array([5.0, 7.0])  # px; the light comes from the upper left
+_SHADOW_OFFSET = np.array([5.0, 7.0])  # px, for light from the upper left
 _SHADOW_DEPTH = 34  # gray levels
 
 
@@ -33,27 +33,27 @@ def _none() -> Array:
 
 @dataclass(frozen=True)
 class ServoScene:
-    """All that a picture of the servo world shows.
+    """Contents of a picture of UncalibServo.
 
     Attributes:
         links: Link lengths. Shape (2,), m.
-        joint_angles: Shape (2,), rad.
+        joint_angles: Joint angles of the arm. Shape (2,), rad.
         target: Position of the target in the base frame. Shape (2,), m.
-        feature: The target's image point, as last delivered. Shape (2,), px.
-        goal: The wanted image point. Shape (2,), px.
+        feature: Newest delivered image point of the target. Shape (2,), px.
+        goal: Desired image point. Shape (2,), px.
         camera_size: Width and height of the camera's image, px.
-        visible: Whether the newest frame shows the target.
-        tracking_error: Distance of tool and target in the plane, m.
+        visible: True if the newest frame shows the target.
+        tracking_error: Distance between tool and target in the plane, m.
         time: Time in the episode, negative during the warm-up, s.
         tool_trail: Past tool positions, oldest first. Shape (k, 2), m.
         target_trail: Past target positions. Shape (k, 2), m.
         feature_trail: Past image points. Shape (k, 2), px.
         error_history: Past tracking errors, oldest first. Shape (k,), m.
-        footprint: Outline of what the camera sees of the floor, or None. Shape (k, 2), m.
-        floor_lines: The floor's grid as the camera sees it: polylines of image points, px.
-        camera_image: The camera's image where there is one, any size, RGB uint8; shown in place of the grid.
+        footprint: Outline of the floor area in the camera's view, or None. Shape (k, 2), m.
+        floor_lines: The floor's grid in the camera's image: polylines of image points, px.
+        camera_image: Camera image of any size, RGB uint8, shown in place of the grid, or None.
         distractor: Position of a second marker that is not the target, or None. Shape (2,), m.
-        caption: Names the world, for example `level 3 optics`; lower-case letters and digits.
+        caption: Name of the world, for example `level 3 optics`: lower-case letters and digits.
     """
 
     links: Array
@@ -82,17 +82,17 @@ def draw(scene: ServoScene) -> Image:
     Returns:
         A new RGB image, shape (416, 720, 3).
     """
-    parts = still.backdrop(round(float(np.sum(scene.links)), 6), scene.caption)
+    parts = backdrop.backdrop(round(float(np.sum(scene.links)), 6), scene.caption)
     image = parts.image.copy()
-    _draw_floor(still.FLOOR_PANEL.of(image), scene, parts.lit_floor)
-    _draw_camera(still.CAMERA_PANEL.of(image), scene)
-    _draw_error(still.ERROR_PANEL.of(image), scene)
+    _draw_floor(backdrop.FLOOR_PANEL.of(image), scene, parts.lit_floor)
+    _draw_camera(backdrop.CAMERA_PANEL.of(image), scene)
+    _draw_error(backdrop.ERROR_PANEL.of(image), scene)
     round_corners(image, parts)
     return image
 
 
-def round_corners(image: Image, parts: still.Backdrop) -> None:
-    """Give the panels their round corners, once they are drawn."""
+def round_corners(image: Image, parts: backdrop.Backdrop) -> None:
+    """Round the corners of the finished panels."""
     pixels = image.reshape(-1, 3)
     inside = pixels[parts.rim] * parts.rim_opacity
     pixels[parts.rim] = np.rint(inside + np.array(PAPER) * (1.0 - parts.rim_opacity))
@@ -100,30 +100,30 @@ def round_corners(image: Image, parts: still.Backdrop) -> None:
 
 def _draw_floor(panel: Image, scene: ServoScene, lit_floor: Image) -> None:
     reach = float(np.sum(scene.links))
-    scale = still.floor_scale(reach) * reach
+    scale = backdrop.floor_scale(reach) * reach
     if scene.footprint is not None:
-        light_footprint(panel, still.floor_pixels(scene.footprint, reach), lit_floor)
-    trail(panel, still.floor_pixels(scene.target_trail, reach), FLOOR, still.TARGET)
-    trail(panel, still.floor_pixels(scene.tool_trail, reach), FLOOR, still.TOOL)
+        light_footprint(panel, backdrop.floor_pixels(scene.footprint, reach), lit_floor)
+    trail(panel, backdrop.floor_pixels(scene.target_trail, reach), FLOOR, backdrop.TARGET)
+    trail(panel, backdrop.floor_pixels(scene.tool_trail, reach), FLOOR, backdrop.TOOL)
 
     if scene.distractor is not None:
-        _marker(panel, still.floor_pixels(scene.distractor, reach), 0.021 * scale, still.DISTRACTOR)
+        _marker(panel, backdrop.floor_pixels(scene.distractor, reach), 0.021 * scale, backdrop.DISTRACTOR)
     draw_arm(panel, scene.links, scene.joint_angles)
-    _marker(panel, still.floor_pixels(scene.target, reach), 0.021 * scale, still.TARGET)
+    _marker(panel, backdrop.floor_pixels(scene.target, reach), 0.021 * scale, backdrop.TARGET)
     put_text(panel, f"{max(scene.time, 0.0):.1f} s", panel.shape[1] - 14, 20, SOFT_INK, align="right")
 
 
 def light_footprint(panel: Image, corners: Array, lit_floor: Image) -> None:
-    """Show what of the floor the camera sees; corners of its outline in the panel's pixels, (k, 2)."""
+    """Light up the floor area in the camera's view, given the corners of its outline in the panel's pixels, (k, 2)."""
     outline = fixed_point(corners)
     mask = np.zeros(panel.shape[:2], dtype=np.uint8)
     cv2.fillPoly(mask, [outline], 255, cv2.LINE_8, 4)
     cv2.copyTo(lit_floor, mask, panel)
-    cv2.polylines(panel, [outline], True, mix(FLOOR, still.TOOL, 0.45), 1, cv2.LINE_AA, 4)
+    cv2.polylines(panel, [outline], True, mix(FLOOR, backdrop.TOOL, 0.45), 1, cv2.LINE_AA, 4)
 
 
 def trail(panel: Image, points: Array, floor: Color, color: Color) -> None:
-    """A polyline that fades with age, in bands of one color each, oldest first."""
+    """Draw a polyline that fades with age, in bands of constant color. Points are oldest first."""
     strands: NDArray[np.int32] = fixed_point(points[-TRAIL_LENGTH:]) + _STRANDS
     length = strands.shape[1]
     cuts = [length - round(TRAIL_LENGTH * k / _BANDS) for k in range(_BANDS, -1, -1)]
@@ -139,23 +139,23 @@ def draw_arm(panel: Image, links: Array, joint_angles: Array) -> None:
     """Draw an arm and its shadow into the floor's panel.
 
     Args:
-        panel: Of the size of the floor's panel, RGB.
-        links: Shape (2,), m.
-        joint_angles: Shape (2,), rad.
+        panel: RGB image of the size of the floor's panel, painted in place.
+        links: Link lengths, shape (2,), m.
+        joint_angles: Joint angles, shape (2,), rad.
     """
     reach = float(np.sum(links))
-    # Arms of all sizes are drawn equally sturdy: widths are fractions of the reach.
-    scale = still.floor_scale(reach) * reach
+    # Widths are fractions of the reach, so that arms of all sizes look alike.
+    scale = backdrop.floor_scale(reach) * reach
     first, both = joint_angles[0], joint_angles[0] + joint_angles[1]
     elbow = links[0] * np.array([np.cos(first), np.sin(first)])
     tool = elbow + links[1] * np.array([np.cos(both), np.sin(both)])
-    base, elbow, tool = still.floor_pixels(np.stack([np.zeros(2), elbow, tool]), reach)
+    base, elbow, tool = backdrop.floor_pixels(np.stack([np.zeros(2), elbow, tool]), reach)
     _shadow(panel, base, elbow, tool, scale)
     _arm(panel, base, elbow, tool, both, scale)
 
 
 def _shadow(panel: Image, base: Array, elbow: Array, tool: Array, scale: float) -> None:
-    """A soft shadow, painted at half resolution because nobody can tell."""
+    """Draw a soft shadow, at half resolution, which gives the same impression."""
     half = np.zeros((panel.shape[0] // 2, panel.shape[1] // 2), dtype=np.uint8)
     points = fixed_point((np.stack([base, elbow, tool]) + _SHADOW_OFFSET) / 2.0)
     cv2.polylines(half, [points], False, _SHADOW_DEPTH, max(2, round(0.038 * scale)), cv2.LINE_8, 4)
@@ -171,7 +171,7 @@ def _shadow(panel: Image, base: Array, elbow: Array, tool: Array, scale: float) 
 
 
 def _arm(panel: Image, base: Array, elbow: Array, tool: Array, heading: float, scale: float) -> None:
-    """Base, two tapered links, joints, and the camera at the tool."""
+    """Draw base, two tapered links, joints, and the camera at the tool."""
     plate = 0.080 * scale
     disc(panel, base, plate, mix(INK, PAPER, 0.62))
     disc(panel, base, plate - 1.3, mix(FLOOR, PAPER, 0.35))
@@ -183,13 +183,13 @@ def _arm(panel: Image, base: Array, elbow: Array, tool: Array, heading: float, s
     half = 0.036 * scale
     a, b = half * np.cos(heading), -half * np.sin(heading)
     body = fixed_point(tool + np.array([(a - b, b + a), (a + b, b - a), (b - a, -b - a), (-a - b, a - b)]))
-    cv2.fillConvexPoly(panel, body, still.TOOL, cv2.LINE_AA, 4)
-    cv2.polylines(panel, [body], True, still.TOOL, 2, cv2.LINE_AA, 4)
+    cv2.fillConvexPoly(panel, body, backdrop.TOOL, cv2.LINE_AA, 4)
+    cv2.polylines(panel, [body], True, backdrop.TOOL, 2, cv2.LINE_AA, 4)
     disc(panel, tool, 0.031 * scale, IVORY)
 
 
 def _link(panel: Image, start: Array, end: Array, start_width: float, end_width: float) -> None:
-    """A tapered link with an outline and a groove along its middle; what comes after it covers its far end."""
+    """Draw a tapered link with an outline and a groove along its center. The next part covers its far end."""
     (x0, y0), (x1, y1) = start.tolist(), end.tolist()
     length = max(np.hypot(x1 - x0, y1 - y0), 1e-9)
     c, s = (x1 - x0) / length, (y1 - y0) / length
@@ -213,26 +213,26 @@ def _draw_camera(panel: Image, scene: ServoScene) -> None:
     scale = side / scene.camera_size
     if scene.camera_image is not None:
         cv2.resize(scene.camera_image, (side, side), dst=panel, interpolation=cv2.INTER_NEAREST)
-        put_text(panel, still.CAMERA_LABEL, *still.LABEL_PLACE, still.LENS_INK)
+        put_text(panel, backdrop.CAMERA_LABEL, *backdrop.LABEL_PLACE, backdrop.LENS_INK)
     else:
-        cv2.polylines(panel, _scaled(scene.floor_lines, scale), False, still.LENS_GRID, 1, cv2.LINE_AA, 4)
+        cv2.polylines(panel, _scaled(scene.floor_lines, scale), False, backdrop.LENS_GRID, 1, cv2.LINE_AA, 4)
     feature, goal = scene.feature * scale, scene.goal * scale
     if scene.camera_image is None:
-        trail(panel, scene.feature_trail * scale, still.LENS, still.TARGET)
+        trail(panel, scene.feature_trail * scale, backdrop.LENS, backdrop.TARGET)
     if scene.visible:
-        cv2.polylines(panel, [fixed_point(np.stack([goal, feature]))], False, still.GOAL, 1, cv2.LINE_AA, 4)
+        cv2.polylines(panel, [fixed_point(np.stack([goal, feature]))], False, backdrop.GOAL, 1, cv2.LINE_AA, 4)
     crosshair(panel, goal)
     if scene.camera_image is None:
-        # A target that the newest frame does not show is a hollow mark where it was last seen.
-        disc(panel, feature, 6.5, still.TARGET)
+        # If the newest frame does not show the target, a hollow mark shows its last known position.
+        disc(panel, feature, 6.5, backdrop.TARGET)
         if not scene.visible:
-            disc(panel, feature, 5.0, still.LENS)
+            disc(panel, feature, 5.0, backdrop.LENS)
     if not scene.visible:
-        put_text(panel, "not seen", side - 14, 20, still.TARGET, align="right")
+        put_text(panel, "not seen", side - 14, 20, backdrop.TARGET, align="right")
 
 
 def _scaled(lines: Sequence[Array], scale: float) -> list[NDArray[np.int32]]:
-    """Polylines in fixed point, converted in one go."""
+    """Convert polylines to fixed point, all at once."""
     if not lines:
         return []
     points = fixed_point(np.concatenate(lines) * scale)
@@ -241,33 +241,33 @@ def _scaled(lines: Sequence[Array], scale: float) -> list[NDArray[np.int32]]:
 
 
 def crosshair(panel: Image, center: Array) -> None:
-    """A cross with an open middle, so that a feature on the goal stays visible."""
+    """Draw a cross with an open center, so that a feature on the goal stays visible."""
     x, y = center.tolist()
     for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1)):
         tick = np.array([(x + 10 * dx, y + 10 * dy), (x + 17 * dx, y + 17 * dy)])
-        cv2.polylines(panel, [fixed_point(tick)], False, still.GOAL, 1, cv2.LINE_AA, 4)
-    cv2.circle(panel, fixed_point(center).tolist(), 10 * 16, still.GOAL, 1, cv2.LINE_AA, 4)
+        cv2.polylines(panel, [fixed_point(tick)], False, backdrop.GOAL, 1, cv2.LINE_AA, 4)
+    cv2.circle(panel, fixed_point(center).tolist(), 10 * 16, backdrop.GOAL, 1, cv2.LINE_AA, 4)
 
 
 def _draw_error(panel: Image, scene: ServoScene) -> None:
-    plot = still.ERROR_PLOT
+    plot = backdrop.ERROR_PLOT
     history = scene.error_history[-ERROR_SPAN:]
     if len(history) > 1:
         columns = plot.left + plot.width * np.arange(len(history)) / (ERROR_SPAN - 1)
-        curve = fixed_point(np.stack([columns, still.error_height(history)], axis=-1))
+        curve = fixed_point(np.stack([columns, backdrop.error_height(history)], axis=-1))
         cv2.polylines(panel, [curve], False, INK, 1, cv2.LINE_AA, 4)
-        cv2.circle(panel, curve[-1].tolist(), 45, still.TARGET, -1, cv2.LINE_AA, 4)
+        cv2.circle(panel, curve[-1].tolist(), 45, backdrop.TARGET, -1, cv2.LINE_AA, 4)
     put_text(panel, _length(scene.tracking_error), plot.left + plot.width, 14, INK, align="right")
 
 
 def _length(meters: float) -> str:
-    """A distance with two to four digits, for people."""
+    """Format a distance with two to four digits."""
     millimeters = 1000.0 * meters
     return f"{millimeters:.1f} mm" if millimeters < 100.0 else f"{meters:.2f} m"
 
 
 def disc(panel: Image, center: Array, radius: float, color: Color) -> None:
-    """A filled circle, where it is anywhere near the panel."""
+    """Draw a filled circle, unless it is far outside the panel."""
     x, y = center.tolist()
     if abs(x) < 4000.0 and abs(y) < 4000.0 and radius > 0.0:
         cv2.circle(panel, (round(16 * x), round(16 * y)), round(16 * radius), color, -1, cv2.LINE_AA, 4)

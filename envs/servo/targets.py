@@ -20,23 +20,25 @@ START = np.array([0.0, math.pi / 2])
 """Joint angles at reset, rad."""
 
 JOINT_MARGIN = 0.05
+"""Least distance of a solvable path from the joint stops, rad."""
 RATE_FRACTION = 0.8
+"""Largest share of the joint rate limit that a solvable path may need."""
 SINGULAR_SINE = 0.1
+"""Least sine of the angle between link 1 and the direction to the target on a solvable path."""
 
 
 @njit(cache=True, nogil=True)
 def solvable(path, l1, l2, max_joint_rate):  # type: ignore[no-untyped-def]
-    """Whether the arm can stay over every sample of a path with something to spare (spec of the ladder).
+    """Return True if the arm can stay above every sample of a path with a margin.
 
-    The inverse kinematics in closed form must keep `JOINT_MARGIN` from the stops, need at most `RATE_FRACTION` of the
-    joint rate limit, and stay off the eye-in-hand singularity, the target on the line of link 1, by a sine of
-    `SINGULAR_SINE`.
+    The closed-form inverse kinematics must keep `JOINT_MARGIN` from the stops, need at most `RATE_FRACTION` of the
+    joint rate limit, and keep `SINGULAR_SINE` away from the eye-in-hand singularity (the target on the line of link 1).
 
     Args:
         path: Positions at sample instants, shape (samples, >= 2), m.
-        l1: First link, m.
-        l2: Second link, m.
-        max_joint_rate: rad/s.
+        l1: Length of the first link, m.
+        l2: Length of the second link, m.
+        max_joint_rate: Limit of the joint rates, rad/s.
     """
     limit = RATE_FRACTION * max_joint_rate * PERIOD
     before1, before2 = 0.0, 0.0
@@ -59,14 +61,13 @@ def solvable(path, l1, l2, max_joint_rate):  # type: ignore[no-untyped-def]
 
 
 def draw_path(config: ServoConfig, rng: np.random.Generator | None, links: Array, times: Array) -> Array:
-    """Draw one motion of the target.
+    """Draw the target's path.
 
     Args:
-        config: The kind of motion is `config.target`; lengths scale with the arm's reach.
-        rng: The target's own stream; None where the motion is the paper's.
+        config: Parameters of the world. `config.target` is the kind of motion; lengths scale with the arm's reach.
+        rng: Random stream of the target; None for the motions of the paper.
         links: Link lengths, shape (2,), m.
-        times: Sample instants, shape (samples,), s; negative times of a world with warm-up are at rest at time 0's
-            position.
+        times: Sample times, shape (samples,), s. With a warm-up, the target rests before time 0.
 
     Returns:
         Positions and velocities, shape (samples, 4): m, m, m/s, m/s.
@@ -93,7 +94,7 @@ Wave = tuple[float, float, float]
 
 
 def _waves(kind: str, rng: np.random.Generator | None, links: Array) -> list[tuple[float, list[Wave]]]:
-    """Center and (amplitude, angular rate, phase) of the cosines along x and y, lengths as fractions of the reach."""
+    """Draw center and (amplitude, angular rate, phase) of cosines along x and y, lengths as fractions of the reach."""
     if kind == "paper":
         return [(0.5, [(0.3, 1.0, 0.0)]), (0.5, [(0.2, 1.0, -math.pi / 2)])]
     if kind == "paper_point":
@@ -117,13 +118,13 @@ def _waves(kind: str, rng: np.random.Generator | None, links: Array) -> list[tup
 
 
 def reachable_point(rng: np.random.Generator, links: Array) -> Array:
-    """A point over which the arm can stand well inside its joint range."""
+    """Draw a point that the arm reaches well inside its joint range."""
     return np.array(reachable_place(rng.random(), rng.random(), links[0], links[1]))
 
 
 @njit(cache=True, nogil=True)
 def reachable_place(share1, share2, l1, l2):  # type: ignore[no-untyped-def]
-    """The same from how far along their ranges the joints are, two numbers between 0 and 1."""
+    """Map two uniform numbers in [0, 1] to a point that the arm reaches well inside its joint range."""
     theta1, theta2 = -1.3 + 2.6 * share1, 0.4 + 2.0 * share2
     return (
         l1 * math.cos(theta1) + l2 * math.cos(theta1 + theta2),
@@ -132,7 +133,7 @@ def reachable_place(share1, share2, l1, l2):  # type: ignore[no-untyped-def]
 
 
 def _waypoints(rng: np.random.Generator, links: Array, clock: Array, max_joint_rate: float) -> Array:
-    """Straight runs at constant speed between random points, each run one that the arm can follow."""
+    """Draw straight runs at constant speed between random points; the arm can follow each run."""
     points, instants = [reachable_point(rng, links)], [0.0]
     while instants[-1] < clock[-1]:
         here = points[-1]

@@ -1,4 +1,4 @@
-"""N arm servos in one pymunk Space as a Gymnasium vector environment, bit for bit the single one."""
+"""N arm servos in one pymunk Space as a Gymnasium vector environment, bit-identical to N single environments."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 
 class UncalibServoVectorEnv(BatchedVectorEnv):
-    """`UncalibServo-v0`, N at a time: what `gym.make_vec("UncalibServo-v0", num_envs=N)` makes.
+    """N `UncalibServo-v0` environments in one, created by `gym.make_vec("UncalibServo-v0", num_envs=N)`.
 
     Args:
         num_envs: Number of arms N.
-        level: As in `UncalibServoEnv`.
-        render_mode: None or `rgb_array`; frames of all N come as a tuple.
+        level: Level of difficulty, 0 to 6.
+        render_mode: None or `rgb_array`; `render` returns a tuple of N frames.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as a Gymnasium `AutoresetMode` or its value.
-        max_episode_steps: Shortens the horizon, as `gym.make`'s argument of that name does.
-        **axes: As in `UncalibServoEnv`.
+        max_episode_steps: Largest number of steps of an episode, like the argument of `gym.make`.
+        **axes: Fields of `ServoConfig` that override the level's values.
     """
 
     metadata: ClassVar[dict[str, Any]] = METADATA  # type: ignore[misc]
@@ -79,10 +79,10 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
         return Recorder(self.world, row, level_caption(self.level))
 
     def _infos(self, chosen: Mask) -> dict[str, Any]:
-        return masked_infos(self._told(), chosen)
+        return masked_infos(self._all_infos(), chosen)
 
-    def _told(self) -> dict[str, Any]:
-        """Infos of all rows, arrays or dictionaries of arrays with a leading axis of N."""
+    def _all_infos(self) -> dict[str, Any]:
+        """Info of all rows: arrays, or dictionaries of arrays, with a leading axis of N."""
         world = self.world
         return {
             "tracking_error": world.tracking_error,
@@ -98,7 +98,7 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
 
 
 class UncalibServoReachVectorEnv(UncalibServoVectorEnv):
-    """`UncalibServoReach-v0`, N at a time."""
+    """N `UncalibServoReach-v0` environments in one."""
 
     def _configure(self, level: int, axes: dict[str, Any]) -> ServoConfig:
         return reach_config(level, **axes)

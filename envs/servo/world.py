@@ -1,4 +1,4 @@
-"""N servo worlds at once: the one piece of dynamics behind the single and the vector environments."""
+"""Dynamics, sensors and scores of N servo arms, shared by the single and the vector environments."""
 
 from __future__ import annotations
 
@@ -16,46 +16,46 @@ from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
 from servotrack.estimators.camera import CAMERA_SIZE, image_jacobian, project
 from servotrack.estimators.types import Array, Mask
 
-LOST_AFTER = 20
-"""Consecutive samples out of view that end an episode."""
+LOST_SAMPLES = 20
+"""An episode ends after this many consecutive samples with the target out of view."""
 SUCCESS_DISTANCE = 0.010
-"""Tracking error that counts as success, m."""
-_REWARD_NEAR = 0.002
-_REWARD_FAR = 2.0
+"""Tracking errors below this count as success, m."""
+_REWARD_SCALE = 0.002  # tracking error at which the reward's slope becomes logarithmic, m
+_REWARD_RANGE = 2.0  # tracking error from which on the reward is 0, m
 RING = 8
-"""Samples of joint angles that a world remembers, for frames that arrive late."""
+"""Number of past joint angles that a world stores, for frames that arrive late."""
 
 
 @njit(cache=True, nogil=True)
 def tracking_reward(distance):  # type: ignore[no-untyped-def]
-    """Reward of a distance (m) between tool and target: 1 at 0, 0 from 2 m on, logarithmic in between."""
-    near = 1.0 - math.log1p(distance / _REWARD_NEAR) / math.log1p(_REWARD_FAR / _REWARD_NEAR)
+    """Reward for a distance (m) between tool and target: 1 at 0, 0 from 2 m on, logarithmic in between."""
+    near = 1.0 - math.log1p(distance / _REWARD_SCALE) / math.log1p(_REWARD_RANGE / _REWARD_SCALE)
     return min(max(near, 0.0), 1.0)
 
 
 class ServoWorld:
-    """N arms, their cameras and targets, stepped together; arrays carry a leading axis of N.
+    """N arms with their cameras and targets, stepped together. Arrays have a leading axis of N.
 
-    After `reset` and `step` the newest sample lies in the public arrays below, which the next call overwrites: copy
-    what you keep.
+    `reset` and `step` write the newest sample into the public arrays below and overwrite the old one: copy arrays that
+    you keep.
 
     Args:
-        config: The world's parameters.
+        config: Parameters of the world.
         count: Number of arms N.
-        lost_after: Consecutive samples out of view that end an episode.
+        lost_after: Number of consecutive samples out of view that ends an episode.
 
     Attributes:
-        joint_angles: What the encoders say, (N, 2) rad.
+        joint_angles: Encoder readings, (N, 2) rad.
         features: Features of the newest frame, (N, 2) px.
-        visible: 1.0 where a new frame with the target in it arrived, (N,).
+        visible: 1.0 if a new frame that shows the target arrived, else 0.0, (N,).
         frame_time: Time stamp of that frame, (N,) s.
-        time: Present time, (N,) s; scoring starts at 0.
-        goal: Taught goal features, (N, 2) px.
-        reward: (N,).
-        terminated: Target out of view for `lost_after` samples, (N,) bool.
-        truncated: Horizon reached, (N,) bool.
+        time: Current time, (N,) s; scoring starts at 0.
+        goal: Goal features, (N, 2) px.
+        reward: Reward of the newest sample, (N,).
+        terminated: The target was out of view for `lost_after` samples, (N,) bool.
+        truncated: The horizon was reached, (N,) bool.
         tracking_error: Distance between tool and target in the plane, (N,) m.
-        feature_error: Distance between the true present features and the goal, (N,) px.
+        feature_error: Distance between the true current features and the goal, (N,) px.
         joints: True joint angles, (N, 2) rad.
         tool: True tool position, (N, 2) m.
         target: True target position and velocity, (N, 4) m, m/s.
@@ -63,7 +63,7 @@ class ServoWorld:
         captured: Index into the episode's tables of the newest frame that arrived with an image, (N,) int.
     """
 
-    def __init__(self, config: ServoConfig, count: int, lost_after: int = LOST_AFTER) -> None:
+    def __init__(self, config: ServoConfig, count: int, lost_after: int = LOST_SAMPLES) -> None:
         self.config = config
         self.count = count
         self._lost_after = lost_after
@@ -80,7 +80,7 @@ class ServoWorld:
         self._encoder_noise = np.zeros((count, length if any(config.encoder_noise) else 0, 2))
         self._dropped = np.zeros((count, length if config.dropout else 0), np.bool_)
         self.history = np.zeros((count, RING, 2))
-        """True joint angles of the last samples, a ring indexed by table index modulo its length, (N, 8, 2) rad."""
+        """True joint angles of the last samples, a ring buffer indexed by table index modulo RING, (N, RING, 2) rad."""
         self._out_of_view = np.zeros(count, np.int64)
         self.joint_angles, self.features = np.zeros((count, 2)), np.zeros((count, 2))
         self.visible, self.frame_time, self.time = np.zeros(count), np.zeros(count), np.zeros(count)
@@ -90,14 +90,14 @@ class ServoWorld:
         self.tool, self.target = np.zeros((count, 2)), np.zeros((count, 4))
         self.captured = np.zeros(count, np.int64)
         self._rates = np.zeros((count, 2))
-        self._everyone = np.ones(count, np.bool_)
+        self._all_rows = np.ones(count, np.bool_)
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
-        """Start new episodes in some rows; the others are left as they are, to the bit.
+        """Start new episodes in some rows. The other rows are not changed.
 
         Args:
-            rows: Which of the N.
-            seeds: One episode seed for each, non-negative integers.
+            rows: Indices of the rows, 0 to N - 1.
+            seeds: Episode seed of each of these rows, non-negative integers.
         """
         moved = np.zeros(self.count, np.bool_)
         for row, seed in zip(rows, seeds, strict=True):
@@ -109,7 +109,7 @@ class ServoWorld:
         return draw_episode(self.config, seed)
 
     def _begin(self, row: int, seed: int) -> None:
-        """Take a new episode in; nothing of it is observed yet."""
+        """Load a new episode into a row, without observing it."""
         episode = self._draw(seed)
         self.episodes[row] = episode
         self.arms.reset(row, episode.links)
@@ -137,11 +137,11 @@ class ServoWorld:
 
         Args:
             actions: Fractions of `max_joint_rate`, clipped to [-1, 1] joint by joint as hardware does, (N, 2).
-            rows: Which of the N have an episode under way, (N,) bool; None for all. The other arms move too, for they
-                share the engine, but their tables have ended: nothing is counted or observed until their reset.
+            rows: Mask of the rows whose episode is running, (N,) bool; None for all. The other arms move too, because
+                they share the physics engine, but are not counted or observed until their reset.
         """
         if rows is None:
-            rows = self._everyone
+            rows = self._all_rows
         _command(
             actions, self.steps, self.joints, JOINT_LOW, JOINT_HIGH, self.config.max_joint_rate,
             PERIOD / self.config.substeps, self.gain, self._rate_noise, self._rates,
@@ -162,16 +162,16 @@ class ServoWorld:
         )  # fmt: skip
 
     def privileged(self) -> dict[str, Array]:
-        """What an oracle or the informed bound may know, besides the observation; arrays of N rows.
+        """Additional observations for oracles and the informed bound, arrays of N rows.
 
         Returns:
-            `true_jacobian` (N, 2, 3) px/rad and px/s at the present instant; `true_camera` (N, CAMERA_SIZE), packed
-            as in `servotrack.estimators.camera.pack_camera`; `true_links` (N, 2) m; `true_latency` (N, 1) s, the age
-            of a frame beyond what its stamp says; `true_readout` (N, 1) s, the time that a rolling shutter takes;
+            `true_jacobian` (N, 2, 3) at the current time, px/rad and px/s; `true_camera` (N, CAMERA_SIZE), packed as in
+            `servotrack.estimators.camera.pack_camera`; `true_links` (N, 2) m; `true_latency` (N, 1) s, the age of a
+            frame minus the age according to its stamp; `true_readout` (N, 1) s, duration of the rolling shutter;
             `true_noise` (N, 2), standard deviations of encoders (rad) and joint rates (rad/s); `true_gain` (N, 2),
             factors on the joint rates.
         """
-        # An unstamped frame tells its arrival, half a readout after its middle row was read.
+        # An unstamped frame has its time of arrival, half a readout after its middle row was read.
         hidden = np.where(self.config.stamped, 0.0, self.latency * PERIOD + 0.5 * self.config.rolling_shutter)
         position, velocity = self.target[:, :2], self.target[:, 2:]
         return {
@@ -185,7 +185,7 @@ class ServoWorld:
         }
 
     def debug_view(self, row: int = 0) -> str:
-        """One row's state as text, for debugging."""
+        """State of one row as text, for debugging."""
         degrees = np.degrees(self.joints[row])
         return (
             f"t={self.time[row]:+.2f} s  joints=({degrees[0]:+.1f}, {degrees[1]:+.1f}) deg  "
@@ -196,10 +196,10 @@ class ServoWorld:
 
 
 def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
-    """Actions as float64 of the right shape.
+    """Return actions as a float64 array, after checks.
 
     Raises:
-        ValueError: Another shape, or a value that is not finite.
+        ValueError: A wrong shape, or a value that is not finite.
     """
     values = np.array(actions, dtype=np.float64, order="C")
     if values.shape != shape:
@@ -211,7 +211,7 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
 
 @njit(cache=True, nogil=True)
 def _finite(values):  # type: ignore[no-untyped-def]
-    """Whether all numbers are finite; a quarter of the time that NumPy takes for two of them."""
+    """Return True if all values are finite, in a quarter of NumPy's time for two values."""
     for value in values.flat:  # noqa: SIM110
         if not math.isfinite(value):
             return False
@@ -222,24 +222,24 @@ def _finite(values):  # type: ignore[no-untyped-def]
 def _command(  # type: ignore[no-untyped-def]
     actions, steps, joints, low, high, max_joint_rate, substep, gain, rate_noise, rates
 ):
-    """Joint rates that the motors are asked for: clipped, off by gain and noise, zero at the joints' stops.
+    """Compute the motors' joint rates: clipped, with gain error and noise, limited so that joints stop at their stops.
 
-    `rates` holds the last period's rates and receives this one's.
+    `rates` holds the last period's rates and is overwritten.
     """
     for i in range(actions.shape[0]):
         for j in range(2):
             rate = min(max(actions[i, j], -1.0), 1.0) * max_joint_rate * gain[i, j]
             if rate_noise.shape[1] > 0:
                 rate += rate_noise[i, steps[i] + LEAD, j]
-            # The stops alone let a joint overshoot by more than a degree. A motor obeys one substep late: what the
-            # joint coasts until then is gone from the way that is left.
+            # With the stops alone a joint overshoots by more than a degree. A motor reacts one substep late, so the
+            # angle that the joint coasts until then is subtracted from the angle that is left.
             coasted = joints[i, j] + substep * rates[i, j]
             rates[i, j] = min(max(rate, (low[j] - coasted) / PERIOD), (high[j] - coasted) / PERIOD)
 
 
 @njit(cache=True, nogil=True)
 def interpolate_path(before, after, fraction):  # type: ignore[no-untyped-def]
-    """Position a `fraction` of a period after `before`: the cubic through two rows' positions and velocities."""
+    """Position a `fraction` of a period after `before`, by cubic Hermite interpolation between two rows of a path."""
     f, g = fraction, 1.0 - fraction
     hermite = np.empty(2)
     for j in range(2):
@@ -252,9 +252,9 @@ def interpolate_path(before, after, fraction):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def capture(camera, links, before, after, history, frame, size, shutter):  # type: ignore[no-untyped-def]
-    """Noise-free features of the frame whose readout ends at sample `frame`, each image row seen at its own instant.
+    """Noise-free features in the frame whose readout ends at sample `frame`; each image row has its own instant.
 
-    Who is looked at moves from `before`, their place and velocity one sample earlier, to `after`.
+    The target moves from `before`, its position and velocity one sample earlier, to `after`.
     """
     now = history[frame % RING]
     u, v, seen = project(camera, links[0], links[1], now[0], now[1], after[0], after[1])
@@ -275,7 +275,7 @@ def _sense(  # type: ignore[no-untyped-def]
     feature_noise, encoder_noise, dropped, joints, history, out_of_view, joint_angles, features, visible, frame_time,
     time, reward, terminated, truncated, tracking_error, feature_error, tool, target, captured,
 ):  # fmt: skip
-    """Take the sample of every chosen row: truth, score, and what the sensors deliver."""
+    """Compute the newest sample of every chosen row: truth, score and sensor readings."""
     for i in range(rows.shape[0]):
         if not rows[i]:
             continue

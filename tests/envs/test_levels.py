@@ -98,7 +98,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"horizon": 2.5}, "horizon must be a whole number, got 2.5"),
     ({"horizon": (10, 20)}, "horizon must be one number"),
     ({"camera_size": "480"}, "camera_size must be one number"),
-    ({"latency": (0, 1.5)}, "latency counts whole control periods"),
+    ({"latency": (0, 1.5)}, "latency must be a whole number of control periods"),
     ({"latency": 9}, "latency must lie in"),
     (
         {"target": "elipse"},

@@ -12,7 +12,7 @@ import servotrack  # noqa: F401
 from servotrack.envs.drawing.glyphs import put_text, text_width
 from servotrack.envs.drawing.palette import IVORY
 from servotrack.envs.drawing.viewer import Viewer
-from servotrack.envs.servo import backdrop as still
+from servotrack.envs.servo import backdrop
 from servotrack.envs.servo.footprint import camera_footprint, floor_lines
 from servotrack.envs.servo.render import ServoScene, draw
 from servotrack.estimators.camera import pack_camera, project_points
@@ -40,13 +40,13 @@ def scene(**changes):
 
 
 def floor_color(image, point):
-    column, row = np.rint(still.floor_pixels(np.asarray(point), float(LINKS.sum()))).astype(int)
-    return still.FLOOR_PANEL.of(image)[row, column].astype(int)
+    column, row = np.rint(backdrop.floor_pixels(np.asarray(point), float(LINKS.sum()))).astype(int)
+    return backdrop.FLOOR_PANEL.of(image)[row, column].astype(int)
 
 
 def camera_color(image, pixel):
-    column, row = np.rint(np.asarray(pixel) * still.CAMERA_PANEL.width / 480).astype(int)
-    return still.CAMERA_PANEL.of(image)[row, column].astype(int)
+    column, row = np.rint(np.asarray(pixel) * backdrop.CAMERA_PANEL.width / 480).astype(int)
+    return backdrop.CAMERA_PANEL.of(image)[row, column].astype(int)
 
 
 def near(color, other, tolerance=12):
@@ -65,14 +65,14 @@ def test_target_tool_and_feature_are_where_the_geometry_puts_them():
     image = draw(scene())
     phi = JOINTS.sum()
     tool = 0.5 * np.array([np.cos(JOINTS[0]) + np.cos(phi), np.sin(JOINTS[0]) + np.sin(phi)])
-    assert near(floor_color(image, [0.7, 0.3]), still.TARGET)
+    assert near(floor_color(image, [0.7, 0.3]), backdrop.TARGET)
     assert near(floor_color(image, tool), IVORY)
     assert near(floor_color(image, [0.0, 0.0]), IVORY)
-    assert near(camera_color(image, [300.0, 120.0]), still.TARGET)
+    assert near(camera_color(image, [300.0, 120.0]), backdrop.TARGET)
 
 
 def test_feature_that_is_not_seen_is_hollow():
-    assert near(camera_color(draw(scene(visible=False)), [300.0, 120.0]), still.LENS)
+    assert near(camera_color(draw(scene(visible=False)), [300.0, 120.0]), backdrop.LENS)
 
 
 def test_trails_are_drawn_and_fade_with_age():
@@ -80,7 +80,7 @@ def test_trails_are_drawn_and_fade_with_age():
     steps = np.linspace(0.0, 1.0, 120)[:, None]
     trail = np.array([0.15, -0.3]) + steps * np.array([0.6, 0.0])
     bare = draw(scene())
-    for name, color in (("target_trail", still.TARGET), ("tool_trail", still.TOOL)):
+    for name, color in (("target_trail", backdrop.TARGET), ("tool_trail", backdrop.TOOL)):
         image = draw(scene(**{name: trail}))
         old, new = floor_color(image, trail[5]), floor_color(image, trail[-5])
         assert near(new, color, 40)
@@ -91,9 +91,9 @@ def test_trails_are_drawn_and_fade_with_age():
 def test_feature_trail_and_error_history_are_drawn():
     trail = np.stack([np.linspace(60, 300, 80), np.full(80, 400.0)], axis=1)
     bare = draw(scene())
-    assert near(camera_color(draw(scene(feature_trail=trail)), trail[-3]), still.TARGET, 40)
-    curve = still.ERROR_PANEL.of(draw(scene(error_history=np.geomspace(0.5, 0.001, 200))))
-    assert np.abs(curve.astype(int) - still.ERROR_PANEL.of(bare)).max() > 100
+    assert near(camera_color(draw(scene(feature_trail=trail)), trail[-3]), backdrop.TARGET, 40)
+    curve = backdrop.ERROR_PANEL.of(draw(scene(error_history=np.geomspace(0.5, 0.001, 200))))
+    assert np.abs(curve.astype(int) - backdrop.ERROR_PANEL.of(bare)).max() > 100
 
 
 def test_extreme_values_do_not_break_the_picture():
