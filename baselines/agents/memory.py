@@ -1,4 +1,4 @@
-"""What every agent does with its memory: it begins where an episode begins, and goes on elsewhere."""
+"""Reset the rows of an agent's state whose episode starts, and keep the others."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ State = TypeVar("State")
 def remembered(
     state: State | None, episode_start: Mask | None, batch: tuple[int, ...], initial: Callable[[], State]
 ) -> State:
-    """The state that `predict` is to go on from.
+    """Return the state that `predict` continues from.
 
     Args:
-        state: What the last call returned; None starts anew.
+        state: Result of the last call; None starts anew.
         episode_start: Rows that start anew. The shape of the batch, or a scalar.
         batch: Leading axes of the state's arrays.
-        initial: Makes the state of a new episode; called only where some row starts.
+        initial: Creates the state of a new episode; called only if some row starts.
 
     Returns:
-        Rows of a new state where an episode starts, of the old one elsewhere.
+        The state, with new rows for starting episodes and old rows for the others.
     """
     if state is None:
         return initial()

@@ -1,4 +1,4 @@
-"""What every agent is: something that speaks Stable-Baselines3's `predict`, and a card that says what it was told."""
+"""Contract of an agent (`predict` of Stable-Baselines3), and its card: factory, information, cost."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from servotrack.estimators.types import Mask
 Observation: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
 
 Information = Literal["model-free", "structure", "prior", "calibrated", "privileged", "undeclared"]
-"""What an agent was told: nothing; the model's structure; the randomization's ranges; this very system; the truth."""
+"""Information that an agent receives: none; the model's structure; the randomization's ranges; the parameters of this
+system; the truth; not declared."""
 
 TRUTH = frozenset({"truth"})
 """Value of `requires` for agents that see the truth."""
@@ -21,7 +22,7 @@ TRUTH = frozenset({"truth"})
 
 @runtime_checkable
 class Agent(Protocol):
-    """Policies, observers and learned agents alike; `stable_baselines3.common.evaluation.evaluate_policy` runs them."""
+    """A policy, observer or learned agent; `stable_baselines3.common.evaluation.evaluate_policy` runs it."""
 
     def predict(
         self,
@@ -34,9 +35,9 @@ class Agent(Protocol):
 
         Args:
             observation: One observation, or a batch with a leading axis (vector environments).
-            state: What the last call returned; None forgets everything.
-            episode_start: Rows whose episode begins with this observation; only these forget. Shape (N,), bool.
-            deterministic: Whether a stochastic policy returns its mode.
+            state: Result of the last call; None starts anew.
+            episode_start: Rows whose episode begins with this observation; their state is reset. Shape (N,), bool.
+            deterministic: True makes a stochastic policy return its mode.
 
         Returns:
             The action (with the observation's leading axis) and the new state.
@@ -51,15 +52,14 @@ class AgentCard:
         name: Lower case, words joined by hyphens.
         factory: "module:callable"; called with the environment and `parameters`, it returns an `Agent`.
         parameters: Keyword arguments of the factory.
-        information: What the agent was told.
-        requires: Names of what the evaluator must add to the observation; only "truth" exists.
-        tuning_steps: Environment steps that its hyper-parameters or weights were tuned or trained with; None: nobody
-            counted them.
-        summary: One line for people.
-        laws: Whether a control law can be chosen ("name+law").
-        worlds: Which worlds it can act in; a name of several means the same algorithm in each.
-        in_default_suite: Whether `servotrack bench` measures it unless told otherwise.
-        information_in: Where it was told something else.
+        information: Information that the agent receives.
+        requires: Additions to the observation that it needs from the evaluator; only "truth" exists.
+        tuning_steps: Environment steps of the tuning or training of its parameters; None: not counted.
+        summary: Description in one line.
+        laws: True if a control law can be chosen ("name+law").
+        worlds: Kinds of worlds it can act in, by the same algorithm.
+        in_default_suite: True if `servotrack bench` evaluates it by default.
+        information_in: Kinds of worlds in which `information` differs.
         trained_in: Environments, as `describe_environment` writes them, that it has networks for, and the environment
             steps that each took; None for agents that need no training.
     """
@@ -78,7 +78,7 @@ class AgentCard:
     trained_in: Mapping[str, int] | None = None
 
     def as_record(self, kind: str, environment: str) -> dict[str, Any]:
-        """What results in an environment keep of it.
+        """Return the fields that results in an environment keep.
 
         Args:
             kind: Kind of world.
@@ -93,5 +93,5 @@ class AgentCard:
 
     @property
     def privileged(self) -> bool:
-        """Whether the agent sees what no real robot could give."""
+        """True if the agent receives the truth, which no real robot has."""
         return "truth" in self.requires

@@ -1,4 +1,4 @@
-"""The agent without skill: uniform actions, the lower anchor of every score."""
+"""Random agent: uniform actions, the lower anchor of every score."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from servotrack.estimators.types import Mask
 
 
 class RandomAgent:
-    """Uniform actions that are a function of (seed, step, row), whatever else happens and however many rows there are.
+    """Uniform actions as a function of (seed, step, row), independent of all observations and of the number of rows.
 
     Args:
         env: A Gymnasium environment or vector environment; only its spaces are read.
-        seed: Of the actions.
+        seed: Seed of the actions.
 
     Raises:
         ValueError: An action space that is neither a bounded `Box` nor `Discrete`.
@@ -42,7 +42,7 @@ class RandomAgent:
         episode_start: Mask | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], int]:
-        """Draw an action; `state` counts the steps so far, and episodes run on in the same stream."""
+        """Draw an action; `state` is the number of steps so far, which continues over episodes."""
         step = 0 if state is None else state
         batch = _batch_shape(observation, self.observation_space)
         draws = np.random.Generator(np.random.Philox(key=self.seed, counter=[0, 0, 0, step]))
@@ -55,7 +55,7 @@ class RandomAgent:
 
 
 def _batch_shape(observation: Any, space: gym.Space[Any]) -> tuple[int, ...]:
-    """Leading axes that an observation has beyond its space."""
+    """Return the leading axes of an observation beyond its space."""
     while isinstance(space, gym.spaces.Dict):
         key = next(iter(space.spaces))
         observation, space = observation[key], space[key]

@@ -63,7 +63,7 @@ def create_agent(agent: str | AgentCard, env: Any) -> Agent:
     """Make an agent for an environment; it reads the environment's spaces and public attributes, nothing else.
 
     Args:
-        agent: What `agent_card` takes, or a card.
+        agent: A name that `agent_card` takes, or a card.
         env: A Gymnasium environment or vector environment.
 
     Raises:

@@ -125,7 +125,7 @@ def batched_scan(observation: Any) -> tuple[dict[str, Array], bool]:
     """Return an observation as a dictionary of arrays with a leading axis of scenes.
 
     Args:
-        observation: As `SetObserver.predict` takes it.
+        observation: Observation, as in `SetObserver.predict`.
 
     Returns:
         The arrays, and True if the observation came without that axis.

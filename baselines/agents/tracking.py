@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from servotrack.baselines.agents.clutter.observers import create_clutter_observer
@@ -10,9 +11,16 @@ from servotrack.baselines.agents.protocol import Agent
 from servotrack.baselines.worlds import public_attribute
 from servotrack.envs.track.clutter.scene_model import SceneModel
 from servotrack.envs.track.people.camera_model import VideoModel
+from servotrack.estimators.rfs.extraction import Rule
 
 
-def create_observer(env: Any, estimator: str, hidden_markov: bool = False, extraction: str = "threshold") -> Agent:
+def create_observer(
+    env: Any,
+    estimator: str,
+    hidden_markov: bool = False,
+    extraction: Rule = "threshold",
+    values: Mapping[str, float] | None = None,
+) -> Agent:
     """Create the observer of a name; the type of `env.unwrapped.scene_model` decides which kind.
 
     Args:
@@ -21,6 +29,7 @@ def create_observer(env: Any, estimator: str, hidden_markov: bool = False, extra
             a name that `create_video_observer` takes.
         hidden_markov: True ignores the dependence between motion and measurement noise (points in clutter only).
         extraction: Rule that extracts targets from the posterior: "threshold", "sum" or "map" (points in clutter only).
+        values: Numbers of the estimator that differ from its defaults, by path (points in clutter only).
 
     Raises:
         ValueError: An environment without a `SceneModel` or `VideoModel`, or an unknown estimator.
@@ -35,4 +44,4 @@ def create_observer(env: Any, estimator: str, hidden_markov: bool = False, extra
             f"{name} has none (is it wrapped in a SyncVectorEnv?)"
         )
     space = getattr(env, "single_action_space", env.action_space)
-    return create_clutter_observer(space, scene, estimator, hidden_markov, extraction)
+    return create_clutter_observer(space, scene, estimator, hidden_markov, extraction, values)

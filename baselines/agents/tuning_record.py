@@ -1,4 +1,4 @@
-"""The record of a tuning: what was tried, what it cost in environment steps, and what was chosen."""
+"""Record of a tuning: settings tried, their cost in environment steps, and the chosen setting."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from servotrack.baselines.agents.servo.tuning_grid import BORROWED, GRIDS, UNTUNED
+from servotrack.baselines.agents.clutter import tuning_grid as clutter_grid
+from servotrack.baselines.agents.color import tuning_grid as color_grid
+from servotrack.baselines.agents.servo import tuning_grid as servo_grid
 from servotrack.baselines.reporting.files import ResultsError, atomic_path, read_document
 
 FORMAT = "servotrack-tuning"
@@ -18,17 +20,22 @@ SHIPPED = Path(__file__).with_name("tuning.json")
 
 Values = dict[str, float]
 
+TUNED = frozenset({*servo_grid.GRIDS, *clutter_grid.GRIDS, *color_grid.GRIDS})
+"""Agents that have a grid."""
+BORROWED = {**servo_grid.BORROWED, **clutter_grid.BORROWED}
+"""Agents that use the values of another agent, besides their own."""
+
 
 @dataclass
 class Candidate:
-    """One setting that was measured.
+    """A measured setting.
 
     Attributes:
-        values: Path to number, all of the agent's searched hyper-parameters.
-        objective: Mean cost of its episodes.
-        difference: Its objective less the incumbent's at the time: `value`, and the interval's `low` and `high`; None
-            for the setting that the search began with.
-        environment_steps: Steps of all its episodes.
+        values: Value of each searched hyper-parameter, by path.
+        objective: Mean cost of the episodes.
+        difference: Objective minus that of the incumbent at the time: `value`, and the interval's `low` and `high`;
+            None for the start.
+        environment_steps: Environment steps of all episodes.
     """
 
     values: Values
@@ -42,10 +49,10 @@ class TunedAgent:
     """The search of one agent.
 
     Attributes:
-        grid: Path to the values tried.
-        start: The setting that it began with.
-        candidates: In the order in which they were measured; the first is `start`.
-        chosen: The setting that it ended with.
+        grid: Values tried, by path.
+        start: First setting.
+        candidates: Measured settings in order; the first is `start`.
+        chosen: Best setting.
         provenance: Versions, machine, command, creation time (UTC).
     """
 
@@ -57,11 +64,11 @@ class TunedAgent:
 
     @property
     def environment_steps(self) -> int:
-        """Steps of all candidates."""
+        """Environment steps of all candidates."""
         return sum(candidate.environment_steps for candidate in self.candidates)
 
     def objective(self, values: Values) -> float:
-        """What was measured for a setting."""
+        """Return the objective measured for a setting."""
         return next(candidate.objective for candidate in self.candidates if candidate.values == values)
 
 
@@ -71,18 +78,18 @@ class TuningRecord:
 
     Attributes:
         protocol: Environment, levels, seeds and the constants of the rule.
-        agents: Name to search.
+        agents: Searches by agent name.
     """
 
     protocol: dict[str, Any]
     agents: dict[str, TunedAgent] = field(default_factory=dict)
 
     def tuning_steps(self, name: str) -> int | None:
-        """Environment steps behind an agent's values, those behind borrowed values included; None: not all counted."""
-        if name in UNTUNED:
+        """Return the environment steps behind an agent's values, borrowed ones included; None if not all are known."""
+        if name in servo_grid.UNTUNED:
             return 0
         parts: list[int | None] = []
-        if name in GRIDS:
+        if name in TUNED:
             parts.append(self.agents[name].environment_steps if name in self.agents else None)
         if name in BORROWED:
             parts.append(self.tuning_steps(BORROWED[name]))
@@ -90,10 +97,10 @@ class TuningRecord:
         return sum(known) if parts and len(known) == len(parts) else None
 
     def save(self, path: Path) -> None:
-        """Write it; an earlier file is replaced only once the new one is complete.
+        """Write the record atomically: an earlier file is replaced when the new one is complete.
 
         Raises:
-            ResultsError: The folder cannot be written.
+            ResultsError: A folder that cannot be written.
         """
         document: dict[str, Any] = {"format": FORMAT, "format_version": FORMAT_VERSION, **asdict(self)}
         for name, tuned in self.agents.items():
@@ -106,7 +113,7 @@ def read_record(path: Path) -> TuningRecord:
     """Read a record.
 
     Raises:
-        ResultsError: The file is unreadable, corrupt, foreign or of another format version.
+        ResultsError: An unreadable or corrupt file, or one of another kind or format version.
     """
     remedy = "restore it, or move it away and run `servotrack tune` again"
     document = read_document(path, FORMAT, FORMAT_VERSION, "no record of a tuning", remedy)
@@ -130,10 +137,10 @@ def _tuned(entry: dict[str, Any]) -> TunedAgent:
 
 
 def resume_record(path: Path, protocol: dict[str, Any]) -> TuningRecord:
-    """The record to go on with: the file's, or an empty one where there is none.
+    """Return the record to continue: the file's, or an empty one if there is no file.
 
     Raises:
-        ResultsError: As `read_record`; or the file has another protocol, or is of another release of servotrack.
+        ResultsError: An invalid file (see `read_record`), another protocol, or another release of servotrack.
     """
     if not path.exists():
         return TuningRecord(protocol)
@@ -144,7 +151,7 @@ def resume_record(path: Path, protocol: dict[str, Any]) -> TuningRecord:
         raise ResultsError(f"{path} was written under another protocol (different: {', '.join(other)}); {remedy}")
     present = metadata.version("servotrack")
     for name, tuned in record.agents.items():
-        # What follows the + is a digest of the sources: agents are not compared with each other here, so it may differ.
+        # The part after + is a digest of the sources. It may differ: agents are not compared with each other here.
         written = str(tuned.provenance["versions"].get("servotrack")).partition("+")[0]
         if written != present:
             raise ResultsError(f"{path}: {name} was tuned with servotrack {written}, this is {present}; {remedy}")
@@ -157,9 +164,9 @@ def _shipped() -> TuningRecord:
 
 
 def shipped_tuning_steps(name: str) -> int | None:
-    """Environment steps behind an agent's defaults, from the record in the package; None where nobody counted.
+    """Return the environment steps behind an agent's defaults, from the package's record; None if not counted.
 
     Raises:
-        ResultsError: That record is corrupt.
+        ResultsError: A corrupt record.
     """
     return _shipped().tuning_steps(name)

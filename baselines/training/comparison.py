@@ -16,6 +16,7 @@ from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.results import CellResults, ResultsFolder
 from servotrack.baselines.evaluation.statistics import Interval, crossed_difference, score
+from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.worlds import RankingMetric, describe_environment, world_of_id
 
 MIN_RUNS = 10
@@ -54,29 +55,34 @@ class Comparison:
     success: Interval | None
     returned: Interval
 
-    def markdown(self) -> str:
-        """Return the comparison as a Markdown table."""
+    def grid(self) -> Grid:
+        """Return the comparison as a table: one row per measure."""
         unit, factor, digits = self.headline.unit, self.headline.factor, self.headline.digits
         means = factor * np.array(self.of_runs)
-        lines = [
-            f"| {self.environment} | {self.recipe}, {self.runs} runs | {self.against} | difference |",
-            "|---|---|---|---|",
-            f"| {self.headline.heading}, {unit} | {means.mean():.{digits}f} ({means.min():.{digits}f} to "
-            f"{means.max():.{digits}f}) | {factor * self.of_other:.{digits}f} | "
-            f"{_signed(self.difference, digits, factor)} |",
+        rows = [
+            [
+                f"{self.headline.heading}, {unit}",
+                f"{means.mean():.{digits}f} ({means.min():.{digits}f} to {means.max():.{digits}f})",
+                f"{factor * self.of_other:.{digits}f}",
+                _signed(self.difference, digits, factor),
+            ]
         ]
-        lines += [
-            f"| {name} | | | {_signed(interval, digits)} |"
+        rows += [
+            [name, "", "", _signed(interval, digits)]
             for name, interval, digits in (
                 ("score", self.score, 3), ("success", self.success, 3),
                 ("return", None if self.score is not None else self.returned, 1),
             )
             if interval is not None
         ]  # fmt: skip
+        return Grid([self.environment, f"{self.recipe}, {self.runs} runs", self.against, "difference"], rows, 4)
+
+    def markdown(self) -> str:
+        """Return the comparison as a Markdown table with a note."""
         note = f"{self.episodes} seeds; brackets: 95 % intervals, runs and episodes resampled, crossed." + (
             "" if self.runs >= MIN_RUNS else f" Fewer than {MIN_RUNS} runs: no claim about training."
         )
-        return "\n".join([*lines, "", note, ""])
+        return f"{as_markdown(self.grid())}\n{note}\n"
 
 
 def compare(

@@ -1,1 +1,1 @@
-"""Hyper-parameter searches on tune seeds, and their record."""
+"""Hyper-parameter searches on tune seeds."""

@@ -1,4 +1,4 @@
-"""Films of the color world, and trackers run over them: what tuning and reproduction share."""
+"""Run color trackers over stored episodes of the color world, for tuning and for the reproduction of paper 001."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.baselines.agents.color.catalog import ColorTracker
 from servotrack.envs.track.color.scoring import center_errors, failures, overlaps, precision, success_curve
 from servotrack.estimators.types import Array
 
@@ -16,11 +17,11 @@ ENV_ID = "ColorTracking-v0"
 
 
 class Film(NamedTuple):
-    """An episode of the world as its observer sees it, with the truth.
+    """An episode of the color world: frames and true boxes.
 
     Attributes:
-        frames: RGB, uint8; as many as are answered.
-        boxes: The true ones, shape (F, 4), px.
+        frames: RGB frames, uint8, F of them.
+        boxes: True boxes, shape (F, 4), px.
     """
 
     frames: list[NDArray[np.uint8]]
@@ -28,13 +29,13 @@ class Film(NamedTuple):
 
 
 class Pass(NamedTuple):
-    """A tracker's one pass over a film.
+    """Result of a tracker's pass over a film.
 
     Attributes:
-        boxes: Its answers, the first the given box. Shape (F, 4), px.
-        iou: Of every frame, shape (F,).
-        center_error: Of every frame, shape (F,), px.
-        seconds: Of every step but the first two, shape (F - 3,).
+        boxes: Estimated boxes; the first is the given one. Shape (F, 4), px.
+        iou: Overlap with the true box in each frame, shape (F,).
+        center_error: Distance to the true center in each frame, shape (F,), px.
+        seconds: Duration of each step but the first two, shape (F - 3,), s.
     """
 
     boxes: Array
@@ -54,16 +55,16 @@ class Pass(NamedTuple):
 
     @property
     def failures(self) -> int:
-        """How many times the target was lost."""
+        """Number of times that the target was lost."""
         return failures(self.iou)
 
 
 def film(seed: int, **env_kwargs: Any) -> Film:
-    """What an agent sees on a seed: answers change nothing in this world.
+    """Record an episode of the color world. Answers do not influence this world.
 
     Args:
-        seed: Of the environment.
-        **env_kwargs: Its arguments.
+        seed: Seed of the environment.
+        **env_kwargs: Arguments of the environment.
     """
     env = gym.make(ENV_ID, **env_kwargs)
     observation, info = env.reset(seed=seed)
@@ -77,11 +78,11 @@ def film(seed: int, **env_kwargs: Any) -> Film:
     return Film(frames[:-1], np.array(boxes[:-1]))
 
 
-def track(tracker: Any, seen: Film) -> Pass:
+def track(tracker: ColorTracker, seen: Film) -> Pass:
     """Run a tracker over a film from the true box of its first frame.
 
     Args:
-        tracker: As `color_tracker` makes it.
+        tracker: A tracker of one object.
         seen: The film.
     """
     state = tracker.initial(seen.frames[0], seen.boxes[0])

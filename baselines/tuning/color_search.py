@@ -1,10 +1,10 @@
-"""How the color trackers' values were chosen: coordinate search on tune seeds, the same for all.
+"""Coordinate search on tune seeds that chose the color trackers' values, the same for all.
 
     python -m servotrack.baselines.tuning.color_search monte-carlo-color
 
-Protocol: start from the values that a tracker has; for one parameter after the other try the values of its grid on all
-films, six scenarios times `--episodes` tune seeds; keep the one of the highest mean AUC; go round `--rounds` times. The
-number of trials that is printed counts every setting that was run over all films. Test seeds are never looked at.
+Protocol: start at the tracker's present values. For one parameter after the other, try the values of its grid on all
+films (six scenarios times `--episodes` tune seeds) and keep the value of the highest mean AUC. Repeat `--rounds` times.
+The printed number of trials counts every setting that was run over all films. Test seeds are never used.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def mean_auc(name: str, settings: Sequence[Mapping[str, Any]], episodes: int, jo
     """Mean AUC of several settings on the same films, by scenario.
 
     Args:
-        name: Of the tracker.
+        name: Name of the tracker.
         settings: Parameters of each.
         episodes: Tune seeds of every scenario.
         jobs: Processes; -1 for all processors.

@@ -1,44 +1,45 @@
-"""Tuning by a stated protocol with counted environment steps: a coordinate search over a declared grid, on tune seeds.
+"""Tuning protocol with counted environment steps: a coordinate search over a declared grid, on tune seeds.
 
-The search begins at the estimators' defaults. It goes through the hyper-parameters one by one, measures every value of
-the grid with the others held, on the same episodes for all, and moves only where a value is better by more than noise.
+The search starts at the estimators' defaults. It goes through the hyper-parameters one by one, measures every value of
+the grid with the others held, on the same episodes for all, and moves only if a value is better by more than noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from servotrack.baselines.agents.registry import agent_card
-from servotrack.baselines.agents.servo.catalog import ESTIMATORS
-from servotrack.baselines.agents.servo.hyper_parameters import value_at
-from servotrack.baselines.agents.servo.tuning_grid import BORROWED, GRIDS, Grid
 from servotrack.baselines.agents.tuning_record import Candidate, TunedAgent, TuningRecord, Values, resume_record
 from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.evaluation.evaluate import run_episodes
-from servotrack.baselines.reporting.files import ResultsError
-from servotrack.baselines.worlds import plain
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.statistics import bootstrap_mean
+from servotrack.baselines.reporting.files import ResultsError
+from servotrack.baselines.tuning.families import Grid, common_family, family_of
+from servotrack.baselines.worlds import plain, world_of_id
 from servotrack.estimators.types import Array
 
 FIRST_SEED = 50_000
-"""Offset in the tune range, away from its beginning, where tests and trials by hand take their seeds."""
+"""First seed in the tune range, apart from its beginning, where tests and manual trials take theirs."""
 EPISODES = 16
+"""Default number of seeds per level."""
+SMALLEST_ERROR = 1e-12
+"""Bound of an error before its logarithm is taken."""
 RESAMPLES = 20_000
-"""Enough for the tails of an interval that is shared among a whole grid."""
+"""Bootstrap resamples; an interval with Bonferroni's correction needs the far tails."""
 
 
 class Measured(NamedTuple):
-    """A setting's episodes.
+    """Result of the episodes of one setting.
 
     Attributes:
-        costs: One per episode, in the same order for every setting. Shape (k,).
-        steps: Environment steps that they took.
+        costs: Cost of each episode, in the same order for every setting. Shape (k,).
+        steps: Environment steps of all episodes.
     """
 
     costs: Array
@@ -47,22 +48,23 @@ class Measured(NamedTuple):
 
 @dataclass(frozen=True)
 class TuningProtocol:
-    """What every candidate is measured on, and when one replaces another.
+    """Episodes that every candidate is measured on, and the rule by which one replaces another.
 
-    The cost of an episode is ln(steady error in m), plus `failure_cost` where it is no success. A candidate is better
-    than the incumbent by more than noise if the bootstrap interval of its mean paired difference lies below zero; the
-    interval's confidence is 1 - `error_rate` / (candidates of the grid), Bonferroni's correction, so that a whole pass
-    moves away from a best start with a probability of about `error_rate` at most. It replaces the incumbent if it is
-    also better by `least_gain`, for a certain gain of nothing is no reason to change a default.
+    The cost of an episode is the logarithm of the world's ranking metric, or minus the metric if larger is better. In
+    a servo world it is ln(steady error in m), plus `failure_cost` if the episode fails. A candidate is better than the
+    incumbent by more than noise if the bootstrap interval of its mean paired difference lies below zero; the interval's
+    confidence is 1 - `error_rate` / (candidates of the grid), Bonferroni's correction, so that a whole pass leaves an
+    optimal start with a probability of at most about `error_rate`. It replaces the incumbent if it is also better by
+    `least_gain`, so that a significant but negligible gain changes no default.
 
     Args:
-        env_id: A servo.
+        env_id: Gymnasium id of one of `FAMILIES`.
         levels: Levels, each with all seeds.
         seeds: Environment seeds, of the tune range.
-        failure_cost: Added for an episode that is no success.
-        error_rate: For all candidates of an agent together.
-        least_gain: In units of the cost: 0.02 is 2 % of every episode's error.
-        passes: Over all hyper-parameters, at most; a pass that changes nothing is the last.
+        failure_cost: Cost added for a failed episode, in worlds that have successes.
+        error_rate: Probability of a false change, for all candidates of an agent together.
+        least_gain: Smallest gain that changes a value, in units of the cost: 0.02 is 2 % of every episode's error.
+        passes: Largest number of passes over all hyper-parameters; a pass without a change is the last.
     """
 
     env_id: str = "UncalibServo-v0"
@@ -74,11 +76,11 @@ class TuningProtocol:
     passes: int = 2
 
     def __post_init__(self) -> None:
-        strangers = [seed for seed in self.seeds if seed not in seed_ranges.TUNE]
-        if strangers or not self.seeds or len(set(self.seeds)) != len(self.seeds):
+        outside = [seed for seed in self.seeds if seed not in seed_ranges.TUNE]
+        if outside or not self.seeds or len(set(self.seeds)) != len(self.seeds):
             raise ValueError(
                 "seeds must be different ones, at least one, of the tune range "
-                f"{seed_ranges.TUNE.start}..{seed_ranges.TUNE.stop - 1}, got {strangers[:5] or list(self.seeds[:5])}; "
+                f"{seed_ranges.TUNE.start}..{seed_ranges.TUNE.stop - 1}, got {outside[:5] or list(self.seeds[:5])}; "
                 "take them with seeds.take('tune', count)"
             )
         if not self.levels:
@@ -91,18 +93,21 @@ class TuningProtocol:
             raise ValueError(f"passes must be at least 1, got {self.passes}")
 
     def as_record(self) -> dict[str, Any]:
-        """What the record keeps of it."""
+        """Return the protocol as the record keeps it."""
         return plain(asdict(self))
 
 
 def measure(agent: str, values: Values, protocol: TuningProtocol) -> Measured:
-    """An agent's episodes with other values than its defaults, run as the evaluator runs them."""
-    card = agent_card(agent)
-    card = replace(card, parameters={**card.parameters, "values": values})
+    """Run an agent's episodes with other values than its defaults, as the evaluator runs them."""
+    card = family_of(agent).insert(agent_card(agent), values)
+    metric = world_of_id(protocol.env_id).headline
     costs, steps = [], 0
     for level in protocol.levels:
         rows, _ = run_episodes(protocol.env_id, card, protocol.seeds, {"level": level})
-        costs += [np.log(row["steady"]) + protocol.failure_cost * (not row["success"]) for row in rows]
+        for row in rows:
+            value = row[metric.column]
+            cost = -value if metric.high_is_good else np.log(max(value, SMALLEST_ERROR))
+            costs.append(cost + protocol.failure_cost * (not row.get("success", True)))
         steps += sum(row["length"] for row in rows)
     return Measured(np.array(costs), steps)
 
@@ -117,19 +122,19 @@ def coordinate_search(
     passes: int = 2,
     on_candidate: Callable[[], None] | None = None,
 ) -> TunedAgent:
-    """Search a grid one hyper-parameter at a time; no setting is measured twice.
+    """Search a grid one hyper-parameter at a time; every setting is measured at most once.
 
     Args:
         evaluate: Measures a setting.
-        start: One value of each hyper-parameter.
-        grid: The values to try.
+        start: Initial value of each hyper-parameter.
+        grid: Values to try, by hyper-parameter.
         error_rate: See `TuningProtocol`.
         least_gain: See `TuningProtocol`.
         passes: See `TuningProtocol`.
-        on_candidate: Called after every setting measured.
+        on_candidate: Called after every measured setting.
 
     Raises:
-        ValueError: `start` is not on the grid.
+        ValueError: A start that is not on the grid.
     """
     off_grid = [name for name in grid if start.get(name) not in grid[name]] + [n for n in start if n not in grid]
     if off_grid:
@@ -169,22 +174,27 @@ def coordinate_search(
 
 
 def candidate_count(grid: Grid) -> int:
-    """Settings that one pass measures, the start included."""
+    """Return the number of settings that one pass measures, the start included."""
     return 1 + sum(len(choices) - 1 for choices in grid.values())
 
 
 def default_values(agent: str) -> Values:
-    """The estimator's defaults of an agent's searched hyper-parameters.
+    """Return the estimator's defaults of an agent's searched hyper-parameters.
 
     Raises:
-        ValueError: The agent has none.
+        ValueError: An unknown agent, or one without a grid.
     """
-    agent_card(agent)
-    if agent not in GRIDS:
-        reason = f"it uses the values of {BORROWED[agent]}" if agent in BORROWED else "nothing of it can be tuned"
-        raise ValueError(f"agent {agent!r} has no values of its own to tune ({reason}); choose of {', '.join(GRIDS)}")
-    estimator = ESTIMATORS[agent]()
-    return {path: value_at(estimator, path) for path in GRIDS[agent]}
+    return family_of(agent).default_values(agent)
+
+
+def default_protocol(agents: Sequence[str], seeds: Sequence[int]) -> TuningProtocol:
+    """Return the protocol of the agents' family: its environment and levels, with the given seeds.
+
+    Raises:
+        ValueError: Agents of different families, or seeds outside the tune range.
+    """
+    family = common_family(agents)
+    return TuningProtocol(family.env_id, family.levels, tuple(seeds))
 
 
 def tune(
@@ -195,37 +205,39 @@ def tune(
     on_agent: Callable[[str, int], None] | None = None,
     on_candidate: Callable[[], None] | None = None,
 ) -> TuningRecord:
-    """Search agent after agent; those that the file holds already are not searched again.
+    """Search agent after agent; agents that the file already holds are skipped.
 
     Args:
-        agents: Names with a grid.
+        agents: Names of agents that have a grid.
         path: The record, saved after every agent.
-        protocol: What to measure on.
-        on_agent: Called with every agent's name before its search, and the settings of one pass; 0 where it is done.
-        on_candidate: Called after every setting measured.
+        protocol: Episodes and rule of the search.
+        on_agent: Called with every agent's name before its search, and the settings of one pass; 0 if it is done.
+        on_candidate: Called after every measured setting.
 
     Raises:
-        ValueError: An unknown agent or one without a grid.
-        ResultsError: The file cannot be used, or holds a search over another grid.
+        ValueError: An unknown agent, one without a grid, or one that is tuned in another environment.
+        ResultsError: An invalid file, or one that holds a search over another grid.
     """
+    if (family := common_family(agents)).env_id != protocol.env_id:
+        raise ValueError(f"env_id must be {family.env_id} for {', '.join(agents)}, got {protocol.env_id}")
     starts = {name: default_values(name) for name in agents}
     record = resume_record(path, protocol.as_record())
     for name in agents:
         done = record.agents.get(name)
-        if done and done.grid != {key: list(choices) for key, choices in GRIDS[name].items()}:
+        if done and done.grid != {key: list(choices) for key, choices in family.grids[name].items()}:
             raise ResultsError(f"{path}: {name} was searched over another grid; choose another --output")
     for name, start in starts.items():
         done = record.agents.get(name)
         if on_agent:
-            on_agent(name, 0 if done else candidate_count(GRIDS[name]))
+            on_agent(name, 0 if done else candidate_count(family.grids[name]))
         if done:
             continue
-        # Before the search: these are the sources that it runs.
+        # Taken before the search, so that it describes the sources that the search runs.
         record_of_run = provenance()
         tuned = coordinate_search(
             lambda values, name=name: measure(name, values, protocol),  # type: ignore[misc]
             start,
-            GRIDS[name],
+            family.grids[name],
             error_rate=protocol.error_rate,
             least_gain=protocol.least_gain,
             passes=protocol.passes,

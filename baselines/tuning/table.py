@@ -1,15 +1,19 @@
-"""The record of a tuning as a table."""
+"""Tables of a tuning record."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from servotrack.baselines.agents.registry import AGENTS
-from servotrack.baselines.agents.servo.tuning_grid import BORROWED, GRIDS, UNTUNED
 from servotrack.baselines.agents.tuning_record import TunedAgent, TuningRecord
 from servotrack.baselines.reporting.grid import Grid, as_markdown
+from servotrack.baselines.tuning.families import FAMILIES
+from servotrack.baselines.worlds import world_of_id
 
 
 def tuning_grid(record: TuningRecord) -> Grid:
-    """One row per hyper-parameter of every agent that was searched."""
+    """Return a table with one row per hyper-parameter of every searched agent."""
     headings = ["agent", "hyper-parameter", "tried", "chosen", "from", "settings", "objective", "environment steps"]
     rows = []
     for name, tuned in record.agents.items():
@@ -23,14 +27,15 @@ def tuning_grid(record: TuningRecord) -> Grid:
 
 
 def steps_grid(record: TuningRecord) -> Grid:
-    """Environment steps behind every servo agent's values, borrowed ones included."""
-    servos = GRIDS.keys() | BORROWED.keys() | UNTUNED
-    steps = {name: record.tuning_steps(name) for name in AGENTS if name in servos}
+    """Return a table of the environment steps behind every agent's values, borrowed ones included."""
+    families = [family for family in FAMILIES if family.env_id == record.protocol["env_id"]]
+    names = {name for family in families for name in (*family.grids, *family.borrowed, *family.untuned)}
+    steps = {name: record.tuning_steps(name) for name in AGENTS if name in names}
     return Grid(["agent", "tuning steps"], [[n, "?" if s is None else f"{s:,}"] for n, s in steps.items()], 1)
 
 
 def markdown_tuning(record: TuningRecord) -> str:
-    """Both tables for a document, with the protocol's figures and the commands that wrote the record."""
+    """Return both tables as Markdown, with the protocol and the commands that wrote the record."""
     protocol = record.protocol
     commands = sorted({tuned.provenance["command"] for tuned in record.agents.values()})
     versions = sorted({tuned.provenance["versions"]["servotrack"] for tuned in record.agents.values()})
@@ -38,9 +43,19 @@ def markdown_tuning(record: TuningRecord) -> str:
     return (
         f"{as_markdown(tuning_grid(record))}\n"
         f"{protocol['env_id']}, levels {', '.join(map(str, protocol['levels']))}, {len(seeds)} seeds each "
-        f"({seeds[0]} to {seeds[-1]}). Objective: mean of ln(steady error in m) + {protocol['failure_cost']:g} per "
-        f"failure; where it changed, before → after. Written by {', '.join(f'`{c}`' for c in commands)}, "
+        f"({seeds[0]} to {seeds[-1]}). Objective: {_cost(protocol)}; where it changed, "
+        f"before → after. Written by {', '.join(f'`{c}`' for c in commands)}, "
         f"servotrack {', '.join(versions)}.\n\n{as_markdown(steps_grid(record))}"
+    )
+
+
+def _cost(protocol: Mapping[str, Any]) -> str:
+    """Return the cost of an episode in words."""
+    world = world_of_id(protocol["env_id"])
+    if world.kind == "servo":
+        return f"mean of ln(steady error in m) + {protocol['failure_cost']:g} per failure"
+    return (
+        f"mean of -{world.headline.heading}" if world.headline.high_is_good else f"mean of ln({world.headline.title})"
     )
 
 

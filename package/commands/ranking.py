@@ -11,22 +11,21 @@ import typer
 from servotrack.commands.terms import (
     DEFAULT_RESULTS,
     Episodes,
-    Format,
     Jobs,
     Level,
     Results,
     Settings,
     Split,
     TableFormat,
+    console,
     env_kwargs,
     levels_of,
-    print_notes,
-    print_tables,
     words,
 )
 
 if TYPE_CHECKING:
     from servotrack.baselines.leaderboard.summary import TaskSummary
+    from servotrack.baselines.reporting.terminal import Screen
 
 FILMED_LEVEL = 3
 
@@ -39,7 +38,7 @@ def evaluate(
     episodes: Episodes = 100,
     split: Split = "test",
     results: Results = DEFAULT_RESULTS,
-    table_format: TableFormat = Format.table,
+    table_format: TableFormat = "table",
 ) -> None:
     """Evaluate one agent in one environment. Prints its row next to the rows that the folder already holds."""
     from servotrack.baselines.evaluation import seeds
@@ -48,9 +47,10 @@ def evaluate(
     from servotrack.baselines.evaluation.results import ResultsFolder
     from servotrack.baselines.leaderboard.summary import summarize
     from servotrack.baselines.leaderboard.table import missing_agents, task_grid
-    from servotrack.baselines.reporting.terminal import progress_bars
+    from servotrack.baselines.reporting.terminal import print_tables, progress_bars
     from servotrack.baselines.worlds import describe_environment
 
+    screen = console(table_format)
     kwargs = env_kwargs(level, settings)
     chosen = seeds.take(split, episodes)
     check_cell(env, agent, kwargs)
@@ -61,16 +61,17 @@ def evaluate(
         run(env, agent, chosen, kwargs, folder=folder, on_episodes=lambda count: progress.advance(bar, count))
     name = describe_environment(env, kwargs)
     tasks = [task for task in summarize(folder.load_all()) if task.environment == name]
-    print_tables({task.environment: task_grid(task) for task in tasks}, table_format)
+    print_tables(screen, {task.environment: task_grid(task) for task in tasks})
     arguments = "".join(f" --set {key}={value}" for key, value in kwargs.items() if key != "level")
     arguments += "" if level is None else f" --level {level}"
     for task in tasks:
         if missing := missing_agents(task):
-            print_notes(
+            screen.print(
                 f"Columns without numbers need {' and '.join(missing)}: run `servotrack evaluate {env} {missing[0]}"
                 f"{arguments} --episodes {episodes} --results {results}`" + (", and so on." if missing[1:] else "."),
-                table_format=table_format,
                 style="dim",
+                soft_wrap=True,
+                markup=False,
             )
 
 
@@ -96,7 +97,7 @@ def bench(
     split: Split = "test",
     jobs: Jobs = -1,
     video: Annotated[bool, typer.Option(help="Write a video of the best agent at level 3.")] = True,
-    table_format: TableFormat = Format.table,
+    table_format: TableFormat = "table",
 ) -> None:
     """Evaluate agents on every level and seed, then write the leaderboard, a figure and a video.
 
@@ -108,6 +109,7 @@ def bench(
     from servotrack.baselines.leaderboard.summary import summarize
     from servotrack.baselines.reporting.terminal import progress_bars
 
+    screen = console(table_format)
     suite = suite_of(env, words(agents), levels_of(levels) if levels else None, env_kwargs(None, settings))
     output = results or DEFAULT_RESULTS / "bench" / env.rpartition(":")[2].replace("/", "-")
     folder = ResultsFolder(output)
@@ -116,9 +118,9 @@ def bench(
         cells = run_suite(suite, folder, episodes=episodes, split=split, jobs=jobs, progress=progress)
     tasks = summarize(cells)
     film = _film_best(tasks, output) if video else None
-    _show(tasks, output, film, table_format=table_format)
+    _show(tasks, output, film, screen)
     if results is None:
-        print_notes(str(write_index(output.parent)), table_format=table_format)
+        screen.print(str(write_index(output.parent)), soft_wrap=True)
 
 
 def leaderboard(
@@ -134,7 +136,7 @@ def leaderboard(
     figure: Annotated[
         Path | None, typer.Option(help="Also write the figure of scores against level to this file (.png, .svg).")
     ] = None,
-    table_format: TableFormat = Format.table,
+    table_format: TableFormat = "table",
 ) -> None:
     """Write tables, figure and page from a folder of results."""
     from servotrack.baselines.evaluation.results import ResultsFolder
@@ -148,7 +150,8 @@ def leaderboard(
     cells = ResultsFolder(results).load_all()
     tasks = summarize(cells)
     film = results / "best.webm"
-    _show(tasks, output or results, film if output is None and film.exists() else None, details, table_format)
+    film_shown = film if output is None and film.exists() else None
+    _show(tasks, output or results, film_shown, console(table_format), details)
     if figure is not None:
         save_figure(draw_levels(level_tasks(tasks)), figure, stamp(cells))
     if into is not None:
@@ -157,7 +160,7 @@ def leaderboard(
 
 def tune(
     agents: Annotated[
-        list[str] | None, typer.Argument(help="Agents to tune. Default: every agent that has tunable parameters.")
+        list[str] | None, typer.Argument(help="Agents of one world. Default: all servo agents with tunable parameters.")
     ] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Record to write. Agents that an earlier record holds are skipped.")
@@ -167,28 +170,30 @@ def tune(
         Path | None,
         typer.Option(help="Document to update between <!-- tuning:begin --> and <!-- tuning:end -->."),
     ] = None,
-    table_format: TableFormat = Format.table,
+    table_format: TableFormat = "table",
 ) -> None:
-    """Search the servo agents' hyper-parameters on tune seeds, and count the environment steps."""
+    """Search the hyper-parameters of agents of one world on tune seeds, and count the environment steps."""
     from servotrack.baselines.agents.servo.tuning_grid import GRIDS
     from servotrack.baselines.evaluation import seeds
     from servotrack.baselines.reporting.embed import embed
-    from servotrack.baselines.reporting.terminal import progress_bars
-    from servotrack.baselines.tuning.search import FIRST_SEED, TuningProtocol
+    from servotrack.baselines.reporting.terminal import print_tables, progress_bars
+    from servotrack.baselines.tuning.search import FIRST_SEED, default_protocol
     from servotrack.baselines.tuning.search import tune as run
     from servotrack.baselines.tuning.table import markdown_tuning, tuning_grid
 
-    protocol = TuningProtocol(seeds=tuple(seeds.take("tune", episodes, FIRST_SEED)))
+    screen = console(table_format)
+    names = agents or list(GRIDS)
+    protocol = default_protocol(names, seeds.take("tune", episodes, FIRST_SEED))
     with progress_bars() as progress:
         bars: list[Any] = []
         record = run(
-            agents or list(GRIDS),
+            names,
             output,
             protocol,
             on_agent=lambda name, settings: bars.append(progress.add_task(name, total=settings)) if settings else None,
             on_candidate=lambda: progress.advance(bars[-1]),
         )
-    print_tables({str(output): tuning_grid(record)}, table_format)
+    print_tables(screen, {str(output): tuning_grid(record)})
     if into is not None:
         embed(markdown_tuning(record), into, "tuning")
 
@@ -197,12 +202,12 @@ def _show(
     tasks: list[TaskSummary],
     output: Path,
     film: Path | None,
+    screen: Screen,
     details: bool = False,
-    table_format: Format = Format.table,
 ) -> None:
     from servotrack.baselines.leaderboard.report import write_report
     from servotrack.baselines.leaderboard.table import headline_grids, note_of, overview_grid, task_grid
-    from servotrack.baselines.reporting.terminal import command_line
+    from servotrack.baselines.reporting.terminal import command_line, print_tables
 
     overviews: Mapping[str, Any] = {
         title: grid
@@ -210,10 +215,11 @@ def _show(
         if grid.rows
     }
     own = {task.environment: task_grid(task) for task in tasks} if details or not overviews else {}
-    print_tables({**overviews, **own}, table_format)
-    print_notes(note_of(tasks), table_format=table_format, style="dim")
+    print_tables(screen, {**overviews, **own})
+    screen.print(note_of(tasks), style="dim", soft_wrap=True, markup=False)
     paths = [*write_report(tasks, output, command_line(), film), *([film] if film else [])]
-    print_notes(*map(str, paths), table_format=table_format)
+    for path in paths:
+        screen.print(str(path), soft_wrap=True)
 
 
 def _film_best(tasks: list[TaskSummary], folder: Path) -> Path | None:

@@ -105,7 +105,7 @@ def test_a_wrong_name_gets_a_suggestion(name: str, message: str) -> None:
 
 
 def test_a_servo_agent_names_the_environment_that_it_does_not_fit() -> None:
-    with pytest.raises(ValueError, match="CartPole-v1 is none"):
+    with pytest.raises(ValueError, match="CartPole-v1 lacks them"):
         create_agent("kf", gym.make("CartPole-v1"))
 
 

@@ -93,7 +93,7 @@ def test_every_tracker_has_a_card_but_those_that_need_another_wheel() -> None:
 
 
 def test_other_worlds_and_trackers_are_refused() -> None:
-    with pytest.raises(ValueError, match="needs frames and a first box"):
+    with pytest.raises(ValueError, match="needs the observations frame and first_box"):
         create_agent("monte-carlo-color", gym.make("ClutterTracking-v0"))
     with pytest.raises(ValueError, match="color tracker must be one of"):
         create_color_observer(gym.make(ENV_ID, **SMALL), "snake")

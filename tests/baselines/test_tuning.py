@@ -4,25 +4,30 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from servotrack.baselines.agents.clutter import tuning_grid as clutter_grid
+from servotrack.baselines.agents.color import tuning_grid as color_grid
+from servotrack.baselines.agents.hyper_parameters import value_at, with_values
 from servotrack.baselines.agents.registry import AGENTS, agent_card
 from servotrack.baselines.agents.servo.catalog import ESTIMATORS
-from servotrack.baselines.agents.servo.hyper_parameters import value_at, with_values
 from servotrack.baselines.agents.servo.tuning_grid import BORROWED, GRIDS, UNTUNED
 from servotrack.baselines.agents.tuning_record import SHIPPED, TunedAgent, read_record
 from servotrack.baselines.evaluation.evaluate import run_episodes
 from servotrack.baselines.evaluation.seeds import TUNE
 from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.tuning import search as tuning
+from servotrack.baselines.tuning.families import family_of
 from servotrack.baselines.tuning.search import (
     Measured,
     TuningProtocol,
     coordinate_search,
+    default_protocol,
     default_values,
     measure,
     tune,
@@ -190,6 +195,9 @@ def test_a_record_of_another_kind_is_refused_by_name(quick: list[str], tmp_path:
         (["kff"], "did you mean 'kf'"),
         (["ukf"], "it uses the values of kf"),
         (["oracle"], "nothing of it can be tuned"),
+        (["hmm-row"], "nothing of it can be tuned"),
+        (["pmb-hmm"], "it uses the values of pmb"),
+        (["kf", "pmb"], "run `servotrack tune` once for each environment"),
         (["kf", "--output", "bad.json"], "bad.json is corrupt"),
         (["kf", "-n", "99999"], "first + count at most"),
     ],
@@ -239,6 +247,46 @@ def test_every_grid_fits_its_estimator_and_holds_the_default(agent: str) -> None
         assert default in GRIDS[agent][path]
         for choice in GRIDS[agent][path]:
             assert value_at(with_values(ESTIMATORS[agent](), {path: choice}), path) == choice
+
+
+@pytest.mark.parametrize("agent", [*clutter_grid.GRIDS, *color_grid.GRIDS])
+def test_grids_of_other_worlds_hold_the_defaults_and_reach_the_estimator(agent: str) -> None:
+    family = family_of(agent)
+    for path, default in default_values(agent).items():
+        choices = family.grids[agent][path]
+        assert default in choices and len(choices) == len(set(choices)) > 1
+        for choice in choices:
+            assert value_at(with_values(family.create(agent), {path: choice}), path) == choice
+
+
+def test_clutter_observers_are_tuned_by_the_same_search(tmp_path: Path) -> None:
+    protocol = default_protocol(["gnn"], [150_000, 150_001])
+    assert protocol.env_id == "ClutterTracking-v0" and protocol.levels == tuple(range(8))
+    protocol = replace(protocol, levels=(1,))
+    default = measure("gnn", default_values("gnn"), protocol)
+    rows, _ = run_episodes(protocol.env_id, agent_card("gnn"), protocol.seeds, {"level": 1})
+    assert np.array_equal(default.costs, [np.log(row["ospa2"]) for row in rows])
+    other = measure("gnn", {"gate_probability": 0.99, "misses": 8}, protocol)
+    assert not np.array_equal(other.costs, default.costs), "the values did not reach the estimator"
+    record = tune(["gnn"], tmp_path / "tuning.json", protocol)
+    tuned = record.agents["gnn"]
+    assert tuned.objective(tuned.chosen) <= tuned.objective(tuned.start) == pytest.approx(default.costs.mean())
+    assert record.tuning_steps("gnn-hmm") == tuned.environment_steps > 0 and record.tuning_steps("pmb") is None
+    text = markdown_tuning(record)
+    assert "mean of ln(OSPA(2) m)" in text and "| gnn-hmm |" in text and "| kf |" not in text
+
+
+def test_a_color_tracker_is_measured_by_its_metric() -> None:
+    protocol = replace(default_protocol(["opencv-meanshift"], [150_000]), levels=(0,))
+    assert protocol.env_id == "ColorTracking-v0"
+    default = measure("opencv-meanshift", default_values("opencv-meanshift"), protocol)
+    rows, _ = run_episodes(protocol.env_id, agent_card("opencv-meanshift"), protocol.seeds, {"level": 0})
+    assert default.costs.tolist() == [-rows[0]["auc"]]
+
+
+def test_agents_of_another_environment_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="env_id must be ClutterTracking-v0 for pmb, got UncalibServo-v0"):
+        tune(["pmb"], tmp_path / "tuning.json", SHORT)
 
 
 @pytest.mark.parametrize(("path", "part"), [("walk.speed", "speed"), ("rate.x", "rate"), ("outliers.dof", "dof")])

@@ -1,4 +1,4 @@
-"""The anchor of the tracking worlds: told which measurement is whose and who exists, it only has to filter."""
+"""Upper anchor of the clutter world: known data association and existence, one Kalman filter per target."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from servotrack.estimators.types import Array, Labels
 
 
 class OracleState(NamedTuple):
-    """Filters of all targets; N scenes, T targets, a joint Gaussian over state and measurement each.
+    """State of the filters: N scenes, T targets, a joint Gaussian over state and measurement each.
 
     Attributes:
         mean: Shape (N, T, n + m).
@@ -35,18 +35,18 @@ class OracleState(NamedTuple):
 class AssociationOracle:
     """A Kalman filter per target on its own measurements; privileged.
 
-    A target is reported from its first detection to its end.
+    A target is reported from its first detection until it vanishes.
 
     Args:
         model: Motion and measurement of one target.
-        birth_covariance: What is not measured (velocities) starts at zero with this covariance. Shape (n, n).
+        birth_covariance: Initial covariance of a target. Unmeasured entries (velocities) start at zero. Shape (n, n).
     """
 
     model: TargetModel
     birth_covariance: Array
 
     def initial(self, measurement: Mapping[str, Array]) -> OracleState:
-        """State before the first scan; the measurement gives the shapes only."""
+        """Return the state before the first scan; only the shapes of the measurement are read."""
         m, n = self.model.packed.observation.shape
         scenes, targets = measurement["true_existence"].shape
         return OracleState(
@@ -56,12 +56,12 @@ class AssociationOracle:
         )
 
     def step(self, state: OracleState, measurement: Mapping[str, Array]) -> tuple[OracleState, SetEstimate]:
-        """Fold a scan in.
+        """Process a scan.
 
         Args:
-            state: What `initial` or `step` returned.
-            measurement: `observation` (N, M, 1 + m), `true_source` (N, M) and `true_existence` (N, T), as
-                `PrivilegedObservation` gives them.
+            state: Result of `initial` or of the last `step`.
+            measurement: Entries `observation` (N, M, 1 + m), `true_source` (N, M) and `true_existence` (N, T) of a
+                `PrivilegedObservation`.
         """
         scan = np.ascontiguousarray(measurement[OBSERVATION_KEY][..., 1:])
         source = measurement["true_source"].astype(np.int64)
@@ -93,7 +93,7 @@ class AssociationOracle:
 
 @njit(cache=True, nogil=True)
 def _filter(model, scan, source, start, start_covariance, mean, covariance, phase):  # type: ignore[no-untyped-def]
-    """Predict every known target and update it with its own measurement; the arrays of the state are overwritten."""
+    """Predict every known target and update it with its own measurement, in place."""
     m, n = model.observation.shape
     size = n + m
     work, root, gain = np.empty((size, size)), np.empty((m, m)), np.empty((n, m))

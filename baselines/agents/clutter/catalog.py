@@ -1,10 +1,10 @@
-"""The set estimators behind the observers' names, made of what a world tells its agents."""
+"""Set estimators by observer name, created from the environment's `SceneModel`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
@@ -20,39 +20,46 @@ from servotrack.estimators.rfs import (
     RawMeasurements,
     Reduction,
 )
+from servotrack.estimators.rfs.extraction import Rule
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD
 
+GaussianT = TypeVar("GaussianT", GMPHD, GMCBMeMBer, PMB)
+
+TrackFilter: TypeAlias = (
+    GMPHD | GMCBMeMBer | PMB | ParticlePHD | GlobalNearestNeighbor | RawMeasurements | SteadyPHD | CountingPHD
+)
+
 SMALLEST_CAPACITY = 100
-"""Components of a PHD and tracks of a multi-Bernoulli are capped at this, or at five times the most targets."""
+"""Capacity of a filter (see `FilterSettings`) if three times the rows of an answer are fewer."""
 
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """What does not follow from the scene.
+    """Settings of a filter that do not follow from the scene.
 
     Attributes:
-        hidden_markov: Ignore the dependence of the noises, where there is one.
-        extraction: "threshold", "sum" or "map".
-        capacity: Most components of a PHD, most tracks of a multi-Bernoulli.
+        hidden_markov: True ignores the dependence between motion and measurement noise.
+        extraction: Rule that extracts targets from the posterior: "threshold", "sum" or "map".
+        capacity: Largest number of components of a PHD, or of tracks of a multi-Bernoulli filter.
     """
 
     hidden_markov: bool = False
-    extraction: str = "threshold"
+    extraction: Rule = "threshold"
     capacity: int = SMALLEST_CAPACITY
 
 
 def observer_settings(rows: int) -> FilterSettings:
-    """Settings of an observer whose answers have so many rows."""
+    """Return the settings of an observer whose answers have `rows` rows."""
     return FilterSettings(capacity=max(SMALLEST_CAPACITY, 3 * rows))
 
 
-def track_filter(name: str, scene: SceneModel, settings: FilterSettings | None = None) -> Any:
-    """A set estimator for a scene.
+def track_filter(name: str, scene: SceneModel, settings: FilterSettings | None = None) -> TrackFilter:
+    """Create a set estimator for a scene.
 
     Args:
         name: One of `TRACK_FILTERS`.
-        scene: What agents are told.
-        settings: The rest.
+        scene: Parameters of the scene that agents receive.
+        settings: Settings that do not follow from the scene.
 
     Raises:
         ValueError: An unknown name.
@@ -68,8 +75,10 @@ def _birth(scene: SceneModel) -> Birth | MeasurementBirth:
     return Birth(scene.birth_weights, scene.birth_means, scene.birth_covariance)
 
 
-def _gaussian(filter_class: Callable[..., Any], reduction: Callable[[int], Reduction]) -> Callable[..., Any]:
-    def make(scene: SceneModel, settings: FilterSettings) -> Any:
+def _gaussian(
+    filter_class: Callable[..., GaussianT], reduction: Callable[[int], Reduction]
+) -> Callable[[SceneModel, FilterSettings], GaussianT]:
+    def make(scene: SceneModel, settings: FilterSettings) -> GaussianT:
         return filter_class(
             scene.hidden_markov if settings.hidden_markov else scene.model,
             _birth(scene),
@@ -84,8 +93,8 @@ def _gaussian(filter_class: Callable[..., Any], reduction: Callable[[int], Reduc
 
 
 def steered_phd(scene: SceneModel, settings: FilterSettings | None = None) -> SteeredPHD:
-    """A GM-PHD filter as a scene is told, whose parameters are given at every step."""
-    made: GMPHD = track_filter("gm-phd", scene, settings)
+    """Create a GM-PHD filter for a scene whose parameters are passed at every step."""
+    made = _phd(scene, settings or FilterSettings())
     deviation = np.sqrt(np.diag(scene.birth_covariance))
     return SteeredPHD(made, MeasurementBirth(1.0, deviation, largest=1.0))
 
@@ -101,7 +110,7 @@ def _counting(scene: SceneModel, settings: FilterSettings) -> CountingPHD:
 def _particle(scene: SceneModel, settings: FilterSettings) -> ParticlePHD:
     birth = _birth(scene)
     if isinstance(birth, MeasurementBirth):
-        # Particles need places to be drawn from: one Gaussian with the variance of the uniform region.
+        # Birth particles are drawn from one Gaussian with the variance of the uniform region.
         covariance = scene.birth_covariance.copy()
         covariance[[0, 2], [0, 2]] = scene.half_width**2 / 3.0
         birth = Birth(scene.birth_weights, np.zeros((1, 4)), covariance)
@@ -128,8 +137,10 @@ def _raw(scene: SceneModel, settings: FilterSettings) -> RawMeasurements:
     return RawMeasurements(scene.model)
 
 
-TRACK_FILTERS: Mapping[str, Callable[[SceneModel, FilterSettings], Any]] = {
-    "gm-phd": _gaussian(GMPHD, lambda capacity: Reduction(components=capacity)),
+_phd = _gaussian(GMPHD, lambda capacity: Reduction(components=capacity))
+
+TRACK_FILTERS: Mapping[str, Callable[[SceneModel, FilterSettings], TrackFilter]] = {
+    "gm-phd": _phd,
     "gm-phd-anywhere": _anywhere,
     "gm-phd-counting": _counting,
     "gm-cbmember": _gaussian(GMCBMeMBer, lambda capacity: Reduction(components=10, tracks=capacity)),
@@ -138,4 +149,4 @@ TRACK_FILTERS: Mapping[str, Callable[[SceneModel, FilterSettings], Any]] = {
     "gnn": _nearest,
     "raw-measurements": _raw,
 }
-"""From an observer's name to what makes its estimator."""
+"""Factory of each observer's estimator."""

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 from servotrack.baselines.agents.clutter.association_oracle import AssociationOracle
-from servotrack.baselines.agents.clutter.catalog import observer_settings, track_filter
+from servotrack.baselines.agents.clutter.catalog import TrackFilter, observer_settings, track_filter
+from servotrack.baselines.agents.hyper_parameters import with_values
 from servotrack.baselines.agents.set_observer import RawObserver, SetObserver
 from servotrack.envs.track.clutter.scene_model import SceneModel
+from servotrack.estimators.rfs import RawMeasurements
+from servotrack.estimators.rfs.extraction import Rule
 
 
 def create_clutter_observer(
-    space: Any, scene: SceneModel, estimator: str, hidden_markov: bool = False, extraction: str = "threshold"
+    space: Any,
+    scene: SceneModel,
+    estimator: str,
+    hidden_markov: bool = False,
+    extraction: Rule = "threshold",
+    values: Mapping[str, float] | None = None,
 ) -> SetObserver | RawObserver:
     """Create an observer of points in clutter.
 
@@ -22,15 +31,16 @@ def create_clutter_observer(
         estimator: A name of `agents.clutter.catalog.TRACK_FILTERS`, or "association-oracle".
         hidden_markov: True ignores the dependence between motion and measurement noise.
         extraction: Rule that extracts targets from the posterior: "threshold", "sum" or "map".
+        values: Numbers of the estimator that differ from its defaults, by path; see `with_values`.
 
     Raises:
-        ValueError: An unknown estimator.
+        ValueError: An unknown estimator, or values that do not fit it.
     """
     rows = space.shape[0]
     if estimator == "association-oracle":
         return SetObserver(AssociationOracle(scene.model, scene.birth_covariance), rows, space.low, space.high)
     settings = replace(observer_settings(rows), hidden_markov=hidden_markov, extraction=extraction)
-    made = track_filter(estimator, scene, settings)
-    if estimator == "raw-measurements":
+    made: TrackFilter = with_values(track_filter(estimator, scene, settings), values or {})
+    if isinstance(made, RawMeasurements):
         return RawObserver(made, space.low, space.high)
     return SetObserver(made, rows, space.low, space.high)

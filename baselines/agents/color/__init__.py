@@ -1,1 +1,1 @@
-"""Trackers of one colored object as agents: names, films to run them over, scores kept, values tuned."""
+"""Trackers of one colored object as agents."""

@@ -29,5 +29,5 @@ CARDS = (
     _color("opencv-camshift", "OpenCV's CamShift on the back-projected hue"),
     _color("mil", "OpenCV's multiple-instance learning tracker", in_default_suite=False),
     _color("first-box", "stays where the object was first: no skill"),
-    _color("box-oracle", "told the true box", "privileged", parameters={"tracker": "true-box"}, requires=TRUTH),
+    _color("box-oracle", "reports the true box", "privileged", parameters={"tracker": "true-box"}, requires=TRUTH),
 )

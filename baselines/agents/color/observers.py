@@ -1,4 +1,4 @@
-"""Agents of the color world: a tracker of one object behind `predict`, and the two that need none."""
+"""Agents of the color world: a tracker of one object behind `predict`, and two baselines without a tracker."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.baselines.agents.color.catalog import color_tracker
+from servotrack.baselines.agents.color.catalog import ColorTracker, color_tracker
 from servotrack.estimators.types import Array, Mask
 
 
 class ColorObserverState(NamedTuple):
-    """Memory of a `ColorObserver`: the tracker's state of every scene."""
+    """Memory of a `ColorObserver`: tracker state of each scene."""
 
     rows: tuple[Any, ...]
 
@@ -22,12 +22,12 @@ class ColorObserver:
     """A tracker of one object behind `predict`: frames in, boxes out.
 
     Args:
-        tracker: As `servotrack.baselines.agents.color.catalog.color_tracker` makes it.
+        tracker: Tracker of one object; see `servotrack.baselines.agents.color.catalog.color_tracker`.
         low: Lowest answer, shape (4,); answers are clipped to the action space.
         high: Highest answer, shape (4,).
     """
 
-    def __init__(self, tracker: Any, low: Array, high: Array) -> None:
+    def __init__(self, tracker: ColorTracker, low: Array, high: Array) -> None:
         self.tracker = tracker
         self._low, self._high = low, high
 
@@ -38,19 +38,19 @@ class ColorObserver:
         episode_start: Mask | None = None,
         deterministic: bool = True,
     ) -> tuple[Array, ColorObserverState]:
-        """Answer a frame: the first of an episode with the box that is given, later ones with the tracker's.
+        """Answer a frame: the first one of an episode with the given box, later ones with the tracker's box.
 
         Args:
-            observation: `frame` (H, W, 3) and `first_box` (4,), or the same with a leading axis of N.
-            state: What the last call returned; None starts anew.
+            observation: Entries `frame` (H, W, 3) and `first_box` (4,), or the same with a leading axis of N.
+            state: Result of the last call; None starts every scene anew.
             episode_start: Scenes that start anew. Shape (N,), or a scalar for a single observation.
-            deterministic: These agents always are.
+            deterministic: Ignored: the answer is always deterministic.
 
         Returns:
-            Shape (4,) or (N, 4), px; and the new state.
+            The box, shape (4,) or (N, 4), px, and the new state.
 
         Raises:
-            ValueError: As the tracker does.
+            ValueError: A frame or box that the tracker refuses.
         """
         frames, boxes, single = _batched(observation)
         starts = np.zeros(len(frames), np.bool_)
@@ -59,7 +59,7 @@ class ColorObserver:
         elif episode_start is not None:
             starts = np.broadcast_to(np.asarray(episode_start, dtype=np.bool_).reshape(-1), (len(frames),))
         answers, rows = np.empty((len(frames), 4)), []
-        # One scene after the other: a tracker's work is in its own compiled loops over a frame.
+        # Scene by scene: a tracker spends its time in its own compiled loops over a frame.
         for row, (frame, box) in enumerate(zip(frames, boxes, strict=True)):
             if starts[row]:
                 rows.append(self.tracker.initial(frame, box))
@@ -76,7 +76,7 @@ class BoxReader:
     """Answers with a box of the observation: the first frame's (no skill) or the true one (the upper anchor).
 
     Args:
-        key: `first_box` or `true_box`.
+        key: Entry of the observation, `first_box` or `true_box`.
     """
 
     def __init__(self, key: str) -> None:
@@ -93,23 +93,23 @@ class BoxReader:
         return np.array(observation[self._key], dtype=np.float64), None
 
 
-def create_color_observer(env: Any, tracker: str, **parameters: Any) -> Any:
-    """An agent for the color world, of which only the spaces are read.
+def create_color_observer(env: Any, tracker: str, **parameters: Any) -> ColorObserver | BoxReader:
+    """Create an agent for the color world; only the environment's spaces are read.
 
     Args:
         env: A `ColorTracking-v0` environment or vector environment.
         tracker: A name of `servotrack.baselines.agents.color.catalog`, "first-box" or "true-box".
-        **parameters: Fields of the tracker that are not to have their default.
+        **parameters: Fields of the tracker that differ from the defaults.
 
     Raises:
-        ValueError: The environment is no color world, or the tracker is unknown or not installed.
+        ValueError: An environment without frames and first boxes, or a tracker that is unknown or not installed.
     """
     seen = getattr(env, "single_observation_space", env.observation_space)
     space = getattr(env, "single_action_space", env.action_space)
     if not isinstance(seen, gym.spaces.Dict) or not {"frame", "first_box"} <= seen.spaces.keys():
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
         raise ValueError(
-            f"agent {tracker!r} needs frames and a first box to start from; {name} does not give them: "
+            f"agent {tracker!r} needs the observations frame and first_box; {name} has none: "
             "choose ColorTracking-v0, or another agent"
         )
     if tracker in ("first-box", "true-box"):
@@ -118,7 +118,7 @@ def create_color_observer(env: Any, tracker: str, **parameters: Any) -> Any:
 
 
 def _batched(observation: Any) -> tuple[NDArray[np.uint8], Array, bool]:
-    """Frames and first boxes with a leading axis of scenes, and whether they came without one."""
+    """Return frames and first boxes with a leading axis of scenes, and True if they came without one."""
     frames, boxes = np.asarray(observation["frame"]), np.asarray(observation["first_box"], dtype=np.float64)
     single = boxes.ndim == 1
     return (frames[None], boxes[None], True) if single else (frames, boxes, False)

@@ -1,4 +1,4 @@
-"""What is tried when the color trackers' values are chosen, and how many environment steps that takes."""
+"""Values that the search tries for the color trackers, and its number of environment steps."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 EPISODES = 4
-"""Tune seeds of each scenario."""
+"""Number of tune seeds of each scenario."""
 _SCENARIOS, _FRAMES = 6, 200
 _HUES: Mapping[str, Sequence[Any]] = {
     "saturation": (0, 30, 60, 90, 120, 150),
@@ -34,12 +34,8 @@ GRIDS: Mapping[str, Mapping[str, Sequence[Any]]] = {
         "scale_step": (0.05, 0.1, 0.2),
         "bins": (4, 8, 16),
     },
-    "opencv-meanshift": {
-        "saturation": (0, 30, 60, 90, 120, 150),
-        "bins": (16, 32, 64, 128),
-        "darkest": (0, 32, 64, 96),
-    },
-    "opencv-camshift": {"saturation": (0, 30, 60, 90, 120, 150), "bins": (16, 32, 64, 128), "darkest": (0, 32, 64, 96)},
+    "opencv-meanshift": _HUES,
+    "opencv-camshift": _HUES,
     "monte-carlo-color-plus": {
         "loyalty": (0.5, 0.7, 0.85, 1.0),
         "gradient_share": (0.45, 0.6, 0.7),
@@ -51,12 +47,12 @@ GRIDS: Mapping[str, Mapping[str, Sequence[Any]]] = {
         "update_rate": (0.03, 0.06, 0.1),
     },
 }
-"""What is tried, for each tracker that has values to choose; samples and cells are budgets of time, not values.
+"""Values tried, by tracker and parameter. Samples and cells are budgets of time and are not searched.
 
-A threshold of 1 would leave out eq. (12) of the paper.
+A threshold of 1 would disable eq. (12) of the paper.
 """
 
 
 def tuning_steps(name: str) -> int:
-    """Environment steps of one round of the search: every value of a tracker's grid on every film; 0 without a grid."""
+    """Return the environment steps of one round of the search: every value on every film; 0 without a grid."""
     return sum(map(len, GRIDS.get(name, {}).values())) * EPISODES * _SCENARIOS * _FRAMES

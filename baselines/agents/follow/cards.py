@@ -7,33 +7,34 @@ from typing import Any
 
 from servotrack.baselines.agents.protocol import TRUTH, AgentCard, Information
 
-_TOLD = ("identity", "jacobian", "detections")
+_PARTS = ("identity", "jacobian", "detections")
 
 
 def _follow(name: str, summary: str, information: Information = "structure", **parameters: Any) -> AgentCard:
-    told = bool(parameters.get("told"))
+    privileged = bool(parameters.get("oracles"))
     return AgentCard(
         name,
         "servotrack.baselines.agents.follow.catalog:create_follow_agent",
-        "privileged" if told else information,
+        "privileged" if privileged else information,
         summary,
         parameters=parameters,
-        requires=TRUTH if told else frozenset(),
+        requires=TRUTH if privileged else frozenset(),
         worlds=frozenset({"follow"}),
     )
 
 
 def _ablation() -> tuple[AgentCard, ...]:
-    """The follower with every combination of its parts told by an oracle."""
-    kinds = sorted(product((False, True), repeat=len(_TOLD)), key=sum)
-    chosen = [tuple(part for part, told in zip(_TOLD, kind, strict=True) if told) for kind in kinds if any(kind)]
+    """Return the follower with every combination of its parts replaced by an oracle."""
+    kinds = sorted(product((False, True), repeat=len(_PARTS)), key=sum)
+    chosen = [tuple(part for part, true in zip(_PARTS, kind, strict=True) if true) for kind in kinds if any(kind)]
     return tuple(
-        _follow(f"phd-servo-told-{'-'.join(told)}", f"the same, told {', '.join(told)}", told=told) for told in chosen
+        _follow(f"phd-servo-told-{'-'.join(parts)}", f"the same with true {', '.join(parts)}", oracles=parts)
+        for parts in chosen
     )
 
 
 CARDS = (
-    _follow("phd-servo", "GM-PHD of everybody with colors, lifted Kalman servo on the one to follow"),
+    _follow("phd-servo", "GM-PHD filter of all people with colors, lifted Kalman servo on the person to follow"),
     _follow(
         "nearest-servo", "nearest detection to the last one, Kalman filter servo", "model-free", identity="nearest"
     ),

@@ -1,4 +1,4 @@
-"""The agents that follow one person, by what each of their three parts is told."""
+"""Agents that follow one person, by the source of each of their three parts: estimated or an oracle."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from servotrack.baselines.agents.servo.catalog import servo_controller
 from servotrack.baselines.worlds import public_attribute
 from servotrack.estimators.follow import PersonFollower
 
-PATIENCE = 60
-"""Steps for which the servo goes where the person is predicted before it goes back to where they were last seen."""
+UNSEEN_LIMIT = 60
+"""Steps without the person after which the servo returns from the predicted to the last seen position."""
 
 
-def create_follow_agent(env: Any, told: tuple[str, ...] = (), identity: str = "tracked") -> FollowServo:
-    """An agent for `PedestrianServo-v0`, of which only `max_joint_rate` and the observation space are read.
+def create_follow_agent(env: Any, oracles: tuple[str, ...] = (), identity: str = "tracked") -> FollowServo:
+    """Create an agent for `PedestrianServo-v0`; only `max_joint_rate` and the observation space are read.
 
     Args:
         env: The environment or vector environment.
-        told: What an oracle tells: any of "identity", "jacobian", "detections".
+        oracles: Parts that come from an oracle: any of "identity", "jacobian", "detections".
         identity: "tracked", or "nearest" for the nearest detection and a Kalman filter of the Jacobian.
 
     Raises:
-        ValueError: The environment is another one, or observes the right person's features.
+        ValueError: Another environment, or one that observes the right person's features.
     """
     space = getattr(env, "single_observation_space", env.observation_space)
     max_joint_rate = public_attribute(env, "max_joint_rate")
@@ -31,21 +31,21 @@ def create_follow_agent(env: Any, told: tuple[str, ...] = (), identity: str = "t
     if max_joint_rate is None or not keys.issuperset(KEYS) or not keys & {"detections", "image"}:
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
         raise ValueError(
-            f"this agent follows one person of many and needs max_joint_rate and the observations {', '.join(KEYS)} "
-            f'and detections or image; {name} is none: choose PedestrianServo-v0 with observation="detections" or '
+            f"this agent follows one person of a crowd; it needs max_joint_rate and the observations {', '.join(KEYS)} "
+            f'and detections or image; {name} lacks them: choose PedestrianServo-v0 with observation="detections" or '
             '"pixels", or another agent'
         )
     nearest = identity == "nearest"
     estimator, law = ("kf", "pi") if nearest else ("lifted-kf", "one-step")
-    if "jacobian" in told:
+    if "jacobian" in oracles:
         estimator, law = "oracle", "pi"
     controller = servo_controller(estimator, law, float(max_joint_rate))
     if controller.supervisor is not None:
-        controller = replace(controller, supervisor=replace(controller.supervisor, unseen_limit=PATIENCE))
+        controller = replace(controller, supervisor=replace(controller.supervisor, unseen_limit=UNSEEN_LIMIT))
     return FollowServo(
         controller,
         PersonFollower(),
-        "oracle" if "identity" in told else "nearest" if nearest else "tracked",
-        "oracle" if "detections" in told else "observed",
-        "jacobian" in told,
+        "oracle" if "identity" in oracles else "nearest" if nearest else "tracked",
+        "oracle" if "detections" in oracles else "observed",
+        "jacobian" in oracles,
     )

@@ -1,4 +1,4 @@
-"""Servos that follow one person: detections, identity and image Jacobian, each estimated or told by an oracle."""
+"""Servos that follow one person: detections, identity and image Jacobian, each estimated or from an oracle."""
 
 from __future__ import annotations
 
@@ -31,17 +31,19 @@ Identity = Literal["tracked", "nearest", "oracle"]
 Detection = Literal["observed", "oracle"]
 
 KEYS = ("joint_angles", "goal", "frame_time", "time", "target_patch", "target_box")
-_ORACLE_REACH = 40.0  # how far from the right person a detection may lie that is taken for theirs, px
-_NEAREST_REACH = 80.0  # the same from the last detection, for who follows the nearest one, px
+ORACLE_GATE = 40.0
+"""Largest distance of a detection from the true position that is taken for the person, px."""
+NEAREST_GATE = 80.0
+"""Largest distance of a detection from the last one, with `identity` "nearest", px."""
 
 
 class FollowServoState(NamedTuple):
     """State of a `FollowServo`, B runs.
 
     Attributes:
-        frame_time: Stamp of the newest frame, -inf before the first. Shape (B,), s.
-        frames: Pairs frames with the joint angles at their instants.
-        person: Who is followed; of the set filter where identity is tracked.
+        frame_time: Time stamp of the newest frame, -inf before the first. Shape (B,), s.
+        frames: State of the alignment of frames with joint angles.
+        person: State of the followed person, and of the set filter with tracked identity.
         servo: State of the controller.
     """
 
@@ -52,20 +54,20 @@ class FollowServoState(NamedTuple):
 
     @property
     def belief(self) -> Array:
-        """Where the person is believed to be in the newest frame, shape (B, 2), px."""
+        """Estimated position of the person in the newest frame, shape (B, 2), px."""
         return self.person.place
 
 
 class FollowServo:
-    """Keeps one person centered.
+    """Keeps one person centered in the image.
 
     Args:
-        controller: Servo on the features of whom it follows.
-        follower: Decides who that is.
-        identity: "tracked" by the follower, "nearest" detection to the last one, or told by an "oracle".
-        detection: "observed", or those of an "oracle" (nobody missed or merged, no clutter, no noise).
-        told_camera: Whether the camera's own motion is told, instead of what the controller's estimator believes.
-        detector: Finds people where images are observed.
+        controller: Servo on the person's features.
+        follower: Identifies the person among the detections.
+        identity: "tracked" by the follower, "nearest" detection to the last one, or from an "oracle".
+        detection: "observed", or from an "oracle" (no missed or merged people, no clutter, no noise).
+        true_camera: True uses the camera's true motion, False that of the controller's estimator.
+        detector: Detects people if images are observed.
     """
 
     def __init__(
@@ -74,26 +76,26 @@ class FollowServo:
         follower: PersonFollower | None = None,
         identity: Identity = "tracked",
         detection: Detection = "observed",
-        told_camera: bool = False,
+        true_camera: bool = False,
         detector: PeopleFromAbove | None = None,
     ) -> None:
         self.controller = controller
         self.follower = follower or PersonFollower()
-        self.identity, self.detection, self.told_camera = identity, detection, told_camera
+        self.identity, self.detection, self.true_camera = identity, detection, true_camera
         self.detector = detector or PeopleFromAbove()
         self._alignment = Alignment()
 
     def initial(self, observation: Mapping[str, Any]) -> FollowServoState:
-        """State before the first observation, which has a leading axis and is to be given to `predict` again.
+        """Return the state before the first observation, which has a leading axis and is passed to `predict` again.
 
         Raises:
-            ValueError: A key is missing.
+            ValueError: A missing key.
         """
         seen, _ = self._seen(observation)
         return self._initial(seen, self._detections(seen))
 
     def goal(self, observation: Mapping[str, Any]) -> Array:
-        """Where the person is wanted, in the pixels of `FollowServoState.belief`. Shape (*batch, 2), px."""
+        """Return the goal in the pixels of `FollowServoState.belief`. Shape (*batch, 2), px."""
         goal = np.asarray(observation["goal"], np.float64)
         if "image" in observation:
             goal = goal * (self.detector.reference_size / np.shape(observation["image"])[-2])
@@ -109,16 +111,16 @@ class FollowServo:
         """Choose joint rates.
 
         Args:
-            observation: As `PedestrianServo-v0` gives it, single or with a leading axis.
-            state: What the last call returned; None starts anew.
+            observation: Observation of `PedestrianServo-v0`, single or with a leading axis.
+            state: Result of the last call; None starts anew.
             episode_start: Rows that start anew. Shape (N,), or a scalar for a single observation.
-            deterministic: These agents always are.
+            deterministic: Ignored: the action is always deterministic.
 
         Returns:
-            Shape (*batch, n), in [-1, 1]; and the new state.
+            The action, shape (*batch, n), in [-1, 1], and the new state.
 
         Raises:
-            ValueError: A key is missing or a measurement is bad.
+            ValueError: A missing key or an invalid measurement.
         """
         seen, single = self._seen(observation)
         detections = self._detections(seen)
@@ -127,7 +129,7 @@ class FollowServo:
         fresh = stamp > state.frame_time
         frames, increment = self._alignment.step(state.frames, _measurement(seen, seen["goal"], fresh))
         joints = state.frames.frame_joints, frames.frame_joints
-        # Until there have been two frames nothing has moved.
+        # Before the second frame there is no motion.
         first = ~state.frames.seen
         before = np.where(first[:, None], joints[1], joints[0])
         elapsed = np.where(increment.fresh, increment.time, self.follower.period)
@@ -139,7 +141,7 @@ class FollowServo:
         return (action[0] if single else action), FollowServoState(stamp, frames, person, servo)
 
     def _seen(self, observation: Mapping[str, Any]) -> tuple[dict[str, Any], bool]:
-        """The observation with a leading axis, in the camera's pixels, and whether it came without that axis."""
+        """Return the observation with a leading axis in the camera's pixels, and True if it came without that axis."""
         missing = [key for key in KEYS if not isinstance(observation, Mapping) or key not in observation]
         if not missing and not {"detections", "image"}.intersection(observation):
             missing = ["detections (or image)"]
@@ -185,26 +187,26 @@ class FollowServo:
         before: Array,
         after: Array,
     ) -> tuple[FollowState, Sighting]:
-        """Where the person is, by whatever decides about identity here."""
+        """Return the person's new state and position, by the agent's `identity`."""
         person = state.person
         if self.identity == "tracked":
             ego = self._ego_motion(seen, state)
             return self.follower.step(person, detections, fresh, elapsed, ego, before, after)
-        told = self.identity == "oracle"
-        wanted = seen["true_people"][:, 0, 1:3] if told else person.place
-        reach = _ORACLE_REACH if told else _NEAREST_REACH
+        oracle = self.identity == "oracle"
+        wanted = seen["true_people"][:, 0, 1:3] if oracle else person.place
+        reach = ORACLE_GATE if oracle else NEAREST_GATE
         distance = np.hypot(*(detections[:, :, 1:3] - wanted[:, None]).transpose(2, 0, 1))
         distance = np.where(detections[:, :, 0] > 0.5, distance, np.inf)
         nearest = distance.argmin(axis=1)
         rows = np.arange(len(nearest))
         visible = fresh & (distance[rows, nearest] < reach)
-        if told:
+        if oracle:
             visible &= seen["true_people"][:, 0, 0] > 0.5
         features = np.where(visible[:, None], detections[rows, nearest, 1:3], person.place)
         return person._replace(place=features), Sighting(features, visible)
 
     def _ego_motion(self, seen: Mapping[str, Any], state: FollowServoState) -> EgoMotion:
-        if self.told_camera:
+        if self.true_camera:
             return CameraMotion(seen["true_camera"], seen["true_links"])
         belief = state.servo.estimator
         if isinstance(belief, LiftedState):
@@ -213,5 +215,5 @@ class FollowServo:
 
 
 def _measurement(seen: Mapping[str, Any], features: Array, visible: Mask) -> Any:
-    """A servo's measurement of these features in the newest frame."""
+    """Return a servo's measurement with these features in the newest frame."""
     return servo_measurement({**seen, "features": features, "visible": visible[:, None]})

@@ -217,9 +217,7 @@ def _predicting_sets(file: Path, card: LearnedCard, env: Any) -> SetPredictor:
 
     network, scene = OnnxNetwork(file.parent / card.network, card), public_attribute(env, "scene_model")
     if not isinstance(scene, SceneModel):
-        raise AgentFileError(
-            f"{file} needs an environment whose `unwrapped.scene_model` is a SceneModel"
-        )
+        raise AgentFileError(f"{file} needs an environment whose `unwrapped.scene_model` is a SceneModel")
     try:
         window = SetWindow.of(card.encoding)
     except ValueError as error:

@@ -86,7 +86,7 @@ class LearnedJacobian:
         if np.ndim(measurement.time) == 0:
             state, estimate = self.step(add_axis(state), add_axis(measurement))
             return first_row(state), LinearEstimate(
-                estimate.error[0], estimate.jacobian[0], estimate.log_likelihood[0], estimate.surprise[0]
+                estimate.error[0], estimate.jacobian[0], estimate.log_likelihood[0], estimate.nis[0]
             )
         alignment, increment = self.alignment.step(state.alignment, measurement)
         joints = np.asarray(measurement.joint_angles, np.float64)

@@ -1,4 +1,4 @@
-"""Jacobian estimators that only serve as anchors: one stops learning after its first moves, one is told the truth."""
+"""Anchor estimators of the Jacobian: one is fixed after the first moves, one returns the true Jacobian."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class FixedState(NamedTuple):
     """State of `FixedJacobian`.
 
     Attributes:
-        learner: State of the filter that learns from the exploratory moves; only its alignment goes on changing later.
-        steps: Steps so far. Shape (*batch,), int.
+        learner: State of the filter during the exploratory moves; later only its alignment changes.
+        steps: Number of steps so far. Shape (*batch,), int.
     """
 
     learner: KalmanState
@@ -28,22 +28,22 @@ class FixedState(NamedTuple):
 
 @dataclass(frozen=True)
 class FixedJacobian:
-    """J_theta(0), found from the first moves and never updated; J_t = 0, for what the target did then is no guide.
+    """Initial Jacobian J_theta(0), estimated from the first moves and never updated; J_t = 0.
 
     Args:
-        learner: Filter that sees the first moves.
-        learning_steps: How many steps it sees; the moves of the controller's `Excitation` and the frame after the last.
+        learner: Filter of the first moves.
+        learning_steps: Number of its steps: the moves of the controller's `Excitation` and the frame after the last.
     """
 
     learner: KalmanJacobian = field(default_factory=KalmanJacobian)
     learning_steps: int = 7
 
     def initial(self, measurement: ServoMeasurement) -> FixedState:
-        """State before the first move. Raises ValueError as the learner does."""
+        """Return the state before the first move. Raises ValueError as the learner does."""
         return FixedState(self.learner.initial(measurement), np.zeros(np.shape(measurement.time), dtype=np.int64))
 
     def step(self, state: FixedState, measurement: ServoMeasurement) -> tuple[FixedState, LinearEstimate]:
-        """Fold one measurement in. Raises ValueError as the learner does."""
+        """Process one measurement. Raises ValueError as the learner does."""
         learned, _ = self.learner.step(state.learner, measurement)
         alignment, increment = self.learner.alignment.step(state.learner.alignment, measurement)
         kept = state.learner._replace(alignment=alignment)
@@ -63,20 +63,20 @@ class OracleState(NamedTuple):
 
 @dataclass(frozen=True)
 class OracleJacobian:
-    """The analytic total Jacobian of the present, on the same features as everybody else; privileged.
+    """Analytic total Jacobian of the present, on the same features as all other agents; privileged.
 
     Args:
-        alignment: Bridges the age of the newest frame.
+        alignment: Compensates the age of the newest frame.
     """
 
     alignment: Alignment = field(default_factory=Alignment)
 
     def initial(self, measurement: ServoMeasurement) -> OracleState:
-        """State before the first step. Raises ValueError as `Alignment` does."""
+        """Return the state before the first step. Raises ValueError as `Alignment` does."""
         return OracleState(self.alignment.initial(measurement))
 
     def step(self, state: OracleState, measurement: Any) -> tuple[OracleState, LinearEstimate]:
-        """Fold in a measurement that carries `true_jacobian`, shape (*batch, m, n + 1), px/rad and px/s."""
+        """Process a measurement with `true_jacobian`, shape (*batch, m, n + 1), px/rad and px/s."""
         alignment, increment = self.alignment.step(state.alignment, measurement)
         jacobian: Array = np.asarray(measurement.true_jacobian, dtype=np.float64)
         silent = np.zeros(np.shape(measurement.time))

@@ -38,7 +38,7 @@ CARDS = (
     _servo("parametric-ekf", "structure", "extended Kalman filter of the arm's and camera's parameters, mounting bank"),
     _servo("parametric-ukf", "structure", "unscented Kalman filter of the same parameters, mounting bank"),
     _servo("lifted-kf", "structure", "Kalman filter of the lifted planar arm, targets of any swing", law="one-step"),
-    _servo("lifted-kf-swinging", "prior", "the same, told that targets swing at 0.5 to 1.5 rad/s", law="one-step"),
+    _servo("lifted-kf-swinging", "prior", "the same with known swing rates, 0.5 to 1.5 rad/s", law="one-step"),
     _servo("latency-bank-kf", "model-free", "Kalman filters, one per hypothesis on the unstamped latency"),
     _servo(
         "latency-bank-lifted-kf",
@@ -50,7 +50,7 @@ CARDS = (
     _servo(
         "informed-bound",
         "privileged",
-        "told camera, links and latency, but not the future",
+        "known camera, links and latency, unknown future",
         law="one-step",
         requires=TRUTH,
     ),

@@ -1,13 +1,13 @@
-"""The servo agents by name: which estimator and which law, one setting for all levels."""
+"""Servo agents by name: their estimators and control laws, one setting for all levels."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, cast
 
+from servotrack.baselines.agents.hyper_parameters import with_values
 from servotrack.baselines.agents.servo.anchors import FixedJacobian, OracleJacobian
-from servotrack.baselines.agents.servo.hyper_parameters import with_values
 from servotrack.baselines.agents.servo.jacobian_servo import OBSERVATION_KEYS, JacobianServo
 from servotrack.baselines.agents.servo.pixel_servo import PIXEL_KEYS, PixelServo
 from servotrack.baselines.worlds import public_attribute
@@ -30,18 +30,20 @@ from servotrack.estimators.jacobian import (
     UnscentedJacobian,
 )
 from servotrack.estimators.jacobian.bank import HypothesisBank, Latencies, Mountings
+from servotrack.estimators.jacobian.contract import JacobianEstimator
 from servotrack.estimators.jacobian.informed import InformedKalman
+from servotrack.estimators.jacobian.laws import ControlLaw
 from servotrack.estimators.jacobian.lifted import SWINGING_MODELS, LiftedKalman
 from servotrack.estimators.jacobian.parametric import ParametricKalman
 
 
 def unscented_as_printed() -> UnscentedJacobian:
-    """The noise blocks of paper 002, eq. (21), as printed, at the variances that our reproduction of it assumes."""
+    """Create the UKF with the noise blocks of paper 002, eq. (21), as printed, at the variances of our reproduction."""
     process = math.sqrt(31.6)
     return UnscentedJacobian(walk=RandomWalk(process, process), measurement_noise=10.0, as_printed=True)
 
 
-ESTIMATORS: Mapping[str, Callable[[], Any]] = {
+ESTIMATORS: Mapping[str, Callable[[], JacobianEstimator]] = {
     "fixed-jacobian": FixedJacobian,
     "broyden": BroydenJacobian,
     "rls": RecursiveLeastSquares,
@@ -59,10 +61,11 @@ ESTIMATORS: Mapping[str, Callable[[], Any]] = {
     "latency-bank-kf": lambda: HypothesisBank(KalmanJacobian(), Latencies()),
     "latency-bank-lifted-kf": lambda: HypothesisBank(LiftedKalman(), Latencies()),
     "oracle": OracleJacobian,
-    "informed-bound": InformedKalman,
+    # Its measurements carry the truth, which only privileged environments give.
+    "informed-bound": lambda: cast("JacobianEstimator", InformedKalman()),
 }
 
-LAWS: Mapping[str, Callable[[], Any]] = {
+LAWS: Mapping[str, Callable[[], ControlLaw]] = {
     "proportional": Proportional,
     "pi": ProportionalIntegral,
     "damped": DampedLeastSquares,
@@ -70,24 +73,24 @@ LAWS: Mapping[str, Callable[[], Any]] = {
 }
 
 _NO_PROBING = frozenset({"oracle", "informed-bound"})
-"""Agents that are told what probing would show."""
+"""Agents that need no probing because they receive the true Jacobian or camera."""
 _NO_SUPERVISOR = frozenset({"fixed-jacobian"})
-"""Agents for which learning anew would defeat their purpose."""
+"""Agents that must not restart learning."""
 
 
 def servo_controller(
     estimator: str, law: str, max_joint_rate: float, values: Mapping[str, float] | None = None
 ) -> ServoController:
-    """The controller of an agent.
+    """Create the controller of an agent.
 
     Args:
         estimator: A key of `ESTIMATORS`.
         law: A key of `LAWS`.
-        max_joint_rate: rad/s.
-        values: Numbers of the estimator that are not to be its defaults; see `with_values`.
+        max_joint_rate: Joint rate limit, rad/s.
+        values: Numbers of the estimator that differ from its defaults, by path; see `with_values`.
 
     Raises:
-        ValueError: `values` lead nowhere, or the estimator refuses one.
+        ValueError: `values` that do not fit the estimator.
     """
     return ServoController(
         estimator=with_values(ESTIMATORS[estimator](), values or {}),
@@ -101,18 +104,18 @@ def servo_controller(
 def create_servo_agent(
     env: Any, estimator: str, law: str, values: Mapping[str, float] | None = None
 ) -> JacobianServo | PixelServo:
-    """A servo agent for an environment, of which only `max_joint_rate` and the observation space are read.
+    """Create a servo agent; only the environment's `max_joint_rate` and observation space are read.
 
-    Where images are observed instead of features, a marker detector sits in front.
+    If images are observed instead of features, a marker detector comes first.
 
     Args:
         env: A servo environment or vector environment.
         estimator: A key of `ESTIMATORS`.
         law: A key of `LAWS`.
-        values: Numbers of the estimator that are not to be its defaults; see `with_values`.
+        values: Numbers of the estimator that differ from its defaults, by path; see `with_values`.
 
     Raises:
-        ValueError: The environment is no servo; `values` do not fit the estimator.
+        ValueError: An environment that is not a servo, or `values` that do not fit the estimator.
     """
     space = getattr(env, "single_observation_space", env.observation_space)
     max_joint_rate = public_attribute(env, "max_joint_rate")
@@ -122,7 +125,7 @@ def create_servo_agent(
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
         raise ValueError(
             f"agent {estimator!r} needs an environment with max_joint_rate and the observations "
-            f"{', '.join(OBSERVATION_KEYS)} (or image); {name} is none: choose UncalibServo-v0, or another agent"
+            f"{', '.join(OBSERVATION_KEYS)} (or image); {name} lacks them: choose UncalibServo-v0, or another agent"
         )
     servo = JacobianServo(servo_controller(estimator, law, float(max_joint_rate), values))
     return PixelServo(servo) if sees_pixels else servo

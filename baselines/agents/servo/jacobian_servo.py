@@ -1,4 +1,4 @@
-"""Agents that servo by an online estimate of the image Jacobian."""
+"""Visual servo with an online estimate of the image Jacobian."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class PrivilegedMeasurement(NamedTuple):
     """A `ServoMeasurement` with the truth beside it, for anchors.
 
     Attributes:
-        joint_angles, features, goal, visible, frame_time, time: As in `ServoMeasurement`.
-        geometry: Who took it.
+        joint_angles, features, goal, visible, frame_time, time: See `ServoMeasurement`.
+        geometry: True camera, links and latency.
         true_jacobian: Analytic total Jacobian of the present. Shape (*batch, m, n + 1), px/rad and px/s.
     """
 
@@ -36,10 +36,10 @@ class PrivilegedMeasurement(NamedTuple):
 
 
 def servo_measurement(observation: Mapping[str, Any]) -> ServoMeasurement | PrivilegedMeasurement:
-    """The measurement in a servo observation, single or batched; with the truth where the observation holds it.
+    """Convert a servo observation, single or batched, to a measurement, with the truth if the observation has it.
 
     Raises:
-        ValueError: A key is missing.
+        ValueError: A missing key.
     """
     missing = [key for key in OBSERVATION_KEYS if not isinstance(observation, Mapping) or key not in observation]
     if missing:
@@ -78,19 +78,19 @@ class JacobianServo:
         episode_start: Mask | None = None,
         deterministic: bool = True,
     ) -> tuple[FloatArray, ControllerState]:
-        """Choose joint rates; `state` is the controller's.
+        """Choose joint rates.
 
         Args:
-            observation: As `UncalibServo-v0` gives it, single or with a leading axis.
-            state: What the last call returned; None starts anew.
+            observation: Observation of `UncalibServo-v0`, single or with a leading axis.
+            state: Result of the last call; None starts anew.
             episode_start: Rows that start anew. Shape (N,), or a scalar for a single observation.
-            deterministic: These agents always are.
+            deterministic: Ignored: the action is always deterministic.
 
         Returns:
-            Shape (*batch, n), in [-1, 1]; and the new state.
+            The action, shape (*batch, n), in [-1, 1], and the new state.
 
         Raises:
-            ValueError: A key is missing or a measurement is bad.
+            ValueError: A missing key or an invalid measurement.
         """
         measurement: Any = servo_measurement(observation)
         batch = np.shape(measurement.time)

@@ -1,4 +1,4 @@
-"""What `servotrack tune` tries: the values of every agent's own hyper-parameters, and whose values an agent borrows.
+"""Values that `servotrack tune` tries for the servo agents, and the agents that borrow values from others.
 
 Every grid holds the estimator's default. Steps are factors of two where only the order of magnitude matters, finer for
 probabilities. Exploratory moves, supervisor and control laws are common to all agents and are not searched.
@@ -72,7 +72,7 @@ GRIDS: Mapping[str, Grid] = {
         "models.4.jump": (250.0, 500.0, 1000.0),
     },
 }
-"""Agent to hyper-parameter, as a path into its estimator, to the values tried."""
+"""Values tried, by agent and path into its estimator."""
 
 BORROWED: Mapping[str, str] = {
     "fixed-jacobian": "kf",
@@ -85,7 +85,7 @@ BORROWED: Mapping[str, str] = {
     "latency-bank-lifted-kf": "lifted-kf",
     "informed-bound": "lifted-kf-swinging",
 }
-"""Agent to the one whose values it uses beside its own; what those cost to find counts for both."""
+"""Agents that also use the values of another agent; the steps of that search count for both."""
 
 UNTUNED = frozenset({"random", "oracle", "ukf-as-printed"})
-"""Nothing to tune; the noise of `ukf-as-printed` is what the reproduction of paper 002 assumes."""
+"""Agents without tunable values; `ukf-as-printed` has the noise that the reproduction of paper 002 assumes."""

@@ -25,5 +25,5 @@ CARDS = (
     _sonar("viterbi", "path of most integrated power, one target after the other, each taken out of the record"),
     _sonar("peak-nearest-neighbor", "peaks of each record, joined to the nearest track"),
     _sonar("peak-kalman-hungarian", "peaks of each record, Kalman tracks, one assignment per record"),
-    _sonar("bearing-oracle", "told the true bearings", "privileged", requires=TRUTH),
+    _sonar("bearing-oracle", "reports the true bearings", "privileged", requires=TRUTH),
 )

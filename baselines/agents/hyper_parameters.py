@@ -4,30 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
+
+EstimatorT = TypeVar("EstimatorT")
 
 
-def value_at(estimator: Any, path: str) -> float:
-    """The number at a path.
+def value_at(estimator: object, path: str) -> float:
+    """Return the number at a path.
 
     Raises:
-        ValueError: Nothing is there.
+        ValueError: A path that leads nowhere.
     """
-    found = estimator
+    found: Any = estimator
     for name in path.split("."):
         found = _part(found, name, path)
     return found
 
 
-def with_values(estimator: Any, values: Mapping[str, float]) -> Any:
-    """A copy of an estimator with other numbers; the estimator's own checks apply.
+def with_values(estimator: EstimatorT, values: Mapping[str, float]) -> EstimatorT:
+    """Return a copy of an estimator with other numbers; the estimator's own checks apply.
 
     Args:
         estimator: A dataclass, which may hold dataclasses and tuples of them.
         values: Path to number.
 
     Raises:
-        ValueError: A path leads nowhere, or the estimator refuses a number.
+        ValueError: A path that leads nowhere, or a number that the estimator refuses.
     """
     for path, value in values.items():
         estimator = _replaced(estimator, path, path, value)

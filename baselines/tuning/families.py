@@ -1,0 +1,115 @@
+"""Families of agents that `servotrack tune` can search: their environment, grids, defaults and how values are set.
+
+To make the agents of another world tunable, give them a grid in `agents/<family>/tuning_grid.py` and add a family here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from servotrack.baselines.agents.clutter import tuning_grid as clutter_grid
+from servotrack.baselines.agents.clutter.catalog import track_filter
+from servotrack.baselines.agents.color import tuning_grid as color_grid
+from servotrack.baselines.agents.color.catalog import color_tracker
+from servotrack.baselines.agents.hyper_parameters import value_at
+from servotrack.baselines.agents.protocol import AgentCard
+from servotrack.baselines.agents.registry import agent_card
+from servotrack.baselines.agents.servo import tuning_grid as servo_grid
+from servotrack.baselines.agents.servo.catalog import ESTIMATORS
+from servotrack.baselines.agents.tuning_record import Values
+from servotrack.envs.track.clutter.config import clutter_config
+from servotrack.envs.track.clutter.scene_model import scene_model_of
+
+Grid = Mapping[str, Sequence[Any]]
+
+
+@dataclass(frozen=True)
+class TuningFamily:
+    """Agents that are tuned in one environment.
+
+    Attributes:
+        env_id: Gymnasium id.
+        levels: Levels of the environment that every setting is measured on.
+        grids: Values tried, by agent and hyper-parameter.
+        create: Creates the estimator of an agent with its default values.
+        insert: Returns a card whose agent is created with other values.
+        borrowed: Agents that use the values of another agent.
+        untuned: Agents that have nothing to tune.
+    """
+
+    env_id: str
+    levels: tuple[int, ...]
+    grids: Mapping[str, Grid]
+    create: Callable[[str], object]
+    insert: Callable[[AgentCard, Values], AgentCard]
+    borrowed: Mapping[str, str] = field(default_factory=dict)
+    untuned: frozenset[str] = frozenset()
+
+    def default_values(self, agent: str) -> Values:
+        """Return the default of each hyper-parameter in an agent's grid."""
+        estimator = self.create(agent)
+        return {path: value_at(estimator, path) for path in self.grids[agent]}
+
+
+def _as_mapping(card: AgentCard, values: Values) -> AgentCard:
+    return replace(card, parameters={**card.parameters, "values": values})
+
+
+def _as_keywords(card: AgentCard, values: Values) -> AgentCard:
+    return replace(card, parameters={**card.parameters, **values})
+
+
+FAMILIES = (
+    TuningFamily(
+        "UncalibServo-v0",
+        (0, 1, 2, 3, 4, 5),
+        servo_grid.GRIDS,
+        lambda agent: ESTIMATORS[agent](),
+        _as_mapping,
+        servo_grid.BORROWED,
+        servo_grid.UNTUNED,
+    ),
+    TuningFamily(
+        "ClutterTracking-v0",
+        (0, 1, 2, 3, 4, 5, 6, 7),
+        clutter_grid.GRIDS,
+        # The searched defaults are those of the filters' classes, the same at every level.
+        lambda agent: track_filter(agent, scene_model_of(clutter_config(0))),
+        _as_mapping,
+        clutter_grid.BORROWED,
+    ),
+    TuningFamily("ColorTracking-v0", (0, 1, 2, 3, 4, 5), color_grid.GRIDS, color_tracker, _as_keywords),
+)
+
+
+def family_of(agent: str) -> TuningFamily:
+    """Return the family whose grids hold an agent.
+
+    Raises:
+        ValueError: An unknown agent, or one without a grid.
+    """
+    agent_card(agent)
+    for family in FAMILIES:
+        if agent in family.grids:
+            return family
+    lenders = [family.borrowed[agent] for family in FAMILIES if agent in family.borrowed]
+    reason = f"it uses the values of {lenders[0]}" if lenders else "nothing of it can be tuned"
+    known = ", ".join(name for family in FAMILIES for name in family.grids)
+    raise ValueError(f"agent {agent!r} has no values of its own to tune ({reason}); choose of {known}")
+
+
+def common_family(agents: Sequence[str]) -> TuningFamily:
+    """Return the family of several agents.
+
+    Raises:
+        ValueError: An unknown agent, one without a grid, or agents of different families.
+    """
+    families = {family.env_id: family for family in map(family_of, agents)}
+    if len(families) != 1:
+        raise ValueError(
+            f"agents must be at least one, all tuned in the same environment, got {', '.join(agents) or 'none'} "
+            f"({', '.join(families) or 'no environment'}); run `servotrack tune` once for each environment"
+        )
+    return next(iter(families.values()))
