@@ -117,7 +117,7 @@ class SetScorer:
 
 @njit(cache=True, nogil=True)
 def _labeled(existence, labels, following):  # type: ignore[no-untyped-def]
-    """Return the identities after an answer, shape (N, rows). New ones are numbered from `following`, changed in place."""
+    """Return the identities after an answer, shape (N, rows). New ones are numbered from `following` on."""
     out = np.full(labels.shape, -1, np.int64)
     for row in range(len(labels)):
         for k in range(labels.shape[1]):

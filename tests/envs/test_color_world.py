@@ -156,7 +156,7 @@ def test_an_episode_tells_its_scores_at_the_end_and_counts_the_first_frame() -> 
         ({"zoom": 0.5}, r"zoom must lie in \[1, 2.5\], got 0.5"),
         ({"sensor_noise": float("nan")}, "sensor_noise must lie in"),
         ({"horizon": 2.5}, "horizon must be a whole number"),
-        ({"head_height": 100.0, "zoom": 2.0}, "the head has to stay inside"),
+        ({"head_height": 100.0, "zoom": 2.0}, "the head must fit into the frame"),
         ({"head_height": 100.0, "width": 96, "height": 400}, "0.75 of its width = 72 px, got 100"),
         ({"render_mode": "text"}, "render_mode must be None or one of"),
     ],

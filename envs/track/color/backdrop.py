@@ -1,4 +1,4 @@
-"""A room with shelves, pictures, plants and wood behind the people of the color world, a new one for every seed."""
+"""Random background of color tracking scenes: a room with shelves, pictures, wood panels and plants."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ def paint_backdrop(
     """Paint a room.
 
     Args:
-        rng: Decides everything.
-        width: Of the picture, px.
-        height: Of the picture, px.
-        own: The target's colors, for what is to look like it.
-        camouflage: Share of things that have them.
+        rng: Random generator of the room.
+        width: Width of the picture, px.
+        height: Height of the picture, px.
+        own: Colors of the target, used for camouflage.
+        camouflage: Share of objects that have one of these colors, 0 to 1.
 
     Returns:
-        Shape (height, width, 3), uint8.
+        RGB image, shape (height, width, 3), uint8.
     """
     image = np.empty((height, width, 3), np.float32)
     image[:] = _tint(rng, _WALLS)
@@ -50,7 +50,7 @@ def _tint(rng: np.random.Generator, palette: tuple[Color, ...]) -> Array:
 
 
 def _thing(rng: np.random.Generator, palette: tuple[Color, ...], own: tuple[Color, ...], camouflage: float) -> Array:
-    """The color of a thing: one of the palette, or one of the target's."""
+    """Return a color of the palette or, with probability `camouflage`, of the target."""
     if rng.random() < camouflage:
         return np.array(own[int(rng.integers(len(own)))]) * rng.uniform(0.92, 1.08)
     return _tint(rng, palette)

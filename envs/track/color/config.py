@@ -1,4 +1,4 @@
-"""Every parameter of the color world, and the levels that set them."""
+"""Parameters of the color tracking environment, and the levels that set them."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ from typing import Any
 from servotrack.envs.arguments import check_fields, check_keywords, check_level
 
 LEVEL_NAMES = ("irregular", "occlusion", "distractor", "scale", "light", "pan_zoom")
-"""The scenarios of paper 001's figure 4 and of its text, in the order of the levels."""
+"""Scenarios of Zhang and Li 2008 (figure 4 and text), in the order of the levels."""
 
 
 @dataclass(frozen=True)
 class ColorConfig:
-    """All that defines a color world. An axis at 0 is off.
+    """Parameters of a color tracking environment. The value 0 turns a difficulty off; for factors it is 1.
 
     Attributes:
-        horizon: Frames of an episode that are answered.
-        width: Of the frame, px.
-        height: Of the frame, px.
+        horizon: Number of answered frames of an episode.
+        width: Width of the frame, px.
+        height: Height of the frame, px.
         frame_rate: Frames per second.
-        head_height: Height of the head before any zoom, without hair that hangs down, px.
-        speed: Largest speed that the head takes up, px per frame.
-        restlessness: Mean number of times a second that the head takes up another velocity.
-        turning: How far the head turns to the sides, 0 (never) to 1 (the face nearly gone).
+        head_height: Height of the head at zoom 1, without long hair, px.
+        speed: Maximum speed of the head, px per frame.
+        restlessness: Mean number of velocity changes of the head per second.
+        turning: Amplitude of the yaw of the head, 0 (always frontal) to 1 (face nearly invisible).
         tilt: Standard deviation of the head's roll, rad.
-        occlusions: How often something passes before the head.
-        occlusion_frames: About how many frames the head is then out of sight.
-        distractors: People beside the target who look like it.
-        similarity: How much distractors look like the target, 0 (as strangers do) to 1 (alike).
-        zoom: Largest factor by which the camera zooms in or out.
+        occlusions: Number of times that an object occludes the head.
+        occlusion_frames: Approximate duration of an occlusion, frames.
+        distractors: Number of people near the target who look like it.
+        similarity: Similarity of distractors to the target, 0 (random appearance) to 1 (same head).
+        zoom: Maximum factor by which the camera zooms in or out.
         pan: Standard deviation of the camera's pan, px of the scene.
-        light_change: Largest factor by which the light gets brighter or darker.
-        light_tint: Largest factor between the red and the blue light.
-        camouflage: Share of the backdrop that is painted in the target's own colors, 0 to 1.
-        sensor_noise: Standard deviation of a pixel's noise, gray levels.
+        light_change: Maximum factor by which the light gets brighter or darker.
+        light_tint: Maximum ratio of red to blue light, and of blue to red.
+        camouflage: Share of the objects in the background that have the colors of the target, 0 to 1.
+        sensor_noise: Standard deviation of the pixel noise, gray levels.
     """
 
     horizon: int = 200
@@ -58,13 +58,13 @@ class ColorConfig:
     sensor_noise: float = 3.0
 
     def __post_init__(self) -> None:
-        """Check every field; raises ValueError that names the argument, the value and what would be right."""
+        """Check every field. A ValueError names the argument, its value and the valid values."""
         check_fields(self, _BOUNDS, _WHOLE)
         tallest = min(_ROOM * self.height, _BREADTH * self.width)
         if self.head_height * self.zoom > tallest:
             raise ValueError(
                 f"head_height * zoom must be at most {_ROOM:g} of the frame's height and {_BREADTH:g} of its width = "
-                f"{tallest:g} px, got {self.head_height * self.zoom:g}; the head has to stay inside"
+                f"{tallest:g} px, got {self.head_height * self.zoom:g}; the head must fit into the frame"
             )
 
 
@@ -91,9 +91,9 @@ _BOUNDS: tuple[tuple[str, float, float], ...] = (
 )
 _WHOLE = frozenset({"horizon", "width", "height", "occlusions", "distractors"})
 _ROOM = 0.5
-"""Largest share of the frame's height that a head may take."""
+"""Maximum height of a head, as a share of the frame height."""
 _BREADTH = 0.75
-"""Largest height of a head, which with all its hair is a little wider than high, as a share of the frame's width."""
+"""Maximum height of a head, as a share of the frame width. With its hair a head is slightly wider than high."""
 
 _LEVELS: tuple[dict[str, Any], ...] = (
     {"speed": 8.0, "restlessness": 3.0, "turning": 0.8, "tilt": 0.15},
@@ -107,26 +107,26 @@ AXES = tuple(f.name for f in fields(ColorConfig))
 
 
 def color_config(level: int = 0, scenario: str | None = None, **axes: Any) -> ColorConfig:
-    """The configuration of a level, with single parameters overridden.
+    """Return the configuration of a level, with some parameters overridden.
 
     Args:
         level: 0 `irregular`, 1 `occlusion`, 2 `distractor`, 3 `scale`, 4 `light`, 5 `pan_zoom`.
-        scenario: One of these names, instead of a level.
-        **axes: Fields of `ColorConfig`.
+        scenario: Name of a level, instead of `level`.
+        **axes: Fields of `ColorConfig` with the values to use.
 
     Raises:
-        ValueError: A level or scenario that does not exist, or a value outside its bounds.
-        TypeError: An unknown keyword; the message suggests the nearest known one.
+        ValueError: If the level or scenario does not exist or a value is outside its bounds.
+        TypeError: If a keyword is unknown; the message suggests the nearest known one.
     """
     check_keywords(axes, AXES)
     return replace(ColorConfig(), **{**_LEVELS[color_level(level, scenario)], **axes})
 
 
 def color_level(level: int = 0, scenario: str | None = None) -> int:
-    """The number of a level that is given by number or by name.
+    """Return the number of a level that is given by number or by name.
 
     Raises:
-        ValueError: A level or scenario that does not exist.
+        ValueError: If the level or scenario does not exist.
     """
     if scenario is not None:
         if scenario not in LEVEL_NAMES:

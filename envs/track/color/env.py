@@ -1,4 +1,4 @@
-"""One colored object in a video, its box given in the first frame: the world of paper 001."""
+"""ColorTracking-v0: single-object tracking by color, with the box of the first frame given."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ METADATA: dict[str, Any] = {"servotrack_kind": "color", "render_modes": list(REN
 
 
 class ColorTrackingEnv(TrackEnv):
-    """Keep a box around a head that moves, hides, grows and changes color, in a room full of colors like its own.
+    """Track the head of a person in rendered color video, through motion, occlusion, distractors, scale and light.
 
     ## Description
 
-    A camera films a person in a room, at 25 frames a second. The box of the person's head is given in the first frame;
-    from then on the agent says in every frame where it is. Person, room, motion and light are drawn anew for every
-    seed: hair, face and clothes move a little apart as the head turns and tilts, so that its colors and their shares
-    change all the time. The levels are the scenarios of paper 001:
+    A camera records a person in a room at 25 frames per second. The bounding box of the person's head is given for the
+    first frame; the agent then reports the box in every frame. Person, room, motion and light are random. Hair, face
+    and clothes are separate layers that shift against each other as the head turns and tilts, so that the color
+    histogram of the head changes all the time. The levels are the scenarios of Zhang and Li 2008:
 
     | level | scenario |
     |---|---|
-    | 0 `irregular` | up to 8 px a frame, another velocity three times a second |
-    | 1 `occlusion` | three times something passes before the head and hides it for about 6 frames |
-    | 2 `distractor` | somebody with nearly the same head stays near and goes past behind the target |
-    | 3 `scale` | the camera zooms in and out, up to 1.8 |
-    | 4 `light` | the light gets brighter and darker, up to 1.9, warmer and colder |
+    | 0 `irregular` | speeds of up to 8 px per frame; the velocity changes three times per second on average |
+    | 1 `occlusion` | an object occludes the head three times, for about 6 frames each |
+    | 2 `distractor` | a person with a similar head stays close and passes behind the target |
+    | 3 `scale` | the camera zooms in and out by a factor of up to 1.8 |
+    | 4 `light` | brightness changes by a factor of up to 1.9, and the color of the light changes |
     | 5 `pan_zoom` | the camera pans and zooms |
 
     ## Action Space
 
-    `Box((4,), float64)`: left, top, width and height of the target in the newest frame, px; pixel i spans i to i + 1.
-    `gymnasium.wrappers.RescaleAction` gives learners the range -1 to 1 that `check_env` recommends.
+    `Box((4,), float64)`: left, top, width and height of the target in the newest frame, px; pixel i covers [i, i + 1].
+    `gymnasium.wrappers.RescaleAction` converts it to the range -1 to 1 that `check_env` recommends for learning.
 
     ## Observation Space
 
@@ -49,35 +49,35 @@ class ColorTrackingEnv(TrackEnv):
 
     | key | shape | type | meaning |
     |---|---|---|---|
-    | `frame` | (245, 300, 3) | uint8 | the newest frame, RGB |
-    | `first_box` | (4,) | float64 | left, top, width and height of the target in the episode's first frame, px |
+    | `frame` | (245, 300, 3) | uint8 | newest frame, RGB |
+    | `first_box` | (4,) | float64 | left, top, width and height of the target in the first frame of the episode, px |
 
     ## Rewards
 
-    Intersection over union of the answer with the true box of the frame that was answered, 0 to 1. The true box holds
-    hair and face, also those parts of it that something hides.
+    Intersection over union (IoU) of the answer and the true box of the same frame, 0 to 1. The true box encloses hair
+    and face, including their occluded parts.
 
-    `info` holds, for evaluation and not for agents: `iou` and `center_error` (px) of the last answer, from the first
-    answer on; `truth` of the newest frame: `box` (4,), px; at the episode's end the scores of a one-pass evaluation:
-    `auc`, the area under the success curve (share of frames with an overlap above 0, 0.05, ..., 1), `precision`, the
-    share of frames with a center error of at most 20 px, and `failures`, the number of runs of frames without overlap.
-    The first frame counts, as in the object tracking benchmark.
+    `info` serves evaluation; agents must not use it. From the first answer on it holds `iou` and `center_error` (px) of
+    the last answer. `truth` holds `box` (4,), px, the true box of the newest frame. At the end of the episode it holds
+    the scores of the one-pass evaluation (OPE): `auc`, the area under the success curve (share of frames with an IoU
+    above 0, 0.05, ..., 1); `precision`, the share of frames with a center error of at most 20 px; and `failures`, the
+    number of runs of frames without overlap. The first frame is scored, as in the object tracking benchmark.
 
     ## Starting State
 
-    The first frame. Every quantity (figure, room, path, pose, zoom, pan, light, occlusions, distractors, noise) is
-    drawn from the seed by a stream of its own; all agents on one seed see the same frames.
+    The first frame. Every quantity (person, room, path, pose, zoom, pan, light, occlusions, distractors, noise) is
+    drawn from the seed by its own random stream, so that all agents get the same frames for the same seed.
 
     ## Episode End
 
-    Never by termination, also when the target is lost: there is no second start. Truncation: after `horizon` answers
-    (default 200). The frame that then comes is not scored.
+    Truncation after `horizon` answers (default 200). The environment never terminates: the tracker is not restarted
+    after it has lost the target. The last observation is not scored.
 
     ## Arguments
 
     `level` (0 to 5, default 0) or `scenario` (its name), and every field of `ColorConfig` as a keyword that overrides
-    the level's value, for example `gym.make("ColorTracking-v0", scenario="distractor", similarity=1.0, occlusions=2)`.
-    `render_mode`: `rgb_array` or `human`.
+    the value of the level, for example `gym.make("ColorTracking-v0", scenario="distractor", similarity=1.0,
+    occlusions=2)`. `render_mode`: `rgb_array` or `human`.
 
     ## References
 
@@ -102,22 +102,22 @@ class ColorTrackingEnv(TrackEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start a new episode; arguments and errors as in `TrackEnv.reset`.
+        """Start a new episode. Arguments and errors: see `TrackEnv.reset`.
 
         Returns:
-            The first frame with the target's box, and info.
+            First frame with the box of the target, and info.
         """
         frame, info = super().reset(seed=seed, options=options)
         return self._observation(frame), info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Answer the newest frame; errors as in `TrackEnv.step`.
+        """Answer the newest frame. Errors: see `TrackEnv.step`.
 
         Args:
-            action: Left, top, width and height, px.
+            action: Left, top, width and height of the target, px.
 
         Returns:
-            The next frame with the first frame's box, reward, terminated, truncated, info.
+            Next frame with the box of the first frame, reward, terminated, truncated, info.
         """
         frame, reward, terminated, truncated, info = super().step(action)
         return self._observation(frame), reward, terminated, truncated, info
@@ -135,16 +135,16 @@ class ColorTrackingEnv(TrackEnv):
 
 
 class ColorTrackingVectorEnv(TrackVectorEnv):
-    """`ColorTracking-v0`, N at a time: what `gym.make_vec("ColorTracking-v0", num_envs=N)` makes.
+    """Vector environment of `ColorTracking-v0`, made by `gym.make_vec("ColorTracking-v0", num_envs=N)`.
 
     Args:
         num_envs: Number of scenes N.
-        level: As in `ColorTrackingEnv`.
-        scenario: As in `ColorTrackingEnv`.
-        render_mode: None or `rgb_array`; frames of all N come as a tuple.
+        level: Level from 0 to 5; see `ColorTrackingEnv`.
+        scenario: Name of a level, instead of `level`.
+        render_mode: None or `rgb_array`; `render()` returns a tuple of N frames.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as a Gymnasium `AutoresetMode` or its value.
-        max_episode_steps: Shortens episodes, as `gym.make`'s argument of that name does.
-        **axes: As in `ColorTrackingEnv`.
+        max_episode_steps: Maximum number of steps of an episode; None: `horizon`.
+        **axes: Fields of `ColorConfig`; see `ColorTrackingEnv`.
     """
 
     metadata: ClassVar[dict[str, Any]] = METADATA  # type: ignore[misc]
@@ -176,7 +176,7 @@ class ColorTrackingVectorEnv(TrackVectorEnv):
 
 
 def _spaces(config: ColorConfig) -> tuple[gym.spaces.Dict, gym.spaces.Box]:
-    """Observation and action space of one scene; an answer may leave the frame by its size."""
+    """Return observation and action space of one scene. Boxes may lie up to one frame size outside the frame."""
     size = np.array([config.width, config.height], dtype=np.float64)
     low, high = np.concatenate([-size, np.zeros(2)]), np.concatenate([2.0 * size, 2.0 * size])
     frame = gym.spaces.Box(0, 255, (config.height, config.width, 3), np.uint8)

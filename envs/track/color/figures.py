@@ -1,4 +1,4 @@
-"""People down to the shoulders, a new one for every seed: hair, face and clothes in layers that move a little apart."""
+"""Random people of color tracking scenes: body, hair, face and fringe as layers that shift against each other."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ HAIR_STYLES = ("short", "bob", "long", "bun", "cap")
 
 
 class Appearance(NamedTuple):
-    """What one person looks like.
+    """Colors and styles of one person.
 
     Attributes:
         skin: Color of the face.
         hair: Color of the hair, or of a cap.
         clothes: Main color of the clothes.
         stripes: Second color of the clothes.
-        style: Which of `HAIR_STYLES`.
-        pattern: Of the clothes: 0 plain, 1 stripes, 2 checks.
+        style: Index of the hair style in `HAIR_STYLES`.
+        pattern: Pattern of the clothes: 0 plain, 1 stripes, 2 checks.
     """
 
     skin: Color
@@ -44,7 +44,7 @@ class Appearance(NamedTuple):
 
 
 class Figure(NamedTuple):
-    """One person: layers from back to front; head layers are those whose outline is the true box."""
+    """Layers of one person, from back to front. The true box encloses hair, face and fringe."""
 
     body: Layer
     hair: Layer
@@ -53,7 +53,7 @@ class Figure(NamedTuple):
 
 
 def draw_appearance(rng: np.random.Generator) -> Appearance:
-    """A person of random appearance."""
+    """Draw a random appearance."""
     skin, hair, clothes, stripes = (_varied(rng, palette) for palette in (_SKINS, _HAIRS, _CLOTHES, _CLOTHES))
     style, pattern = int(rng.integers(len(HAIR_STYLES))), int(rng.integers(3))
     if HAIR_STYLES[style] == "cap":
@@ -62,9 +62,10 @@ def draw_appearance(rng: np.random.Generator) -> Appearance:
 
 
 def similar_appearance(like: Appearance, rng: np.random.Generator, similarity: float) -> Appearance:
-    """A person who looks like another one, as much as `similarity` (0 to 1) says; the clothes are nearly a stranger's.
+    """Draw an appearance that resembles another one.
 
-    Paper 001 tracks heads: who is to be taken for another has the head, not the shirt, in common.
+    Skin and hair are mixed with the weight `similarity` (0 to 1), clothes only with 0.4 times it: heads are tracked, so
+    a distractor must have a similar head.
     """
     other = draw_appearance(rng)
     skin, hair = (_mix(theirs, own, similarity) for theirs, own in ((other.skin, like.skin), (other.hair, like.hair)))
@@ -75,7 +76,7 @@ def similar_appearance(like: Appearance, rng: np.random.Generator, similarity: f
 
 
 def paint_figure(appearance: Appearance, rng: np.random.Generator) -> Figure:
-    """A person's layers; `rng` decides strands, folds and the face's proportions."""
+    """Paint the layers of a person. `rng` decides strands, folds and the proportions of the face."""
     return Figure(_body(appearance, rng), _hair(appearance, rng), _face(appearance, rng), _fringe(appearance, rng))
 
 
@@ -83,12 +84,12 @@ def put_figure(image: Image, figure: Figure, center: Array, height: float, roll:
     """Draw a figure into an image, in place.
 
     Args:
-        image: Shape (H, W, 3).
-        figure: Who.
-        center: Middle of the head, shape (2,), px.
-        height: Of the head, px.
-        roll: Of the head, rad.
-        yaw: Turn of the head, -1 to 1.
+        image: Image to change, shape (H, W, 3).
+        figure: Person to draw.
+        center: Center of the head, shape (2,), px.
+        height: Height of the head, px.
+        roll: Roll of the head, rad.
+        yaw: Turn of the head to the side, -1 to 1.
     """
     body = Placement(float(center[0]), float(center[1]), height / HEAD, 0.25 * roll, -0.05 * yaw * HEAD)
     put(image, figure.body, body)
@@ -97,17 +98,17 @@ def put_figure(image: Image, figure: Figure, center: Array, height: float, roll:
 
 
 def head_boxes(figure: Figure, centers: Array, heights: Array, rolls: Array, yaws: Array) -> Array:
-    """The boxes of a head as `put_figure` draws it, hair and face, whatever hides it.
+    """Return the bounding boxes of a head (hair and face) as `put_figure` draws it, including occluded parts.
 
     Args:
-        figure: Who.
-        centers: Middle of the head in every frame, shape (F, 2), px.
-        heights: Of the head, shape (F,), px.
-        rolls: Of the head, shape (F,), rad.
-        yaws: Turn of the head, -1 to 1, shape (F,).
+        figure: Person.
+        centers: Center of the head in every frame, shape (F, 2), px.
+        heights: Height of the head, shape (F,), px.
+        rolls: Roll of the head, shape (F,), rad.
+        yaws: Turn of the head to the side, -1 to 1, shape (F,).
 
     Returns:
-        Left, top, width and height, shape (F, 4), px.
+        Left, top, width and height of the boxes, shape (F, 4), px.
     """
     heads = [_head(*pose) for pose in zip(centers, heights.tolist(), rolls.tolist(), yaws.tolist(), strict=True)]
     lows, highs = [], []
@@ -123,9 +124,9 @@ def head_boxes(figure: Figure, centers: Array, heights: Array, rolls: Array, yaw
 
 
 def _head(center: Array, height: float, roll: float, yaw: float) -> tuple[Placement, Placement, Placement]:
-    """Hair stays, the face moves to where the head turns and gets narrower, the fringe follows half of it."""
+    """Return the placements of hair, face and fringe. With yaw the face shifts and narrows; the fringe shifts half."""
     narrow = math.sqrt(1.0 - (0.7 * yaw) ** 2)
-    # The face stays inside the head: as much room as its narrowing leaves, and a little of the hair's rim.
+    # The shift keeps the face inside the head: the room that its narrowing leaves, plus a small part of the hair.
     aside = HEAD * (0.31 * math.copysign(1.0 - narrow, yaw) + 0.05 * yaw)
     hair = Placement(float(center[0]), float(center[1]), height / HEAD, roll)
     return hair, hair._replace(shift=aside, squash=narrow), hair._replace(shift=0.5 * aside)
@@ -138,7 +139,7 @@ def _varied(rng: np.random.Generator, palette: tuple[Color, ...]) -> Color:
 
 
 def _mix(a: Color, b: Color, share: float) -> Color:
-    """`share` of b in a."""
+    """Mix two colors; `share` is the weight of b."""
     return tuple((1.0 - share) * x + share * y for x, y in zip(a, b, strict=True))  # type: ignore[return-value]
 
 
@@ -147,7 +148,7 @@ def _canvas() -> Canvas:
 
 
 def _strands(rng: np.random.Generator, columns: int = 26) -> Array:
-    """Light and dark lines from the top downwards, brightest near the top."""
+    """Return vertical light and dark lines, brightest near the top."""
     lines = 1.0 + 0.16 * rng.standard_normal((1, columns))
     sheen = 1.0 + 0.28 * np.exp(-(((np.linspace(0.0, 1.0, 12) - 0.24) / 0.12) ** 2))[:, None]
     return np.clip(lines * sheen + 0.03 * rng.standard_normal((12, columns)), 0.45, 1.6)
@@ -221,7 +222,7 @@ def _fringe(appearance: Appearance, rng: np.random.Generator) -> Layer:
 
 
 def _body(appearance: Appearance, rng: np.random.Generator) -> Layer:
-    """Down to the knees: shoulders, arms that hang a little apart, trousers."""
+    """Paint shoulders, hanging arms and trousers down to the knees."""
     canvas = Canvas(-84, 14, 168, 366)
     x = np.linspace(-1.0, 1.0, 40)[None, :]
     folds = cv2.resize(rng.standard_normal((13, 9)), (40, 60), interpolation=cv2.INTER_CUBIC)
@@ -245,7 +246,7 @@ def _body(appearance: Appearance, rng: np.random.Generator) -> Layer:
     canvas.paint(trunk, shirt)
     if appearance.pattern:
         step = rng.uniform(14.0, 22.0)
-        # Only on the shirt: on the way down the pattern ends at the hips.
+        # The pattern covers only the shirt and ends at the hips.
         for k in range(int(170.0 / step)):
             at = 48.0 + k * step
             band = np.array(

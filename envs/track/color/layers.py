@@ -1,4 +1,4 @@
-"""Layers: small pictures with opacity that an affine map puts into a frame, exact and the same in every version."""
+"""Layers: small RGBA pictures, and their affine placement in a frame. Results do not depend on library versions."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from servotrack.estimators.types import Array, FloatArray, Image
 
 Color = tuple[float, float, float]
 
-_FINE = 4
-"""The edges of what is painted are this many times finer, and averaged."""
+_SUPERSAMPLING = 4
+"""Subpixels per pixel and axis with which edges are painted."""
 
 
 class Layer(NamedTuple):
-    """A picture that is put into frames.
+    """RGBA picture that is placed in frames.
 
     Attributes:
-        pixels: Red, green and blue times opacity, and opacity; all 0 to 255. Shape (h, w, 4), float32.
-        origin: The picture's point that lies at the figure's middle. Shape (2,), px of the layer.
-        outline: Hull of all that was painted, from the origin. Shape (k, 2), px of the layer.
+        pixels: Red, green and blue, premultiplied by opacity, and opacity; 0 to 255, shape (h, w, 4), float32.
+        origin: Point of the layer that lies at the center of the figure, shape (2,), px of the layer.
+        outline: Convex hull of the painted area, relative to the origin, shape (k, 2), px of the layer.
     """
 
     pixels: FloatArray
@@ -32,13 +32,13 @@ class Layer(NamedTuple):
 
 
 class Canvas:
-    """What a layer is painted on, in coordinates about its origin.
+    """Canvas on which a layer is painted, in coordinates relative to the origin of the layer.
 
     Args:
-        left: Of the picture, below 0, px.
-        top: Of the picture, below 0, px.
-        width: Of the picture, px.
-        height: Of the picture, px.
+        left: Left border of the canvas, below 0, px.
+        top: Top border of the canvas, below 0, px.
+        width: Width of the canvas, px.
+        height: Height of the canvas, px.
     """
 
     def __init__(self, left: int, top: int, width: int, height: int) -> None:
@@ -47,12 +47,12 @@ class Canvas:
         self._points: list[Array] = []
 
     def paint(self, points: Array, color: Color | FloatArray, *, inside: bool = False) -> None:
-        """Lay a filled polygon over what is there.
+        """Paint a filled polygon.
 
         Args:
-            points: Shape (k, 2), px from the origin.
-            color: One for all, or one for each pixel as `shades` makes it.
-            inside: Only where the picture is opaque already.
+            points: Corners, shape (k, 2), px from the origin.
+            color: One color, or a color for each pixel, made by `shades`.
+            inside: If True, paint only where the canvas is already opaque.
         """
         size = np.array([self._pixels.shape[1], self._pixels.shape[0]])
         corners = points + self._origin
@@ -61,8 +61,8 @@ class Canvas:
         width, height = (high - low).tolist()
         if width == 0 or height == 0:
             return
-        fine = np.zeros((height * _FINE, width * _FINE), np.uint8)
-        cv2.fillPoly(fine, [np.rint((corners - low) * _FINE - 0.5).astype(np.int32)], 255)
+        fine = np.zeros((height * _SUPERSAMPLING, width * _SUPERSAMPLING), np.uint8)
+        cv2.fillPoly(fine, [np.rint((corners - low) * _SUPERSAMPLING - 0.5).astype(np.int32)], 255)
         cover = np.asarray(cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA), np.float32)[..., None] / 255
         window = slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
         part = self._pixels[window]
@@ -76,32 +76,32 @@ class Canvas:
         part[..., 3:] += cover * 255.0
 
     def shades(self, color: Color, strength: Array) -> FloatArray:
-        """A color for every pixel: `color` times a strength of any coarser shape, blown up to the canvas."""
+        """Return a color for every pixel: `color` times `strength`, which is resized from any coarser shape."""
         height, width = self._pixels.shape[:2]
         blown = cv2.resize(strength.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)
         return np.clip(blown[..., None] * np.asarray(color, dtype=np.float32), 0.0, 255.0)
 
     def layer(self) -> Layer:
-        """The picture, to be painted on no more."""
+        """Return the finished layer. The canvas must not be painted on afterwards."""
         hull = cv2.convexHull(np.concatenate(self._points))[:, 0]
         return Layer(self._pixels, self._origin, hull.astype(np.float64))
 
 
 def oval(x: float, y: float, rx: float, ry: float, start: float = 0.0, end: float = 360.0) -> Array:
-    """Points of an elliptic arc, degrees clockwise from the right as rows grow downwards. Shape (49, 2)."""
+    """Return points of an elliptic arc, shape (49, 2). Angles are clockwise from the right, deg."""
     angles = np.radians(np.linspace(start, end, 49))
     return np.stack([x + rx * np.cos(angles), y + ry * np.sin(angles)], axis=1)
 
 
 class Placement(NamedTuple):
-    """Where a layer lies in a frame.
+    """Position, size and rotation of a layer in a frame.
 
     Attributes:
-        x, y: The figure's middle, px.
-        scale: Frame px per layer px.
-        roll: Rotation about the middle, rad.
-        shift: Of this layer to the right inside the figure, px of the layer.
-        squash: Factor on the layer's own width.
+        x, y: Center of the figure, px.
+        scale: Frame pixels per layer pixel.
+        roll: Rotation about the center, rad.
+        shift: Shift of this layer to the right within the figure, px of the layer.
+        squash: Factor on the width of the layer.
     """
 
     x: float
@@ -113,12 +113,12 @@ class Placement(NamedTuple):
 
 
 def put(image: Image, layer: Layer, placement: Placement) -> None:
-    """Lay a layer over an image, in place.
+    """Blend a layer into an image, in place.
 
     Args:
-        image: Shape (H, W, 3).
-        layer: What to put.
-        placement: Where.
+        image: Image to change, shape (H, W, 3).
+        layer: Layer to place.
+        placement: Position, size and rotation of the layer.
     """
     x, y, scale, roll, shift, squash = placement
     _put(image, layer.pixels, layer.origin, x, y, math.cos(roll) / scale, math.sin(roll) / scale, shift, squash)
@@ -126,7 +126,7 @@ def put(image: Image, layer: Layer, placement: Placement) -> None:
 
 @njit(cache=True, nogil=True)
 def _put(image, pixels, origin, x, y, cos, sin, shift, squash):  # type: ignore[no-untyped-def]
-    """Bilinear sampling of premultiplied pixels, row by row between the columns where the layer is."""
+    """Sample premultiplied pixels bilinearly, in each row only between the columns that the layer covers."""
     height, width = pixels.shape[:2]
     # Layer coordinates of a frame point: u = u0 + a * column + b * row, v likewise.
     a, b = cos / squash, sin / squash
@@ -134,7 +134,7 @@ def _put(image, pixels, origin, x, y, cos, sin, shift, squash):  # type: ignore[
     v0 = origin[1] - 0.5 - (0.5 - x) * sin + (0.5 - y) * cos
     for row in range(image.shape[0]):
         u, v = u0 + b * row, v0 + cos * row
-        # Both coordinates have to lie inside; a is positive, for rolls stay below a right angle.
+        # Both coordinates must lie inside the layer; a is positive because rolls stay below a right angle.
         first, last = -u / a, (width - 1.001 - u) / a
         if sin == 0.0:
             if v < 0.0 or v > height - 1.001:

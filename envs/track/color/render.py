@@ -1,4 +1,4 @@
-"""Pictures of a color world: the frame twice as large with both boxes and a trail, and the overlap so far beside it."""
+"""Pictures of a color tracking scene: enlarged frame with true and reported box and trail, and a plot of the IoU."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from servotrack.envs.track.color.world import ColorWorld
 from servotrack.estimators.types import Array, Image
 
 ANSWER: Color = (255, 138, 0)
-"""Color of the answer's box, its trail and its overlap."""
+"""Color of the answer's box, its trail and its IoU curve."""
 TRUTH: Color = (255, 255, 255)
 _ZOOM = 2
 _MARGIN, _SIDE = 16, 208
@@ -24,11 +24,11 @@ _TRAIL_LENGTH = 60
 
 
 class ColorRecorder:
-    """Call `record` after every reset and step; `frame` draws the frame that was answered last.
+    """Recorder of one scene. Call `record` after every reset and step; `frame` draws the last answered frame.
 
     Args:
-        world: The world, which the recorder only reads.
-        row: Which of its scenes.
+        world: World to record; it is not changed.
+        row: Index of the scene.
     """
 
     def __init__(self, world: ColorWorld, row: int = 0) -> None:
@@ -38,7 +38,7 @@ class ColorRecorder:
         self._answers: list[Array] = []
 
     def record(self) -> None:
-        """Take the world's newest answer; a reset forgets the old episode."""
+        """Store the newest answer of the world. After a reset, drop the previous episode."""
         world, row = self._world, self._row
         started = world.steps[row] == 0
         if started:
@@ -52,11 +52,11 @@ class ColorRecorder:
 
     @property
     def frame(self) -> Callable[..., Image]:
-        """Draws the frame answered last, or the first one before any answer."""
+        """Function that draws the last answered frame, or the first frame before any answer."""
         return self._draw
 
     def _draw(self) -> Image:
-        """A new RGB image, uint8."""
+        """Return a new RGB image, uint8."""
         config = self._world.config
         scene, plot = panels(config.width, config.height)
         image = _backdrop(config.width, config.height).copy()
@@ -84,15 +84,15 @@ class ColorRecorder:
 
 
 def draw_box(image: Image, box: Array, color: Color, thickness: int) -> None:
-    """A rectangle with a dark rim, so that it shows on every ground.
+    """Draw a rectangle with a dark rim, which is visible on any background.
 
     Args:
-        image: Changed in place.
+        image: Image to change.
         box: Left, top, width and height, px of the image.
-        color: Of the line.
-        thickness: Of the line, px.
+        color: Color of the line.
+        thickness: Thickness of the line, px.
     """
-    # Far outside is far enough: OpenCV's fixed-point numbers end at 2^15 px.
+    # OpenCV's fixed-point coordinates overflow at 2^15 px.
     low = np.clip(box[:2], -4000.0, 8000.0)
     high = np.clip(box[:2] + box[2:], -4000.0, 8000.0)
     for shade, weight in ((mix(color, INK, 0.85), thickness + 2), (color, thickness)):
@@ -100,11 +100,11 @@ def draw_box(image: Image, box: Array, color: Color, thickness: int) -> None:
 
 
 def draw_trail(image: Image, boxes: Sequence[Array]) -> None:
-    """Where the middles of boxes were, the newest last.
+    """Draw the path of the centers of boxes.
 
     Args:
-        image: Changed in place.
-        boxes: Left, top, width and height of each, px of the image.
+        image: Image to change.
+        boxes: Left, top, width and height of each box, newest last, px of the image.
     """
     middles = np.clip([box[:2] + box[2:] / 2.0 for box in boxes], -4000.0, 8000.0)
     cv2.polylines(image, [_fixed(middles)], False, mix(ANSWER, INK, 0.6), 3, cv2.LINE_AA, SUBPIXEL_BITS)
@@ -112,7 +112,7 @@ def draw_trail(image: Image, boxes: Sequence[Array]) -> None:
 
 
 def panels(width: int, height: int) -> tuple[Panel, Panel]:
-    """Where the frame and where the plot lies in the picture of a frame of that size."""
+    """Return the panels of the frame and of the plot, for frames of this size."""
     scene = Panel(_MARGIN, _MARGIN, _ZOOM * width, _ZOOM * height)
     return scene, Panel(scene.left + scene.width + _MARGIN, _MARGIN, _SIDE, scene.height)
 
@@ -133,5 +133,5 @@ def _backdrop(width: int, height: int) -> Image:
 
 
 def _fixed(points: Array) -> NDArray[np.int32]:
-    """Fixed-point pixels for OpenCV, whose pixel centers are whole numbers."""
+    """Return fixed-point coordinates for OpenCV, which places pixel centers at integers."""
     return np.rint((np.asarray(points) - 0.5) * (1 << SUBPIXEL_BITS)).astype(np.int32)

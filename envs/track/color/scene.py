@@ -1,4 +1,4 @@
-"""One episode of the color world: who is there, and every frame with its exact truth, drawn when it is needed."""
+"""Scene of one color tracking episode, and the renderer of its frames with their ground truth."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from servotrack.envs.track.color.scripts import SCENE_ROOM, Motion, Script, Stre
 from servotrack.estimators.types import Array, Image, Labels
 
 _NOISE_MARGIN = 32
-"""The noise of a frame is a window of a larger field; this many px it may be shifted either way."""
+"""Margin of the noise field around the frame, px. The noise of a frame is a randomly shifted window of the field."""
 
 
 class Scene(NamedTuple):
-    """An episode, ready to be drawn.
+    """Motion, figures and backdrop of an episode, ready to be rendered.
 
     Attributes:
-        script: Where everything is in every frame.
-        target: Who is tracked.
-        distractors: Who stands behind.
-        occluders: What passes before, a person or a board.
-        backdrop: The painted scene, larger than a frame.
-        boxes: The target's true box in every frame, also where it is hidden. Shape (F, 4), px.
-        noise: A field of sensor noise, larger than a frame.
-        noise_shifts: Where in the field each frame's noise lies. Shape (F, 2).
+        script: Motion of everything in every frame.
+        target: Person whose head is tracked.
+        distractors: People behind the target.
+        occluders: People or boards that pass in front of the target.
+        backdrop: Painted room, larger than a frame.
+        boxes: True box of the target in every frame, including occluded parts, shape (F, 4), px.
+        noise: Field of sensor noise, larger than a frame.
+        noise_shifts: Row and column in the field at which the noise of each frame begins, shape (F, 2).
     """
 
     script: Script
@@ -57,11 +57,11 @@ class Scene(NamedTuple):
 
 @lru_cache(maxsize=8)
 def draw_scene(config: ColorConfig, seed: int) -> Scene:
-    """Draw an episode's script and paint all that its frames are made of; the last few are kept, nothing changes them.
+    """Draw the motion of an episode and paint its layers. The last 8 scenes are cached and must not be changed.
 
     Args:
-        config: The world's parameters.
-        seed: Of the episode.
+        config: Parameters of the environment.
+        seed: Seed of the episode.
     """
     streams = Streams(seed)
     script = draw_script(config, streams)
@@ -84,11 +84,11 @@ def draw_scene(config: ColorConfig, seed: int) -> Scene:
 
 
 class Painter:
-    """Draws a scene's frames; keeps the backdrop's view while the camera rests.
+    """Renderer of the frames of a scene. The view of the backdrop is reused while the camera rests.
 
     Args:
-        config: The world's parameters.
-        scene: What `draw_scene` returned.
+        config: Parameters of the environment.
+        scene: Scene returned by `draw_scene`.
     """
 
     def __init__(self, config: ColorConfig, scene: Scene) -> None:
@@ -97,7 +97,7 @@ class Painter:
         self._camera: tuple[float, float, float] | None = None
 
     def frame(self, k: int) -> Image:
-        """Frame k, new. Shape (height, width, 3), RGB uint8."""
+        """Render frame k: a new RGB image, shape (height, width, 3), uint8."""
         scene = self.scene
         image = self._backdrop(k).copy()
         for figure, motion in zip(scene.distractors, scene.script.distractors, strict=True):
@@ -108,7 +108,7 @@ class Painter:
             if isinstance(thing, Layer):
                 put(image, thing, Placement(float(center[0]), float(center[1]), height / HEAD, roll))
             else:
-                put_figure(image, thing, center, _NEARER * height, roll, yaw)
+                put_figure(image, thing, center, _OCCLUDER_SCALE * height, roll, yaw)
         top, left = scene.noise_shifts[k]
         height, width = image.shape[:2]
         gains = np.rint(256.0 * scene.script.gains[k]).astype(np.int32)
@@ -122,7 +122,7 @@ class Painter:
             backdrop = self.scene.backdrop
             size = np.array([self._config.width, self._config.height]) / 2.0
             middle = np.array([backdrop.shape[1], backdrop.shape[0]]) / 2.0 + (x, y)
-            # From the frame to the scene, pixel centers at whole numbers as OpenCV has them.
+            # Map from frame to scene; OpenCV places pixel centers at integers.
             matrix = np.array([[1.0 / zoom, 0.0, 0.0], [0.0, 1.0 / zoom, 0.0]])
             matrix[:, 2] = middle - 0.5 + (0.5 - size) / zoom
             flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -134,8 +134,8 @@ class Painter:
         return self._view
 
 
-_NEARER = 1.75
-"""Who passes before the target is nearer to the camera, and larger."""
+_OCCLUDER_SCALE = 1.75
+"""Size of an occluding person relative to the target; it is closer to the camera."""
 
 
 def _at(motion: Motion, k: int) -> tuple[Array, float, float, float]:
@@ -150,7 +150,7 @@ def _paint_backdrop(config: ColorConfig, rng: np.random.Generator, appearance: A
 
 
 def _paint_occluder(rng: np.random.Generator) -> Figure | Layer:
-    """A board of two heads' width that somebody carries past, or a person."""
+    """Paint an occluder: a person, or a board of about two head widths."""
     if rng.random() < 0.4:
         appearance = draw_appearance(rng)
         return paint_figure(appearance, rng)
@@ -168,7 +168,7 @@ def _paint_occluder(rng: np.random.Generator) -> Figure | Layer:
 
 @njit(cache=True, nogil=True)
 def _expose(image, gains, noise):  # type: ignore[no-untyped-def]
-    """Light and noise, in place; gains are in 256ths."""
+    """Apply light and noise in place. Gains are multiples of 1/256."""
     red, green, blue = gains
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):

@@ -1,4 +1,4 @@
-"""How everybody moves in an episode of the color world: head, camera, light, distractors, and what passes before."""
+"""Random motion of one color tracking episode: head, camera, light, distractors and occluders."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from servotrack.estimators.types import Array
 
 
 class Stream(IntEnum):
-    """The random streams of an episode."""
+    """Random streams of an episode. The numbers must never change; new streams are appended."""
 
     PATH = 0
     POSE = 1
@@ -33,13 +33,13 @@ class Stream(IntEnum):
 
 
 class Motion(NamedTuple):
-    """One figure in every frame.
+    """Motion of one figure over all F frames.
 
     Attributes:
-        centers: Middle of the head in the frame. Shape (F, 2), px.
-        heights: Height of the head in the frame. Shape (F,), px.
-        rolls: Shape (F,), rad.
-        yaws: How far the head is turned, -1 to 1. Shape (F,).
+        centers: Center of the head in the frame, shape (F, 2), px.
+        heights: Height of the head in the frame, shape (F,), px.
+        rolls: Roll of the head, shape (F,), rad.
+        yaws: Turn of the head to the side, -1 to 1, shape (F,).
     """
 
     centers: Array
@@ -49,15 +49,16 @@ class Motion(NamedTuple):
 
 
 class Script(NamedTuple):
-    """All that moves in an episode of F frames.
+    """Motion of everything in an episode of F frames.
 
     Attributes:
-        target: The head to be tracked.
-        distractors: People behind it.
-        occluders: What passes before it, out of the frame most of the time.
-        zooms: Of the camera. Shape (F,).
-        pans: Point of the scene in the middle of the frame, from the scene's own middle. Shape (F, 2), px of the scene.
-        gains: Of the light on red, green and blue. Shape (F, 3).
+        target: Head to be tracked.
+        distractors: People behind the target.
+        occluders: Objects that pass in front of the target; most of the time they are outside the frame.
+        zooms: Zoom factors of the camera, shape (F,).
+        pans: Point of the scene at the center of the frame, relative to the center of the scene, shape (F, 2), px of
+            the scene.
+        gains: Gains of the light on red, green and blue, shape (F, 3).
     """
 
     target: Motion
@@ -69,21 +70,21 @@ class Script(NamedTuple):
 
 
 SCENE_ROOM = 1.12
-"""Frames lie inside the painted scene by this factor at the widest zoom."""
+"""Size of the painted scene relative to the view at the widest zoom."""
 _HALF_WIDTH, _HALF_HEIGHT = 0.62, 0.72
-"""Half a head with all its hair, in head heights: what has to stay inside the frame."""
+"""Half width and half height of a head with its hair, head heights. They must stay inside the frame."""
 _OCCLUDER_SIZE = 2.3
-"""Width of what passes, in heads' widths."""
+"""Width of an occluder, head widths."""
 _HEAD_WIDTH = 0.8
-"""In head heights."""
+"""Width of a head, head heights."""
 
 
 def draw_script(config: ColorConfig, streams: Streams) -> Script:
-    """Draw an episode's motion; every quantity is a stream of its own."""
+    """Draw the motion of an episode. Every quantity has its own random stream."""
     frames = config.horizon + 1
     slow = 1.6 * config.frame_rate
     zooms = np.exp(np.log(config.zoom) * np.clip(wander(streams[Stream.ZOOM], frames, slow), -1.6, 1.6) / 1.6)
-    # Every zoom starts at 1, so that the head starts at its own size.
+    # The zoom starts at 1, so that the head starts with `head_height`.
     zooms = zooms / zooms[0] if config.zoom > 1.0 else zooms
     zooms = np.clip(zooms, 1.0 / config.zoom, config.zoom)
     pan = np.stack([wander(streams[Stream.PAN, axis], frames, slow) for axis in (0, 1)], axis=1)
@@ -101,18 +102,21 @@ def draw_script(config: ColorConfig, streams: Streams) -> Script:
 
 
 def wander(rng: np.random.Generator, frames: int, period: float, columns: int = 1) -> Array:
-    """A smooth random walk that comes back: twice filtered white noise of unit variance.
+    """Return a smooth, stationary random process of unit variance: white noise after two first-order low-pass filters.
 
     Args:
-        rng: Where from; the first frames do not depend on how many follow.
-        frames: How many.
-        period: Time constant, frames.
-        columns: How many independent ones; 1 gives shape (frames,), more (frames, columns).
+        rng: Random generator. The first frames do not depend on the number of frames.
+        frames: Number of frames.
+        period: Time constant, frames. Larger values give slower motion.
+        columns: Number of independent processes.
+
+    Returns:
+        Samples, shape (frames,) for one column, otherwise (frames, columns).
     """
     keep = np.exp(-1.0 / max(period / 2.0, 1e-9))
     warm_up = int(8 * period)
     white = rng.standard_normal((warm_up + frames, columns))
-    # Variance of a white noise after two filters x <- keep x + (1 - keep) u.
+    # Variance of white noise after two filters x <- keep x + (1 - keep) u.
     gain = 1.0 - keep
     variance = gain**4 * (1.0 + keep**2) / (1.0 - keep**2) ** 3
     found = _filtered_twice(white, keep)[warm_up:] / np.sqrt(variance)
@@ -142,7 +146,7 @@ def _draw_pose(config: ColorConfig, streams: Streams, stream: Stream, frames: in
 
 
 def _draw_path(config: ColorConfig, rng: np.random.Generator, heights: Array) -> Array:
-    """Velocities that are taken up at random instants, and turned back where the head would leave the frame."""
+    """Return a path whose velocity changes at random times and is reflected at the border of the frame."""
     size = np.array([config.width, config.height], dtype=np.float64)
     draws = rng.random((len(heights), 4))
     half = np.array([_HALF_WIDTH, _HALF_HEIGHT])
@@ -165,13 +169,13 @@ def _draw_path(config: ColorConfig, rng: np.random.Generator, heights: Array) ->
 
 
 def _velocity(config: ColorConfig, uniform: Array) -> Array:
-    """Of a uniform direction and of 0.3 to 1 of the largest speed, px per frame."""
+    """Return a velocity with uniform direction and 0.3 to 1 of the maximum speed, px per frame."""
     angle = 2.0 * np.pi * uniform[0]
     return config.speed * (0.3 + 0.7 * uniform[1]) * np.array([np.cos(angle), 0.7 * np.sin(angle)])
 
 
 def _draw_distractor(config: ColorConfig, streams: Streams, target: Motion, member: int) -> Motion:
-    """Somebody who stays near: about a head's width away, and now and then behind the target."""
+    """Return the motion of a person who stays about a head width away and sometimes passes behind the target."""
     rng = streams[Stream.DISTRACTOR_PATH, member]
     frames = len(target.heights)
     phase, side, size = rng.random(3)
@@ -185,7 +189,7 @@ def _draw_distractor(config: ColorConfig, streams: Streams, target: Motion, memb
 
 
 def _draw_occluder(config: ColorConfig, streams: Streams, target: Motion, member: int) -> Motion:
-    """Something that passes before the head, once, straight, as fast as keeps the head out of sight long enough."""
+    """Return the straight motion of an object that occludes the head once, for about `occlusion_frames`."""
     rng = streams[Stream.OCCLUSION, member]
     when, side, shift = rng.random(3)
     frames = len(target.heights)
@@ -205,7 +209,7 @@ def _draw_occluder(config: ColorConfig, streams: Streams, target: Motion, member
 def _draw_light(config: ColorConfig, streams: Streams, frames: int) -> Array:
     level = np.tanh(wander(streams[Stream.LIGHT], frames, 1.2 * config.frame_rate))
     tint = np.tanh(wander(streams[Stream.TINT], frames, 2.0 * config.frame_rate))
-    # The first frame has the light that the colors were painted in.
+    # The first frame has neutral light: gains of 1.
     level, tint = level - level[0], tint - tint[0]
     bright = np.clip(np.log(config.light_change) * level, -np.log(config.light_change), np.log(config.light_change))
     warm = 0.5 * np.log(config.light_tint) * tint

@@ -1,4 +1,4 @@
-"""N color worlds at once: the one piece of bookkeeping behind the single and the vector environment."""
+"""N color tracking scenes stepped together, for the single and the vector environment."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from servotrack.envs.track.color.scene import Painter, draw_scene
 from servotrack.envs.track.color.scoring import center_errors, failures, overlaps, precision, success_curve
 from servotrack.estimators.types import Array, Mask
 
-_FARTHEST = 1e12
-"""Answers count as no farther out than this, px."""
+_MAX_COORDINATE = 1e12
+"""Coordinates and sizes of answers are clipped to this magnitude, px."""
 
 
 class ColorWorld:
-    """N scenes with N observers, stepped together; arrays carry a leading axis of N.
+    """N scenes with one observer each, stepped together. Arrays have a leading axis of N.
 
-    An observer sees frame k and answers with the target's box in it; `step` scores that answer and moves on to frame
-    k + 1. Frames are drawn when their turn comes.
+    The observer gets frame k and answers with the box of the target in it. `step` scores the answer and advances to
+    frame k + 1. Frames are rendered one by one, when they are needed.
 
     Args:
-        config: The world's parameters.
+        config: Parameters of the environment.
         count: Number of scenes N.
 
     Attributes:
-        observations: The newest frames, shape (N, height, width, 3), uint8.
-        first_boxes: The true box in each episode's first frame, shape (N, 4), px.
-        boxes: The true box in the newest frame, shape (N, 4), px.
-        answers: The last answer, shape (N, 4), px; the first box before any.
-        steps: Frames answered so far, shape (N,).
-        reward: The last answer's IoU, shape (N,).
-        terminated: Never; shape (N,), bool.
-        truncated: All frames answered, shape (N,), bool.
-        iou: The same as `reward`.
-        center_error: Of the last answer, shape (N,), px.
-        auc, precision, failures: Of the episode, shape (N,); 0 until `truncated`.
+        observations: Newest frames, shape (N, height, width, 3), uint8.
+        first_boxes: True box in the first frame of each episode, shape (N, 4), px.
+        boxes: True box in the newest frame, shape (N, 4), px.
+        answers: Last answer, shape (N, 4), px; the first box before any answer.
+        steps: Number of answered frames, shape (N,).
+        reward: IoU of the last answer, shape (N,).
+        terminated: Always False, shape (N,).
+        truncated: True if all frames are answered, shape (N,), bool.
+        iou: Same as `reward`.
+        center_error: Center error of the last answer, shape (N,), px.
+        auc, precision, failures: Scores of the episode, shape (N,); 0 until `truncated`.
     """
 
     def __init__(self, config: ColorConfig, count: int) -> None:
@@ -54,11 +54,11 @@ class ColorWorld:
         self.auc, self.precision, self.failures = np.zeros(count), np.zeros(count), np.zeros(count, np.int64)
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
-        """Start new episodes in some rows; the others are left as they are, to the bit.
+        """Start new episodes in some rows. The other rows do not change.
 
         Args:
-            rows: Which of the N.
-            seeds: One episode seed for each, non-negative integers.
+            rows: Indices of the scenes.
+            seeds: Episode seed of each, non-negative integers.
         """
         for row, seed in zip(rows, seeds, strict=True):
             painter = Painter(self.config, draw_scene(self.config, seed))
@@ -69,17 +69,17 @@ class ColorWorld:
             self._show(row)
 
     def step(self, answers: Array, running: Mask | None = None) -> None:
-        """Score every row's answer to its newest frame, and show the next frame.
+        """Score the answers to the newest frames, and advance to the next frames.
 
         Args:
-            answers: Shape (N, 4): left, top, width and height, px.
-            running: Which of the N have an episode under way, (N,) bool; None for all. The others wait for their reset
-                at the frame they are at.
+            answers: Left, top, width and height, shape (N, 4), px.
+            running: True for scenes whose episode is running, shape (N,), bool; None: all. The other scenes stay at
+                their frame until they are reset.
         """
         if running is None:
             running = np.ones(self.count, np.bool_)
-        # Numbers whose products would be infinite tell no more than these.
-        answers = np.minimum(np.maximum(answers, -_FARTHEST), _FARTHEST)
+        # Products of larger numbers would overflow to infinity.
+        answers = np.minimum(np.maximum(answers, -_MAX_COORDINATE), _MAX_COORDINATE)
         self.iou, self.center_error = overlaps(answers, self.boxes), center_errors(answers, self.boxes)
         self.reward = self.iou
         self.answers = np.where(running[:, None], answers, self.answers)
@@ -101,26 +101,26 @@ class ColorWorld:
         self.observations[row], self.boxes[row] = painter.frame(step), painter.scene.boxes[step]
 
     def truth(self) -> dict[str, NDArray]:
-        """What info tells of the newest frame: the target's box, hidden or not."""
+        """Return the entries of `info["truth"]` for the newest frame: the box of the target, occluded or not."""
         return {"box": self.boxes}
 
     def scores(self) -> dict[str, NDArray]:
-        """What info tells of the last answer."""
+        """Return the entries of `info` for the last answer."""
         return {"iou": self.iou, "center_error": self.center_error}
 
     def episode_scores(self) -> dict[str, NDArray]:
-        """What info tells of a whole episode when it has ended."""
+        """Return the entries of `info` at the end of an episode."""
         return {"auc": self.auc, "precision": self.precision, "failures": self.failures}
 
     def answered_overlaps(self, row: int) -> Array:
-        """IoU of every answer of a row's episode so far, shape (steps,); a view."""
+        """Return a view of the IoU of all answers of a row's episode so far, shape (steps,)."""
         return self._overlaps[row, : self.steps[row]]
 
     def privileged(self) -> dict[str, Array]:
-        """The truth for oracles: `true_box`, shape (N, 4), px."""
+        """Return the privileged information of oracle agents: `true_box`, shape (N, 4), px."""
         return {"true_box": self.boxes.copy()}
 
     def debug_view(self, row: int = 0) -> str:
-        """One scene's state as text, for debugging."""
+        """Return the state of a scene as text, for debugging."""
         box, answer = (np.round(b[row], 1).tolist() for b in (self.boxes, self.answers))
         return f"frame {self.steps[row]}/{self.config.horizon}  box={box}  answer={answer}  iou={self.iou[row]:.3f}"
