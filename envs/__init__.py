@@ -1,4 +1,4 @@
-"""Worlds: they hold the truth, draw it and score the agent."""
+"""Environments: simulated worlds with ground truth, rendering and scores."""
 
 from servotrack.envs.flat_sets import FlatSets, VectorFlatSets
 

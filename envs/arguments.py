@@ -1,4 +1,4 @@
-"""Checks of the arguments that all environments share."""
+"""Checks of arguments that all environments share."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ RENDER_MODES = ("rgb_array", "human")
 
 
 def check_render_mode(render_mode: str | None) -> str | None:
-    """The render mode, if it is one; raises ValueError naming the known ones otherwise."""
+    """Return the render mode; raises a ValueError with the valid modes if it is unknown."""
     if render_mode is not None and render_mode not in RENDER_MODES:
         raise ValueError(f"render_mode must be None or one of {', '.join(RENDER_MODES)}, got {render_mode!r}")
     return render_mode
 
 
 def check_options(options: dict[str, Any] | None) -> None:
-    """Raises ValueError where reset options are given that do not exist."""
+    """Raise a ValueError for unknown reset options."""
     if options:
         raise ValueError(f"reset options {sorted(options)} are not known; parameters are keywords of gym.make")
 
 
 def check_seed(seed: Any) -> int | None:
-    """A seed as a Python integer, or None.
+    """Return a seed as a Python integer, or None.
 
     Raises:
-        TypeError: Not an integer.
-        ValueError: Negative.
+        TypeError: The seed is not an integer.
+        ValueError: The seed is negative.
     """
     if seed is None:
         return None
@@ -42,21 +42,21 @@ def check_seed(seed: Any) -> int | None:
 
 
 def check_count(num_envs: Any) -> int:
-    """The number of scenes; raises ValueError where it is no whole number of at least 1."""
+    """Return the number of scenes; raises a ValueError unless it is a whole number of at least 1."""
     if isinstance(num_envs, bool) or not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
         raise ValueError(f"num_envs must be a whole number of at least 1, got {num_envs!r}")
     return int(num_envs)
 
 
 def check_level(level: Any, count: int) -> int:
-    """The level; raises ValueError where it is no whole number from 0 to `count` - 1."""
+    """Return the level; raises a ValueError unless it is a whole number from 0 to `count` - 1."""
     if isinstance(level, bool) or level not in range(count):
         raise ValueError(f"level must be a whole number from 0 to {count - 1}, got {level!r}")
     return int(level)
 
 
 def check_keywords(names: Iterable[str], known: Sequence[str], also: Sequence[str] = ()) -> None:
-    """Raises TypeError for a keyword that is not known, suggesting the nearest of those known and of `also`."""
+    """Raise a TypeError for an unknown keyword, suggesting the nearest one of `known` and `also`."""
     for name in names:
         if name not in known:
             near = difflib.get_close_matches(name, (*known, *also), n=1)
@@ -70,16 +70,16 @@ def check_fields(
     whole: Collection[str] = (),
     optional: Collection[str] = (),
 ) -> None:
-    """Check numbers in a frozen dataclass; those that are to be whole become integers.
+    """Check numbers in a frozen dataclass, and convert whole numbers to integers.
 
     Args:
         config: The dataclass.
-        bounds: Field, least and largest value.
+        bounds: Name, least and largest value of each field.
         whole: Fields that must be whole numbers.
         optional: Fields that may be None.
 
     Raises:
-        ValueError: Naming the field, its value and what would be right.
+        ValueError: A value outside its bounds; the message has the field, its value and the bounds.
     """
     for name, low, high in bounds:
         value = getattr(config, name)

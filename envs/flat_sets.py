@@ -1,4 +1,4 @@
-"""Sets as flat vectors in [-1, 1], which is what reinforcement learning libraries like."""
+"""Wrappers that flatten sets to vectors in [-1, 1], as reinforcement learning libraries expect."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from servotrack.estimators.types import Array, FloatArray
 
 
 class _Scale:
-    """Between a finite Box of any shape and the flat Box [-1, 1] of float32."""
+    """Map between a finite Box of any shape and the flat Box [-1, 1] of float32."""
 
     def __init__(self, space: gym.Space[Any], name: str) -> None:
         if not isinstance(space, gym.spaces.Box) or not space.is_bounded() or not (space.high > space.low).all():
@@ -33,15 +33,15 @@ class _Scale:
 
 
 class FlatSets(gym.Wrapper[FloatArray, NDArray[Any], NDArray[Any], NDArray[Any]]):
-    """Observation and action of a tracking world as flat float32 vectors, every entry rescaled to [-1, 1].
+    """Flatten observation and action of a tracking environment to float32 vectors, every entry rescaled to [-1, 1].
 
-    An unused row's zeros land inside (-1, 1) according to the bounds, and its existence at -1.
+    The zeros of an unused row map to values inside (-1, 1) according to the bounds, and its existence to -1.
 
     Args:
-        env: An environment whose observation and action are bounded boxes.
+        env: Environment whose observation and action spaces are bounded boxes.
 
     Raises:
-        TypeError: They are not.
+        TypeError: A space is not a bounded box.
     """
 
     def __init__(self, env: gym.Env[NDArray[Any], NDArray[Any]]) -> None:
@@ -52,12 +52,12 @@ class FlatSets(gym.Wrapper[FloatArray, NDArray[Any], NDArray[Any], NDArray[Any]]
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[FloatArray, dict[str, Any]]:
-        """As the environment's, with a flat observation."""
+        """Reset the environment and flatten the observation."""
         observation, info = self.env.reset(seed=seed, options=options)
         return self._seen.flat(observation), info
 
     def step(self, action: NDArray[Any]) -> tuple[FloatArray, Any, bool, bool, dict[str, Any]]:
-        """As the environment's, with a flat action in [-1, 1] (clipped) and a flat observation."""
+        """Step with a flat action in [-1, 1] (clipped) and flatten the observation."""
         observation, reward, terminated, truncated, info = self.env.step(self._done.restored(action))
         return self._seen.flat(observation), reward, terminated, truncated, info
 
@@ -66,10 +66,10 @@ class VectorFlatSets(gym.vector.VectorWrapper):
     """`FlatSets` for a vector environment.
 
     Args:
-        env: A vector environment whose single observation and action are bounded boxes.
+        env: Vector environment whose single observation and action spaces are bounded boxes.
 
     Raises:
-        TypeError: They are not.
+        TypeError: A space is not a bounded box.
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
@@ -81,12 +81,12 @@ class VectorFlatSets(gym.vector.VectorWrapper):
         self.action_space = batch_space(self._done.space, env.num_envs)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[FloatArray, dict[str, Any]]:
-        """As the environment's, with flat observations."""
+        """Reset the environments and flatten the observations."""
         observations, infos = self.env.reset(seed=seed, options=options)
         return self._seen.flat(observations), infos
 
     def step(self, actions: FloatArray) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """As the environment's, with flat actions in [-1, 1] (clipped) and flat observations, final ones too."""
+        """Step with flat actions in [-1, 1] (clipped) and flatten the observations, also those in `final_obs`."""
         observations, rewards, terminated, truncated, infos = self.env.step(self._done.restored(actions))
         if "final_obs" in infos:
             final = np.full(len(infos["final_obs"]), None, dtype=object)

@@ -1,4 +1,4 @@
-"""Every environment id in one table."""
+"""Table of all environment ids, and their registration."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
 
 
 def register_all() -> None:
-    """Register every id of `ENVIRONMENTS` with Gymnasium; entry points stay strings until `make` needs them."""
+    """Register every id of `ENVIRONMENTS` with Gymnasium. Entry points are strings, imported by `make` only."""
     for env_id, entry in ENVIRONMENTS.items():
         if env_id not in gym.registry:
             gym.register(id=env_id, **entry)

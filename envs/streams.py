@@ -1,4 +1,4 @@
-"""Random streams: each quantity of an episode has its own, so that adding one shifts no other."""
+"""Random streams: each quantity of an episode has its own, so that a new quantity does not change the others."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 
 class Streams:
-    """The random streams of one episode, each made when it is first used.
+    """Random streams of one episode, each created when it is first used.
 
     Args:
-        seed: The episode's seed, a non-negative integer.
+        seed: Seed of the episode, a non-negative integer.
 
     Raises:
-        ValueError: A negative seed.
+        ValueError: The seed is negative.
     """
 
     def __init__(self, seed: int) -> None:
@@ -27,34 +27,34 @@ class Streams:
         self._made: dict[tuple[int, ...], np.random.Generator] = {}
 
     def __getitem__(self, stream: int | tuple[int, ...]) -> np.random.Generator:
-        """The stream of a quantity, or of one member of it where the key is (quantity, member)."""
+        """Return the stream of a quantity, or of one member of it if the key is (quantity, member)."""
         key = tuple(int(part) for part in stream) if isinstance(stream, tuple) else (int(stream),)
         if key not in self._made:
-            # NumPy's types name SeedSequence alone; what it takes is any ISeedSequence.
+            # NumPy's type hints accept only SeedSequence, but PCG64 takes any ISeedSequence.
             generator = np.random.PCG64(_Seed(self.seed, key))  # type: ignore[arg-type]
             self._made[key] = np.random.Generator(generator)
         return self._made[key]
 
 
 class _Seed(ISeedSequence):
-    """`numpy.random.SeedSequence(seed, spawn_key=key)` to the bit, in a third of its time: resets make many."""
+    """Bit-identical to `numpy.random.SeedSequence(seed, spawn_key=key)`, but three times as fast."""
 
     def __init__(self, seed: int, key: tuple[int, ...]) -> None:
         words = _words(seed)
-        # Whatever the seed's length, the key begins after the words that fill the pool.
+        # Short seeds are padded: the key begins after the words that fill the pool.
         words += [0] * (_POOL - len(words))
         for part in key:
             words += _words(part)
         self._entropy = np.array(words, dtype=np.uint32)
 
     def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[Any]:
-        """As NumPy's."""
+        """Same as `numpy.random.SeedSequence.generate_state`."""
         size = np.dtype(dtype).itemsize // 4
         return _state(self._entropy, n_words * size).astype("<u4").view(dtype)
 
 
 def _words(number: int) -> list[int]:
-    """A non-negative integer's 32 bit digits, the lowest first."""
+    """Split a non-negative integer into 32-bit words, lowest first."""
     digits = [number & 0xFFFFFFFF]
     while number := number >> 32:
         digits.append(number & 0xFFFFFFFF)
@@ -69,7 +69,7 @@ _LEFT, _RIGHT, _HALF = np.uint32(0xCA01F9DD), np.uint32(0x4973F715), np.uint32(1
 
 @njit(cache=True, nogil=True)
 def _hashed(value, constant, factor):  # type: ignore[no-untyped-def]
-    """A word and the constant with which the next one is hashed."""
+    """Hash a word; also returns the constant for the next one."""
     following = np.uint32(constant * factor)
     value = np.uint32(np.uint32(value ^ constant) * following)
     return np.uint32(value ^ (value >> _HALF)), following
@@ -83,7 +83,7 @@ def _mixed(x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _state(entropy, count):  # type: ignore[no-untyped-def]
-    """The words that NumPy's SeedSequence makes of its entropy (O'Neill's seed_seq_fe)."""
+    """Words that NumPy's SeedSequence generates from its entropy (O'Neill's seed_seq_fe)."""
     pool, constant = np.empty(_POOL, np.uint32), _INITIAL
     for i in range(_POOL):
         pool[i], constant = _hashed(entropy[i], constant, _FACTOR)
@@ -103,5 +103,5 @@ def _state(entropy, count):  # type: ignore[no-untyped-def]
 
 
 def episode_seed(rng: np.random.Generator) -> int:
-    """The seed of the next episode, drawn from an environment's own generator."""
+    """Draw the seed of the next episode from an environment's generator."""
     return int(rng.integers(0, 2**63))

@@ -1,4 +1,4 @@
-"""What every batched world's vector environment shares: seeds, resets by mask, the three autoreset modes, infos."""
+"""Base class of the batched vector environments: seeds, resets by mask, the three autoreset modes, infos."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Observation = NDArray[Any] | dict[str, NDArray[Any]]
 
 
 class BatchedWorld(Protocol):
-    """N scenes stepped together; what a `BatchedVectorEnv` asks of them. Arrays have a leading axis of N."""
+    """Interface of the world of a `BatchedVectorEnv`: N scenes stepped together. Arrays have a leading axis of N."""
 
     steps: Labels
     reward: Array
@@ -30,38 +30,38 @@ class BatchedWorld(Protocol):
     truncated: Mask
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
-        """Start new episodes in some rows; the others are left as they are, to the bit."""
+        """Start new episodes in some rows. The other rows are not changed."""
 
     def step(self, actions: Array, running: Mask | None = None) -> None:
-        """Advance the rows whose episode is under way; the others only wait for their reset."""
+        """Advance the rows whose episode is running. The other rows wait for their reset."""
 
     def privileged(self) -> dict[str, Array]:
-        """What `VectorPrivilegedObservation` adds to the observations."""
+        """Return the entries that `VectorPrivilegedObservation` adds to observations."""
 
 
 class FrameSource(Protocol):
-    """Remembers what the picture of one row needs."""
+    """Recorder of one row for its pictures."""
 
     def record(self) -> None:
-        """Take the world's newest sample."""
+        """Store the world's newest sample."""
 
     @property
     def frame(self) -> Callable[..., NDArray[np.uint8]]:
-        """Draws the present; what a world shows beyond it comes as keywords."""
+        """Function that draws the current state. Keywords are sensor data that the picture shows too."""
 
 
 class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
     """A vector environment over a world that steps N scenes together.
 
     Args:
-        world: The world, already configured.
-        num_envs: Number of scenes N, as `check_count` returned it.
-        action_space: Of one scene.
-        observation_space: Of one scene.
-        metadata: The environment's metadata.
+        world: World of N scenes.
+        num_envs: Number of scenes N, a positive integer.
+        action_space: Action space of one scene.
+        observation_space: Observation space of one scene.
+        metadata: Metadata of the environment.
         render_mode: None or `rgb_array`.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as a Gymnasium `AutoresetMode` or its value.
-        max_episode_steps: Shortens episodes, as `gym.make`'s argument of that name does.
+        max_episode_steps: Largest number of steps of an episode, like the argument of `gym.make`.
     """
 
     world: Any
@@ -99,33 +99,33 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
 
     @abstractmethod
     def _observe(self) -> Any:
-        """Observations of all scenes, fresh arrays."""
+        """Return the observations of all scenes, as new arrays."""
 
     @abstractmethod
     def _checked(self, actions: Any) -> Array:
-        """The actions as float64; raises ValueError where their shape is wrong or they are not finite."""
+        """Return the actions as float64; raises a ValueError if their shape is wrong or they are not finite."""
 
     @abstractmethod
     def _infos(self, chosen: Mask) -> dict[str, Any]:
-        """Infos of the chosen rows; `masked_infos` lays them out."""
+        """Return the infos of the chosen rows, in the layout of `masked_infos`."""
 
     @abstractmethod
     def _recorder(self, row: int) -> FrameSource:
-        """What remembers a row's past for its picture."""
+        """Create the recorder of a row."""
 
     def _pictured(self, row: int) -> dict[str, Any]:
-        """What a picture shows beyond what its recorder knows: keywords of `FrameSource.frame`."""
+        """Sensor data of a row for its picture: keywords of `FrameSource.frame`."""
         return {}
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
-        """One generator for each sub-environment."""
+        """Random generators of the sub-environments."""
         self._generate([None] * self.num_envs)
         return tuple(self._generators)
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
-        """The seed of each sub-environment's generator."""
+        """Seeds of the sub-environments' generators."""
         self._generate([None] * self.num_envs)
         return tuple(self._seeds)
 
@@ -135,14 +135,14 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
         """Start new episodes, in all sub-environments or in those of a mask.
 
         Args:
-            seed: An int s seeds the i-th with s + i; a sequence gives one seed each, None keeping that generator.
-            options: `reset_mask`, shape (N,) bool: which sub-environments to reset. Not mutated.
+            seed: An int s seeds sub-environment i with s + i. A sequence has one seed each; None keeps the generator.
+            options: `reset_mask`, shape (N,) bool: mask of the sub-environments to reset. Not mutated.
 
         Returns:
             Observations of all sub-environments, and infos of those that were reset.
 
         Raises:
-            ValueError: A seed list or mask of another length, an empty mask, or unknown options.
+            ValueError: A seed list or mask of wrong length, an empty mask, or unknown options.
             TypeError: A mask that is not a boolean array.
         """
         seeds = self._seed_list(seed)
@@ -160,16 +160,16 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
         """Advance all sub-environments by one step.
 
         Args:
-            actions: One action each, with a leading axis of N.
+            actions: One action for each sub-environment, with a leading axis of N.
 
         Returns:
-            Observations, rewards, terminations, truncations, infos. What happens at an episode's end is the autoreset
-            mode's.
+            Observations, rewards, terminations, truncations, infos. The autoreset mode decides what follows the end
+            of an episode.
 
         Raises:
-            ValueError: Actions of another shape, or not finite.
-            gymnasium.error.ResetNeeded: Before the first reset; in mode DISABLED also while an ended episode waits
-            for its reset.
+            ValueError: The actions have a wrong shape or are not finite.
+            gymnasium.error.ResetNeeded: Before the first reset. In mode DISABLED also after an episode's end, until its
+                reset.
         """
         values = self._checked(actions)
         if not self._started:
@@ -186,7 +186,7 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
         if self._step_limit is not None:
             truncated |= world.steps >= self._step_limit
         rewards = world.reward.copy()
-        everyone = np.ones(self.num_envs, np.bool_)
+        all_rows = np.ones(self.num_envs, np.bool_)
         if self.autoreset_mode == AutoresetMode.NEXT_STEP and waiting.any():
             self._restart(waiting)
             rewards[waiting], terminated[waiting], truncated[waiting] = 0.0, False, False
@@ -195,10 +195,10 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
         if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
             final_observations, final_infos = self._observe(), self._infos(ended)
             self._restart(ended)
-            infos = self._infos(everyone)
+            infos = self._infos(all_rows)
             infos |= self._final(ended, final_observations, final_infos)
         else:
-            infos = self._infos(everyone)
+            infos = self._infos(all_rows)
         observations = self._observe()
         self._record()
         return observations, rewards, terminated, truncated, infos
@@ -219,7 +219,7 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
         return tuple(recorder.frame(**self._pictured(row)) for row, recorder in enumerate(self._recorders))
 
     def privileged(self) -> dict[str, Array]:
-        """What `VectorPrivilegedObservation` adds to the observations; see the world's `privileged`."""
+        """Entries that `VectorPrivilegedObservation` adds to observations, see the world's `privileged`."""
         return self.world.privileged()
 
     def _record(self) -> None:
@@ -238,7 +238,7 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
         return {"final_obs": rows, "_final_obs": ended.copy(), "final_info": infos, "_final_info": ended.copy()}
 
     def _generate(self, seeds: Sequence[int | None]) -> None:
-        """Make or replace the generators that have a seed, and those that do not exist yet."""
+        """Create the generators that do not exist yet, and replace those that have a new seed."""
         fresh = not self._generators
         for row, seed in enumerate(seeds):
             if fresh or seed is not None:
@@ -279,14 +279,14 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
 
 
 def masked_infos(values: dict[str, Any], chosen: Mask) -> dict[str, Any]:
-    """Infos as Gymnasium's own vector environments lay them out: a mask beside every array, zeros where false.
+    """Infos in the layout of Gymnasium's vector environments: a mask for every array, zeros where it is false.
 
     Args:
-        values: Arrays with a leading axis of N, or dictionaries of such.
-        chosen: The rows to tell of, shape (N,).
+        values: Arrays with a leading axis of N, or dictionaries of them.
+        chosen: Mask of the rows to include, shape (N,).
 
     Returns:
-        Copies, which hold nothing of the other rows.
+        Copies, with zeros in the other rows.
     """
     out: dict[str, Any] = {}
     for key, value in values.items():

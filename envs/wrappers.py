@@ -1,4 +1,4 @@
-"""Wrappers that belong to the worlds."""
+"""Wrappers that add the ground truth to observations."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 Observation = dict[str, NDArray[Any]]
 
 OBSERVATION_KEY = "observation"
-"""Where an observation that is no dictionary is found beside the truth."""
+"""Key of an observation that is not a dictionary, next to the entries of the truth."""
 
 
 def _widened(space: gym.Space[Any], extra: Observation) -> gym.spaces.Dict:
-    """The observation space with one Box for each privileged array; the bounds are wide, but finite."""
+    """Observation space with one Box for each privileged array. Bounds are wide, but finite."""
     boxes = {key: gym.spaces.Box(-1e9, 1e9, value.shape, np.float64) for key, value in extra.items()}
     own = space.spaces if isinstance(space, gym.spaces.Dict) else {OBSERVATION_KEY: space}
     return gym.spaces.Dict({**own, **boxes})
@@ -30,15 +30,15 @@ def _joined(observation: Any, extra: Observation) -> Observation:
 def _privileged(env: Any) -> Any:
     source = getattr(env.unwrapped, "privileged", None)
     if source is None:
-        raise TypeError(f"{env.unwrapped!r} has no method `privileged()`: this world offers no truth to agents")
+        raise TypeError(f"{env.unwrapped!r} has no method `privileged()`: it has no ground truth for agents")
     return source
 
 
 class PrivilegedObservation(gym.ObservationWrapper[Observation, Any, Observation]):
-    """Add the truth to the observation, for oracles that declare `requires = {"truth"}`; the leaderboard marks them.
+    """Add the ground truth to the observation, for oracles with `requires = {"truth"}`. The leaderboard marks them.
 
     Args:
-        env: An environment with a method `privileged()` that returns a dictionary of float64 arrays.
+        env: Environment with a method `privileged()` that returns a dictionary of float64 arrays.
 
     Raises:
         TypeError: The environment has no such method.
@@ -50,15 +50,15 @@ class PrivilegedObservation(gym.ObservationWrapper[Observation, Any, Observation
         self.observation_space = _widened(env.observation_space, self._privileged())  # type: ignore[assignment]
 
     def observation(self, observation: Observation) -> Observation:
-        """The observation and the truth beside it."""
+        """Return the observation with the truth added."""
         return _joined(observation, self._privileged())
 
 
 class VectorPrivilegedObservation(gym.vector.VectorObservationWrapper):
-    """`PrivilegedObservation` for a vector environment that offers `privileged()` with a leading axis of N.
+    """`PrivilegedObservation` for vector environments.
 
     Args:
-        env: Such a vector environment.
+        env: Vector environment with a method `privileged()` whose arrays have a leading axis of N.
 
     Raises:
         TypeError: The environment has no such method.
@@ -72,5 +72,5 @@ class VectorPrivilegedObservation(gym.vector.VectorObservationWrapper):
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 
     def observations(self, observations: Observation) -> Observation:
-        """The observations and the truth beside them."""
+        """Return the observations with the truth added."""
         return _joined(observations, self._privileged())

@@ -1,1 +1,1 @@
-"""Palette, glyphs, plots and the window: the building blocks of every picture."""
+"""Building blocks of all pictures: palette, glyphs, plots and window."""

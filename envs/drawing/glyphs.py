@@ -1,6 +1,6 @@
-"""A small stroke font drawn by ourselves: OpenCV's own text differs between its major versions, and it is slow.
+"""A small stroke font. OpenCV's own text differs between its major versions and is slow.
 
-A glyph is a list of strokes in units of which a digit is 7 high; lower-case letters are 5 high with the baseline at 0.
+A glyph is a list of strokes, in font units: digits are 7 units high, lower-case letters 5, the baseline is at 0.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def _advance(character: str) -> float:
     if character == " ":
         return _SPACE + _GAP
     if strokes is None:
-        raise ValueError(f"text may hold {''.join(sorted(_GLYPHS))} and spaces, got {character!r}")
+        raise ValueError(f"text may contain only {''.join(sorted(_GLYPHS))} and spaces, got {character!r}")
     return max(x for stroke in strokes for x, _ in stroke) + _GAP
 
 
@@ -130,17 +130,17 @@ def put_text(
     """Write a line of text into an image.
 
     Args:
-        image: Shape (H, W, 3), changed in place; what falls outside is cut off.
+        image: Image to write into, shape (H, W, 3). Text outside of it is cut off.
         text: Digits, lower-case letters, spaces and `. : - + / %`.
-        x: Column where the text begins, ends or is centered, see `align`, px.
+        x: Column of the text's left end, right end or center, see `align`, px.
         baseline: Row of the baseline, px.
-        color: Of the text, in the image's channel order.
+        color: Color of the text, in the image's channel order.
         height: Height of a digit, px.
         weight: Thickness of the strokes, px.
-        align: `left`, `right` or `center`.
+        align: Position of the text at `x`: `left`, `right` or `center`.
 
     Raises:
-        ValueError: A character the font lacks.
+        ValueError: The text has a character that the font lacks.
     """
     shift = {"left": 0.0, "right": 1.0, "center": 0.5}[align] * text_width(text, height)
     left = round(x - shift - height / _DIGIT_HEIGHT)

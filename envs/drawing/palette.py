@@ -1,4 +1,4 @@
-"""Palette of all pictures, and the helpers that every picture needs: panels, mixed colors, sub-pixel coordinates."""
+"""Palette of all pictures, and helpers for panels, mixed colors and sub-pixel coordinates."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ class Panel(NamedTuple):
     height: int
 
     def of(self, image: NDArray) -> NDArray:
-        """The panel's part of an image, a view."""
+        """View of the panel's part of an image."""
         return image[self.top : self.top + self.height, self.left : self.left + self.width]
 
 
 @lru_cache(maxsize=256)
 def mix(a: Color, b: Color, weight: float) -> Color:
-    """A color between `a` (weight 0) and `b` (weight 1)."""
+    """Interpolate between the colors `a` (weight 0) and `b` (weight 1)."""
     red, green, blue = (round(x + (y - x) * weight) for x, y in zip(a, b, strict=True))
     return (red, green, blue)
 
 
 def fixed_point(points: Array) -> NDArray[np.int32]:
-    """Pixel coordinates (..., 2) as OpenCV's sub-pixel integers with four fractional bits.
+    """Convert pixel coordinates (..., 2) to OpenCV's sub-pixel integers with four fractional bits.
 
-    Values are cut far outside any image, because OpenCV overflows beyond.
+    Values are clipped far outside of any image, because OpenCV overflows beyond.
     """
     scaled = np.rint(np.multiply(points, 16.0))
     return np.minimum(np.maximum(scaled, -64000.0), 64000.0).astype(np.int32)

@@ -1,4 +1,4 @@
-"""A window that shows frames and hears keys; pygame is imported only when one opens."""
+"""Window that shows frames and reads keys. pygame is imported only when a window opens."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 
 class Viewer:
-    """Opens with the first frame and keeps the frames' pace.
+    """Window that opens with the first frame and shows frames at a constant rate.
 
     Args:
-        title: Of the window.
-        fps: Frames per second that `show` waits for; 0 waits for nothing.
+        title: Title of the window.
+        fps: Frame rate that `show` keeps by waiting, 1/s; 0 does not wait.
 
     Raises:
         gymnasium.error.DependencyNotInstalled: pygame is missing.
@@ -33,7 +33,7 @@ class Viewer:
         self._window: Any = None
         self._clock: Any = None
         self.closed = False
-        """Whether the user has closed the window; later frames are then ignored."""
+        """True after the window was closed; later frames are ignored."""
 
     def show(self, frame: NDArray[np.uint8]) -> None:
         """Show a frame, shape (H, W, 3), RGB, and wait until the next one is due."""
@@ -55,7 +55,7 @@ class Viewer:
             self._clock.tick(self._fps)
 
     def held_keys(self) -> frozenset[str]:
-        """Names of the keys that are down now, as pygame names them: `left`, `a`, `space`; none without a window."""
+        """Names of the pressed keys in pygame's naming: `left`, `a`, `space`. Empty without a window."""
         if self._window is None:
             return frozenset()
         pygame = self._pygame
@@ -64,7 +64,7 @@ class Viewer:
         return frozenset(name for name in _KEYS if pressed[pygame.key.key_code(name)])
 
     def close(self) -> None:
-        """Close the window; closing twice does no harm."""
+        """Close the window. A second call has no effect."""
         self.closed = True
         if self._window is not None:
             self._window = None

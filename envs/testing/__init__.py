@@ -1,6 +1,6 @@
-"""Checkers for anybody's Gymnasium vector environment, to be called from a test.
+"""Checkers for any Gymnasium vector environment, to be called from a test.
 
-`gymnasium.utils.env_checker.check_env` looks at single environments; nothing looks at vector ones. These do:
+`gymnasium.utils.env_checker.check_env` checks single environments only. These check vector environments:
 
     from servotrack.envs.testing import check_vector_env, check_vector_matches_single
 
@@ -18,13 +18,13 @@ import gymnasium as gym
 from gymnasium.vector import AutoresetMode
 
 from servotrack.envs.testing import behavior, form
-from servotrack.envs.testing.event_trace import single_trace, story_difference, vector_traces
+from servotrack.envs.testing.event_trace import single_trace, trace_difference, vector_traces
 from servotrack.envs.testing.subject import MakeVectorEnv, Subject
 
 __all__ = ["ALL_MODES", "CHECKS", "MakeVectorEnv", "VectorEnvFaults", "check_vector_env", "check_vector_matches_single"]
 
 ALL_MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
-"""Every autoreset mode of Gymnasium."""
+"""All autoreset modes of Gymnasium."""
 
 CHECKS: dict[str, Callable[[Subject], None]] = {
     "spaces": form.check_spaces,
@@ -43,10 +43,10 @@ CHECKS: dict[str, Callable[[Subject], None]] = {
 
 
 class VectorEnvFaults(AssertionError):
-    """What is wrong with a vector environment.
+    """The faults of a vector environment.
 
     Attributes:
-        faults: From the name of a check that failed to what it found and what to do.
+        faults: Message of each failed check by the check's name: the fault and its remedy.
     """
 
     def __init__(self, faults: dict[str, str]) -> None:
@@ -64,39 +64,39 @@ def check_vector_env(
     skip: Sequence[str] = (),
     **kwargs: Any,
 ) -> None:
-    """Check that a vector environment keeps the rules of Gymnasium's vector API.
+    """Check that a vector environment follows the rules of Gymnasium's vector API.
 
     | check | rule |
     |---|---|
-    | `spaces` | spaces are batches of the single ones, `metadata["autoreset_mode"]` is the mode asked for |
-    | `returns` | observations lie in their space; rewards are floats and flags bools, all (num_envs,) |
-    | `seeding` | an int s means [s, s + 1, ...]; None in a list keeps a generator; a list too long is refused |
-    | `determinism` | same seeds and actions: the same to the bit, beyond autoresets |
-    | `autoreset` | the modes keep their rules and tell the same episodes; NEXT_STEP ignores the resetting action |
-    | `partial reset` | `options["reset_mask"]` touches nothing but the sub-environments it names, to the bit |
-    | `reset options` | the caller's options are not mutated; a senseless mask is refused |
-    | `fresh arrays` | what was returned does not change later, and changing it changes nothing |
-    | `infos` | every entry has a mask beside it, and nothing where the mask is False |
-    | `rendering` | where `render_mode` is `rgb_array`: one uint8 frame for each, and no effect on the episode |
-    | `order` | a step before the first reset is refused |
+    | `spaces` | spaces are batches of the single ones, `metadata["autoreset_mode"]` is the requested mode |
+    | `returns` | observations are in their space; rewards are floats and flags bools, all (num_envs,) |
+    | `seeding` | an int s means [s, s + 1, ...]; None in a list keeps a generator; a list of wrong length is rejected |
+    | `determinism` | same seeds and actions give bit-identical results, also after autoresets |
+    | `autoreset` | the modes follow their rules and give the same episodes; NEXT_STEP ignores the resetting action |
+    | `partial reset` | `options["reset_mask"]` changes only the masked sub-environments |
+    | `reset options` | the caller's options are not mutated; an invalid mask is rejected |
+    | `fresh arrays` | returned arrays do not change later, and writing into them has no effect on the environment |
+    | `infos` | every entry has a mask, and is zero (or None) where the mask is False |
+    | `rendering` | with `render_mode="rgb_array"`: one uint8 frame per sub-environment, no effect on the episode |
+    | `order` | a step before the first reset is rejected |
 
     Args:
-        make: An environment id, which `gymnasium.make_vec` makes through its `vector_entry_point`; or a callable that
-            takes `num_envs` and `autoreset_mode` as keywords and returns a new vector environment.
+        make: An environment id, passed to `gymnasium.make_vec` with its `vector_entry_point`; or a callable that takes
+            `num_envs` and `autoreset_mode` as keywords and returns a new vector environment.
         num_envs: Number of sub-environments, at least 2.
-        steps: Steps of every sub-environment in a check; at least one episode has to end within.
-        seed: First of the seeds.
-        autoreset_modes: The modes that the environment has.
-        skip: Names of checks to leave out.
+        steps: Number of steps of every sub-environment in a check. At least one episode must end within them.
+        seed: First seed.
+        autoreset_modes: Modes that the environment supports.
+        skip: Names of checks to skip.
         **kwargs: Further arguments of `gymnasium.make_vec` or of the callable.
 
     Raises:
-        VectorEnvFaults: An AssertionError that lists all checks that failed, what they found and what to do.
-        ValueError: `num_envs`, `steps`, `autoreset_modes` or `skip` makes no sense.
+        VectorEnvFaults: An AssertionError that lists all failed checks with their faults and remedies.
+        ValueError: `num_envs`, `steps`, `autoreset_modes` or `skip` is invalid.
     """
     unknown = sorted(set(skip) - CHECKS.keys())
     if unknown:
-        raise ValueError(f"skip names checks that do not exist, {unknown}; known are {', '.join(CHECKS)}")
+        raise ValueError(f"skip contains unknown checks {unknown}; known are {', '.join(CHECKS)}")
     subject = _subject(make, num_envs, steps, seed, autoreset_modes, kwargs)
     faults: dict[str, str] = {}
     for name, check in CHECKS.items():
@@ -119,30 +119,32 @@ def check_vector_matches_single(
     interrupt_after: int | None = 5,
     **kwargs: Any,
 ) -> None:
-    """Check that N sub-environments do, to the bit, what N single environments do.
+    """Check that N sub-environments and N single environments give bit-identical results.
 
     Observations, rewards, terminations, truncations and infos are compared over several episodes, in every autoreset
-    mode. A reset by mask in the midst of an episode sets every second sub-environment out of step with the others.
+    mode. A reset by mask in the middle of an episode desynchronizes every second sub-environment from the others.
 
     Args:
-        make: As in `check_vector_env`.
-        make_single: Makes the single environment; for an id `gymnasium.make` does.
+        make: Environment id or callable that creates the vector environment, see `check_vector_env`.
+        make_single: Creates the single environment; default for an id: `gymnasium.make`.
         num_envs: Number of sub-environments, at least 2.
-        steps: Steps of every sub-environment; at least one episode has to end within.
-        seed: First of the seeds.
-        autoreset_modes: The modes that the environment has.
-        interrupt_after: Steps after which every second sub-environment is reset by mask; None for environments without
-            `reset_mask`.
+        steps: Number of steps of every sub-environment. At least one episode must end within them.
+        seed: First seed.
+        autoreset_modes: Modes that the environment supports.
+        interrupt_after: Number of steps after which every second sub-environment is reset by mask. None for
+            environments without `reset_mask`.
         **kwargs: Further arguments of `gymnasium.make_vec` and `gymnasium.make`, or of the callable `make`.
 
     Raises:
-        VectorEnvFaults: An AssertionError that names sub-environment and event of the first difference in each mode.
-        ValueError: `num_envs`, `steps` or `autoreset_modes` makes no sense, or `make_single` is missing.
+        VectorEnvFaults: An AssertionError with the sub-environment and event of the first difference in each mode.
+        ValueError: `num_envs`, `steps` or `autoreset_modes` is invalid, or `make_single` is missing.
     """
     subject = _subject(make, num_envs, steps, seed, autoreset_modes, kwargs)
     if make_single is None:
         if not isinstance(make, str):
-            raise ValueError("make_single is missing: with a callable `make`, give one for the single environment too")
+            raise ValueError(
+                "make_single is missing: a callable `make` needs a callable for the single environment too"
+            )
         env_id = make
 
         def make_single() -> gym.Env[Any, Any]:
@@ -161,30 +163,30 @@ def _compare(
     subject: Subject, make_single: Callable[[], gym.Env[Any, Any]], mode: AutoresetMode, interrupt_after: int | None
 ) -> None:
     with subject.opened(mode) as env:
-        script = subject.script(env, interrupt_after)
-        ours = vector_traces(env, script, mode)
+        plan = subject.plan(env, interrupt_after)
+        ours = vector_traces(env, plan, mode)
     theirs = []
     for row in range(subject.num_envs):
         single = make_single()
-        theirs.append(single_trace(single, script, row))
+        theirs.append(single_trace(single, plan, row))
         single.close()
-    found = story_difference(ours, theirs)
+    found = trace_difference(ours, theirs)
     assert found is None, (
-        f"the vector environment (here) and single ones (there) differ: {found}; share one implementation"
+        f"the vector environment (here) and single environments (there) differ: {found}; share one implementation"
     )
-    assert any(event.terminated or event.truncated for story in theirs for event in story), (
+    assert any(event.terminated or event.truncated for trace in theirs for event in trace), (
         f"no episode ended within {subject.steps} steps; raise `steps`, or make the episodes shorter"
     )
 
 
 def _fault(check: Callable[[], None]) -> str | None:
-    """What a check found, if anything; an environment that breaks down is a fault too."""
+    """Message of a failed check, or None. An exception raised by the environment is a fault too."""
     try:
         check()
     except AssertionError as fault:
-        return str(fault) or "the environment failed an assertion of its own that says nothing"
+        return str(fault) or "the environment raised an AssertionError without a message"
     except Exception as error:
-        return f"the environment breaks down with {type(error).__name__}: {error}"
+        return f"the environment raised {type(error).__name__}: {error}"
     return None
 
 
@@ -197,7 +199,9 @@ def _subject(
     kwargs: dict[str, Any],
 ) -> Subject:
     if num_envs < 2:
-        raise ValueError(f"num_envs must be at least 2, so that neighbors can be told apart, got {num_envs}")
+        raise ValueError(
+            f"num_envs must be at least 2, because checks compare neighboring sub-environments, got {num_envs}"
+        )
     if steps < 4:
         raise ValueError(f"steps must be at least 4, got {steps}")
     if not modes:

@@ -1,4 +1,4 @@
-"""What a vector environment does: seeds, repeatability, autoreset, partial resets, and whose its arrays are."""
+"""Checks of a vector environment's behavior: seeding, determinism, autoreset, partial resets, array ownership."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import iterate
 
-from servotrack.envs.testing.event_trace import FINAL_KEYS, batch_actions, story_difference, vector_traces
-from servotrack.envs.testing.subject import Subject, VectorEnv, assert_refused, assert_same
+from servotrack.envs.testing.event_trace import FINAL_KEYS, batch_actions, trace_difference, vector_traces
+from servotrack.envs.testing.subject import Subject, VectorEnv, assert_rejected, assert_same
 
 
 def check_seeding(subject: Subject) -> None:
-    """An int s seeds the i-th sub-environment with s + i, a list gives one seed each, None keeps a generator."""
+    """Check that an int s seeds sub-environment i with s + i, a list sets one seed each, and None keeps a generator."""
     mode = subject.modes[0]
     with subject.opened(mode) as one, subject.opened(mode) as other:
         by_list = _record(subject, one, mode, subject.seeds)
         assert_same(
             by_list,
             _record(subject, other, mode, subject.seed),
-            f"reset(seed={subject.seed}) must be reset(seed={subject.seeds})",
+            f"reset(seed={subject.seed}) must be the same as reset(seed={subject.seeds})",
         )
         assert_same(
             by_list,
@@ -37,15 +37,15 @@ def check_seeding(subject: Subject) -> None:
         assert_same(
             _rows(one, kept, rows),
             _rows(other, unseeded, rows),
-            "None in a list of seeds must leave that sub-environment's generator as it is",
+            "None in a list of seeds must not change that sub-environment's generator",
         )
         assert_same(
             _rows(one, kept, slice(0, 1)),
             _rows(one, by_list, slice(0, 1)),
-            "a seed beside None in a list must still count",
+            "a seed next to None in a list must take effect",
         )
         too_many = [subject.seed] * (subject.num_envs + 1)
-        assert_refused(
+        assert_rejected(
             f"reset(seed=...) with {len(too_many)} seeds for {subject.num_envs} sub-environments",
             one.reset,
             seed=too_many,
@@ -53,40 +53,42 @@ def check_seeding(subject: Subject) -> None:
 
 
 def check_determinism(subject: Subject) -> None:
-    """Two environments with the same seeds and actions do the same, to the bit."""
+    """Check that two environments with the same seeds and actions are bit-identical."""
     for mode in subject.modes:
-        found = story_difference(subject.stories(mode), subject.stories(mode))
+        found = trace_difference(subject.traces(mode), subject.traces(mode))
         assert found is None, (
-            f"{mode.name}: two runs with the same seeds and actions differ, {found}; draw from np_random only, and let "
-            "nothing survive from one episode or environment to the next"
+            f"{mode.name}: two runs with the same seeds and actions differ, {found}; draw from np_random only, and "
+            "keep no state from one episode or environment to the next"
         )
 
 
 def check_autoreset(subject: Subject) -> None:
-    """Each autoreset mode keeps its rules, and all tell the same story."""
-    told = {mode: subject.stories(mode) for mode in subject.modes}
-    for mode, stories in told.items():
-        assert any(event.terminated or event.truncated for story in stories for event in story), (
+    """Check that each autoreset mode follows its rules, and that all give the same traces."""
+    traces_of = {mode: subject.traces(mode) for mode in subject.modes}
+    for mode, traces in traces_of.items():
+        assert any(event.terminated or event.truncated for trace in traces for event in trace), (
             f"{mode.name}: no episode ended within {subject.steps} steps, so there was no autoreset to check; raise "
             "`steps`, or make the episodes shorter"
         )
     first = subject.modes[0]
     for mode in subject.modes[1:]:
-        found = story_difference(told[first], told[mode])
-        assert found is None, f"{first.name} (here) and {mode.name} (there) disagree about the same episodes: {found}"
-    if AutoresetMode.NEXT_STEP in told:
+        found = trace_difference(traces_of[first], traces_of[mode])
+        assert found is None, f"{first.name} (here) and {mode.name} (there) give different episodes: {found}"
+    if AutoresetMode.NEXT_STEP in traces_of:
         with subject.opened(AutoresetMode.NEXT_STEP) as env:
-            script = subject.script(env)
-            # The reverse order hands every sub-environment another action to ignore.
-            other = script._replace(ignored=tuple(reversed([actions[-1] for actions in script.actions])))
-            found = story_difference(
-                told[AutoresetMode.NEXT_STEP], vector_traces(env, other, AutoresetMode.NEXT_STEP, tamper=False)
+            plan = subject.plan(env)
+            # The reversed order gives every sub-environment another action to ignore.
+            other = plan._replace(ignored=tuple(reversed([actions[-1] for actions in plan.actions])))
+            found = trace_difference(
+                traces_of[AutoresetMode.NEXT_STEP], vector_traces(env, other, AutoresetMode.NEXT_STEP, tamper=False)
             )
-        assert found is None, f"NEXT_STEP: the action of the step that resets must be ignored, but it matters: {found}"
+        assert found is None, (
+            f"NEXT_STEP: the action of the step that resets must be ignored, but it has an effect: {found}"
+        )
 
 
 def check_partial_reset(subject: Subject) -> None:
-    """`options["reset_mask"]` resets the sub-environments it names and leaves the others as they are, to the bit."""
+    """Check that `options["reset_mask"]` resets the masked sub-environments and does not change the others."""
     mask = np.arange(subject.num_envs) % 2 == 0
     for mode in subject.modes:
         with subject.opened(mode) as env, subject.opened(mode) as twin:
@@ -113,12 +115,12 @@ def check_partial_reset(subject: Subject) -> None:
             assert_same(
                 _rows(env, ours[:count], slice(1, None, 2)),
                 _rows(twin, theirs[:count], slice(1, None, 2)),
-                f"{mode.name}: a reset by mask {mask.tolist()} must not touch what the other sub-environments do later",
+                f"{mode.name}: a reset by mask {mask.tolist()} must not change later results of other rows",
             )
 
 
 def check_reset_options(subject: Subject) -> None:
-    """The options are not mutated, and a mask that makes no sense is refused."""
+    """Check that the options are not mutated and that invalid masks are rejected."""
     with subject.opened(subject.modes[0]) as env:
         env.reset(seed=subject.seed, options={})
         mask = np.arange(subject.num_envs) == 0
@@ -135,11 +137,11 @@ def check_reset_options(subject: Subject) -> None:
             (np.ones(subject.num_envs, np.int64), "of integers"),
             (np.zeros(subject.num_envs, np.bool_), "that is false everywhere"),
         ):
-            assert_refused(f"an options['reset_mask'] {what}", env.reset, options={"reset_mask": wrong})
+            assert_rejected(f"an options['reset_mask'] {what}", env.reset, options={"reset_mask": wrong})
 
 
 def check_fresh_arrays(subject: Subject) -> None:
-    """What was returned belongs to the caller: later calls do not change it, and changing it changes nothing."""
+    """Check that returned arrays do not change later, and that writing into them has no effect."""
     for mode in subject.modes:
         with subject.opened(mode) as env:
             held: list[Any] = [env.reset(seed=subject.seed)]
@@ -148,19 +150,21 @@ def check_fresh_arrays(subject: Subject) -> None:
                 held.append(result)
                 copies.append(deepcopy(result))
                 held.append(actions)
-                copies.append(batch_actions(env, [own[len(held) // 2 - 1] for own in subject.script(env).actions]))
+                copies.append(batch_actions(env, [own[len(held) // 2 - 1] for own in subject.plan(env).actions]))
             assert_same(
-                held, copies, f"{mode.name}: what reset and step returned changed later, or step changed its actions"
+                held,
+                copies,
+                f"{mode.name}: values returned by reset and step changed later, or step changed its actions",
             )
-        found = story_difference(subject.stories(mode), subject.stories(mode, tamper=True))
+        found = trace_difference(subject.traces(mode), subject.traces(mode, tamper=True))
         assert found is None, (
-            f"{mode.name}: overwriting returned arrays (or actions, after the step) changes what the environment does: "
-            f"{found}; return copies, keep copies"
+            f"{mode.name}: overwriting returned arrays (or actions, after the step) changes later results: {found}; "
+            "return copies and store copies"
         )
 
 
 def _record(subject: Subject, env: VectorEnv, mode: AutoresetMode, seed: Any) -> list[Any]:
-    """Copies of what a reset and the steps after it return."""
+    """Copies of the results of a reset and the steps after it."""
     observations, infos = env.reset(seed=seed)
     start = deepcopy((observations, infos))
     return [start, *(deepcopy(result) for _, result in subject.play(env, mode))]

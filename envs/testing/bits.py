@@ -1,4 +1,4 @@
-"""Whether two nested values are the same to the bit, and if not, where they first differ."""
+"""Bitwise comparison of nested values, with a description of the first difference."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ def first_difference(ours: Any, theirs: Any, where: str) -> str | None:
     """Compare nested dictionaries, tuples, lists, arrays and numbers, types included.
 
     Args:
-        ours: One value.
-        theirs: The other.
-        where: What the value is called in the answer.
+        ours: First value, called "here" in the answer.
+        theirs: Second value, called "there" in the answer.
+        where: Name of the value in the answer.
 
     Returns:
-        A sentence about the first difference, or None where every bit is the same; NaN equals itself, 0.0 is not -0.0.
+        A sentence about the first difference, or None if all bits are equal. NaN equals itself, 0.0 differs from -0.0.
     """
     if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
         if ours.keys() != theirs.keys():

@@ -1,4 +1,4 @@
-"""What a vector environment returns: spaces, types, shapes, masks, frames."""
+"""Checks of the values that a vector environment returns: spaces, types, shapes, masks, frames."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from gymnasium.vector.utils import batch_space, create_empty_array
 
 from servotrack.envs.testing.bits import first_difference
 from servotrack.envs.testing.event_trace import batch_actions
-from servotrack.envs.testing.subject import Subject, VectorEnv, assert_refused, assert_same
+from servotrack.envs.testing.subject import Subject, VectorEnv, assert_rejected, assert_same
 
 
 def check_spaces(subject: Subject) -> None:
-    """Spaces, their batches and the metadata agree with what was asked for."""
+    """Check that spaces, their batches and the metadata agree with the arguments."""
     for mode in subject.modes:
         with subject.opened(mode) as env:
             shared = deepcopy(dict(type(env.unwrapped).metadata))
-            assert env.num_envs == subject.num_envs, f"num_envs is {env.num_envs}; {subject.num_envs} were asked for"
+            assert env.num_envs == subject.num_envs, (
+                f"num_envs must be {subject.num_envs}, as requested, got {env.num_envs}"
+            )
             for name in ("observation_space", "action_space"):
                 single = getattr(env, f"single_{name}")
                 assert getattr(env, name) == batch_space(single, env.num_envs), (
@@ -28,18 +30,18 @@ def check_spaces(subject: Subject) -> None:
                 )
             declared = env.metadata.get("autoreset_mode")
             assert declared == mode, (
-                f"metadata['autoreset_mode'] must be the AutoresetMode asked for, {mode}, got {declared!r}: take an "
-                "argument autoreset_mode, or name the modes that exist in autoreset_modes"
+                f"metadata['autoreset_mode'] must be the requested mode, {mode}, got {declared!r}: add an argument "
+                "autoreset_mode to the environment, or pass the modes that it supports as autoreset_modes"
             )
             with subject.opened(mode):
                 pass
             assert type(env.unwrapped).metadata == shared, (
-                "the constructor changes the metadata of its class: copy it first"
+                "the constructor changes the metadata of its class; copy them first"
             )
 
 
 def check_returns(subject: Subject) -> None:
-    """Types, shapes and data types of what reset and step return."""
+    """Check types, shapes and data types of the values that reset and step return."""
     for mode in subject.modes:
         with subject.opened(mode) as env:
             observations, infos = env.reset(seed=subject.seed)
@@ -54,7 +56,7 @@ def check_returns(subject: Subject) -> None:
 
 
 def check_infos(subject: Subject) -> None:
-    """Every entry of the infos has one value and one mask entry for each sub-environment."""
+    """Check that every entry of the infos has one value and one mask entry for each sub-environment."""
     for mode in subject.modes:
         with subject.opened(mode) as env:
             _check_infos(env.reset(seed=subject.seed)[1], env.num_envs, "infos")
@@ -63,7 +65,7 @@ def check_infos(subject: Subject) -> None:
 
 
 def check_rendering(subject: Subject) -> None:
-    """With render_mode `rgb_array`, render gives one fresh uint8 image for each and changes nothing."""
+    """Check that render returns one new uint8 frame per sub-environment and has no effect on the episode."""
     mode = subject.modes[0]
     with subject.opened(mode) as env, subject.opened(mode) as twin:
         if env.render_mode != "rgb_array":
@@ -71,7 +73,7 @@ def check_rendering(subject: Subject) -> None:
         env.reset(seed=subject.seed)
         twin.reset(seed=subject.seed)
         for (_, ours), (_, theirs) in zip(subject.play(env, mode), subject.play(twin, mode), strict=False):
-            assert_same(ours, theirs, "rendering must not change what the environment does")
+            assert_same(ours, theirs, "rendering must not change the episode")
             frames = env.render()
             assert isinstance(frames, (tuple, list)) and len(frames) == env.num_envs, (
                 f"render() must return a tuple of {env.num_envs} frames, got {type(frames).__name__}"
@@ -83,14 +85,14 @@ def check_rendering(subject: Subject) -> None:
                     f"{getattr(frame, 'shape', '')}"
                 )
             kept = deepcopy(frames)
-            assert_same(env.render(), kept, "two calls of render() without a step between must give the same frames")
+            assert_same(env.render(), kept, "two calls of render() without a step in between must give the same frames")
 
 
 def check_order(subject: Subject) -> None:
-    """A step before the first reset is refused."""
+    """Check that a step before the first reset is rejected."""
     with subject.opened(subject.modes[0]) as env:
-        actions = batch_actions(env, [own[0] for own in subject.script(env).actions])
-        assert_refused("step() before the first reset()", env.step, actions)
+        actions = batch_actions(env, [own[0] for own in subject.plan(env).actions])
+        assert_rejected("step() before the first reset()", env.step, actions)
 
 
 def _check_observations(env: VectorEnv, observations: Any, source: str) -> None:
@@ -99,14 +101,14 @@ def _check_observations(env: VectorEnv, observations: Any, source: str) -> None:
         f"{source} must return observations in observation_space: same keys, shapes, data types and within the bounds; "
         f"got {observations}, not in {space}"
     )
-    # A space also contains what could be cast to it.
+    # `in` also accepts values that could be cast to the space's data types.
     expected: Any = create_empty_array(env.single_observation_space, n=env.num_envs, fn=np.zeros)
     found = first_difference(_data_types(observations), _data_types(expected), "observations")
     assert found is None, f"{source} must return observations of the space's data types, but {found}"
 
 
 def _data_types(value: Any) -> Any:
-    """The same nesting with a data type in the place of every array."""
+    """Replace every array of a nested value by its data type."""
     if isinstance(value, Mapping):
         return {key: _data_types(item) for key, item in value.items()}
     if isinstance(value, (tuple, list)):
@@ -124,7 +126,7 @@ def _check_array(name: str, value: Any, num_envs: int, dtype: type[np.generic]) 
 def _check_infos(infos: dict[str, Any], num_envs: int, where: str) -> None:
     for key, value in infos.items():
         if key.startswith("_"):
-            assert key[1:] in infos, f"{where}['{key}'] is the mask of nothing: {where}['{key[1:]}'] is missing"
+            assert key[1:] in infos, f"{where}['{key}'] is a mask without an entry: {where}['{key[1:]}'] is missing"
             continue
         mask = infos.get(f"_{key}")
         assert isinstance(mask, np.ndarray) and mask.shape == (num_envs,) and mask.dtype == np.bool_, (

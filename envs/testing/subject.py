@@ -1,4 +1,4 @@
-"""The vector environment under test: how to make it, and what to do with it."""
+"""The vector environment under test: its creation and its test runs."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from servotrack.envs.testing.bits import first_difference
 from servotrack.envs.testing.event_trace import ActionPlan, EventTrace, batch_actions, vector_traces, write_plan
 
 VectorEnv = gym.vector.VectorEnv[Any, Any, Any]
-_REFUSALS = (ValueError, TypeError, AssertionError, gym.error.Error)
+_REJECTIONS = (ValueError, TypeError, AssertionError, gym.error.Error)
 
 
 class MakeVectorEnv(Protocol):
-    """What makes the environment under test."""
+    """Callable that creates the environment under test."""
 
     def __call__(self, *, num_envs: int, autoreset_mode: AutoresetMode) -> VectorEnv:
-        """A new vector environment."""
+        """Return a new vector environment."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class Subject:
     """The environment under test.
 
     Attributes:
-        make: Makes it.
+        make: Creates the environment.
         num_envs: Number of sub-environments, at least 2.
-        steps: Steps of every sub-environment in a check; episodes have to end within.
-        seed: First of the seeds.
+        steps: Number of steps of every sub-environment in a check. Episodes must end within them.
+        seed: First seed.
         modes: Autoreset modes to check.
     """
 
@@ -50,31 +50,29 @@ class Subject:
 
     @contextmanager
     def opened(self, mode: AutoresetMode) -> Iterator[Any]:
-        """A new environment, closed at the end; typed Any, for Gymnasium's annotations know no lists of seeds."""
+        """Create an environment and close it at the end. Typed Any, because Gymnasium's types lack lists of seeds."""
         env = self.make(num_envs=self.num_envs, autoreset_mode=mode)
         try:
             yield env
         finally:
             env.close()
 
-    def script(self, env: VectorEnv, interrupt_after: int | None = None) -> ActionPlan:
-        """The script of random actions that all checks share."""
+    def plan(self, env: VectorEnv, interrupt_after: int | None = None) -> ActionPlan:
+        """Plan of random actions that all checks share."""
         return write_plan(env.single_action_space, self.num_envs, self.seed, self.steps, interrupt_after)
 
-    def stories(
-        self, mode: AutoresetMode, tamper: bool = False, interrupt_after: int | None = None
-    ) -> list[EventTrace]:
-        """The stories of a new environment."""
+    def traces(self, mode: AutoresetMode, tamper: bool = False, interrupt_after: int | None = None) -> list[EventTrace]:
+        """Return the traces of a new environment."""
         with self.opened(mode) as env:
-            return vector_traces(env, self.script(env, interrupt_after), mode, tamper)
+            return vector_traces(env, self.plan(env, interrupt_after), mode, tamper)
 
     def play(
         self, env: VectorEnv, mode: AutoresetMode, steps: int | None = None
     ) -> Iterator[tuple[Any, tuple[Any, ...]]]:
-        """Step on, yielding the actions and what came back; in DISABLED until an episode ends."""
-        script = self.script(env)
+        """Step through the plan and yield actions and results; in DISABLED, stop when an episode ends."""
+        plan = self.plan(env)
         for step in range(self.steps if steps is None else steps):
-            actions = batch_actions(env, [own[step] for own in script.actions])
+            actions = batch_actions(env, [own[step] for own in plan.actions])
             result = env.step(actions)
             yield actions, result
             if mode == AutoresetMode.DISABLED and np.any(result[2] | result[3]):
@@ -82,15 +80,15 @@ class Subject:
 
 
 def assert_same(ours: Any, theirs: Any, rule: str) -> None:
-    """Raises AssertionError that states the rule and the first difference, unless every bit is the same."""
+    """Raise an AssertionError with the rule and the first difference, unless both are bit-identical."""
     found = first_difference(ours, theirs, "result")
     assert found is None, f"{rule}, but {found}"
 
 
-def assert_refused(what: str, call: Callable[..., Any], *args: Any, **kwargs: Any) -> None:
-    """Raises AssertionError unless a call raises one of the errors that bad input deserves."""
+def assert_rejected(what: str, call: Callable[..., Any], *args: Any, **kwargs: Any) -> None:
+    """Raise an AssertionError unless a call rejects its invalid input with a suitable error."""
     try:
         call(*args, **kwargs)
-    except _REFUSALS:
+    except _REJECTIONS:
         return
-    raise AssertionError(f"{what} must raise an error that names it; it was accepted")
+    raise AssertionError(f"{what} must raise an error, but was accepted")
