@@ -1,26 +1,28 @@
-"""Estimators are values and functions; this holds their state for people who want a loop."""
+"""`Stateful` wraps a stateless estimator and keeps its state, for use in a plain loop; functions on nested states."""
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
-from servotrack.estimators.types import Mask
+from servotrack.estimators.types import Estimator, Mask
 
 State = TypeVar("State")
+Measurement = TypeVar("Measurement")
+Estimate = TypeVar("Estimate")
 
 
 def select_rows(mask: Mask, chosen: State, otherwise: State) -> State:
-    """Rows of `chosen` where `mask` is true, else of `otherwise`.
+    """Select rows of `chosen` where `mask` is true, and rows of `otherwise` elsewhere.
 
     Args:
-        mask: Shape (*batch,), bool.
-        chosen: An array with leading axes `batch`, or nested tuples and NamedTuples of such arrays.
-        otherwise: The same structure.
+        mask: Mask of the rows taken from `chosen`. Shape (*batch,), bool.
+        chosen: Array with leading axes `batch`, or nested tuples and NamedTuples of such arrays.
+        otherwise: Values with the structure and shapes of `chosen`.
 
     Returns:
-        The same structure, new arrays.
+        New arrays in the structure of `chosen`.
     """
     if isinstance(chosen, tuple):
         parts = [select_rows(mask, a, b) for a, b in zip(chosen, otherwise, strict=True)]  # type: ignore[call-overload]
@@ -30,44 +32,50 @@ def select_rows(mask: Mask, chosen: State, otherwise: State) -> State:
 
 
 def add_axis(tree: State) -> State:
-    """The same nested NamedTuples with a leading axis of one run."""
+    """Return the nested NamedTuples with a leading batch axis of length 1 in every array."""
     if isinstance(tree, tuple):
         return type(tree)(*[add_axis(leaf) for leaf in tree])
     return np.ascontiguousarray(np.asarray(tree)[None])  # type: ignore[return-value]
 
 
 def first_row(tree: State) -> State:
-    """The same nested NamedTuples of the first run, without the axis."""
+    """Return the first row of every array in nested NamedTuples, without the batch axis."""
     if isinstance(tree, tuple):
         return type(tree)(*[first_row(leaf) for leaf in tree])
     return np.asarray(tree[0])  # type: ignore[index,return-value]
 
 
 def copied(tree: State) -> State:
-    """The same nested NamedTuples with arrays of their own."""
+    """Return a deep copy of nested NamedTuples of arrays."""
     if isinstance(tree, tuple):
         return type(tree)(*[copied(leaf) for leaf in tree])
     return np.array(tree)  # type: ignore[return-value]
 
 
-class Stateful:
-    """An estimator with its state: `Stateful(estimator).step(measurement) -> estimate`.
+class Stateful(Generic[Measurement, State, Estimate]):
+    """Estimator together with its state: `Stateful(estimator).step(measurement) -> estimate`.
 
     Args:
-        estimator: Anything with `initial(measurement)` and `step(state, measurement)`.
+        estimator: Estimator with `initial(measurement)` and `step(state, measurement)`.
+
+    Attributes:
+        estimator: The wrapped estimator.
+        state: State after the latest measurement; None before the first one and after `reset`.
     """
 
-    def __init__(self, estimator: Any) -> None:
+    def __init__(self, estimator: Estimator[Measurement, State, Estimate]) -> None:
         self.estimator = estimator
-        self.state: Any = None
+        self.state: State | None = None
 
-    def step(self, measurement: Any) -> Any:
-        """Fold one measurement in and return the estimate; the first call also makes the initial state."""
-        if self.state is None:
-            self.state = self.estimator.initial(measurement)
-        self.state, estimate = self.estimator.step(self.state, measurement)
+    def step(self, measurement: Measurement) -> Estimate:
+        """Update the state with one measurement and return the estimate.
+
+        The first call, and the first one after `reset`, also makes the initial state.
+        """
+        state = self.estimator.initial(measurement) if self.state is None else self.state
+        self.state, estimate = self.estimator.step(state, measurement)
         return estimate
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Drop the state, so that the next `step` starts a new run."""
         self.state = None

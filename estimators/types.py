@@ -1,4 +1,4 @@
-"""Array aliases of the whole package, and the contract of an estimator."""
+"""Array type aliases of the package, and the `Estimator` protocol."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
-"""Float64 array: vectors, covariances, coordinates."""
+"""Float64 array: vectors, covariances, coordinates, probabilities."""
 
 FloatArray: TypeAlias = NDArray[np.float32]
 """Float32 array: network inputs, appearance features, joint-rate commands."""
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
-"""Complex array: signals of hydrophones."""
+"""Complex128 array: hydrophone signals, plane vectors written as u + iv."""
 
 Mask: TypeAlias = NDArray[np.bool_]
-"""Boolean array."""
+"""Boolean array: a mask over rows, pixels or features."""
 
 Labels: TypeAlias = NDArray[np.int64]
-"""Int64 array: identities, indices, counts."""
+"""Int64 array: identity labels, indices, counts."""
 
 Image: TypeAlias = NDArray[np.uint8]
 """Uint8 image, RGB with shape (height, width, 3) or gray with shape (height, width)."""
@@ -31,23 +31,31 @@ EstimateT_co = TypeVar("EstimateT_co", covariant=True)
 
 
 class Estimator(Protocol[MeasurementT_contra, StateT, EstimateT_co]):
-    """Contract of every estimator: a frozen dataclass of parameters with two pure functions.
+    """Interface of every estimator: a frozen dataclass of parameters with two pure functions.
 
-    The estimator itself never changes. Its memory is `state`, a NamedTuple of arrays that can be copied, pickled and
-    compared.
+    The estimator itself never changes. All memory is in the state, a NamedTuple of arrays that can be copied, pickled
+    and compared. The type parameters are the measurement, the state and the estimate, for example
+    `Estimator[ServoMeasurement, KalmanState, LinearEstimate]`. `Stateful` keeps the state for use in a plain loop.
     """
 
     def initial(self, measurement: MeasurementT_contra, /) -> StateT:
         """Return the state before the first measurement.
 
         Args:
-            measurement: First measurement. Only its shapes are read unless the class says otherwise.
+            measurement: First measurement, which is also passed to the first `step`. Only its shapes are read unless
+                the class documents more.
+
+        Returns:
+            The initial state.
         """
 
     def step(self, state: StateT, measurement: MeasurementT_contra, /) -> tuple[StateT, EstimateT_co]:
-        """Return the state and the estimate after one more measurement.
+        """Update the state with one measurement.
 
         Args:
-            state: Result of the last call, or of `initial`.
+            state: State that the previous `step` returned, or `initial` for the first one. It is not modified.
             measurement: Measurement of this step.
+
+        Returns:
+            The new state, and the estimate.
         """

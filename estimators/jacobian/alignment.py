@@ -1,8 +1,7 @@
 """Pairing of joint motion and feature motion by time stamps.
 
-An increment dy is only explained by the dtheta of the same interval: one frame of latency that is not accounted for
-breaks every Jacobian estimator. So the encoder readings are kept for a while and interpolated at the frames'
-instants.
+An increment dy belongs to the dtheta of the same interval: one frame of uncompensated latency breaks every Jacobian
+estimator. Therefore the latest encoder readings are kept and interpolated at the frames' instants.
 """
 
 from __future__ import annotations
@@ -22,12 +21,12 @@ class AlignmentState(NamedTuple):
     """Encoder history and the newest usable frame.
 
     Attributes:
-        history_time: Instants of the readings, oldest first, -inf before the first one. Shape (*batch, H), s.
-        history_angles: The readings. Shape (*batch, H, n), rad.
-        seen: Whether there has been a usable frame. Shape (*batch,), bool.
-        frame_time: Instant of the newest one, latency already taken off. Shape (*batch,), s.
+        history_time: Instants of the encoder readings, oldest first, -inf before the first one. Shape (*batch, H), s.
+        history_angles: Encoder readings. Shape (*batch, H, n), rad.
+        seen: True once there has been a usable frame. Shape (*batch,), bool.
+        frame_time: Instant of the newest usable frame, latency subtracted. Shape (*batch,), s.
         frame_joints: Joint angles at that instant. Shape (*batch, n), rad.
-        frame_features: Its features; the goal before the first usable frame. Shape (*batch, m), px.
+        frame_features: Features of that frame; the goal before the first usable frame. Shape (*batch, m), px.
     """
 
     history_time: Array
@@ -40,15 +39,15 @@ class AlignmentState(NamedTuple):
 
 @dataclass(frozen=True)
 class Alignment:
-    """Turns measurements into increments whose joint and feature parts belong to the same interval.
+    """Conversion of measurements into increments whose joint and feature parts belong to the same interval.
 
-    A repeated frame, one without the target, one that goes back in time and one older than the history are not
-    fresh. Across dropped frames the next increment spans the gap. Before the first reading the arm is taken to have
-    been at rest.
+    A frame is not fresh if it is repeated, does not show the target, goes back in time, or is older than the history.
+    After dropped frames the next increment spans the gap. The arm is assumed to be at rest before the first reading.
 
     Args:
-        history: Number H of encoder readings kept, at least 2; it must cover the latency.
-        latency: Age of a frame at its stamp, s: taken off `frame_time`, for cameras that stamp frames on arrival.
+        history: Number H of encoder readings kept, at least 2. It must cover the latency.
+        latency: Age of a frame at its stamp, s, subtracted from `frame_time`. Use it for cameras that stamp frames on
+            arrival.
     """
 
     history: int = 16
@@ -61,7 +60,7 @@ class Alignment:
             raise ValueError(f"latency must be finite and >= 0 s, got {self.latency}")
 
     def initial(self, measurement: ServoMeasurement) -> AlignmentState:
-        """State before the first `step`, which is to be given this same measurement.
+        """State before the first `step`, to which the same measurement must be passed.
 
         Raises:
             ValueError: As `checked` does.
@@ -80,13 +79,13 @@ class Alignment:
         )
 
     def step(self, state: AlignmentState, measurement: ServoMeasurement) -> tuple[AlignmentState, Increment]:
-        """Fold one measurement in.
+        """Update with one measurement.
 
         Returns:
             The new state, and the increment since the last usable frame.
 
         Raises:
-            ValueError: As `checked` does; when the shapes are not those of the state; when time goes backwards.
+            ValueError: As `checked` does, or if the shapes differ from those of the state or time goes backwards.
         """
         measurement = checked(measurement)
         self._check_against(state, measurement)
@@ -138,31 +137,31 @@ def present_estimate(
     increment: Increment,
     goal: Array,
     log_likelihood: Array,
-    surprise: Array,
+    nis: Array,
 ) -> LinearEstimate:
     """Carry features from the newest frame's instant to the present: e = y - y_goal + J_theta dtheta + J_t dt.
 
     Args:
         features: Features at the newest frame's instant. Shape (*batch, m), px.
         jacobian: Total image Jacobian. Shape (*batch, m, n + 1), px/rad and px/s.
-        increment: Its pending parts are the motion since that instant.
-        goal: Wanted features. Shape (*batch, m), px.
-        log_likelihood: Shape (*batch,).
-        surprise: Shape (*batch,).
+        increment: Increment whose pending parts are the motion since that instant.
+        goal: Desired features. Shape (*batch, m), px.
+        log_likelihood: Log density of the newest measurement. Shape (*batch,).
+        nis: Normalized innovation squared divided by m. Shape (*batch,).
 
     Returns:
         The estimate at the present.
     """
-    at_frame = LinearEstimate(features - np.asarray(goal), jacobian, log_likelihood, surprise)
+    at_frame = LinearEstimate(features - np.asarray(goal), jacobian, log_likelihood, nis)
     now = at_frame.predict_error(increment.pending_joints, increment.pending_time)
-    return LinearEstimate(now, jacobian, log_likelihood, surprise)
+    return LinearEstimate(now, jacobian, log_likelihood, nis)
 
 
 @numba.njit(cache=True, nogil=True)
 def _align(  # type: ignore[no-untyped-def]
     history_time, history_angles, seen, frame_time, frame_joints, frame_features, angles, features, visible, stamp, time
 ):
-    """`Alignment.step` over rows: the fields of an AlignmentState, then those of an Increment."""
+    """`Alignment.step` over rows. Returns the fields of an AlignmentState, then those of an Increment."""
     rows, length, n = history_angles.shape
     m = features.shape[1]
     new_history_time = history_time.copy()

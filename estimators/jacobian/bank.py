@@ -1,38 +1,59 @@
-"""A bank of hypotheses: the same estimator under several assumptions, weighted by how well each foresees the frames.
+"""Hypothesis bank: one estimator under several assumptions, weighted by their predictive likelihood.
 
-The hypotheses are one more batch axis behind the measurement's own, so that the estimator serves all of them in one
-call and knows nothing about it.
+The hypotheses are one more batch axis behind the measurement's own, so that one call of the estimator updates all of
+them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.jacobian.contract import JacobianEstimator, ServoEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.measurement import checked
 from servotrack.estimators.types import Array
 
 
-class Hypotheses(Protocol):
-    """What the members of a bank differ in."""
+class MountedEstimator(JacobianEstimator, Protocol):
+    """`JacobianEstimator` whose initial state can be made for given mounting angles, as `ParametricKalman`."""
+
+    def initial(self, measurement: ServoMeasurement, /, mounting: ArrayLike | None = None) -> Any:
+        """Return the state before the first frame.
+
+        Args:
+            measurement: First measurement.
+            mounting: Expected mounting angle of the camera; None: the estimator's own. Shape (*batch,), rad.
+        """
+
+
+Member = TypeVar("Member", bound=JacobianEstimator)
+Member_contra = TypeVar("Member_contra", bound=JacobianEstimator, contravariant=True)
+
+
+class Hypotheses(Protocol[Member_contra]):
+    """Assumptions in which the K members of a bank differ."""
 
     @property
     def count(self) -> int:
         """Number K of hypotheses."""
 
     def measurement(self, measurement: ServoMeasurement) -> ServoMeasurement:
-        """The measurement as every hypothesis reads it: batch axes (*batch, K)."""
+        """Return the measurement under every hypothesis, with batch axes (*batch, K)."""
 
-    def initial(self, estimator: Any, measurement: ServoMeasurement) -> Any:
-        """The estimator's state under every hypothesis; `measurement` already has the batch axes (*batch, K)."""
+    def initial(self, estimator: Member_contra, measurement: ServoMeasurement) -> Any:
+        """Return the estimator's state under every hypothesis.
+
+        Args:
+            estimator: Estimator of the bank.
+            measurement: Result of `measurement`, with batch axes (*batch, K).
+        """
 
 
 def _repeated(measurement: ServoMeasurement, count: int) -> ServoMeasurement:
-    """The same measurement for `count` hypotheses, as a new last batch axis."""
+    """Repeat a measurement for `count` hypotheses along a new last batch axis."""
     measurement = checked(measurement)
     axis = measurement.time.ndim
     repeated = [np.repeat(np.expand_dims(value, axis), count, axis) for value in measurement]
@@ -41,18 +62,18 @@ def _repeated(measurement: ServoMeasurement, count: int) -> ServoMeasurement:
 
 @dataclass(frozen=True)
 class Latencies:
-    """Frames whose stamps tell the arrival may be this old.
+    """Hypotheses about the unknown latency of a camera whose frames are stamped on arrival.
 
     Args:
-        ages: Assumed ages of a frame at its stamp, s. The default covers two control periods in steps fine enough for a
-            camera whose readout takes a part of a period.
+        ages: Assumed ages of a frame at its stamp, s. The default covers two control periods, in steps fine enough for
+            a camera whose readout takes part of a period.
     """
 
     ages: tuple[float, ...] = (0.0, 0.03, 0.06, 0.09, 0.12)
 
     def __post_init__(self) -> None:
         if not self.ages or not all(0.0 <= age < np.inf for age in self.ages):
-            raise ValueError(f"ages must be finite and >= 0 s, at least one of them, got {self.ages}")
+            raise ValueError(f"ages must have at least one value, all finite and >= 0 s, got {self.ages}")
 
     @property
     def count(self) -> int:
@@ -60,21 +81,21 @@ class Latencies:
         return len(self.ages)
 
     def measurement(self, measurement: ServoMeasurement) -> ServoMeasurement:
-        """The frame was taken earlier than its stamp says."""
+        """Return the measurement with `frame_time` moved back by each assumed age."""
         spread = _repeated(measurement, self.count)
         return spread._replace(frame_time=spread.frame_time - np.asarray(self.ages))
 
     def initial(self, estimator: JacobianEstimator, measurement: ServoMeasurement) -> Any:
-        """Any estimator does: the measurement says it all."""
+        """Return the state of any estimator; the ages are already part of the measurement."""
         return estimator.initial(measurement)
 
 
 @dataclass(frozen=True)
 class Mountings:
-    """The camera may be turned about its axis by any angle; each hypothesis begins at one of a circle of them.
+    """Hypotheses about the unknown mounting angle of the camera: each starts at one of K angles on a circle.
 
     Args:
-        count: Number K of angles, evenly spaced over the whole turn.
+        count: Number K of angles, evenly spaced over 2 pi. Computing time grows in proportion.
     """
 
     count: int = 8
@@ -84,11 +105,11 @@ class Mountings:
             raise ValueError(f"count must be at least 1, got {self.count}")
 
     def measurement(self, measurement: ServoMeasurement) -> ServoMeasurement:
-        """All hypotheses read the same."""
+        """Return the same measurement for every hypothesis."""
         return _repeated(measurement, self.count)
 
-    def initial(self, estimator: Any, measurement: ServoMeasurement) -> Any:
-        """Needs an estimator whose `initial` takes a mounting angle, as `ParametricKalman` does."""
+    def initial(self, estimator: MountedEstimator, measurement: ServoMeasurement) -> Any:
+        """Return the state of an estimator whose `initial` accepts a mounting angle, such as `ParametricKalman`."""
         angles = np.arange(self.count) * (2.0 * np.pi / self.count)
         return estimator.initial(measurement, mounting=np.broadcast_to(angles, measurement.time.shape))
 
@@ -97,8 +118,8 @@ class BankState(NamedTuple):
     """State of a `HypothesisBank`.
 
     Attributes:
-        members: The estimator's state, batch axes (*batch, K).
-        log_weight: Logarithms of the hypotheses' weights, the best 0. Shape (*batch, K).
+        members: State of the estimator, with batch axes (*batch, K).
+        log_weight: Logarithms of the hypotheses' weights; the largest is 0. Shape (*batch, K).
     """
 
     members: Any
@@ -106,21 +127,23 @@ class BankState(NamedTuple):
 
 
 @dataclass(frozen=True)
-class HypothesisBank:
-    """Answers with the estimate of the hypothesis that has foreseen the frames best.
+class HypothesisBank(Generic[Member]):
+    """Estimator that returns the estimate of the hypothesis with the highest predictive likelihood.
 
-    With p_k the density that hypothesis k gives to a frame, log w_k' = forgetting log w_k + log p_k, up to a common
-    constant; no weight falls below `floor`, so that a hypothesis can come back.
+    With p_k the density of a frame under hypothesis k, log w_k' = forgetting log w_k + log p_k, up to a common
+    constant. No weight falls below `floor`, so that a hypothesis can recover.
 
     Args:
-        estimator: Any estimator that the hypotheses serve.
-        hypotheses: What its copies differ in.
-        forgetting: Memory of the weights, in (0, 1]; 1 for a constant that never changes.
-        floor: Least logarithm of a weight relative to the best.
+        estimator: Estimator of which every hypothesis has a copy.
+        hypotheses: Assumptions in which the copies differ.
+        forgetting: Memory of the weights per frame, in (0, 1]. Smaller values switch hypotheses sooner; 1 suits a
+            constant that never changes.
+        floor: Smallest logarithm of a weight relative to the best, negative. Values nearer to 0 let a hypothesis
+            recover sooner.
     """
 
-    estimator: Any
-    hypotheses: Hypotheses
+    estimator: Member
+    hypotheses: Hypotheses[Member]
     forgetting: float = 0.98
     floor: float = -30.0
 
@@ -128,28 +151,33 @@ class HypothesisBank:
         if not 0.0 < self.forgetting <= 1.0:
             raise ValueError(f"forgetting must be in (0, 1], got {self.forgetting}")
         if not self.floor < 0.0:
-            raise ValueError(f"floor must be negative, the logarithm of a weight below the best, got {self.floor}")
+            raise ValueError(f"floor must be negative (logarithm of a weight relative to the best), got {self.floor}")
 
     def initial(self, measurement: ServoMeasurement) -> BankState:
-        """All hypotheses equally likely. Raises ValueError as the estimator does."""
+        """Return the state with equally likely hypotheses. Raises ValueError as the estimator does."""
         spread = self.hypotheses.measurement(measurement)
         return BankState(self.hypotheses.initial(self.estimator, spread), np.zeros(spread.time.shape))
 
     def step(self, state: BankState, measurement: ServoMeasurement) -> tuple[BankState, ServoEstimate]:
-        """Fold one measurement into every hypothesis. Raises ValueError as the estimator does."""
+        """Update every hypothesis with one measurement. Raises ValueError as the estimator does."""
         members, estimates = self.estimator.step(state.members, self.hypotheses.measurement(measurement))
         log_weight = self.forgetting * state.log_weight + estimates.log_likelihood
         log_weight = np.maximum(log_weight - log_weight.max(axis=-1, keepdims=True), self.floor)
         return BankState(members, log_weight), _chosen(estimates, log_weight.argmax(axis=-1))
 
     def forget(self, state: BankState) -> BankState:
-        """Every hypothesis keeps its mean and trusts it no more; all are equally likely again."""
+        """Reset the covariance of every hypothesis and make all hypotheses equally likely; the means stay."""
         members = self.estimator.forget(state.members) if hasattr(self.estimator, "forget") else state.members
         return BankState(members, np.zeros_like(state.log_weight))
 
 
 def _chosen(estimates: Any, best: NDArray[np.intp]) -> Any:
-    """The estimate, a dataclass of arrays (*batch, K, ...), of the hypothesis `best` (*batch,)."""
+    """Pick the estimate of one hypothesis per batch row.
+
+    Args:
+        estimates: Dataclass of arrays (*batch, K, ...).
+        best: Index of the hypothesis. Shape (*batch,).
+    """
 
     def pick(values: Array) -> Array:
         index = best.reshape(*best.shape, *(1,) * (values.ndim - best.ndim))

@@ -20,7 +20,7 @@ class BroydenState(NamedTuple):
     Attributes:
         alignment: Encoder history and newest frame.
         jacobian: Shape (*batch, m, n + 1), px/rad and px/s.
-        innovation_power: Running mean square of dy - J ds. Shape (*batch,), px^2.
+        innovation_power: Running mean square of the innovation dy - J ds. Shape (*batch,), px^2.
     """
 
     alignment: AlignmentState
@@ -32,16 +32,18 @@ class BroydenState(NamedTuple):
 class BroydenJacobian:
     """J' = J + mu (dy - J ds) (W ds)' / (ds' W ds + rho^2), W = diag(1, .., 1, w^2).
 
-    Broyden (1965), for visual servoing Hosoda and Asada (1994). W makes rad and s comparable; rho damps the step
-    where motion is too small to learn from.
+    Broyden (1965), applied to visual servoing by Hosoda and Asada (1994). W makes rad and s comparable; rho damps the
+    step for motions that are small beside the noise.
 
     Args:
-        rate: mu, in (0, 1]; 1 explains the newest increment entirely.
-        time_weight: w, the motion of a joint that weighs as much as one second, rad/s.
-        damping: rho, the motion below which little is learned, rad.
-        memory: Share of the innovation's mean square kept at every frame, in [0, 1).
-        initial_innovation: Root of that mean square before the first increment, px.
-        prior: Its mean is the initial Jacobian; its spreads are not used.
+        rate: Step size mu, in (0, 1]. Larger values adapt faster and average less noise; 1 fits the newest increment
+            exactly.
+        time_weight: Weight w of time, rad/s: the joint motion that weighs as much as one second. Larger values
+            attribute more of dy to the target's motion.
+        damping: Motion rho below which the step is damped, rad. Larger values learn less from small motions.
+        memory: Share of the innovation's mean square kept at every frame, in [0, 1). Larger values average more frames.
+        initial_innovation: Root mean square innovation before the first increment, px.
+        prior: Prior whose mean is the initial Jacobian. Its spreads are not used.
         alignment: Pairing of joints and features by time stamps.
     """
 
@@ -70,7 +72,7 @@ class BroydenJacobian:
         return BroydenState(alignment, mean, np.full(mean.shape[:-2], self.initial_innovation**2))
 
     def step(self, state: BroydenState, measurement: ServoMeasurement) -> tuple[BroydenState, LinearEstimate]:
-        """Fold one measurement in. Raises ValueError as `Alignment.step` does."""
+        """Update with one measurement. Raises ValueError as `Alignment.step` does."""
         alignment, increment = self.alignment.step(state.alignment, measurement)
         ds = interval(increment)
         weighted = ds * np.append(np.ones(ds.shape[-1] - 1), self.time_weight**2)
@@ -82,7 +84,7 @@ class BroydenJacobian:
         expected = state.innovation_power
         ratio = power / expected
         log_likelihood = -0.5 * innovation.shape[-1] * (ratio + np.log(2.0 * np.pi * expected))
-        # A perfect prediction must not make the next one's likelihood infinite.
+        # The floor keeps the next likelihood finite after a perfect prediction.
         least = (1e-3 * self.initial_innovation) ** 2
         averaged = np.maximum(self.memory * expected + (1.0 - self.memory) * power, least)
         estimate = present_estimate(

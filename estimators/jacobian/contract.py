@@ -1,17 +1,17 @@
-"""What goes into a Jacobian estimator and what comes out of it.
+"""Measurement, estimate and interface of the Jacobian estimators.
 
-A camera rides on an arm of n joints and sees a moving target as m image features (pixels of image points). Nobody
-told the estimator anything about either. Between two frames the features move by
+A camera on an arm of n joints sees a moving target as m image features (pixel coordinates of image points). Camera
+and arm are not calibrated. Between two frames the features move by
 
     dy = J_theta dtheta + J_t dt = J ds,    J = [J_theta J_t],  ds = [dtheta; dt]        (paper 002, eqs 4 to 6)
 
 with J the *total image Jacobian*. Every estimator of this package is a frozen dataclass of parameters with
 
-    initial(measurement) -> state                   nothing known but the first measurement's shapes and values
+    initial(measurement) -> state                   made from the first measurement's shapes and values
     step(state, measurement) -> (state, estimate)
 
-where `state` is a NamedTuple of arrays that all carry the measurement's leading batch axes (`*batch`, possibly none),
-so that rows can be selected, saved and replaced, and `estimate` is a `ServoEstimate`.
+`state` is a NamedTuple of arrays. All of them have the measurement's leading batch axes (`*batch`, possibly none), so
+that rows can be selected, saved and replaced. `estimate` is a `ServoEstimate`.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from servotrack.estimators.types import Array, Mask
+from servotrack.estimators.types import Array, Estimator, Mask
 
 
 class ServoMeasurement(NamedTuple):
-    """What a robot's encoders and camera report at one control instant.
+    """Readings of a robot's encoders and camera at one control instant.
 
     Attributes:
         joint_angles: Encoder readings at `time`. Shape (*batch, n), rad.
         features: Image features of the newest frame, captured at `frame_time`. Shape (*batch, m), px.
-        goal: Wanted features. Shape (*batch, m), px.
-        visible: Whether `features` come from a new frame in which the target was seen; where false they repeat the last
-            seen ones with their old `frame_time`. Shape (*batch,), bool.
+        goal: Desired features. Shape (*batch, m), px.
+        visible: True if `features` come from a new frame that shows the target. If false, they repeat the last visible
+            ones with their old `frame_time`. Shape (*batch,), bool.
         frame_time: Time stamp of the frame. Shape (*batch,), s.
-        time: The present time. Shape (*batch,), s.
+        time: Present time. Shape (*batch,), s.
     """
 
     joint_angles: Array
@@ -46,13 +46,13 @@ class ServoMeasurement(NamedTuple):
 
 
 class Increment(NamedTuple):
-    """What changed between two frames, joints and features paired by time stamps, and what has changed since.
+    """Changes of joints and features between two frames, paired by time stamps, and the joint motion since then.
 
     Attributes:
-        joints: dtheta between the two frames' instants. Shape (*batch, n), rad.
-        time: dt between them. Shape (*batch,), s.
-        features: dy. Shape (*batch, m), px.
-        fresh: Whether there is a new pair; where false the three fields above are zeros. Shape (*batch,), bool.
+        joints: Joint motion dtheta between the instants of the two frames. Shape (*batch, n), rad.
+        time: Time dt between the two frames. Shape (*batch,), s.
+        features: Feature motion dy between the two frames. Shape (*batch, m), px.
+        fresh: True if there is a new pair of frames. If false, the three fields above are zeros. Shape (*batch,), bool.
         pending_joints: Joint motion from the newest frame to the present. Shape (*batch, n), rad.
         pending_time: Age of the newest frame. Shape (*batch,), s.
     """
@@ -67,52 +67,65 @@ class Increment(NamedTuple):
 
 @runtime_checkable
 class ServoEstimate(Protocol):
-    """What an estimator believes at the present instant (not at the frame's: latency is already bridged)."""
+    """Result of an estimator at the present instant: latency between frame and present is already compensated."""
 
     @property
     def error(self) -> Array:
-        """Features minus goal, now. Shape (*batch, m), px."""
+        """Features minus goal at present. Shape (*batch, m), px."""
 
     @property
     def jacobian(self) -> Array:
-        """Total image Jacobian [J_theta J_t], now. Shape (*batch, m, n + 1), px/rad and px/s."""
+        """Total image Jacobian [J_theta J_t] at present. Shape (*batch, m, n + 1), px/rad and px/s."""
 
     @property
     def log_likelihood(self) -> Array:
-        """Log density of the newest measurement given the earlier ones; 0 where no new frame came. Shape (*batch,)."""
+        """Log density of the newest measurement given the earlier ones, 0 without a new frame. Shape (*batch,)."""
 
     @property
-    def surprise(self) -> Array:
-        """Squared innovation over its predicted covariance, divided by m: 1 on average for a consistent filter.
+    def nis(self) -> Array:
+        """Normalized innovation squared (NIS), divided by m: 1 on average for a consistent filter. Shape (*batch,).
 
-        Zero where no new frame came. Estimators without a covariance use a running mean square of the innovation.
-        Shape (*batch,).
+        The squared innovation is normalized by its predicted covariance. It is 0 without a new frame. Estimators
+        without a covariance normalize by a running mean square of the innovation.
         """
 
     def predict_error(self, joint_motion: Array, duration: Array | float) -> Array:
-        """Error after the joints moved by `joint_motion` (*batch, n) rad in `duration` s. Shape (*batch, m), px."""
+        """Predict the error after a joint motion.
+
+        Args:
+            joint_motion: Joint motion dtheta from the present on. Shape (*batch, n), rad.
+            duration: Time that the motion takes. A number or shape (*batch,), s.
+
+        Returns:
+            Predicted features minus goal. Shape (*batch, m), px.
+        """
 
 
 @dataclass(frozen=True)
 class LinearEstimate:
-    """A `ServoEstimate` that predicts by its Jacobian alone: e + J_theta dtheta + J_t dt."""
+    """`ServoEstimate` with linear prediction: e + J_theta dtheta + J_t dt.
+
+    Attributes:
+        error: Features minus goal at present. Shape (*batch, m), px.
+        jacobian: Total image Jacobian at present. Shape (*batch, m, n + 1), px/rad and px/s.
+        log_likelihood: Log density of the newest measurement, 0 without a new frame. Shape (*batch,).
+        nis: Normalized innovation squared divided by m, 0 without a new frame. Shape (*batch,).
+    """
 
     error: Array
     jacobian: Array
     log_likelihood: Array
-    surprise: Array
+    nis: Array
 
     def predict_error(self, joint_motion: Array, duration: Array | float) -> Array:
-        """Error after a motion, to first order. Shapes as in `ServoEstimate.predict_error`."""
+        """Predict the error after a motion, to first order. Arguments as in `ServoEstimate.predict_error`."""
         moved = np.einsum("...ij,...j->...i", self.jacobian[..., :-1], joint_motion)
         return self.error + moved + self.jacobian[..., -1] * np.asarray(duration)[..., None]
 
 
-class JacobianEstimator(Protocol):
-    """The interface of every estimator here."""
+class JacobianEstimator(Estimator[ServoMeasurement, Any, ServoEstimate], Protocol):
+    """Interface of the estimators of the total image Jacobian.
 
-    def initial(self, measurement: ServoMeasurement) -> Any:
-        """State before anything but the first measurement is known."""
-
-    def step(self, state: Any, measurement: ServoMeasurement) -> tuple[Any, ServoEstimate]:
-        """Fold one measurement in. Raises ValueError naming the field for wrong shapes or non-finite values."""
+    `initial` and `step` raise a ValueError that names the field for wrong shapes or values that are not finite. An
+    estimator may also have `forget(state) -> state`, which keeps the mean and resets the covariance to the prior's.
+    """

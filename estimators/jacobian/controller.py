@@ -1,4 +1,4 @@
-"""The whole servo loop: estimator, law, exploratory moves and supervisor. A real robot needs nothing else."""
+"""Complete servo loop: estimator, control law, exploratory moves and supervisor. It also drives a real robot."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class ControllerState(NamedTuple):
         estimator: State of the estimator.
         law: State of the law.
         supervisor: State of the supervisor.
-        move: Number of the next exploratory move; from `Excitation.steps` on there is none. Shape (*batch,), int.
-        direction: Way out of each joint in exploratory moves, +1 or -1. Shape (*batch, n).
+        move: Index of the next exploratory move; exploration ends at `Excitation.steps`. Shape (*batch,), int.
+        direction: Direction of each joint in outward exploratory moves, +1 or -1. Shape (*batch, n).
         commanded: Motion commanded at the last step. Shape (*batch, n), rad.
     """
 
@@ -37,12 +37,12 @@ class ControllerState(NamedTuple):
 
 @dataclass(frozen=True)
 class ServoController:
-    """Measurements in, joint rates out.
+    """Servo controller: measurements in, joint rates out.
 
-    It probes at the start, then applies the law to the estimate. While the target is out of view it first trusts the
-    prediction, then goes back to where the target was last seen. When the supervisor finds that the estimate has
-    gone bad, it lets the estimator forget how sure it was (`forget(state) -> state`, where the estimator has it) and
-    probes again.
+    The controller makes exploratory moves at the start, then applies the law to the estimate. While the target is out
+    of view, it first follows the prediction and then returns to the joint angles at which the target was last seen.
+    When the supervisor detects a wrong estimate, the controller resets the estimator's covariance (`forget(state) ->
+    state`, if the estimator has it) and explores again.
 
         controller = ServoController(KalmanJacobian())
         state = controller.initial(measurement)
@@ -50,11 +50,11 @@ class ServoController:
             state, joint_rate = controller.step(state, measurement)
 
     Args:
-        estimator: Any `JacobianEstimator`.
-        law: Any `ControlLaw`.
-        excitation: Exploratory moves; `steps=0` for none.
-        supervisor: None for a loop that nobody watches.
-        max_joint_rate: Limit of each joint, rad/s. The whole vector is scaled, so its direction is kept.
+        estimator: Estimator of the total image Jacobian.
+        law: Control law.
+        excitation: Exploratory moves; `steps=0` disables them.
+        supervisor: Detector of a wrong estimate; None disables it.
+        max_joint_rate: Limit of each joint rate, rad/s. The whole vector is scaled, so that its direction stays.
     """
 
     estimator: JacobianEstimator
@@ -68,7 +68,7 @@ class ServoController:
             raise ValueError(f"max_joint_rate must be finite and > 0 rad/s, got {self.max_joint_rate}")
 
     def initial(self, measurement: ServoMeasurement) -> ControllerState:
-        """State before the first `step`, which is to be given this same measurement.
+        """State before the first `step`, to which the same measurement must be passed.
 
         Raises:
             ValueError: As the estimator does for a bad measurement.
@@ -85,7 +85,7 @@ class ServoController:
         )
 
     def step(self, state: ControllerState, measurement: ServoMeasurement) -> tuple[ControllerState, Array]:
-        """Fold one measurement in and say what to do until the next.
+        """Update with one measurement and return the joint rates until the next one.
 
         Returns:
             The new state, and joint rates within `max_joint_rate`. Shape (*batch, n), rad/s.
@@ -107,7 +107,7 @@ class ServoController:
                     estimator_state = select_rows(excite, self.estimator.forget(estimator_state), estimator_state)
                 law_state = select_rows(excite, self.law.initial(measurement), law_state)
                 move = np.where(excite, 0, move)
-                # A blocked joint is at its stop: the way out is back.
+                # A blocked joint is at its stop, so it explores in the opposite direction.
                 away = np.where(watch.blocked > 0, -np.sign(state.commanded), direction)
                 direction = np.where(excite[..., None] & (away != 0.0), away, direction)
                 watch = select_rows(excite, self.supervisor.initial(measurement), watch)

@@ -1,4 +1,4 @@
-"""Small exploratory moves that show an estimator all columns of the Jacobian."""
+"""Small exploratory moves that excite all columns of the Jacobian."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from servotrack.estimators.types import Array, Labels
 
 @dataclass(frozen=True)
 class Excitation:
-    """One joint at a time, first all of them out, then all of them back, and so on.
+    """Exploratory moves of one joint at a time: first all joints outward, then all back, and so on.
 
-    Out and back tells a joint's column from the target's own motion: the sum of the two changes of the features is
-    J_t dt alone.
+    The moves outward and back separate a joint's column from the target's motion: the sum of the two changes of the
+    features is J_t dt alone.
 
     Args:
-        steps: Number of moves; 2 n of them show every column of an n-joint arm twice.
-        amplitude: Size of one move, rad.
+        steps: Number of moves; 2 n of them excite every column of an n-joint arm twice. 0 disables exploration.
+        amplitude: Size of one move, rad. Larger moves stand out better from the noise and disturb the servo more.
         period: Control period, s.
     """
 
@@ -34,14 +34,14 @@ class Excitation:
                 raise ValueError(f"{name} must be finite and > 0, got {value}")
 
     def rate(self, move: Labels, direction: Array) -> Array:
-        """Joint rates of one move.
+        """Compute the joint rates of one move.
 
         Args:
-            move: Which one, from 0. Shape (*batch,).
-            direction: +1 or -1, the way out of each joint. Shape (*batch, n).
+            move: Index of the move, from 0. Shape (*batch,).
+            direction: Outward direction of each joint, +1 or -1. Shape (*batch, n).
 
         Returns:
-            Shape (*batch, n), rad/s.
+            Joint rates. Shape (*batch, n), rad/s.
         """
         joints = direction.shape[-1]
         way = np.where((move // joints) % 2 == 0, 1.0, -1.0)

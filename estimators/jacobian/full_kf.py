@@ -9,7 +9,7 @@ import numpy as np
 
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState, present_estimate
 from servotrack.estimators.jacobian.contract import LinearEstimate, ServoMeasurement
-from servotrack.estimators.jacobian.gaussian import correlated_scores, positive_definite
+from servotrack.estimators.jacobian.gaussian import correlated_scores, require_positive_definite
 from servotrack.estimators.jacobian.prior import JacobianPrior, RandomWalk
 from servotrack.estimators.jacobian.shared_covariance import interval
 from servotrack.estimators.stateful import select_rows
@@ -22,7 +22,7 @@ class FullState(NamedTuple):
     Attributes:
         alignment: Encoder history and newest frame.
         jacobian: Mean. Shape (*batch, m, n + 1), px/rad and px/s.
-        covariance: Of x, the rows of `jacobian` one after another. Shape (*batch, m (n + 1), m (n + 1)).
+        covariance: Covariance of x, the rows of `jacobian` one after another. Shape (*batch, m (n + 1), m (n + 1)).
     """
 
     alignment: AlignmentState
@@ -32,13 +32,13 @@ class FullState(NamedTuple):
 
 @dataclass(frozen=True)
 class FullKalmanJacobian:
-    """`KalmanJacobian` for noise that differs or is correlated between features; slower.
+    """Kalman filter for noise that differs or is correlated between features; slower than `KalmanJacobian`.
 
     Args:
-        measurement_covariance: Of dy about J ds; a number stands for that variance times the unit matrix. Shape (m,
-            m), px^2.
-        walk: How fast the Jacobian wanders.
-        prior: What is believed before the first increment.
+        measurement_covariance: Covariance of dy about J ds; a number is the variance of independent features. Larger
+            values average more increments. Shape (m, m), px^2.
+        walk: Process noise of the Jacobian; larger values follow changes faster and average fewer frames.
+        prior: Mean and spread of the Jacobian before the first increment.
         alignment: Pairing of joints and features by time stamps.
     """
 
@@ -48,13 +48,13 @@ class FullKalmanJacobian:
     alignment: Alignment = field(default_factory=Alignment)
 
     def __post_init__(self) -> None:
-        positive_definite("measurement_covariance", np.atleast_2d(self.measurement_covariance))
+        require_positive_definite("measurement_covariance", np.atleast_2d(self.measurement_covariance))
 
     def initial(self, measurement: ServoMeasurement) -> FullState:
         """State before the first increment.
 
         Raises:
-            ValueError: As `checked` does; `measurement_covariance` is not for this number of features.
+            ValueError: As `checked` does, or if `measurement_covariance` has another number of features.
         """
         alignment = self.alignment.initial(measurement)
         self._measurement_covariance(alignment.frame_features.shape[-1])
@@ -62,7 +62,7 @@ class FullKalmanJacobian:
         return FullState(alignment, mean, repeated_blocks(row, mean.shape[-2]))
 
     def step(self, state: FullState, measurement: ServoMeasurement) -> tuple[FullState, LinearEstimate]:
-        """Fold one measurement in. Raises ValueError as `Alignment.step` does."""
+        """Update with one measurement. Raises ValueError as `Alignment.step` does."""
         alignment, increment = self.alignment.step(state.alignment, measurement)
         *batch, m, columns = state.jacobian.shape
         x = state.jacobian.reshape(*batch, m * columns)
@@ -90,7 +90,7 @@ class FullKalmanJacobian:
         return FullState(alignment, mean, covariance), estimate
 
     def forget(self, state: FullState) -> FullState:
-        """Keep the mean, trust it no more: the covariance goes back to the prior's."""
+        """Keep the mean and reset the covariance to the prior's."""
         mean, row = self.prior.moments(state.alignment)
         return state._replace(covariance=repeated_blocks(row, mean.shape[-2]))
 
@@ -107,7 +107,12 @@ class FullKalmanJacobian:
 
 
 def repeated_blocks(block: Array, times: int) -> Array:
-    """Block-diagonal matrices with the same block (*batch, d, d) `times` times. Shape (*batch, times d, times d)."""
+    """Block-diagonal matrices that repeat one block. Shape (*batch, times d, times d).
+
+    Args:
+        block: Block on the diagonal. Shape (*batch, d, d).
+        times: Number of repetitions.
+    """
     d = block.shape[-1]
     blocks = np.einsum("ab,...ij->...aibj", np.eye(times), block)
     return blocks.reshape(*block.shape[:-2], times * d, times * d)

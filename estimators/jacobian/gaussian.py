@@ -1,4 +1,4 @@
-"""Scores of an innovation under a normal distribution, and the check that a covariance is one."""
+"""Log likelihood and NIS of a Gaussian innovation, and the check that a matrix is a covariance."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from servotrack.estimators.types import Array, Mask
 
 
 def correlated_scores(innovation: Array, covariance: Array, used: Mask) -> tuple[Array, Array]:
-    """Log likelihood and surprise of an innovation; both 0 where no measurement was used.
+    """Log likelihood and normalized innovation squared (NIS); both are 0 where no measurement was used.
 
     Args:
-        innovation: Shape (*batch, m).
-        covariance: Shape (*batch, m, m).
-        used: Shape (*batch,), bool.
+        innovation: Measurement minus prediction. Shape (*batch, m).
+        covariance: Innovation covariance. Shape (*batch, m, m).
+        used: Mask of the rows with a measurement. Shape (*batch,), bool.
 
     Returns:
-        Log density and squared normalized innovation over m. Shapes (*batch,).
+        Log density, and NIS divided by m. Shape (*batch,) each.
     """
     m = innovation.shape[-1]
     squared = np.einsum("...i,...i->...", innovation, np.linalg.solve(covariance, innovation[..., None])[..., 0])
@@ -25,12 +25,15 @@ def correlated_scores(innovation: Array, covariance: Array, used: Mask) -> tuple
     return np.where(used, log_likelihood, 0.0), np.where(used, squared / m, 0.0)
 
 
-def positive_definite(name: str, covariance: Array) -> None:
-    """Refuse what is not a covariance.
+def require_positive_definite(name: str, covariance: Array) -> None:
+    """Check that a matrix is a covariance: finite, symmetric and positive definite.
+
+    Args:
+        name: Name of the argument, with which the error message begins.
+        covariance: Matrix to check. Shape (d, d).
 
     Raises:
-        ValueError: `covariance` (d, d) is not finite, symmetric and positive definite; the message begins with
-        `name`.
+        ValueError: The matrix is not finite, symmetric and positive definite.
     """
     if covariance.ndim != 2 or covariance.shape[0] != covariance.shape[1]:
         raise ValueError(f"{name} must be a square matrix, got shape {covariance.shape}")

@@ -1,8 +1,8 @@
-"""The informed bound: what a causal agent can do that is told camera, links and latency, but not the future.
+"""Informed bound: a causal filter that knows camera, links and latency, and only has to estimate the target.
 
-No uncalibrated agent knows this much, so its score says how much of an error is the task's and how much is the
-estimator's. With the geometry known, every frame is rectified: the target's ground point is found, and seen anew by
-an ideal camera that looks straight down. What is left to estimate is the target, by the same interacting models as in
+No uncalibrated agent knows this much. The score of this filter therefore separates the error of the task from the
+error of an estimator. With known geometry every frame is rectified: the target's ground point is computed and
+projected into an ideal camera that looks straight down. The target is estimated with the interacting models of
 `LiftedKalman`.
 """
 
@@ -21,13 +21,13 @@ from servotrack.estimators.types import Array, Mask
 
 
 class Geometry(NamedTuple):
-    """What the informed agent is told.
+    """True geometry of camera and arm, known to the informed filter.
 
     Attributes:
-        camera: Packed as by `servotrack.estimators.camera.pack_camera`. Shape (*batch, CAMERA_SIZE).
+        camera: Cameras packed by `servotrack.estimators.camera.pack_camera`. Shape (*batch, CAMERA_SIZE).
         links: Link lengths. Shape (*batch, 2), m.
-        latency: Age of a frame beyond what its stamp says. Shape (*batch,), s.
-        readout: Time a rolling shutter takes for the whole image; the stamp is that of the middle row. Shape
+        latency: Age of a frame at its time stamp. Shape (*batch,), s.
+        readout: Readout time of the rolling shutter for the whole image; the stamp is that of the middle row. Shape
             (*batch,), s.
     """
 
@@ -38,7 +38,17 @@ class Geometry(NamedTuple):
 
 
 class InformedMeasurement(NamedTuple):
-    """A `ServoMeasurement` and the truth about who took it: its six fields, and `geometry`."""
+    """`ServoMeasurement` with the true geometry as seventh field.
+
+    Attributes:
+        joint_angles: Encoder readings, see `ServoMeasurement`. Shape (*batch, n), rad.
+        features: Image features of the newest frame. Shape (*batch, m), px.
+        goal: Desired features. Shape (*batch, m), px.
+        visible: True if the features come from a new frame that shows the target. Shape (*batch,), bool.
+        frame_time: Time stamp of the frame. Shape (*batch,), s.
+        time: Present time. Shape (*batch,), s.
+        geometry: True geometry of camera and arm.
+    """
 
     joint_angles: Array
     features: Array
@@ -51,10 +61,11 @@ class InformedMeasurement(NamedTuple):
 
 @dataclass(frozen=True)
 class InformedKalman:
-    """Tracks the target with the true geometry; privileged. Its estimates are in the pixels of the ideal camera.
+    """Privileged filter that tracks the target with the true geometry. Estimates are in pixels of the ideal camera.
 
     Args:
-        target: The filter of the target; what it would learn about arm and camera is given to it instead.
+        target: Filter of the target. Its arm vectors are set from the true geometry instead of being estimated, so
+            `drift` must be 0.
     """
 
     target: LiftedKalman = field(
@@ -63,7 +74,7 @@ class InformedKalman:
 
     def __post_init__(self) -> None:
         if self.target.drift != 0.0:
-            raise ValueError(f"target must have drift=0, the geometry is known; got drift={self.target.drift}")
+            raise ValueError(f"target must have drift=0 because the geometry is known, got drift={self.target.drift}")
 
     def initial(self, measurement: InformedMeasurement) -> LiftedState:
         """State before the first frame. Raises ValueError as `LiftedKalman.initial` does."""
@@ -79,7 +90,7 @@ class InformedKalman:
         return state._replace(mean=mean, covariance=covariance)
 
     def step(self, state: LiftedState, measurement: InformedMeasurement) -> tuple[LiftedState, LiftedEstimate]:
-        """Fold one measurement in. Raises ValueError as `LiftedKalman.step` does."""
+        """Update with one measurement. Raises ValueError as `LiftedKalman.step` does."""
         return self.target.step(state, _rectified(measurement))
 
 
@@ -88,7 +99,7 @@ def _pixels_per_meter(camera: Array) -> Array:
 
 
 def _rectified(measurement: InformedMeasurement) -> ServoMeasurement:
-    """What an ideal camera would have seen, at the instant at which the target's row was read."""
+    """Convert to the measurement of an ideal camera at the instant at which the target's image row was read."""
     geometry = measurement.geometry
     seen = checked(ServoMeasurement(*measurement[:6]))
     camera = geometry.camera

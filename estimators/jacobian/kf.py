@@ -1,4 +1,4 @@
-"""The Kalman filter of the total image Jacobian (paper 002, eq. 9), in one shared and in one full covariance."""
+"""The Kalman filter of the total image Jacobian (paper 002, eq. 9), with one covariance for all rows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class KalmanState(NamedTuple):
     Attributes:
         alignment: Encoder history and newest frame.
         jacobian: Mean. Shape (*batch, m, n + 1), px/rad and px/s.
-        covariance: Of every row of `jacobian`. Shape (*batch, n + 1, n + 1).
+        covariance: Covariance of every row of `jacobian`. Shape (*batch, n + 1, n + 1).
     """
 
     alignment: AlignmentState
@@ -34,12 +34,12 @@ class KalmanJacobian:
     """Kalman filter on x' = x + w, dy = J ds + v with isotropic v (paper 002, eq. 9).
 
     Args:
-        walk: How fast the Jacobian wanders.
-        measurement_noise: Standard deviation of dy about J ds: pixel noise of two frames and the curvature of the
-            motion, px.
-        outliers: How far to doubt a badly fitting increment: `StudentTNoise` or `CorrentropyNoise`; None for not at
-            all.
-        prior: What is believed before the first increment.
+        walk: Process noise of the Jacobian; larger values follow changes faster and average fewer frames.
+        measurement_noise: Standard deviation of dy about J ds, px: pixel noise of two frames and the curvature of the
+            motion. Larger values average more increments.
+        outliers: Noise model that raises the variance of an increment with a large innovation: `StudentTNoise` or
+            `CorrentropyNoise`; None disables it.
+        prior: Mean and spread of the Jacobian before the first increment.
         alignment: Pairing of joints and features by time stamps.
     """
 
@@ -59,7 +59,7 @@ class KalmanJacobian:
         return KalmanState(alignment, *self.prior.moments(alignment))
 
     def step(self, state: KalmanState, measurement: ServoMeasurement) -> tuple[KalmanState, LinearEstimate]:
-        """Fold one measurement in. Raises ValueError as `Alignment.step` does."""
+        """Update with one measurement. Raises ValueError as `Alignment.step` does."""
         alignment, increment = self.alignment.step(state.alignment, measurement)
         predicted = self.walk.widened(state.covariance, increment.time)
         ds = interval(increment)
@@ -73,10 +73,10 @@ class KalmanJacobian:
             increment,
             measurement.goal,
             updated.log_likelihood,
-            updated.surprise,
+            updated.nis,
         )
         return KalmanState(alignment, updated.mean, updated.covariance), estimate
 
     def forget(self, state: KalmanState) -> KalmanState:
-        """Keep the mean, trust it no more: the covariance goes back to the prior's."""
+        """Keep the mean and reset the covariance to the prior's."""
         return state._replace(covariance=self.prior.moments(state.alignment)[1])

@@ -1,8 +1,7 @@
-"""Control laws: from what an estimator believes to joint rates.
+"""Control laws: joint rates from the estimate of a Jacobian estimator.
 
 A law is a frozen dataclass with `initial(measurement) -> law_state` and `rate(law_state, estimate) -> (law_state,
-joint_rate)`. None of them yields NaN at a singular Jacobian: motion along directions that the Jacobian does not show
-is damped out.
+joint_rate)`. All of them return finite rates at a singular Jacobian: motion along singular directions is damped.
 """
 
 from __future__ import annotations
@@ -17,25 +16,25 @@ from servotrack.estimators.types import Array
 
 
 class ControlLaw(Protocol):
-    """The interface of every law here."""
+    """Interface of the control laws."""
 
     @property
     def period(self) -> float:
         """Control period, s."""
 
     def initial(self, measurement: ServoMeasurement) -> Any:
-        """State before the first command: arrays with the measurement's batch axes."""
+        """Return the state before the first command: arrays with the measurement's batch axes."""
 
     def rate(self, state: Any, estimate: ServoEstimate) -> tuple[Any, Array]:
-        """The new state and the joint rates to hold for one period. Shape (*batch, n), rad/s."""
+        """Return the new state, and the joint rates to hold for one period. Shape (*batch, n), rad/s."""
 
 
 class NoLawState(NamedTuple):
-    """The state of a law that remembers nothing."""
+    """Empty state of a law without memory."""
 
 
 class IntegralState(NamedTuple):
-    """The state of `ProportionalIntegral`.
+    """State of `ProportionalIntegral`.
 
     Attributes:
         integral: Time integral of the error. Shape (*batch, m), px s.
@@ -45,7 +44,7 @@ class IntegralState(NamedTuple):
 
 
 def finite_or_zero(matrices: Array) -> Array:
-    """The matrices (*batch, m, n), with every one that has a non-finite entry replaced by zeros."""
+    """Replace every matrix that has a non-finite entry by zeros. Shape (*batch, m, n)."""
     finite = np.all(np.isfinite(matrices), axis=(-2, -1), keepdims=True)
     return np.where(finite, matrices, 0.0)
 
@@ -58,11 +57,12 @@ def damped_inverse(jacobian: Array, threshold: float) -> Array:
     matrix gives zero.
 
     Args:
-        jacobian: Shape (*batch, m, n).
-        threshold: Relative singular value at which damping sets in, in [0, 1).
+        jacobian: Matrices to invert. Shape (*batch, m, n).
+        threshold: Singular value, relative to the largest, below which damping begins, in [0, 1). Larger values damp
+            more.
 
     Returns:
-        Shape (*batch, n, m).
+        Damped inverses. Shape (*batch, n, m).
     """
     left, values, right = np.linalg.svd(finite_or_zero(jacobian), full_matrices=False)
     limit = threshold * values[..., :1]
@@ -74,7 +74,7 @@ def damped_inverse(jacobian: Array, threshold: float) -> Array:
 
 def _checked_tuning(gain: float, period: float, damping: float) -> None:
     if not 0.0 < gain <= 1.0:
-        raise ValueError(f"gain must be in (0, 1], the fraction of the error removed in one period, got {gain}")
+        raise ValueError(f"gain must be in (0, 1] (fraction of the error removed in one period), got {gain}")
     if not 0.0 < period < np.inf:
         raise ValueError(f"period must be finite and > 0 s, got {period}")
     if not 0.0 <= damping < np.inf:
@@ -83,12 +83,14 @@ def _checked_tuning(gain: float, period: float, damping: float) -> None:
 
 @dataclass(frozen=True)
 class Proportional:
-    """dtheta = J_theta^+ (-lambda e - J_t dt) (paper 002's servo with the target's motion fed forward).
+    """Proportional law with feedforward of the target's motion: dtheta = J_theta^+ (-lambda e - J_t dt) (paper 002).
 
     Args:
-        gain: lambda, the fraction of the error to remove in one period.
+        gain: Fraction lambda of the error to remove in one period, in (0, 1]. Larger values converge faster and
+            amplify noise.
         period: Control period dt, s.
-        damping: Relative singular value below which the inverse is damped.
+        damping: Singular value, relative to the largest, below which the inverse is damped. Larger values are calmer
+            near singularities and slower.
     """
 
     gain: float = 0.7
@@ -99,11 +101,11 @@ class Proportional:
         _checked_tuning(self.gain, self.period, self.damping)
 
     def initial(self, measurement: ServoMeasurement) -> NoLawState:
-        """Nothing to remember."""
+        """Return the empty state."""
         return NoLawState()
 
     def rate(self, state: NoLawState, estimate: ServoEstimate) -> tuple[NoLawState, Array]:
-        """Joint rates. Shape (*batch, n), rad/s."""
+        """Return the unchanged state and the joint rates. Shape (*batch, n), rad/s."""
         jacobian = estimate.jacobian
         wanted = -self.gain * estimate.error - jacobian[..., -1] * self.period
         motion = np.einsum("...ij,...j->...i", damped_inverse(jacobian[..., :-1], self.damping), wanted)
@@ -112,18 +114,19 @@ class Proportional:
 
 @dataclass(frozen=True)
 class ProportionalIntegral:
-    """dtheta = J_theta^+ (-lambda e - k_i int e dt - J_t dt).
+    """Proportional-integral law: dtheta = J_theta^+ (-lambda e - k_i int e dt - J_t dt).
 
-    Every filter of J_t lags behind an accelerating target, which leaves a slowly changing error: the integral
-    removes it.
+    Every filter of J_t lags behind an accelerating target, which leaves a slowly changing error. The integral removes
+    it.
 
     Args:
-        gain: lambda, the fraction of the error to remove in one period.
-        integral_gain: k_i, 1/s.
-        integral_limit: Bound of each component of the integral, px s; keeps it from winding up while the rate is
-            limited.
+        gain: Fraction lambda of the error to remove in one period, in (0, 1]. Larger values converge faster and
+            amplify noise.
+        integral_gain: Integral gain k_i, 1/s. Larger values remove a lasting error faster and may oscillate.
+        integral_limit: Bound of each component of the integral, px s. It prevents windup while the rate is limited.
         period: Control period dt, s.
-        damping: Relative singular value below which the inverse is damped.
+        damping: Singular value, relative to the largest, below which the inverse is damped. Larger values are calmer
+            near singularities and slower.
     """
 
     gain: float = 0.5
@@ -139,11 +142,11 @@ class ProportionalIntegral:
                 raise ValueError(f"{name} must be finite and >= 0, got {value}")
 
     def initial(self, measurement: ServoMeasurement) -> IntegralState:
-        """A zero integral."""
+        """Return a zero integral."""
         return IntegralState(np.zeros(np.shape(measurement.goal)))
 
     def rate(self, state: IntegralState, estimate: ServoEstimate) -> tuple[IntegralState, Array]:
-        """Joint rates. Shape (*batch, n), rad/s."""
+        """Return the unchanged state and the joint rates. Shape (*batch, n), rad/s."""
         jacobian = estimate.jacobian
         error = np.where(np.isfinite(estimate.error), estimate.error, 0.0)
         integral = np.clip(state.integral + error * self.period, -self.integral_limit, self.integral_limit)
@@ -154,14 +157,15 @@ class ProportionalIntegral:
 
 @dataclass(frozen=True)
 class DampedLeastSquares:
-    """dtheta = J' (J J' + mu^2 I)^-1 (-lambda e - J_t dt) with J = J_theta.
+    """Damped least-squares law: dtheta = J' (J J' + mu^2 I)^-1 (-lambda e - J_t dt) with J = J_theta.
 
-    Slower than `Proportional`, calmer near singularities.
+    Compared with `Proportional`, it converges more slowly and moves less near singularities.
 
     Args:
-        gain: lambda, the fraction of the error to remove in one period.
+        gain: Fraction lambda of the error to remove in one period, in (0, 1]. Larger values converge faster and
+            amplify noise.
         period: Control period dt, s.
-        damping: mu, px/rad, everywhere and not only near a singularity.
+        damping: Damping mu at every Jacobian, px/rad. Larger values move less.
     """
 
     gain: float = 0.7
@@ -174,11 +178,11 @@ class DampedLeastSquares:
             raise ValueError("damping must be > 0 px/rad, got 0.0; use Proportional for an undamped law")
 
     def initial(self, measurement: ServoMeasurement) -> NoLawState:
-        """Nothing to remember."""
+        """Return the empty state."""
         return NoLawState()
 
     def rate(self, state: NoLawState, estimate: ServoEstimate) -> tuple[NoLawState, Array]:
-        """Joint rates. Shape (*batch, n), rad/s."""
+        """Return the unchanged state and the joint rates. Shape (*batch, n), rad/s."""
         jacobian = finite_or_zero(estimate.jacobian)
         wanted = -self.gain * estimate.error - jacobian[..., -1] * self.period
         by_joints = jacobian[..., :-1]
@@ -189,19 +193,20 @@ class DampedLeastSquares:
 
 @dataclass(frozen=True)
 class OneStepExact:
-    """Solve predict_error(dtheta, dt) = (1 - lambda) e for dtheta, by chord steps with the present Jacobian.
+    """Law that solves predict_error(dtheta, dt) = (1 - lambda) e for dtheta, by chord steps with the present Jacobian.
 
-    With an estimate that predicts by its Jacobian alone this is `Proportional`; with one that knows how features
-    turn with the arm it removes exactly the fraction lambda, however large the motion.
+    With a linear prediction (`LinearEstimate`) it equals `Proportional`. With an exact prediction (`LiftedEstimate`) it
+    removes exactly the fraction lambda, also in large motions.
 
     Args:
-        gain: lambda, the fraction of the error to remove in one period.
+        gain: Fraction lambda of the error to remove in one period, in (0, 1]. Larger values converge faster and
+            amplify noise.
         period: Control period dt, s.
-        damping: Relative singular value below which the inverse is damped.
-        iterations: Chord steps.
-        max_step: Largest motion of one joint in one period, rad. A goal that is farther is approached along the
-            straight line in the image that leads to it, so that the linearization is never used far from where it
-            holds.
+        damping: Singular value, relative to the largest, below which the inverse is damped. Larger values are calmer
+            near singularities and slower.
+        iterations: Number of chord steps. Larger values are more accurate and slower.
+        max_step: Largest motion of one joint in one period, rad. A farther goal is approached along a straight line
+            in the image, so that the linearization is used only where it holds.
     """
 
     gain: float = 0.7
@@ -218,11 +223,11 @@ class OneStepExact:
             raise ValueError(f"max_step must be finite and > 0 rad, got {self.max_step}")
 
     def initial(self, measurement: ServoMeasurement) -> NoLawState:
-        """Nothing to remember."""
+        """Return the empty state."""
         return NoLawState()
 
     def rate(self, state: NoLawState, estimate: ServoEstimate) -> tuple[NoLawState, Array]:
-        """Joint rates. Shape (*batch, n), rad/s."""
+        """Return the unchanged state and the joint rates. Shape (*batch, n), rad/s."""
         inverse = damped_inverse(estimate.jacobian[..., :-1], self.damping)
         drifted = estimate.predict_error(np.zeros(inverse.shape[:-1]), self.period)
         motion = np.einsum("...ij,...j->...i", inverse, (1.0 - self.gain) * estimate.error - drifted)
@@ -237,10 +242,14 @@ class OneStepExact:
 
 
 def limiting_factor(motion: Array, limit: float) -> Array:
-    """The number at most 1 that brings the largest |component| of each vector down to `limit`. Shape (*batch, 1).
+    """Factor, at most 1, that scales the largest |component| of each vector down to `limit`. Shape (*batch, 1).
 
-    Scaling the whole vector keeps its direction; clipping each joint by itself turns the tool towards the
+    Scaling the whole vector keeps its direction. Clipping each joint separately would turn the tool towards the
     singularity.
+
+    Args:
+        motion: Vectors to limit. Shape (*batch, n).
+        limit: Largest allowed |component|, in the unit of `motion`.
     """
     largest = np.abs(motion).max(axis=-1, keepdims=True)
     return np.divide(limit, largest, out=np.ones_like(largest), where=largest > limit)

@@ -1,4 +1,4 @@
-"""The level Kalman filter: the features themselves are part of the state."""
+"""Level Kalman filter: the features are part of the state, beside the Jacobian."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class LevelState(NamedTuple):
     Attributes:
         alignment: Encoder history and newest frame.
         mean: Rows [y_i, J_i]. Shape (*batch, m, n + 2), px, px/rad and px/s.
-        covariance: Of every row of `mean`. Shape (*batch, n + 2, n + 2).
+        covariance: Covariance of every row of `mean`. Shape (*batch, n + 2, n + 2).
     """
 
     alignment: AlignmentState
@@ -33,16 +33,17 @@ class LevelState(NamedTuple):
 class LevelKalmanJacobian:
     """Kalman filter on [y, J]: y' = y + J ds + u, J' = J + w, measured is y.
 
-    A pixel's noise enters two successive differences with opposite signs, which filters on dy take for independent
-    noise. Here each pixel is measured once, so nothing is correlated, and the error handed to the law is a filtered
-    one.
+    The noise of one pixel enters two successive differences dy with opposite signs; filters on dy treat it as
+    independent noise. Here each pixel is measured once, so the noise is uncorrelated, and the control law receives a
+    filtered error.
 
     Args:
-        walk: How fast the Jacobian wanders.
+        walk: Process noise of the Jacobian; larger values follow changes faster and average fewer frames.
         pixel_noise: Standard deviation of a measured feature, px.
-        curvature_noise: Standard deviation of u in one `walk.period`: what J ds leaves out, px.
-        outliers: How far to doubt a badly fitting frame: `StudentTNoise` or `CorrentropyNoise`; None for not at all.
-        prior: What is believed before the first frame.
+        curvature_noise: Standard deviation of u within one `walk.period`, px: the error of the linearization J ds.
+        outliers: Noise model that raises the variance of a frame with a large innovation: `StudentTNoise` or
+            `CorrentropyNoise`; None disables it.
+        prior: Mean and spread of the Jacobian before the first frame.
         alignment: Pairing of joints and features by time stamps.
     """
 
@@ -70,7 +71,7 @@ class LevelKalmanJacobian:
         return LevelState(alignment, mean, covariance)
 
     def step(self, state: LevelState, measurement: ServoMeasurement) -> tuple[LevelState, LinearEstimate]:
-        """Fold one measurement in. Raises ValueError as `Alignment.step` does."""
+        """Update with one measurement. Raises ValueError as `Alignment.step` does."""
         alignment, increment = self.alignment.step(state.alignment, measurement)
         mean, covariance = self._predicted(state, interval(increment), increment.time)
         level = np.zeros(mean.shape[:-2] + mean.shape[-1:])
@@ -81,17 +82,17 @@ class LevelKalmanJacobian:
         )
         updated = shared_update(mean, covariance, level, alignment.frame_features, variance, increment.fresh)
 
-        # The first frame says where the features are; there is nothing yet that it could be weighed against.
+        # The first frame sets the features; there is no prediction yet to weigh it against.
         first = alignment.seen & ~state.alignment.seen
         mean = updated.mean
         mean[..., 0] = np.where(first[..., None], alignment.frame_features, mean[..., 0])
         estimate = present_estimate(
-            mean[..., 0], mean[..., 1:], increment, measurement.goal, updated.log_likelihood, updated.surprise
+            mean[..., 0], mean[..., 1:], increment, measurement.goal, updated.log_likelihood, updated.nis
         )
         return LevelState(alignment, mean, updated.covariance), estimate
 
     def forget(self, state: LevelState) -> LevelState:
-        """Keep the Jacobian, trust it no more; take the newest frame's features as they are."""
+        """Keep the mean Jacobian, reset its covariance to the prior's, and take the features from the newest frame."""
         covariance = np.zeros_like(state.covariance)
         covariance[..., 0, 0] = self.pixel_noise**2
         covariance[..., 1:, 1:] = self.prior.moments(state.alignment)[1]

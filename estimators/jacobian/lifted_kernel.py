@@ -1,43 +1,86 @@
 """Compiled recursion of the lifted Kalman filter: interacting multiple models over a five-dimensional complex state.
 
-Plane vectors are complex numbers u + iv here: every quantity of the filter turns and scales but never shears, so its
-mean is a complex vector, its covariance Hermitian, and half the work of the real form is gone.
+Plane vectors are complex numbers u + iv: every quantity of the filter rotates and scales without shear. The mean is a
+complex vector and the covariance is Hermitian, which halves the work of the real form.
 
-A row of the batch holds M models of the target (see `TargetModel`). Within each, the noise of a
-feature is a mixture over L standard deviations, whose weights are learned, and an outlier of fixed probability. All
-branches of one model share the direction of the gain, so that collapsing them to their exact mean and covariance
-costs nothing.
+A batch row holds M target models (see `TargetModel`). Within each model, the noise of a feature is a mixture over L
+standard deviations, whose weights are estimated, and an outlier of fixed probability. All branches of one model share
+the direction of the gain, so that their exact mean and covariance follow at no extra cost.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
+from servotrack.estimators.types import Array, ComplexArray
+
 STATE_SIZE = 5
 """Target A, its velocity V and acceleration G, elbow B, tool minus elbow D; px, px/s, px/s^2, px, px."""
-CANCELED = 1e-11
-"""A measurement that leaves less than this share of a variance has left nothing but rounding."""
-ROUNDED = 1e-6
-"""Below this share, rounding shows in the correlations that are left."""
+LEAST_VARIANCE_SHARE = 1e-11
+"""Smallest share of a variance that a measurement may leave: below it the difference is rounding."""
+ROUNDED_SHARE = 1e-6
+"""Share of a variance below which rounding affects the remaining correlations."""
 ROUNDING = 4e-12
-"""Of a difference, relative to what it was taken from."""
+"""Rounding error of a difference, relative to the minuend."""
+
+
+class LiftedParameters(NamedTuple):
+    """Parameters of `lifted_update`. The variance of a complex number sums both axes.
+
+    Attributes:
+        models: Spectral densities of white jerk, px^2/s^5, and white acceleration, px^2/s^3; recall, 1/s^2; damping,
+            1/s. Shape (M, 4).
+        drift: Spectral density of the random walk of A, B and D, px^2/s.
+        model_stay: Probability to keep the model from frame to frame.
+        noise: Variances of the noise levels. Shape (L,), px^2.
+        noise_stay: Probability to keep the noise level from frame to frame.
+        encoder_variance: Variance of a joint angle, rad^2.
+        optics_variance: Squared relative error of the optics.
+        outlier_rate: Probability of an outlier.
+        outlier_variance: Variance that an outlier adds, px^2.
+    """
+
+    models: Array
+    drift: float
+    model_stay: float
+    noise: Array
+    noise_stay: float
+    encoder_variance: float
+    optics_variance: float
+    outlier_rate: float
+    outlier_variance: float
+
+
+class LiftedScores(NamedTuple):
+    """Output arrays of `lifted_update`.
+
+    Attributes:
+        log_likelihood: Log density of the measurement, 0 without a new frame. Shape (rows,).
+        nis: Squared innovation over its covariance, expected over all branches. Shape (rows,).
+        encoder_error: Expected contribution of the encoder noise at the frame to the image, u + iv. Shape (rows,), px.
+    """
+
+    log_likelihood: Array
+    nis: Array
+    encoder_error: ComplexArray
 
 
 @njit(cache=True, nogil=True)
 def _mix(mean, cov, weight, stay, mixed_mean, mixed_cov, predicted):  # type: ignore[no-untyped-def]
-    """Interaction (Blom and Bar-Shalom 1988): what each model believes after the others may have switched to it.
+    """Interaction step (Blom and Bar-Shalom 1988): moments of each model after possible switches between models.
 
-    All switches being equally likely, model j is a mixture of itself and of everybody: one pass over the models makes
-    everybody's moments, about their common mean so that nothing cancels, and a second one each model's own.
+    All switches are equally likely, so model j is a mixture of itself and of all models. One pass over the models
+    computes the joint moments, about their common mean to avoid cancellation; a second pass computes each model's.
     """
     models = weight.shape[0]
     leave = (1.0 - stay) / (models - 1) if models > 1 else 0.0
     own = stay - leave if models > 1 else 1.0
     center = np.zeros(STATE_SIZE, dtype=np.complex128)
-    everybody = np.zeros((STATE_SIZE, STATE_SIZE), dtype=np.complex128)
+    pooled = np.zeros((STATE_SIZE, STATE_SIZE), dtype=np.complex128)
     for i in range(models):
         for r in range(STATE_SIZE):
             center[r] += weight[i] * mean[i, r]
@@ -46,7 +89,7 @@ def _mix(mean, cov, weight, stay, mixed_mean, mixed_cov, predicted):  # type: ig
             for c in range(r + 1):
                 spread = (mean[i, r] - center[r]) * np.conj(mean[i, c] - center[c])
                 mixed_cov[i, r, c] = cov[i, r, c] + spread
-                everybody[r, c] += weight[i] * mixed_cov[i, r, c]
+                pooled[r, c] += weight[i] * mixed_cov[i, r, c]
     for j in range(models):
         predicted[j] = own * weight[j] + leave
         from_own, from_all = own * weight[j] / predicted[j], leave / predicted[j]
@@ -55,13 +98,13 @@ def _mix(mean, cov, weight, stay, mixed_mean, mixed_cov, predicted):  # type: ig
         for r in range(STATE_SIZE):
             for c in range(r + 1):
                 shift = (mixed_mean[j, r] - center[r]) * np.conj(mixed_mean[j, c] - center[c])
-                mixed_cov[j, r, c] = from_own * mixed_cov[j, r, c] + from_all * everybody[r, c] - shift
+                mixed_cov[j, r, c] = from_own * mixed_cov[j, r, c] + from_all * pooled[r, c] - shift
                 mixed_cov[j, c, r] = np.conj(mixed_cov[j, r, c])
 
 
 @njit(cache=True, nogil=True)
 def _predict(mean, cov, dt, model, drift):  # type: ignore[no-untyped-def]
-    """Move one model's target for `dt`: V' = G + white acceleration, G' = -recall V - damping G + white jerk."""
+    """Predict one model's target over `dt`: V' = G + white acceleration, G' = -recall V - damping G + white jerk."""
     jerk, jump, recall, damping = model[0], model[1], model[2], model[3]
     dt2 = dt * dt
     half = 0.5 * dt2
@@ -100,13 +143,13 @@ def _predict(mean, cov, dt, model, drift):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate, outlier_variance, branch):  # type: ignore[no-untyped-def]
-    """Fold z = turn A - swing B - D + noise into one model; exact moments over all noise branches.
+def _correct(mean, cov, turn, swing, z, noise_weight, parameters, branch):  # type: ignore[no-untyped-def]
+    """Update one model with z = turn A - swing B - D + noise, with exact moments over all noise branches.
 
     `branch` (L + 1,) receives the joint density of the measurement and each branch. Returns the density of the
-    measurement, the squared innovation over its covariance, expected over the branches, and the share of the
-    innovation that the encoders' noise explains.
+    measurement, the NIS expected over the branches, and the part of the innovation due to encoder noise.
     """
+    noise, outlier_rate, outlier_variance = parameters.noise, parameters.outlier_rate, parameters.outlier_variance
     g = np.empty(STATE_SIZE, dtype=np.complex128)
     turn_c, swing_c = np.conj(turn), np.conj(swing)
     for s in range(STATE_SIZE):
@@ -114,12 +157,12 @@ def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate
     innovation = z - (turn * mean[0] - swing * mean[3] - mean[4])
     spread = max((turn * g[0] - swing * g[3] - g[4]).real, 0.0)
     nu2 = innovation.real * innovation.real + innovation.imag * innovation.imag
-    # Joint uncertainty turns arm vectors, residual optics scales the error: both grow with what they act on.
+    # Encoder noise rotates the arm vectors and residual optics scales the error: both variances grow with the vectors.
     a, b = turn * mean[0], swing * mean[3]
     error = a - b - mean[4]
     arms = a.real * a.real + a.imag * a.imag + (a - b).real ** 2 + (a - b).imag ** 2
-    by_joints = extra[0] * arms
-    base = by_joints + extra[1] * (error.real * error.real + error.imag * error.imag)
+    by_joints = parameters.encoder_variance * arms
+    base = by_joints + parameters.optics_variance * (error.real * error.real + error.imag * error.imag)
     levels = noise.shape[0]
     density, expected = 0.0, 0.0
     for k in range(levels):
@@ -145,10 +188,10 @@ def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate
         for c in range(r + 1):
             cov[r, c] += shrink * g[r] * np.conj(g[c])
             cov[c, r] = np.conj(cov[r, c])
-        cov[r, r] = complex(max(cov[r, r].real, CANCELED * before[r], 1e-12), 0.0)
+        cov[r, r] = complex(max(cov[r, r].real, LEAST_VARIANCE_SHARE * before[r], 1e-12), 0.0)
         share = cov[r, r].real / before[r] if before[r] > 0.0 else 1.0
-        if share < ROUNDED:
-            # What is left of correlations is mixed with the rounding of what was taken off: they are trusted less.
+        if share < ROUNDED_SHARE:
+            # Rounding errors of the difference contaminate the remaining correlations, which are therefore reduced.
             trust[r] = math.sqrt(max(1.0 - ROUNDING / share, 0.0))
     if trust.min() < 1.0:
         for r in range(STATE_SIZE):
@@ -159,72 +202,49 @@ def _correct(mean, cov, turn, swing, z, extra, noise, noise_weight, outlier_rate
 
 
 @njit(cache=True, nogil=True)
-def lifted_update(  # type: ignore[no-untyped-def]
-    mean, cov, weight, noise_weight, fresh, dt, joints, z,
-    models, drift, stay, noise, noise_stay, extra, outlier_rate, outlier_variance,
-    log_likelihood, surprise, encoder_error,
-):  # fmt: skip
-    """Advance every fresh row by `dt` and fold its measurement in; all arrays are changed in place.
+def lifted_update(mean, cov, weight, noise_weight, fresh, dt, joints, z, parameters, scores):  # type: ignore[no-untyped-def]
+    """Predict every fresh row over `dt` and update it with its measurement; arrays are changed in place.
 
     Args:
-        mean: Shape (rows, M, 5), complex.
-        cov: Shape (rows, M, 5, 5), complex.
+        mean: Means of the models. Shape (rows, M, 5), complex.
+        cov: Covariances of the models. Shape (rows, M, 5, 5), complex.
         weight: Probabilities of the models. Shape (rows, M).
         noise_weight: Probabilities of the noise levels. Shape (rows, L).
-        fresh: Rows with a new frame. Shape (rows,), bool.
+        fresh: Mask of the rows with a new frame. Shape (rows,), bool.
         dt: Time since the state's instant. Shape (rows,), s.
         joints: Joint angles at the frame. Shape (rows, 2), rad.
         z: Features minus goal, u + iv. Shape (rows,), px.
-        models: Spectral densities of white jerk, px^2/s^5, and white acceleration, px^2/s^3; recall, 1/s^2; damping,
-            1/s. Shape (M, 4).
-        drift: Random walk of A, B and D, px^2/s.
-        stay: Probability to keep the model from frame to frame.
-        noise: Variances of the noise levels. Shape (L,), px^2.
-        noise_stay: Probability to keep the noise level from frame to frame.
-        extra: Encoder variance, rad^2, and squared relative error of the optics. Shape (2,).
-        outlier_rate: Probability of an outlier.
-        outlier_variance: Variance it adds, px^2.
-        log_likelihood: Result. Shape (rows,).
-        surprise: Result: the squared innovation over its covariance, expected over all branches. Shape (rows,).
-        encoder_error: Result: what the encoders' noise at the frame probably adds to the image, u + iv. Shape
-            (rows,), px.
+        parameters: `LiftedParameters`.
+        scores: `LiftedScores`, written for every row.
     """
     rows, count = weight.shape
-    levels = noise.shape[0]
+    levels = parameters.noise.shape[0]
+    log_likelihood, nis, encoder_error = scores
+    noise_stay = parameters.noise_stay
     mixed_mean, mixed_cov = np.empty_like(mean[0]), np.empty_like(cov[0])
     predicted, noise_prior, noise_post = np.empty(count), np.empty(levels), np.empty(levels)
     branch = np.empty(levels + 1)
     for n in range(rows):
-        log_likelihood[n], surprise[n], encoder_error[n] = 0.0, 0.0, 0.0 + 0.0j
+        log_likelihood[n], nis[n], encoder_error[n] = 0.0, 0.0, 0.0 + 0.0j
         if not fresh[n]:
             continue
         swing = complex(math.cos(joints[n, 1]), math.sin(joints[n, 1]))
         angle = joints[n, 0] + joints[n, 1]
         turn = complex(math.cos(angle), math.sin(angle))
-        _mix(mean[n], cov[n], weight[n], stay, mixed_mean, mixed_cov, predicted)
+        _mix(mean[n], cov[n], weight[n], parameters.model_stay, mixed_mean, mixed_cov, predicted)
         for k in range(levels):
             noise_prior[k] = noise_stay * noise_weight[n, k] + (1.0 - noise_stay) / levels
             noise_post[k] = 0.0
         total, misread = 0.0, 0.0 + 0.0j
         for j in range(count):
-            _predict(mixed_mean[j], mixed_cov[j], dt[n], models[j], drift)
+            _predict(mixed_mean[j], mixed_cov[j], dt[n], parameters.models[j], parameters.drift)
             density, ratio, share = _correct(
-                mixed_mean[j],
-                mixed_cov[j],
-                turn,
-                swing,
-                z[n],
-                extra,
-                noise,
-                noise_prior,
-                outlier_rate,
-                outlier_variance,
-                branch,
+                mixed_mean[j], mixed_cov[j], turn, swing, z[n], noise_prior, parameters, branch
             )
             weight[n, j] = predicted[j] * density
             total += weight[n, j]
             misread += weight[n, j] * share
-            surprise[n] += weight[n, j] * ratio
+            nis[n] += weight[n, j] * ratio
             for k in range(levels):
                 noise_post[k] += predicted[j] * (branch[k] + branch[levels] * noise_prior[k])
         kept = 0.0
@@ -235,7 +255,7 @@ def lifted_update(  # type: ignore[no-untyped-def]
         for j in range(count):
             weight[n, j] = weight[n, j] / total if total > 1e-290 else predicted[j]
         encoder_error[n] = misread / total if total > 1e-290 else 0.0 + 0.0j
-        surprise[n] = surprise[n] / total if total > 1e-290 else 0.0
+        nis[n] = nis[n] / total if total > 1e-290 else 0.0
         log_likelihood[n] = math.log(max(total, 1e-300))
         for j in range(count):
             for r in range(STATE_SIZE):

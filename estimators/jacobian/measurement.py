@@ -1,4 +1,4 @@
-"""The one place where a measurement is checked before any estimator believes it."""
+"""Validation of measurements, shared by all Jacobian estimators."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from servotrack.estimators.jacobian.contract import ServoMeasurement
 from servotrack.estimators.types import Array, Mask
 
 CLOCK_TOLERANCE = 1e-6
-"""How far a frame's stamp may lie after the present before it counts as a frame from the future, s."""
+"""Rounding error by which a frame's stamp may exceed the present time, s."""
 
 
 def checked(measurement: ServoMeasurement) -> ServoMeasurement:
-    """The measurement as float64 and bool arrays of agreeing shapes.
+    """Check a measurement and convert it to float64 and bool arrays.
 
-    Features of a frame in which the target was not seen may be anything, NaN included: nothing reads them.
+    Features of a frame that does not show the target may have any value, including NaN: they are never read.
 
     Args:
         measurement: Array-likes with the shapes that `ServoMeasurement` documents.
@@ -23,11 +23,10 @@ def checked(measurement: ServoMeasurement) -> ServoMeasurement:
         The same values as arrays.
 
     Raises:
-        ValueError: A shape disagrees, a value that will be used is not finite, or a frame is from the future; the
-        message
-            names the field, the value and the remedy.
+        ValueError: Shapes disagree, a value that is used is not finite, or a frame's stamp lies in the future. The
+            message names the field, the value and the remedy.
     """
-    # Contiguous, so that the compiled kernels need only one version of themselves.
+    # Contiguous arrays, so that each kernel is compiled only once.
     joint_angles = np.asarray(measurement.joint_angles, dtype=np.float64, order="C")
     features = np.asarray(measurement.features, dtype=np.float64, order="C")
     goal = np.asarray(measurement.goal, dtype=np.float64, order="C")
@@ -76,6 +75,6 @@ def checked(measurement: ServoMeasurement) -> ServoMeasurement:
 
 
 def first_bad(value: Array, bad: Mask) -> str:
-    """The first entry of `value` where `bad` is true, with its place if there is more than one entry."""
+    """Format the first entry of `value` where `bad` is true, with its index if there are several entries."""
     place = tuple(int(i) for i in np.argwhere(bad)[0])
     return f"{value[place]} at index {list(place)}" if value.size > 1 else f"{value[place]}"

@@ -1,15 +1,15 @@
-"""Parametric filters of the total image Jacobian: the arm's and camera's own parameters are the state.
+"""Parametric filters of the total image Jacobian: the state holds the parameters of arm, camera and target.
 
 The state is x = [log s, psi, rho, p, v, w]: scale s (pixels per first link), mounting angle psi, ratio rho of the
 second link to the first, and the target's position, velocity and acceleration in units of the first link. Only these
-can be told from images: lengths times k and pixels per length over k leave every pixel unchanged. With phi = theta1 +
+are observable in images: lengths times k and pixels per length over k leave every pixel unchanged. With phi = theta1 +
 theta2 + psi,
 
     y - y_goal = s F R(phi)^T (p - p_elbow - rho u(theta1 + theta2)),    F = diag(1, -1),  u(t) = (cos t, sin t)
 
-for a goal taught with the tool over the target. One model, two ways to propagate it: linearization (extended Kalman
-filter) and sigma points (unscented). It is far from linear in psi, so a single filter only works near the right
-angle: `HypothesisBank(ParametricKalman(), Mountings())` serves any.
+for a goal recorded with the tool above the target. The model is propagated by linearization (extended Kalman filter)
+or by sigma points (unscented). It is strongly nonlinear in psi, so a single filter converges only near the right
+angle. `HypothesisBank(ParametricKalman(), Mountings())` covers all angles.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ from servotrack.estimators.jacobian.measurement import checked
 from servotrack.estimators.types import Array, ComplexArray
 
 STATE_SIZE = 9
+"""Numbers in the state: three parameters, then position, velocity and acceleration in the plane."""
+LEAST_VARIANCE = 1e-14
+"""Variance added to every state after an update, against an indefinite covariance by rounding."""
 
 
 class ParametricState(NamedTuple):
@@ -35,7 +38,7 @@ class ParametricState(NamedTuple):
     Attributes:
         alignment: Encoder history and newest frame.
         mean: [log s, psi, rho, p, v, w]. Shape (*batch, 9); lengths in first links.
-        covariance: Shape (*batch, 9, 9).
+        covariance: Covariance of the state. Shape (*batch, 9, 9).
     """
 
     alignment: AlignmentState
@@ -50,23 +53,26 @@ class ParametricKalman:
     The defaults are one setting for all levels of the benchmark, from a random search on tune seeds at levels 0 to 5.
 
     Args:
-        unscented: Sigma points instead of the linearization; the two hardly differ.
-        kappa: Spread parameter of the symmetric sigma points: they lie sqrt(9 + kappa) deviations off the mean.
-        scale: Expected pixels per first link, px.
-        scale_spread: Standard deviation of log s.
+        unscented: Use sigma points instead of the linearization; results differ little.
+        kappa: Spread parameter of the sigma points, which lie sqrt(9 + kappa) standard deviations from the mean.
+        scale: Expected scale s, px per first link.
+        scale_spread: Standard deviation of log s before the first frame.
         mounting: Expected mounting angle, rad.
-        mounting_spread: Its standard deviation, rad.
-        ratio_spread: Standard deviation of rho around 1.
-        position_spread: Standard deviation of each coordinate of p, first links; v and w: the same per second and per
-            second^2.
-        jerk: Root spectral density of the target's white jerk, first links/s^2.5.
-        drift: Root spectral density of the random walk of log s, psi and rho, 1/s^0.5: what residual optics makes of
-            constants.
+        mounting_spread: Standard deviation of the mounting angle before the first frame, rad.
+        ratio_spread: Standard deviation of rho around 1 before the first frame.
+        position_spread: Standard deviation of each coordinate of p before the first frame, first links; of v, first
+            links/s; and of w, first links/s^2.
+        jerk: Root spectral density of the target's white jerk, first links/s^2.5. Larger values follow maneuvers
+            faster and average fewer frames.
+        drift: Root spectral density of the random walk of log s, psi and rho, 1/s^0.5, which covers the slow changes
+            that residual optics causes.
         pixel_noise: Standard deviation of a feature, px.
         encoder_noise: Standard deviation of a joint angle, rad.
-        optics_error: Relative error of the features' distance from the goal, for lens, tilt and pixels that are not
-            square.
-        alignment: Interpolates the encoders at the frames' instants.
+        optics_error: Relative error of the features' distance from the goal, for lens distortion, tilt and pixels that
+            are not square.
+        alignment: Interpolation of the encoder readings at the frames' instants.
+        scale_range: Largest deviation of log s from its expected value. Larger values allow more extreme cameras; the
+            limit prevents overflow on features that no camera produces.
     """
 
     unscented: bool = False
@@ -83,10 +89,11 @@ class ParametricKalman:
     encoder_noise: float = 0.0004
     optics_error: float = 0.06
     alignment: Alignment = field(default_factory=Alignment)
+    scale_range: float = 5.0
 
     def __post_init__(self) -> None:
         for name in (
-            "scale", "scale_spread", "mounting_spread", "ratio_spread", "position_spread", "pixel_noise",
+            "scale", "scale_spread", "mounting_spread", "ratio_spread", "position_spread", "pixel_noise", "scale_range",
         ):  # fmt: skip
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be finite and > 0, got {getattr(self, name)}")
@@ -99,21 +106,21 @@ class ParametricKalman:
             raise ValueError(f"kappa must be greater than -{STATE_SIZE}, got {self.kappa}")
 
     def initial(self, measurement: ServoMeasurement, mounting: ArrayLike | None = None) -> ParametricState:
-        """State before the first frame; the target is put where that frame shows it.
+        """State before the first frame, with the target at the position that this frame shows.
 
         Args:
-            measurement: The first one, which is to be given to the first `step`, too.
-            mounting: Expected mounting angle, instead of the field. Shape (*batch,), rad.
+            measurement: First measurement, which must also be passed to the first `step`.
+            mounting: Expected mounting angle that replaces the field; None: the field. Shape (*batch,), rad.
 
         Raises:
-            ValueError: As `checked` does, and for other than 2 joints and 2 features.
+            ValueError: As `checked` does, or unless there are 2 joints and 2 features.
         """
         measurement = checked(measurement)
         joints, features = measurement.joint_angles.shape[-1], measurement.features.shape[-1]
         if (joints, features) != (2, 2):
             raise ValueError(
-                "ParametricKalman serves a planar arm of 2 joints and one image point (2 features), got joint_angles "
-                f"with {joints} and features with {features}; use KalmanJacobian"
+                "ParametricKalman supports only a planar arm with 2 joints and 1 image point (2 features), got "
+                f"joint_angles with {joints} and features with {features}; use KalmanJacobian"
             )
         mean = np.zeros((*measurement.time.shape, STATE_SIZE))
         mean[..., 0], mean[..., 2] = np.log(self.scale), 1.0
@@ -125,10 +132,10 @@ class ParametricKalman:
         return ParametricState(self.alignment.initial(measurement), mean, self._prior(mean.shape[:-1]))
 
     def step(self, state: ParametricState, measurement: ServoMeasurement) -> tuple[ParametricState, LiftedEstimate]:
-        """Fold one measurement in.
+        """Update with one measurement.
 
         Raises:
-            ValueError: As `Alignment.step` does, and where the covariance is no longer positive definite.
+            ValueError: As `Alignment.step` does, or if the covariance is no longer positive definite.
         """
         alignment, increment = self.alignment.step(state.alignment, measurement)
         fresh = increment.fresh | (alignment.seen & ~state.alignment.seen)
@@ -144,9 +151,9 @@ class ParametricKalman:
         gain = np.swapaxes(np.linalg.solve(spread, np.swapaxes(cross, -1, -2)), -1, -2)
         whitened = np.einsum("...i,...i->...", innovation, np.linalg.solve(spread, innovation[..., None])[..., 0])
         updated = covariance - gain @ spread @ np.swapaxes(gain, -1, -2)
-        updated = 0.5 * (updated + np.swapaxes(updated, -1, -2)) + _LEAST_VARIANCE * np.eye(STATE_SIZE)
+        updated = 0.5 * (updated + np.swapaxes(updated, -1, -2)) + LEAST_VARIANCE * np.eye(STATE_SIZE)
         corrected = mean + np.einsum("...ij,...j->...i", gain, innovation)
-        limit = np.log(self.scale) + _SCALE_RANGE * np.array([-1.0, 1.0])
+        limit = np.log(self.scale) + self.scale_range * np.array([-1.0, 1.0])
         corrected[..., 0] = np.clip(corrected[..., 0], *limit)
         new = ParametricState(
             alignment,
@@ -161,7 +168,7 @@ class ParametricKalman:
         return new, estimate
 
     def forget(self, state: ParametricState) -> ParametricState:
-        """Keep the mean, trust it no more: the covariance goes back to the prior's."""
+        """Keep the mean and reset the covariance to the prior's."""
         return state._replace(covariance=self._prior(state.mean.shape[:-1]))
 
     def _prior(self, batch: tuple[int, ...]) -> Array:
@@ -169,7 +176,7 @@ class ParametricKalman:
         return np.tile(np.diag(np.square(spreads)), (*batch, 1, 1))
 
     def _predicted(self, state: ParametricState, dt: Array) -> tuple[Array, Array]:
-        """Constant acceleration with white jerk; the parameters drift."""
+        """Predict by constant acceleration with white jerk, and by a random walk of the parameters."""
         one, t = np.eye(2), dt[..., None, None]
         transition = np.tile(np.eye(STATE_SIZE), (*dt.shape, 1, 1))
         noise = np.zeros_like(transition)
@@ -185,7 +192,7 @@ class ParametricKalman:
         return mean, transition @ state.covariance @ np.swapaxes(transition, -1, -2) + noise
 
     def _linearized(self, mean: Array, covariance: Array, joints: Array) -> tuple[Array, Array, Array]:
-        """Expected features, their covariance with the state and their own, by the model's derivatives."""
+        """Expected features, their covariance with the state and their covariance, by linearization."""
         parts = _Parts(mean, joints)
         error = parts.error
         derivatives = np.zeros((*mean.shape[:-1], 2, STATE_SIZE))
@@ -196,14 +203,14 @@ class ParametricKalman:
         return _plane(error), cross, derivatives @ cross
 
     def _sigma_points(self, mean: Array, covariance: Array, joints: Array) -> tuple[Array, Array, Array]:
-        """The same by symmetric sigma points (paper 002, eqs 18 to 27, on this model)."""
+        """Expected features and covariances by symmetric sigma points (paper 002, eqs 18 to 27, for this model)."""
         spread = STATE_SIZE + self.kappa
         try:
             root = np.swapaxes(np.linalg.cholesky(spread * covariance), -1, -2)
         except np.linalg.LinAlgError:
             raise ValueError(
-                f"the covariance is no longer positive definite at joint_angles {joints}; begin anew with "
-                "initial(measurement), with a larger pixel_noise if this happens again"
+                f"the covariance is no longer positive definite at joint_angles {joints}; restart with "
+                "initial(measurement), and raise pixel_noise if this happens again"
             ) from None
         center = mean[..., None, :]
         points = np.concatenate([center, center + root, center - root], axis=-2)
@@ -216,7 +223,7 @@ class ParametricKalman:
         return expected, cross, np.einsum("k,...ki,...kj->...ij", weights, deviation, deviation)
 
     def _noise(self, mean: Array, joints: Array) -> Array:
-        """Variance of a feature along each axis, (*batch,) px^2: pixels, joint angles and residual optics."""
+        """Variance of a feature along each axis by pixels, joint angles and residual optics. Shape (*batch,), px^2."""
         parts = _Parts(mean, joints)
         arms = 0.5 * (np.abs(parts.target) ** 2 + np.abs(parts.target - parts.elbow) ** 2)
         return (
@@ -224,7 +231,7 @@ class ParametricKalman:
         )
 
     def _present(
-        self, state: ParametricState, pending_joints: Array, pending_time: Array, log_likelihood: Array, surprise: Array
+        self, state: ParametricState, pending_joints: Array, pending_time: Array, log_likelihood: Array, nis: Array
     ) -> LiftedEstimate:
         mean = state.mean.copy()
         t = pending_time[..., None]
@@ -233,19 +240,11 @@ class ParametricKalman:
         parts = _Parts(mean, state.alignment.frame_joints + pending_joints)
         velocity = parts.turn * (mean[..., 5] - 1j * mean[..., 6])
         acceleration = parts.turn * (mean[..., 7] - 1j * mean[..., 8])
-        return LiftedEstimate(
-            parts.target, velocity, acceleration, parts.elbow, parts.forearm, log_likelihood, surprise
-        )
-
-
-_SCALE_RANGE = 5.0
-"""How far log s may go from what is expected: features that no camera gives must not overflow its exponential."""
-_LEAST_VARIANCE = 1e-14
-"""Keeps a parameter that has become certain from turning the covariance indefinite by rounding."""
+        return LiftedEstimate(parts.target, velocity, acceleration, parts.elbow, parts.forearm, log_likelihood, nis)
 
 
 class _Parts:
-    """The lifted vectors that states (*batch, 9) and joint angles imply, u + iv; T p = turn conj(p)."""
+    """Lifted vectors of states (*batch, 9) and joint angles, written u + iv; T p = turn conj(p)."""
 
     def __init__(self, mean: Array, joints: Array) -> None:
         angle = joints.sum(axis=-1)
@@ -258,7 +257,7 @@ class _Parts:
 
     @property
     def error(self) -> ComplexArray:
-        """Features minus goal, u + iv, px."""
+        """Features minus goal, u + iv, px. Shape (*batch,)."""
         return self.target - self.elbow - self.forearm
 
 

@@ -1,4 +1,4 @@
-"""The particle filter of the total image Jacobian (paper 002's competitor; Zhao, Chen and Zhang 2008)."""
+"""Particle filter of the total image Jacobian (paper 002's reference method; Zhao, Chen and Zhang 2008)."""
 
 from __future__ import annotations
 
@@ -16,9 +16,6 @@ from servotrack.estimators.jacobian.shared_covariance import interval
 from servotrack.estimators.stateful import select_rows
 from servotrack.estimators.types import Array, Labels
 
-TABLE_STEPS = 256
-"""Steps after which the table of random numbers begins anew: longer than anything the weights remember."""
-
 
 class ParticleState(NamedTuple):
     """State of `ParticleJacobian`.
@@ -26,8 +23,8 @@ class ParticleState(NamedTuple):
     Attributes:
         alignment: Encoder history and newest frame.
         particles: Rows of the Jacobian, one cloud per feature. Shape (*batch, m, N, n + 1).
-        log_weights: Normalized. Shape (*batch, m, N).
-        draws: Steps of the random table used so far. Shape (*batch,), int.
+        log_weights: Logarithms of the normalized weights. Shape (*batch, m, N).
+        draws: Number of steps of the random table used so far. Shape (*batch,), int.
     """
 
     alignment: AlignmentState
@@ -40,23 +37,25 @@ class ParticleState(NamedTuple):
 class ParticleJacobian:
     """Bootstrap particle filter on x' = x + w, dy = J ds + v (paper 002, eq. 9), resampled systematically.
 
-    With independent noise the rows of the Jacobian stay independent given the data, so each feature has its own
-    cloud over n + 1
-    numbers: exact, and far fewer particles than one cloud over m (n + 1). Random numbers are a table drawn once from
-        `seed`, so that a row of
-    a batch sees the same ones whatever the batch is.
+    With independent noise the rows of the Jacobian stay independent given the data, so each feature has its own cloud
+    over n + 1 numbers: exact, with far fewer particles than one cloud over m (n + 1). Random numbers come from a table
+    drawn once from `seed`, so that a batch row uses the same numbers in every batch.
 
     Args:
-        particles: N, per feature.
-        degrees_of_freedom: Of a Student-t likelihood; inf is the normal one.
-        resample_below: Effective share of the particles below which they are resampled, in (0, 1].
+        particles: Number N of particles per feature. Larger values are more accurate and slower.
+        degrees_of_freedom: Degrees of freedom of a Student-t likelihood; inf is the normal likelihood. Smaller values
+            tolerate more outliers.
+        resample_below: Effective share of the particles below which they are resampled, in (0, 1]. Larger values
+            resample more often.
         kernel: Regularization (Musso, Oudjane and Le Gland 2001): resampled particles are spread by this multiple of
-            the optimal normal kernel; 0 is the plain filter.
-        seed: Of the table of random numbers.
-        walk: How fast the Jacobian wanders.
+            the optimal normal kernel. 0 is the filter without regularization.
+        seed: Seed of the table of random numbers.
+        walk: Process noise of the Jacobian; larger values follow changes faster and average fewer frames.
         measurement_noise: Standard deviation (scale, with Student-t) of dy about J ds, px.
-        prior: What is believed before the first increment.
+        prior: Mean and spread of the Jacobian before the first increment.
         alignment: Pairing of joints and features by time stamps.
+        table_steps: Steps after which the table of random numbers repeats, at least 2. It should exceed the memory of
+            the weights; memory grows in proportion.
     """
 
     particles: int = 300
@@ -68,10 +67,12 @@ class ParticleJacobian:
     measurement_noise: float = 3.0
     prior: JacobianPrior = field(default_factory=JacobianPrior)
     alignment: Alignment = field(default_factory=Alignment)
+    table_steps: int = 256
 
     def __post_init__(self) -> None:
-        if self.particles < 2:
-            raise ValueError(f"particles must be at least 2, got {self.particles}")
+        for name, count in (("particles", self.particles), ("table_steps", self.table_steps)):
+            if count < 2:
+                raise ValueError(f"{name} must be at least 2, got {count}")
         if not self.degrees_of_freedom > 0.0:
             raise ValueError(
                 f"degrees_of_freedom must be > 0, got {self.degrees_of_freedom}; inf is the normal likelihood"
@@ -96,13 +97,13 @@ class ParticleJacobian:
         )
 
     def step(self, state: ParticleState, measurement: ServoMeasurement) -> tuple[ParticleState, LinearEstimate]:
-        """Fold one measurement in. Raises ValueError as `Alignment.step` does."""
+        """Update with one measurement. Raises ValueError as `Alignment.step` does."""
         alignment, increment = self.alignment.step(state.alignment, measurement)
         *_, m, _, columns = state.particles.shape
-        normals, uniforms = _random_table(self.seed, m, self.particles, columns)
-        place = state.draws % TABLE_STEPS
+        normals, uniforms = _random_table(self.seed, self.table_steps, m, self.particles, columns)
+        place = state.draws % self.table_steps
         spread = self.walk.deviations(columns - 1, increment.time)[..., None, None, :]
-        # The other half of the table's normals belongs to the regularization.
+        # Normals with index 0 drive the random walk, those with index 1 the regularization.
         particles = state.particles + spread * normals[place, 0]
 
         predicted = np.einsum("...ipj,...j->...ip", particles, interval(increment))
@@ -114,7 +115,7 @@ class ParticleJacobian:
         weights = np.exp(log_weights)
 
         jacobian = np.einsum("...ip,...ipj->...ij", weights, particles)
-        surprise = self._surprise(state.log_weights, predicted, increment.features)
+        nis = self._nis(state.log_weights, predicted, increment.features)
         low = np.sum(weights**2, axis=-1) * self.particles * self.resample_below > 1.0
         if low.any():
             drawn = self._resampled(particles, weights, uniforms[place], normals[place, 1])
@@ -133,19 +134,19 @@ class ParticleJacobian:
             increment,
             measurement.goal,
             np.where(increment.fresh, total[..., 0].sum(axis=-1), 0.0),
-            np.where(increment.fresh, surprise, 0.0),
+            np.where(increment.fresh, nis, 0.0),
         )
         return ParticleState(alignment, particles, log_weights, draws), estimate
 
     def forget(self, state: ParticleState) -> ParticleState:
-        """Keep the mean, trust it no more: a fresh cloud with the prior's spread around it."""
+        """Keep the mean and draw a new cloud around it with the prior's spread."""
         mean = np.einsum("...ip,...ipj->...ij", np.exp(state.log_weights), state.particles)
         equal = np.full_like(state.log_weights, -np.log(self.particles))
         return state._replace(particles=self._cloud(mean), log_weights=equal)
 
     def _cloud(self, mean: Array) -> Array:
         m, columns = mean.shape[-2:]
-        normals, _ = _random_table(self.seed, m, self.particles, columns)
+        normals, _ = _random_table(self.seed, self.table_steps, m, self.particles, columns)
         return mean[..., None, :] + self.prior.deviations(columns - 1) * normals[-1, 0]
 
     def _log_density(self, residual: Array) -> Array:
@@ -155,19 +156,19 @@ class ParticleJacobian:
         nu = self.degrees_of_freedom
         return _student_t_log_scale(nu, self.measurement_noise) - 0.5 * (nu + 1.0) * np.log1p(scaled / nu)
 
-    def _surprise(self, log_weights: Array, predicted: Array, measured: Array) -> Array:
-        """Squared innovation over the cloud's predicted variance, mean over features."""
+    def _nis(self, log_weights: Array, predicted: Array, measured: Array) -> Array:
+        """Squared innovation over the predicted variance of the cloud, mean over features. Shape (*batch,)."""
         weights = np.exp(log_weights)
         center = np.einsum("...ip,...ip->...i", weights, predicted)
         variance = np.einsum("...ip,...ip->...i", weights, (predicted - center[..., None]) ** 2)
         return np.mean((measured - center) ** 2 / (variance + self.measurement_noise**2), axis=-1)
 
     def _resampled(self, particles: Array, weights: Array, uniform: Array, normals: Array) -> Array:
-        """Systematic resampling, then a kernel of the cloud's own shape."""
+        """Resample systematically, then spread the particles with a normal kernel of the cloud's covariance."""
         count, columns = particles.shape[-2:]
         edges = np.cumsum(weights, axis=-1)
         edges /= edges[..., -1:]
-        # How many of the evenly spaced pointers lie at or below each edge says how often each particle is taken.
+        # The number of evenly spaced pointers between two edges is the number of copies of a particle.
         upto = np.ceil(edges * count - uniform[..., None]).astype(np.int64)
         copies = np.diff(upto, axis=-1, prepend=0).ravel()
         taken = np.repeat(np.tile(np.arange(count), copies.size // count), copies)
@@ -177,7 +178,7 @@ class ParticleJacobian:
         center = np.einsum("...p,...pj->...j", weights, particles)
         offset = particles - center[..., None, :]
         covariance = np.einsum("...p,...pi,...pj->...ij", weights, offset, offset)
-        # A cloud that has collapsed onto a few particles has a singular covariance.
+        # The floor keeps the covariance regular when the cloud has collapsed onto a few particles.
         floor = 1e-9 * np.einsum("...ii->...", covariance)[..., None, None] + 1e-12
         root = np.linalg.cholesky(covariance + floor * np.eye(columns))
         width = self.kernel * (4.0 / ((columns + 2) * count)) ** (1.0 / (columns + 4))
@@ -185,15 +186,15 @@ class ParticleJacobian:
 
 
 def _student_t_log_scale(degrees_of_freedom: float, scale: float) -> float:
-    """Log of the normalizing factor of a Student-t density."""
+    """Logarithm of the normalizing factor of a Student-t density."""
     nu = degrees_of_freedom
     return lgamma(0.5 * (nu + 1.0)) - lgamma(0.5 * nu) - 0.5 * log(nu * pi * scale**2)
 
 
 @lru_cache(maxsize=8)
-def _random_table(seed: int, features: int, particles: int, columns: int) -> tuple[Array, Array]:
+def _random_table(seed: int, steps: int, features: int, particles: int, columns: int) -> tuple[Array, Array]:
     """Normals (steps, 2, m, N, n + 1) for walk and kernel, uniforms (steps, m) for resampling."""
     rng = np.random.default_rng(seed)
-    normals = rng.standard_normal((TABLE_STEPS, 2, features, particles, columns))
-    uniforms = rng.random((TABLE_STEPS, features))
+    normals = rng.standard_normal((steps, 2, features, particles, columns))
+    uniforms = rng.random((steps, features))
     return normals, uniforms

@@ -1,4 +1,4 @@
-"""What is believed of a total image Jacobian before data, and how fast it may change."""
+"""Prior and process noise of the total image Jacobian."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ class JacobianPrior:
     """Mean and spread of the total image Jacobian before the first increment.
 
     Args:
-        joint_spread: Standard deviation of an entry of J_theta, px/rad.
+        joint_spread: Standard deviation of an entry of J_theta, px/rad. Larger values learn faster from the first
+            increments.
         time_spread: Standard deviation of an entry of J_t, px/s.
-        mean: Initial Jacobian as nested tuples or an array, shape (m, n + 1); None is zero, a cold start.
+        mean: Initial Jacobian as nested tuples or an array; None: zero, a cold start. Shape (m, n + 1).
     """
 
     joint_spread: float = 300.0
@@ -32,11 +33,17 @@ class JacobianPrior:
             raise ValueError(f"mean must be finite, got {self.mean}; pass None for a cold start")
 
     def deviations(self, joints: int) -> Array:
-        """Standard deviation of each column. Shape (n + 1,)."""
+        """Prior standard deviation of each column. Shape (n + 1,)."""
         return np.append(np.full(joints, self.joint_spread), self.time_spread)
 
     def moments(self, alignment: AlignmentState) -> tuple[Array, Array]:
-        """Mean, shape (*batch, m, n + 1), and the covariance of each of its rows, shape (*batch, n + 1, n + 1).
+        """Mean of the Jacobian and covariance of its rows.
+
+        Args:
+            alignment: Initial state of the alignment, which has the measurement's shapes.
+
+        Returns:
+            The mean, shape (*batch, m, n + 1), and the covariance of each row, shape (*batch, n + 1, n + 1).
 
         Raises:
             ValueError: `mean` does not have the measurement's m and n.
@@ -56,14 +63,15 @@ class JacobianPrior:
 class RandomWalk:
     """Process noise of the Jacobian: x' = x + w (paper 002, eq. 9), independent entries.
 
-    The variance of w grows with the time between frames, so that a dropped frame costs as much certainty as it
-    should.
+    The variance of w grows in proportion to the time between frames, so that a dropped frame adds the right
+    uncertainty.
 
     Args:
-        joint_noise: Standard deviation of the change of an entry of J_theta within `period`, px/rad.
-        time_noise: The same of J_t, px/s. It carries the target's acceleration and the turning of the camera, so it
-            is larger.
-        period: Interval that the two refer to, s.
+        joint_noise: Standard deviation of the change of an entry of J_theta within `period`, px/rad. Larger values
+            adapt faster and average fewer frames.
+        time_noise: Standard deviation of the change of an entry of J_t within `period`, px/s. It covers the target's
+            acceleration and the camera's rotation, so it is larger.
+        period: Reference interval of the two, s.
     """
 
     joint_noise: float = 5.0
@@ -86,7 +94,12 @@ class RandomWalk:
         return np.sqrt(self.variances(joints) * (duration / self.period)[..., None])
 
     def widened(self, covariance: Array, duration: Array) -> Array:
-        """Covariance (*batch, n + 1, n + 1) after `duration` (*batch,) s without a measurement."""
+        """Covariance after some time without a measurement. Shape (*batch, n + 1, n + 1).
+
+        Args:
+            covariance: Covariance of the rows of the Jacobian. Shape (*batch, n + 1, n + 1).
+            duration: Time without a measurement. Shape (*batch,), s.
+        """
         wider = covariance.copy()
         diagonal = np.einsum("...ii->...i", wider)
         diagonal += self.variances(covariance.shape[-1] - 1) * (duration / self.period)[..., None]

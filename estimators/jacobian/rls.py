@@ -16,17 +16,17 @@ from servotrack.estimators.types import Array
 
 @dataclass(frozen=True)
 class RecursiveLeastSquares:
-    """Least squares on dy = J ds in which old increments count less and less (Ljung 1999, section 11.2).
+    """Recursive least squares on dy = J ds with exponential forgetting (Ljung 1999, section 11.2).
 
-    Forgetting goes no further than the prior: where motion shows nothing of a column, its variance stops at the
-    prior's instead of winding up.
+    Forgetting stops at the prior: without motion in a direction, the variance of a column grows only to the prior's
+    instead of winding up.
 
     Args:
-        forgetting: Weight that one `period` leaves to the past, in (0, 1]; 1 is the Kalman filter of a constant
-            Jacobian.
-        period: Interval that it refers to, s.
+        forgetting: Weight of past increments after one `period`, in (0, 1]. Larger values average more increments; 1
+            is the Kalman filter of a constant Jacobian.
+        period: Reference interval of `forgetting`, s.
         measurement_noise: Standard deviation of dy about J ds, px.
-        prior: What is believed before the first increment.
+        prior: Mean and spread of the Jacobian before the first increment.
         alignment: Pairing of joints and features by time stamps.
     """
 
@@ -49,7 +49,7 @@ class RecursiveLeastSquares:
         return KalmanState(alignment, *self.prior.moments(alignment))
 
     def step(self, state: KalmanState, measurement: ServoMeasurement) -> tuple[KalmanState, LinearEstimate]:
-        """Fold one measurement in. Raises ValueError as `Alignment.step` does."""
+        """Update with one measurement. Raises ValueError as `Alignment.step` does."""
         alignment, increment = self.alignment.step(state.alignment, measurement)
         updated = shared_update(
             state.jacobian,
@@ -65,16 +65,16 @@ class RecursiveLeastSquares:
             increment,
             measurement.goal,
             updated.log_likelihood,
-            updated.surprise,
+            updated.nis,
         )
         return KalmanState(alignment, updated.mean, updated.covariance), estimate
 
     def forget(self, state: KalmanState) -> KalmanState:
-        """Keep the mean, trust it no more: the covariance goes back to the prior's."""
+        """Keep the mean and reset the covariance to the prior's."""
         return state._replace(covariance=self.prior.moments(state.alignment)[1])
 
     def _forgotten(self, covariance: Array, duration: Array) -> Array:
-        """P / forgetting, column by column no further than the prior; a congruence, so P stays positive definite."""
+        """P / forgetting, limited to the prior column by column. A congruence, so P stays positive definite."""
         deviation = np.sqrt(np.einsum("...ii->...i", covariance))
         room = np.maximum(self.prior.deviations(covariance.shape[-1] - 1) / deviation, 1.0)
         growth = np.minimum(self.forgetting ** (-0.5 * duration / self.period)[..., None], room)

@@ -1,8 +1,8 @@
-"""Measurement noise with outliers, for the filters that share one covariance.
+"""Models of measurement noise with outliers, for the filters that share one covariance.
 
-Both models leave the Kalman update as it is and only raise the variance of a measurement that fits badly; they find
-the variance by a fixed point in the residual that the update would leave. With one covariance for all features that
-is a fixed point in one number, and a frame is doubted as a whole.
+Both models keep the Kalman update and only raise the variance of a measurement with a large innovation. They compute
+the variance by a fixed-point iteration on the residual after the update. With one covariance for all features the
+iteration has one unknown, and a frame is down-weighted as a whole.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from servotrack.estimators.types import Array
 
 
 class OutlierModel(Protocol):
-    """The interface of the models here."""
+    """Interface of the noise models."""
 
     def variance(self, power: Array, spread: Array, nominal: float, features: int) -> Array:
-        """Variance to use for one measurement.
+        """Compute the variance to use for one measurement.
 
         Args:
             power: Mean square of the m innovations. Shape (*batch,), px^2.
-            spread: Variance that the state's uncertainty gives each of them. Shape (*batch,), px^2.
+            spread: Variance of each innovation due to the uncertain state. Shape (*batch,), px^2.
             nominal: Measurement variance without outliers, px^2.
-            features: m.
+            features: Number m of features.
 
         Returns:
-            At least about `nominal`. Shape (*batch,), px^2.
+            Measurement variance, at least about `nominal`. Shape (*batch,), px^2.
         """
 
 
@@ -37,8 +37,9 @@ class StudentTNoise:
     """Multivariate Student-t noise, by variational Bayes (Piché, Särkkä and Hartikainen 2012).
 
     Args:
-        degrees_of_freedom: Small for heavy tails; the Kalman filter is the limit of large ones.
-        iterations: Of the fixed point.
+        degrees_of_freedom: Degrees of freedom. Smaller values down-weight outliers more; for large values the result
+            tends to the Kalman filter.
+        iterations: Number of fixed-point iterations.
     """
 
     degrees_of_freedom: float = 4.0
@@ -51,7 +52,7 @@ class StudentTNoise:
             raise ValueError(f"iterations must be at least 1, got {self.iterations}")
 
     def variance(self, power: Array, spread: Array, nominal: float, features: int) -> Array:
-        """As `OutlierModel` documents."""
+        """Compute the variance, see `OutlierModel.variance`."""
         variance = np.full(np.shape(power), nominal)
         for _ in range(self.iterations):
             kept = variance / (spread + variance)
@@ -64,13 +65,14 @@ class StudentTNoise:
 class CorrentropyNoise:
     """Maximum correntropy with a Gaussian kernel on the measurement (after Chen, Liu, Zhao and Principe 2017).
 
-    Theirs weighs the components of the prior as well; here the prior is trusted.
+    The original also weights the components of the prior; here only the measurement is weighted.
 
     Args:
-        bandwidth: Of the kernel, in standard deviations of the measurement noise; the Kalman filter is the limit of
-            wide ones.
-        iterations: Of the fixed point.
-        least_weight: A measurement's weight never falls below this, so that a changed Jacobian is learned in the end.
+        bandwidth: Width of the kernel, in standard deviations of the measurement noise. Smaller values down-weight
+            outliers more; for large values the result tends to the Kalman filter.
+        iterations: Number of fixed-point iterations.
+        least_weight: Smallest weight of a measurement, in (0, 1]. Larger values learn a changed Jacobian sooner and
+            suppress outliers less.
     """
 
     bandwidth: float = 2.0
@@ -86,7 +88,7 @@ class CorrentropyNoise:
             raise ValueError(f"least_weight must be in (0, 1], got {self.least_weight}")
 
     def variance(self, power: Array, spread: Array, nominal: float, features: int) -> Array:
-        """As `OutlierModel` documents."""
+        """Compute the variance, see `OutlierModel.variance`."""
         variance = np.full(np.shape(power), nominal)
         for _ in range(self.iterations):
             kept = variance / (spread + variance)
@@ -98,10 +100,10 @@ class CorrentropyNoise:
 def robust_variance(
     model: OutlierModel | None, mean: Array, covariance: Array, direction: Array, measured: Array, nominal: float
 ) -> Array | float:
-    """Measurement variance that a model wants for z = mean h + noise; `nominal` without a model.
+    """Measurement variance under an outlier model, for z = mean h + noise.
 
     Args:
-        model: None for the plain Kalman gain.
+        model: Outlier model; None for the plain Kalman gain.
         mean: Predicted mean. Shape (*batch, m, d).
         covariance: Predicted covariance shared by the rows of `mean`. Shape (*batch, d, d).
         direction: h. Shape (*batch, d).
@@ -109,7 +111,7 @@ def robust_variance(
         nominal: Measurement variance without outliers, px^2.
 
     Returns:
-        A number, or shape (*batch,), px^2.
+        Variance: `nominal` without a model, else shape (*batch,), px^2.
     """
     if model is None:
         return nominal

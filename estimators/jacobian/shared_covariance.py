@@ -1,9 +1,9 @@
 """Kalman update of a matrix whose rows share one covariance.
 
-With isotropic noise the rows of the total image Jacobian are independent, see the same ds and so keep the same
-covariance: instead of one m (n + 1) dimensional filter there is one (n + 1) dimensional covariance. The Kalman
-    filter, its outlier-robust variants, RLS
-and the level filter differ only in how they predict that covariance and in the measurement variance they ask for.
+With isotropic noise the rows of the total image Jacobian are independent, share the same ds and therefore keep the same
+covariance: one covariance of size n + 1 replaces a filter of dimension m (n + 1). The Kalman filter, its
+outlier-robust variants, RLS and the level filter differ only in how they predict this covariance and in the
+measurement variance.
 """
 
 from __future__ import annotations
@@ -21,17 +21,16 @@ class SharedUpdate(NamedTuple):
     """Result of `shared_update`.
 
     Attributes:
-        mean: Shape (*batch, m, d).
-        covariance: Symmetric positive definite, of every row of `mean`. Shape (*batch, d, d).
-        log_likelihood: Log density of the measurement; 0 where none was used. Shape (*batch,).
-        surprise: Squared innovation over its variance, divided by m; 0 where no measurement was used. Shape
-            (*batch,).
+        mean: Mean after the measurement. Shape (*batch, m, d).
+        covariance: Covariance of every row of `mean`, symmetric positive definite. Shape (*batch, d, d).
+        log_likelihood: Log density of the measurement, 0 where none was used. Shape (*batch,).
+        nis: Normalized innovation squared divided by m, 0 where no measurement was used. Shape (*batch,).
     """
 
     mean: Array
     covariance: Array
     log_likelihood: Array
-    surprise: Array
+    nis: Array
 
 
 def interval(increment: Increment) -> Array:
@@ -42,7 +41,7 @@ def interval(increment: Increment) -> Array:
 def shared_update(
     mean: Array, covariance: Array, direction: Array, measured: Array, variance: Array | float, used: Mask
 ) -> SharedUpdate:
-    """Measurement z = mean h + noise, in Joseph form, which keeps the covariance symmetric positive definite.
+    """Update with the measurement z = mean h + noise, in Joseph form: the covariance stays positive definite.
 
     Args:
         mean: Predicted mean. Shape (*batch, m, d).
@@ -50,15 +49,15 @@ def shared_update(
         direction: h. Shape (*batch, d).
         measured: z. Shape (*batch, m).
         variance: Variance of each component of the noise, > 0. Shape (*batch,) or a number.
-        used: Rows of the batch with a measurement; the others are passed through. Shape (*batch,), bool.
+        used: Mask of the rows with a measurement; the others stay unchanged. Shape (*batch,), bool.
 
     Returns:
-        Mean and covariance after the measurement, its log likelihood and surprise.
+        Mean and covariance after the measurement, its log likelihood and NIS.
     """
     batch = mean.shape[:-2]
     rows = int(np.prod(batch, dtype=np.int64))
     m, d = mean.shape[-2:]
-    new_mean, new_covariance, log_likelihood, surprise = _shared_update(
+    new_mean, new_covariance, log_likelihood, nis = _shared_update(
         mean.reshape(rows, m, d),
         covariance.reshape(rows, d, d),
         direction.reshape(rows, d),
@@ -70,7 +69,7 @@ def shared_update(
         new_mean.reshape(mean.shape),
         new_covariance.reshape(covariance.shape),
         log_likelihood.reshape(batch),
-        surprise.reshape(batch),
+        nis.reshape(batch),
     )
 
 
@@ -80,7 +79,7 @@ def _shared_update(mean, covariance, direction, measured, variance, used):  # ty
     new_mean = mean.copy()
     new_covariance = covariance.copy()
     log_likelihood = np.zeros(rows)
-    surprise = np.zeros(rows)
+    nis = np.zeros(rows)
     spread = np.empty(d)
     gain = np.empty(d)
     half = np.empty((d, d))
@@ -116,6 +115,6 @@ def _shared_update(mean, covariance, direction, measured, variance, used):  # ty
                 value = half[i, j] - projected * gain[j] + variance[row] * gain[i] * gain[j]
                 new_covariance[row, i, j] = value
                 new_covariance[row, j, i] = value
-        surprise[row] = squares / (total * m)
+        nis[row] = squares / (total * m)
         log_likelihood[row] = -0.5 * (squares / total + m * np.log(2.0 * np.pi * total))
-    return new_mean, new_covariance, log_likelihood, surprise
+    return new_mean, new_covariance, log_likelihood, nis

@@ -1,4 +1,4 @@
-"""Notices that a servo loop has gone bad."""
+"""Supervision of a servo loop: detect a wrong Jacobian estimate and a lost target."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from servotrack.estimators.types import Array, Labels, Mask
 
 
 class SupervisorState(NamedTuple):
-    """What the supervisor remembers.
+    """State of a `Supervisor`.
 
     Attributes:
-        symptoms: Steps with a symptom, less the steps without. Shape (*batch,), int.
-        error_norm: Length of the estimated error at the last frame. Shape (*batch,), px.
-        surprise: Running mean of the estimator's surprise. Shape (*batch,).
-        joint_angles: At the last step. Shape (*batch, n), rad.
-        blocked: Steps for which each joint has not followed its command. Shape (*batch, n), int.
-        unseen: Steps since the last usable frame. Shape (*batch,), int.
+        symptoms: Number of steps with a symptom minus those without, from 0 to `patience`. Shape (*batch,), int.
+        error_norm: Norm of the estimated error at the last frame. Shape (*batch,), px.
+        nis: Running mean of the estimator's normalized innovation squared, divided by m. Shape (*batch,).
+        joint_angles: Joint angles at the last step. Shape (*batch, n), rad.
+        blocked: Number of consecutive steps in which each joint has not followed its command. Shape (*batch, n), int.
+        unseen: Steps since the last frame that showed the target. Shape (*batch,), int.
         last_seen_joints: Joint angles when the target was last seen. Shape (*batch, n), rad.
     """
 
     symptoms: Labels
     error_norm: Array
-    surprise: Array
+    nis: Array
     joint_angles: Array
     blocked: Labels
     unseen: Labels
@@ -35,11 +35,11 @@ class SupervisorState(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What the supervisor says at one step.
+    """Decision of a `Supervisor` at one step.
 
     Attributes:
-        excite: Whether the estimate has gone bad and wants exploratory moves. Shape (*batch,), bool.
-        lost: Whether the target has been out of view for too long to trust the prediction. Shape (*batch,), bool.
+        excite: True if the estimate is wrong and needs exploratory moves. Shape (*batch,), bool.
+        lost: True if the target has been out of view too long for a valid prediction. Shape (*batch,), bool.
     """
 
     excite: Mask
@@ -48,28 +48,30 @@ class Verdict(NamedTuple):
 
 @dataclass(frozen=True)
 class Supervisor:
-    """Counts the steps on which something is wrong; once they outnumber the others by `patience`, it speaks up.
+    """Detector of a wrong estimate: requests exploration when bad steps outnumber good ones by `patience`.
 
-    Wrong is: the estimator is surprised on average; J_theta is (nearly) singular; the error is large and does not
-    shrink; the error is large and a joint does not follow its command, which at a stop means that it is driven by a
-    Jacobian that no motion corrects any more.
+    A step is bad if one of these holds: the mean NIS is too large; J_theta is nearly singular; the error is large and
+    does not shrink; the error is large and a joint does not follow its command. The last one means that the joint is
+    at its stop, where no motion corrects the Jacobian.
 
     Args:
-        patience: How far the bad steps must outnumber the good ones.
-        surprise_limit: Bound of the running mean of the surprise (1 for a consistent filter).
-        surprise_memory: Share of the old mean kept at every frame, in [0, 1).
-        condition_limit: Bound of the condition number of J_theta.
-        large_error: Error from which on it has to shrink, px.
-        shrinking: Error over the last frame's error that counts as shrinking, at most 1.
-        least_motion: Commanded motion in one step from which on a joint is expected to follow, rad.
-        followed: Share of the commanded motion that counts as following.
-        blocked_limit: Steps without following after which a joint counts as blocked.
+        patience: Number by which bad steps must outnumber good ones. Larger values explore later and less often.
+        nis_limit: Largest running mean of the NIS divided by m, which is 1 for a consistent filter. Larger values
+            tolerate a worse estimate.
+        nis_memory: Share of the old mean kept at every frame, in [0, 1). Larger values average more frames.
+        condition_limit: Condition number of J_theta from which it counts as singular.
+        large_error: Error norm above which the error has to shrink, px.
+        shrinking: Largest ratio of the error to the last frame's error that counts as shrinking, at most 1.
+        least_motion: Commanded motion in one step above which a joint is expected to follow, rad.
+        followed: Share of the commanded motion that counts as following, in [0, 1]. Larger values report a blocked
+            joint sooner.
+        blocked_limit: Consecutive steps without following after which a joint counts as blocked.
         unseen_limit: Steps without the target after which it counts as lost.
     """
 
     patience: int = 10
-    surprise_limit: float = 12.0
-    surprise_memory: float = 0.8
+    nis_limit: float = 12.0
+    nis_memory: float = 0.8
     condition_limit: float = 300.0
     large_error: float = 60.0
     shrinking: float = 0.99
@@ -86,17 +88,17 @@ class Supervisor:
         ):
             if count < 1:
                 raise ValueError(f"{name} must be at least 1 step, got {count}")
-        if not 0.0 <= self.surprise_memory < 1.0:
-            raise ValueError(f"surprise_memory must be in [0, 1), got {self.surprise_memory}")
+        if not 0.0 <= self.nis_memory < 1.0:
+            raise ValueError(f"nis_memory must be in [0, 1), got {self.nis_memory}")
 
     def initial(self, measurement: ServoMeasurement) -> SupervisorState:
-        """Nothing wrong so far."""
+        """Return the state before the first step, without symptoms."""
         joint_angles = np.array(measurement.joint_angles, dtype=np.float64)
         batch = joint_angles.shape[:-1]
         return SupervisorState(
             symptoms=np.zeros(batch, dtype=np.int64),
             error_norm=np.zeros(batch),
-            surprise=np.ones(batch),
+            nis=np.ones(batch),
             joint_angles=joint_angles,
             blocked=np.zeros(joint_angles.shape, dtype=np.int64),
             unseen=np.zeros(batch, dtype=np.int64),
@@ -106,12 +108,12 @@ class Supervisor:
     def step(
         self, state: SupervisorState, measurement: ServoMeasurement, estimate: ServoEstimate, commanded: Array
     ) -> tuple[SupervisorState, Verdict]:
-        """Look at one step.
+        """Judge one step.
 
         Args:
-            state: As of the last step.
-            measurement: Of now.
-            estimate: Of now.
+            state: State after the last step.
+            measurement: Measurement of this step.
+            estimate: Estimate of this step.
             commanded: Joint motion commanded at the last step. Shape (*batch, n), rad.
 
         Returns:
@@ -124,10 +126,10 @@ class Supervisor:
         error_norm = np.where(visible, np.sqrt(np.sum(estimate.error**2, axis=-1)), state.error_norm)
         large = error_norm > self.large_error
         growing = error_norm > self.shrinking * state.error_norm
-        surprise = np.where(
+        nis = np.where(
             visible,
-            self.surprise_memory * state.surprise + (1.0 - self.surprise_memory) * estimate.surprise,
-            state.surprise,
+            self.nis_memory * state.nis + (1.0 - self.nis_memory) * estimate.nis,
+            state.nis,
         )
         moved = joint_angles - state.joint_angles
         stuck = (np.abs(commanded) > self.least_motion) & (
@@ -135,16 +137,16 @@ class Supervisor:
         )
         blocked = np.where(stuck, state.blocked + 1, 0)
 
-        bad = (large & growing) | (surprise > self.surprise_limit) | self._ill_conditioned(estimate)
-        # A joint that rests against its stop while the error is small only waits for the target to come back.
+        bad = (large & growing) | (nis > self.nis_limit) | self._ill_conditioned(estimate)
+        # With a small error, a joint at its stop is no symptom: the target may come back into reach.
         bad |= large & (blocked >= self.blocked_limit).any(axis=-1)
         change = np.where(bad, 1, -1)
-        # Without a frame there is nothing new to judge by.
+        # A step without a frame carries no new evidence.
         symptoms = np.where(visible, np.clip(state.symptoms + change, 0, self.patience), state.symptoms)
         new_state = SupervisorState(
             symptoms=symptoms,
             error_norm=error_norm,
-            surprise=surprise,
+            nis=nis,
             joint_angles=joint_angles,
             blocked=blocked,
             unseen=unseen,

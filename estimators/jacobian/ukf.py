@@ -20,16 +20,17 @@ from servotrack.estimators.types import Array
 class UnscentedJacobian:
     """Unscented Kalman filter on the augmented state [x; w; v] with symmetric sigma points.
 
-    The model is linear, so this is `KalmanJacobian` by a longer way: with the same noises the two agree to rounding
-    for every kappa. What differs is `as_printed`.
+    The model is linear, so with the same noise levels the result equals that of `KalmanJacobian` up to rounding for
+    every kappa. Only `as_printed` makes a difference.
 
     Args:
-        walk: How fast the Jacobian wanders; its variances are those of w.
+        walk: Process noise of the Jacobian; its variances are those of w.
         measurement_noise: Standard deviation of dy about J ds, px; its square is the variance of v.
-        kappa: Spread of the sigma points; above -L, with L = 2 m (n + 1) + m.
-        as_printed: Take the blocks of eq. (21) as printed, which puts the measurement variance where w belongs and
-            the process variance where v belongs (against eqs 16 and 17). Needs joint_noise equal to time_noise.
-        prior: What is believed before the first increment.
+        kappa: Spread parameter of the sigma points, above -L with L = 2 m (n + 1) + m. Larger values move the points
+            away from the mean.
+        as_printed: Use the blocks of eq. (21) as printed, which exchange the measurement variance and the process
+            variance (contrary to eqs 16 and 17). It requires joint_noise equal to time_noise.
+        prior: Mean and spread of the Jacobian before the first increment.
         alignment: Pairing of joints and features by time stamps.
     """
 
@@ -53,7 +54,7 @@ class UnscentedJacobian:
         """State before the first increment (eqs 18 to 20).
 
         Raises:
-            ValueError: As `checked` does; `kappa` is too small for the number of joints and features.
+            ValueError: As `checked` does, or if `kappa` is too small for the number of joints and features.
         """
         alignment = self.alignment.initial(measurement)
         mean, row = self.prior.moments(alignment)
@@ -66,7 +67,7 @@ class UnscentedJacobian:
         return FullState(alignment, mean, repeated_blocks(row, m))
 
     def step(self, state: FullState, measurement: ServoMeasurement) -> tuple[FullState, LinearEstimate]:
-        """Fold one measurement in. Raises ValueError as `Alignment.step` does."""
+        """Update with one measurement. Raises ValueError as `Alignment.step` does."""
         alignment, increment = self.alignment.step(state.alignment, measurement)
         *batch, m, columns = state.jacobian.shape
         D = m * columns
@@ -96,12 +97,12 @@ class UnscentedJacobian:
         return FullState(alignment, mean, covariance), estimate
 
     def forget(self, state: FullState) -> FullState:
-        """Keep the mean, trust it no more: the covariance goes back to the prior's."""
+        """Keep the mean and reset the covariance to the prior's."""
         mean, row = self.prior.moments(state.alignment)
         return state._replace(covariance=repeated_blocks(row, mean.shape[-2]))
 
     def _deviations(self, joints: int, features: int, duration: Array) -> tuple[Array, Array]:
-        """Standard deviations of w, shape (*batch, m (n + 1)), and of v, shape (*batch, m)."""
+        """Standard deviations of w and v. Shapes (*batch, m (n + 1)) and (*batch, m)."""
         walk, noise = self.walk, self.measurement_noise
         if self.as_printed:
             walk, noise = RandomWalk(noise, noise, walk.period), walk.joint_noise
@@ -112,11 +113,11 @@ def sigma_points(mean: Array, covariance: Array, process: Array, noise: Array, k
     """Symmetric sigma points of [x; w; v] (paper 002, eqs 20 and 21; Julier and Uhlmann 2004).
 
     Args:
-        mean: Of x. Shape (*batch, D).
-        covariance: Of x. Shape (*batch, D, D).
+        mean: Mean of x. Shape (*batch, D).
+        covariance: Covariance of x. Shape (*batch, D, D).
         process: Standard deviations of w. Shape (*batch, D).
         noise: Standard deviations of v. Shape (*batch, m).
-        kappa: Spread.
+        kappa: Spread parameter; the points lie sqrt(L + kappa) standard deviations from the mean.
 
     Returns:
         2 L + 1 points, shape (*batch, 2 L + 1, L) with L = 2 D + m, and their weights, shape (2 L + 1,).

@@ -226,7 +226,7 @@ def test_a_good_loop_is_left_alone():
         (lambda: Excitation(steps=-1), "steps"),
         (lambda: Excitation(amplitude=0.0), "amplitude"),
         (lambda: Supervisor(patience=0), "patience"),
-        (lambda: Supervisor(surprise_memory=1.0), "surprise_memory"),
+        (lambda: Supervisor(nis_memory=1.0), "nis_memory"),
     ],
 )
 def test_impossible_parameters_are_refused(make, message):

@@ -47,7 +47,7 @@ def test_one_covariance_for_all_rows_is_the_full_filter(n, m):
     for a, b in zip(shared, full, strict=True):
         np.testing.assert_allclose(a.jacobian, b.jacobian, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(a.log_likelihood, b.log_likelihood, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(a.surprise, b.surprise, rtol=1e-8, atol=1e-12)
+        np.testing.assert_allclose(a.nis, b.nis, rtol=1e-8, atol=1e-12)
     expected = np.kron(np.eye(m), shared_state.covariance[0])
     np.testing.assert_allclose(full_state.covariance[0], expected, rtol=1e-8, atol=1e-8)
 

@@ -73,7 +73,7 @@ def test_a_row_of_a_batch_is_what_it_is_alone(estimator):
         alone, single = run(estimator, [ServoMeasurement(*(part[row] for part in each)) for each in measurements])
         for whole, part in zip(leaves(state), leaves(alone), strict=True):
             np.testing.assert_allclose(whole[row], part, rtol=1e-11, atol=1e-11)
-        for field in ("error", "jacobian", "log_likelihood", "surprise"):
+        for field in ("error", "jacobian", "log_likelihood", "nis"):
             whole, part = getattr(estimates[-1], field)[row], getattr(single[-1], field)
             np.testing.assert_allclose(whole, part, rtol=1e-11, atol=1e-11)
 
@@ -97,7 +97,7 @@ def test_a_step_without_a_new_frame_says_and_learns_nothing(estimator):
     repeated = last._replace(joint_angles=last.joint_angles + moved, time=last.time + PERIOD, visible=np.asarray(False))
     _, estimate = estimator.step(state, repeated)
     assert estimate.log_likelihood == 0.0
-    assert estimate.surprise == 0.0
+    assert estimate.nis == 0.0
     if not isinstance(estimator, ParticleJacobian):  # Its estimate is made before it resamples, its state after.
         np.testing.assert_allclose(estimate.jacobian, estimates[-1].jacobian, rtol=1e-12)
     expected = estimates[-1].error + estimate.jacobian @ np.append(moved, PERIOD)
@@ -105,7 +105,7 @@ def test_a_step_without_a_new_frame_says_and_learns_nothing(estimator):
 
 
 @every_estimator
-def test_surprise_is_about_one_on_its_own_model(estimator):
+def test_nis_is_about_one_on_its_own_model(estimator):
     if isinstance(estimator, RecursiveLeastSquares):
         pytest.skip("forgetting is no model that data could be drawn from")
     if isinstance(estimator, ParticleJacobian):  # Consistent only with enough particles for its walk.
@@ -126,7 +126,7 @@ def test_surprise_is_about_one_on_its_own_model(estimator):
             level = level + rng.normal(0, 3.0, level.shape)
             noisy.append(now._replace(features=level))
     _, estimates = run(estimator, noisy)
-    assert 0.7 < np.mean([estimate.surprise for estimate in estimates[50:]]) < 1.5
+    assert 0.7 < np.mean([estimate.nis for estimate in estimates[50:]]) < 1.5
 
 
 @every_estimator
@@ -170,7 +170,7 @@ def test_finite_input_gives_finite_output(estimator, seed, motion, noise):
     measurements, _ = linear_world(np.random.default_rng(seed), 60, batch=(2,), noise=noise, motion=motion, dropped=0.3)
     state, estimates = run(estimator, measurements)
     for estimate in estimates:
-        for field in ("error", "jacobian", "log_likelihood", "surprise"):
+        for field in ("error", "jacobian", "log_likelihood", "nis"):
             assert np.isfinite(getattr(estimate, field)).all()
     for leaf in leaves(state[1:]):
         assert np.isfinite(leaf).all()

@@ -93,7 +93,7 @@ def test_rows_do_not_know_of_each_other():
         for measurement, estimate in together:
             state, alone = estimator.step(state, _row(measurement, row))
             np.testing.assert_allclose(alone.jacobian, estimate.jacobian[row], rtol=1e-12, atol=1e-10)
-            np.testing.assert_array_equal(alone.surprise, estimate.surprise[row])
+            np.testing.assert_array_equal(alone.nis, estimate.nis[row])
 
 
 class _Recorder:
@@ -114,13 +114,13 @@ def _row(measurement: ServoMeasurement, row: int) -> ServoMeasurement:
     return ServoMeasurement(*(values[row] for values in measurement))
 
 
-def test_surprise_is_one_on_average_when_the_model_holds():
+def test_nis_is_one_on_average_when_the_model_holds():
     estimator = LiftedKalman(
         models=(TargetModel(jerk=0.01),), noise=(0.8,), encoder_noise=0.0, optics_error=0.0, outlier_rate=0.0, drift=0.0
     )
     world = KinematicWorld(accelerated, rows=60, pixel_noise=0.8, image_size=1e6)
-    surprise = [estimate.surprise for _, estimate in wander(estimator, world, 160)]
-    assert np.mean(surprise[60:]) == pytest.approx(1.0, abs=0.05)
+    nis = [estimate.nis for _, estimate in wander(estimator, world, 160)]
+    assert np.mean(nis[60:]) == pytest.approx(1.0, abs=0.05)
 
 
 def test_noise_level_is_learned():
@@ -185,14 +185,14 @@ def test_forgetting_keeps_the_mean():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"models": ()}, "models needs"),
-        ({"noise": ()}, "noise needs"),
+        ({"models": ()}, "models must"),
+        ({"noise": ()}, "noise must"),
         ({"noise": (0.5, -1.0)}, "noise must"),
         ({"arm_spread": 0.0}, "arm_spread must"),
         ({"drift": -1.0}, "drift must"),
-        ({"model_stay": 0.0}, "model_stay is"),
-        ({"model_stay": 1.0}, "model_stay is"),
-        ({"outlier_rate": 1.0}, "outlier_rate is"),
+        ({"model_stay": 0.0}, "model_stay must"),
+        ({"model_stay": 1.0}, "model_stay must"),
+        ({"outlier_rate": 1.0}, "outlier_rate must"),
     ],
 )
 def test_bad_parameters_are_named(options, message):

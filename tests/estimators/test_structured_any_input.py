@@ -55,7 +55,7 @@ def test_finite_in_finite_out(name, seed, pixels, angles, pause):
             state = estimator.initial(measurement)
         state, estimate = estimator.step(state, measurement)
         predicted = estimate.predict_error(rng.standard_normal((ROWS, 2)), 0.05)
-        for values in (estimate.error, estimate.jacobian, estimate.log_likelihood, estimate.surprise, predicted):
+        for values in (estimate.error, estimate.jacobian, estimate.log_likelihood, estimate.nis, predicted):
             assert np.isfinite(values).all()
         time += rng.uniform(0.01, pause)
     covariance = (state.members if hasattr(state, "members") else state).covariance
