@@ -13,7 +13,7 @@ import servotrack  # noqa: F401
 from servotrack.envs import FlatSets
 from servotrack.envs.drawing.plots import identity_color
 from servotrack.envs.testing import check_vector_env, check_vector_matches_single
-from servotrack.envs.track.sonar.render import SHOWN, WATERFALL, paint_powers
+from servotrack.envs.track.sonar.render import MAX_RECORDS, WATERFALL, paint_powers
 from servotrack.envs.wrappers import PrivilegedObservation, VectorPrivilegedObservation
 
 ENV_ID = "SonarTracking-v0"
@@ -98,11 +98,11 @@ def test_a_target_is_a_dark_ridge_where_it_is():
 
 
 def test_long_records_run_out_at_the_top_and_far_answers_do_not_break_the_picture():
-    env = gym.make(ENV_ID, horizon=SHOWN + 20, render_mode="rgb_array", **SMALL).unwrapped
+    env = gym.make(ENV_ID, horizon=MAX_RECORDS + 20, render_mode="rgb_array", **SMALL).unwrapped
     env.reset(seed=0)
     answer = np.zeros(env.action_space.shape)
     answer[:] = [1.0, -1e12]
-    for _ in range(SHOWN + 10):
+    for _ in range(MAX_RECORDS + 10):
         env.step(answer)
     assert env.render().shape == (544, 800, 3)
 

@@ -13,7 +13,7 @@ from servotrack.envs.streams import Streams
 from servotrack.envs.track.sonar.array_model import scene_model_of
 from servotrack.envs.track.sonar.config import LEVEL_NAMES, sonar_config
 from servotrack.envs.track.sonar.records import draw_powers, draw_record, draw_snapshots, power_moments
-from servotrack.envs.track.sonar.scene import CLOSE, LONGEST_MEETING, crossings, draw_scene
+from servotrack.envs.track.sonar.scene import LONGEST_MEETING, MEETING_DISTANCE, crossings, draw_scene
 from servotrack.estimators.sonar.array import beam_pattern, beamform
 
 ENV_ID = "SonarTracking-v0"
@@ -132,7 +132,7 @@ def test_drawn_targets_can_be_separated(seed):
         assert all(exists[:, i].sum() >= 30 for i in range(count))
         for i in range(count):
             for j in range(i):
-                close = (np.abs(bearings[:, i] - bearings[:, j]) < CLOSE) & exists[:, i] & exists[:, j]
+                close = (np.abs(bearings[:, i] - bearings[:, j]) < MEETING_DISTANCE) & exists[:, i] & exists[:, j]
                 edges = np.flatnonzero(np.diff(np.concatenate([[0], close, [0]]).astype(int)))
                 assert (edges[1::2] - edges[::2]).max(initial=0) <= LONGEST_MEETING
         if variant == "trial":

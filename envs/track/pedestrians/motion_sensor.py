@@ -13,6 +13,8 @@ from servotrack.envs.track.pedestrians.people import People
 from servotrack.estimators.detect import MaskedBackground
 from servotrack.estimators.detect.blobs import BlobFinder
 from servotrack.estimators.detect.bodies import Cover
+from servotrack.estimators.detect.faint import FaintRules
+from servotrack.estimators.detect.healing import HealingRules
 from servotrack.estimators.types import Array
 
 _EMPTY_FRAMES = 5
@@ -38,8 +40,26 @@ _DETECTOR = MaskedBackground(
         split=True,
         least_height=20.0,
         bins=0,
-        cover=Cover(wide=0.5, tall=1.2, gap=0.4, core=0.2, share=0.25, penalty=0.25, below=0.5, score=0.15),
+        cover=Cover(
+            wide=0.5,
+            tall=1.2,
+            gap=0.4,
+            core=0.2,
+            share=0.25,
+            penalty=0.25,
+            below=0.5,
+            score=0.15,
+            aspect=0.36,
+            reach=0.23,
+            people=12,
+            join_after=15.0,
+            divide_after=60.0,
+            quantile=0.65,
+        ),
+        filled=0.2,
     ),
+    faint_rules=FaintRules(slender=0.65, seeds=12, whole=0.8),
+    healing=HealingRules(reach=3, ghost_ratio=2.0, light_correlation=0.6, lag=6, light_area=0.02),
 )
 """Every parameter is given: the world stays the same where the defaults of the detector change."""
 

@@ -1,4 +1,4 @@
-"""What the agents of a sonar world are told about it."""
+"""The scene model that agents of the sonar environment get: receiver, beams and lag."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from servotrack.estimators.types import Array
 
 
 class SonarModel(NamedTuple):
-    """What agents are told: their own receiver, and nothing of who is out there.
+    """Model that agents get. It describes only the receiver; it contains nothing about the targets.
 
     Attributes:
-        array: Elements, spacing, speed of sound.
-        band: Frequencies that are summed over.
-        shading: Of the elements.
+        array: Line array: number of elements, spacing, speed of sound.
+        band: Frequency bins that a beam power sums over.
+        shading: Weighting of the elements.
         beam_bearings: Look directions of the beams, shape (beams,), deg.
-        averages: M, bins times snapshots: noise has a relative variance of 1/M.
+        averages: Number of averages M = bins * snapshots of a beam power. The relative variance of noise is 1/M.
         period: Time between records, s.
-        lag: An answer is for the record this many before the newest.
-        cutoff: Of the scores, deg.
+        lag: Delay of answers, records: the answer to record k is for record k - lag.
+        cutoff: Cut-off c of the scores, deg.
     """
 
     array: LineArray
@@ -34,7 +34,7 @@ class SonarModel(NamedTuple):
 
 
 def scene_model_of(config: SonarConfig) -> SonarModel:
-    """What the agents of a world are told about it."""
+    """Return the scene model of an environment with these parameters."""
     return SonarModel(
         array=config.array,
         band=config.band,

@@ -1,4 +1,4 @@
-"""Every parameter of the sonar world, and the levels that set them."""
+"""Parameters of the sonar environment, and the levels that set them."""
 
 from __future__ import annotations
 
@@ -13,56 +13,57 @@ from servotrack.estimators.sonar.array import Band, LineArray, Shading, bearings
 from servotrack.estimators.types import Array
 
 VARIANTS = ("rates", "cross30", "random", "trial")
-"""Scenes: two readings of the paper's simulation, scenes drawn anew, and a stand-in for its sea trial."""
+"""Scenes: two versions of the simulation of Jiang and Zhou 2016, random scenes, and a substitute for its sea trial."""
 FIDELITIES = ("snapshots", "gamma")
 SHADINGS = get_args(Shading)
 
 PAPER_COUNT = 2
-"""Targets of the paper's simulation."""
+"""Number of targets of the simulation of Jiang and Zhou 2016."""
 TRIAL_COUNT = 6
-"""Most targets of the sea trial, its interferer among them."""
+"""Maximum number of targets of the sea trial, including its interferer."""
 TONE_SNR, BROADBAND_SNR = -15.0, -10.0
-"""Of the paper's two targets in one element, over all its noise up to `SAMPLED_BAND`, dB."""
+"""SNR of the two targets of the simulation in one element, relative to its noise up to `SAMPLED_BAND`, dB."""
 DRAWN_SNR = (-26.0, -14.0)
-"""Of targets that are drawn, likewise, dB."""
+"""Range of the SNR of random targets in one element, dB."""
 LOUD_SNR = -5.0
-"""Of the trial's interferer, dB."""
+"""SNR of the interferer of the sea trial in one element, dB."""
 SAMPLED_BAND = 6000.0
-"""SNRs are of an element's whole power, up to half the sampling frequency of 12 kHz, Hz."""
+"""Upper limit of the band in which SNRs are defined, Hz: half the sampling frequency of 12 kHz."""
 
 
 @dataclass(frozen=True)
 class SonarConfig:
-    """All that defines a sonar world.
+    """Parameters of a sonar environment.
 
     Attributes:
-        variant: `rates` (the paper's simulation with its bearing rates, tracks cross after 40 s), `cross30` (with its
-            crossing after 30 s), `random` (targets drawn anew), `trial` (a stand-in for the paper's sea trial: 4 to 6
-            targets, one of them loud, at least 3 crossings).
-        horizon: Records of an episode that are scored.
-        lag: Records by which answers are late: the answer to record k is for record k - lag.
-        snr_offset: Added to the signal-to-noise ratio of every target, dB.
-        fidelity: `gamma` (beam powers drawn with the mean, variance and correlation that snapshots would give) or
-            `snapshots` (spectra at the elements, beamformed).
-        elements: Of the uniform line array.
-        spacing: Between elements, m.
-        sound_speed: m/s.
-        band_low: First frequency that is received, Hz.
-        band_high: Last one, Hz.
-        bin_width: Of a frequency bin, Hz; a snapshot lasts its inverse.
-        snapshots: Averaged in a record.
-        beams: Look directions from 0 to 180 deg.
-        shading: `conventional` or `chebyshev` (sidelobes 30 dB down).
-        ambient_slope: By how much the ambient noise falls with frequency, dB per octave.
-        max_targets: Most targets of an episode.
-        targets: Their number (`random`); None: uniform from 1 to `max_targets`.
-        shortest_life: Records for which a target is at least there (`random`).
-        max_rate: Largest bearing rate of a new target, deg/s (`random`, `trial`).
-        rate_noise: Standard deviation of a rate's change from record to record, deg/s (`random`, `trial`).
-        bearing_jitter: First bearings of the paper's targets are drawn within this of the paper's, deg.
-        rate_jitter: Their rates likewise, deg/s.
+        variant: Kind of scene: `rates` (simulation of Jiang and Zhou 2016 with its bearing rates; the tracks cross
+            after 40 s), `cross30` (the same, crossing after 30 s), `random` (random targets), `trial` (substitute for
+            its sea trial: 4 to 6 targets, one of them loud, at least 3 crossings).
+        horizon: Number of scored records of an episode.
+        lag: Delay of answers, records: the answer to record k is for record k - lag. Larger values give smoothers more
+            data.
+        snr_offset: Offset added to the SNR of every target, dB. Negative values make the task harder.
+        fidelity: `gamma` (beam powers are drawn from their mean, variance and correlation; fast) or `snapshots`
+            (spectra at the elements are drawn and beamformed).
+        elements: Number of elements of the uniform line array.
+        spacing: Distance between elements, m.
+        sound_speed: Speed of sound, m/s.
+        band_low: Lowest received frequency, Hz.
+        band_high: Highest received frequency, Hz.
+        bin_width: Width of a frequency bin, Hz. The duration of a snapshot is its inverse.
+        snapshots: Number of snapshots averaged in a record. More snapshots lower the noise and lengthen the period.
+        beams: Number of beams, with bearings from 0 to 180 deg.
+        shading: `conventional` or `chebyshev` (sidelobes at -30 dB).
+        ambient_slope: Decrease of the ambient noise with frequency, dB per octave.
+        max_targets: Maximum number of targets in an episode.
+        targets: Number of targets (`random`); None: uniform from 1 to `max_targets`.
+        shortest_life: Minimum lifetime of a target, records (`random`).
+        max_rate: Maximum bearing rate of a new target, deg/s (`random`, `trial`).
+        rate_noise: Standard deviation of the change of a rate per record, deg/s (`random`, `trial`).
+        bearing_jitter: Maximum deviation of initial bearings from those of the simulation, deg (`rates`, `cross30`).
+        rate_jitter: Maximum deviation of bearing rates from those of the simulation, deg/s (`rates`, `cross30`).
         max_estimates: Rows of an action; None: 2 max_targets + 8.
-        cutoff: The c of reward and scores, deg.
+        cutoff: Cut-off c of the reward and of OSPA, GOSPA and OSPA(2), deg.
     """
 
     variant: str = "rates"
@@ -91,7 +92,7 @@ class SonarConfig:
     cutoff: float = 5.0
 
     def __post_init__(self) -> None:
-        """Check every field; raises ValueError that names the argument, the value and what would be right."""
+        """Check every field. A ValueError names the argument, its value and the valid values."""
         for name, options in (("variant", VARIANTS), ("fidelity", FIDELITIES), ("shading", SHADINGS)):
             if getattr(self, name) not in options:
                 raise ValueError(f"{name} must be one of {', '.join(options)}, got {getattr(self, name)!r}")
@@ -103,7 +104,7 @@ class SonarConfig:
                 f"targets must not exceed max_targets = {self.max_targets}, got {self.targets}; raise max_targets"
             )
         size = len(self.band.frequencies) * (2 * self.elements - 1) * self.beams * 8
-        if self.fidelity == "snapshots" and size > _MOST_BYTES:
+        if self.fidelity == "snapshots" and size > _MAX_TABLE_BYTES:
             raise ValueError(
                 f"fidelity 'snapshots' would need {size / 2**30:.1f} GiB for {len(self.band.frequencies)} bins, "
                 f"{self.elements} elements and {self.beams} beams; lower one of them, or choose fidelity='gamma'"
@@ -122,39 +123,39 @@ class SonarConfig:
 
     @cached_property
     def array(self) -> LineArray:
-        """The receiver."""
+        """Line array of the receiver."""
         return LineArray(self.elements, self.spacing, self.sound_speed)
 
     @cached_property
     def band(self) -> Band:
-        """The frequencies that it sums over."""
+        """Frequency bins that a beam power sums over."""
         return Band(self.band_low, self.band_high, self.bin_width)
 
     @cached_property
     def beam_bearings(self) -> Array:
-        """Look directions, shape (beams,), deg."""
+        """Bearings of the beams, shape (beams,), deg."""
         return bearings(self.beams)
 
     @cached_property
     def ambient(self) -> Array:
-        """Noise power of one element in each bin of the band, mean 1. Shape (F,)."""
+        """Noise power of one element in each bin of the band, shape (F,); the mean is 1."""
         frequencies = self.band.frequencies
         power = 10.0 ** (-self.ambient_slope / 10.0 * np.log2(frequencies / frequencies[0]))
         return power / power.mean()
 
     @property
     def averages(self) -> int:
-        """Bins times snapshots, the averages in one beam power."""
+        """Number of averages in one beam power: bins times snapshots."""
         return len(self.band.frequencies) * self.snapshots
 
     @property
     def noise_bins(self) -> float:
-        """Bins up to `SAMPLED_BAND`: the noise power of an element, in powers of one bin."""
+        """Number of bins up to `SAMPLED_BAND`: the ratio of the noise power of an element to that of one bin."""
         return SAMPLED_BAND / self.bin_width
 
     @property
-    def most_power(self) -> float:
-        """What a beam power, over its noise level, is cut at: twice what the loudest scene has in one beam."""
+    def max_power(self) -> float:
+        """Upper bound of beam powers, relative to the noise level: twice the power of the loudest scene in one beam."""
         loudest = [TONE_SNR, BROADBAND_SNR]
         if self.variant not in ("rates", "cross30"):
             loudest = [DRAWN_SNR[1]] * self.max_targets
@@ -186,16 +187,16 @@ AXES = tuple(f.name for f in fields(SonarConfig))
 
 
 def sonar_config(level: int = 0, **axes: Any) -> SonarConfig:
-    """The configuration of a level, with single parameters overridden.
+    """Return the configuration of a level, with some parameters overridden.
 
     Args:
-        level: 0 `rates`, 1 `cross30`, 2 `random`, 3 `trial`, 4 `faint` (`cross30`, 20 dB below), 5 `noise` (nothing).
-        **axes: Fields of `SonarConfig`; with another `variant` than the level's, that variant's values stand for the
-            level's.
+        level: 0 `rates`, 1 `cross30`, 2 `random`, 3 `trial`, 4 `faint` (`cross30` with -20 dB), 5 `noise` (no targets).
+        **axes: Fields of `SonarConfig` with the values to use. Another `variant` than that of the level replaces the
+            values of the level by the defaults of that variant.
 
     Raises:
-        ValueError: A level that does not exist, or a value outside its bounds.
-        TypeError: An unknown keyword; the message suggests the nearest known one.
+        ValueError: If the level does not exist or a value is outside its bounds.
+        TypeError: If a keyword is unknown; the message suggests the nearest known one.
     """
     settings = _LEVELS[check_level(level, len(_LEVELS))]
     check_keywords(axes, AXES)
@@ -231,5 +232,5 @@ _BOUNDS: tuple[tuple[str, float, float], ...] = (
 _WHOLE = frozenset(
     {"horizon", "lag", "elements", "snapshots", "beams", "max_targets", "targets", "shortest_life", "max_estimates"}
 )
-_MOST_BYTES = 2**31
-"""Of the beamformer's table."""
+_MAX_TABLE_BYTES = 2**31
+"""Maximum size of the beamformer's table, bytes."""

@@ -1,4 +1,4 @@
-"""Bearings of ships out of noise: the world of the HMM sonar trackers."""
+"""SonarTracking-v0: multi-target bearing tracking with a passive sonar."""
 
 from __future__ import annotations
 
@@ -18,68 +18,72 @@ _METADATA = METADATA | {"servotrack_kind": "sonar"}
 
 
 class SonarTrackingEnv(TrackEnv):
-    """Count, locate and keep apart what a line of hydrophones hears, by a bearing-time record in which tracks cross.
+    """Track an unknown number of targets with crossing bearings in the beam powers of a passive sonar.
 
     ## Description
 
-    A passive sonar listens with a uniform line array of 48 elements from 500 to 1600 Hz. Every second it delivers a
-    record: the power in each of 721 beams from 0 to 180 deg, over its noise level. A target is a ridge in these
-    records, as broad as a beam, with skirts and sidelobes; it appears, moves at a degree a second or so, and vanishes.
-    Tones and broadband sounds look different, loud targets hide faint ones, and where two tracks cross nothing but
-    their motion tells which is which. The agent is an observer: it answers every record with the bearings it believes
-    in, and keeps their identities apart. It may take its time: the answer to record k is for record k - lag.
+    A passive sonar with a uniform line array of 48 elements receives 500 to 1600 Hz. Every second it delivers a record:
+    the power in each of 721 beams from 0 to 180 deg, relative to the noise level. In the bearing-time record a target
+    is a ridge with the width of a beam and with sidelobes. Targets appear, move at about 1 deg/s and disappear. Tonal
+    and broadband targets have different beam patterns, and loud targets mask faint ones. Where two tracks cross, only
+    their motion distinguishes them. The agent is a passive observer: it answers every record with an estimate of the
+    set of bearings and of their identities. Answers are delayed by `lag` records, so that smoothers can be used: the
+    answer to record k is for record k - lag.
 
     | level | world |
     |---|---|
-    | 0 `rates` | paper 003's rates: a tone (-15 dB) and a broadband target (-10 dB) cross after 40 s |
-    | 1 `cross30` | the same with its crossing after 30 s, at 1.5 deg/s |
-    | 2 `random` | 1 to 6 tones and broadband targets of -26 to -14 dB, drawn anew |
-    | 3 `trial` | like the paper's sea trial: 4 to 6 such targets, one of -5 dB, 3 crossings or more, colored noise |
-    | 4 `faint` | level 1, 20 dB fainter |
-    | 5 `noise` | nobody is there |
+    | 0 `rates` | Jiang and Zhou 2016, their rates: a tone (-15 dB) and a broadband target (-10 dB) cross after 40 s |
+    | 1 `cross30` | the same targets at 1.5 deg/s; they cross after 30 s |
+    | 2 `random` | 1 to 6 random tonal and broadband targets with -26 to -14 dB |
+    | 3 `trial` | like their sea trial: 4 to 6 such targets, one with -5 dB, at least 3 crossings, colored noise |
+    | 4 `faint` | level 1 with an SNR that is 20 dB lower |
+    | 5 `noise` | no targets, only noise |
 
-    SNRs are of one target in one element, over all its noise up to 6 kHz. `snr_offset` makes any level harder.
+    SNRs are those of one target in one element, relative to its noise power up to 6 kHz. A negative `snr_offset` makes
+    any level harder.
 
-    The public attribute `scene_model` is what agents are told: their own receiver and the lag, see
-    `servotrack.envs.track.sonar.array_model.SonarModel`.
+    The attribute `scene_model`, a `servotrack.envs.track.sonar.array_model.SonarModel`, describes the receiver and the
+    lag for the agents. It contains nothing about the targets.
 
     ## Action Space
 
-    `Box((max_estimates, 2), float64)`: the answer, one row per identity: existence, and bearing in deg. An existence of
-    at least 0.5 reports the target; from 0.05 to 0.5 the row keeps its identity silently; below 0.05 the identity ends
-    and the row is free for another.
+    `Box((max_estimates, 2), float64)`: the estimated set, one row per identity: existence probability, and bearing in
+    deg. An existence of at least 0.5 reports the target. From 0.05 to 0.5 the target is not reported, but the row keeps
+    its identity. Below 0.05 the identity ends and the row is free for another target.
 
     ## Observation Space
 
-    `Box((721,), float64)`: the newest record, mean power of each beam over the noise level, which a two-pass truncated
-    mean over the beams finds: noise has mean 1 and standard deviation 0.03, and the paper's targets reach 9 and 27.
-    Beams look in equal steps from 0 to 180 deg. Powers are cut at a bound that the loudest scene does not reach.
+    `Box((721,), float64)`: the newest record: mean power of each beam, divided by the noise level, which is estimated
+    by a two-pass truncated mean over the beams. Noise has mean 1 and standard deviation 0.03; the targets of level 0
+    reach 9 and 27. The beams have equally spaced bearings from 0 to 180 deg. Powers are clipped at a bound above the
+    loudest scene.
 
     ## Rewards
 
-    `-GOSPA(c = cutoff, p = 1, alpha = 2) / c` of the answer: a missed or a false target costs one half, a located one
-    its error over c. The first `lag` answers, which are for no record, have reward 0.
+    `-GOSPA(c = cutoff, p = 1, alpha = 2) / c` of the answer: a missed or a false target costs one half, a localized
+    target costs its bearing error divided by c. The first `lag` answers precede the first record and have reward 0.
 
-    `info` holds, for evaluation and not for agents: `scored`, whether the last answer was for a record; `ospa`, `gospa`
-    and its parts `location_error`, `missed_error`, `false_error` (deg), `cardinality_error`, all of the last answer and
-    from the first answer on; at the episode's end `ospa2`, OSPA(2) over the trajectories, where identity counts (deg);
-    and `truth` of the newest record: `bearings` (max_targets,), deg, `rates`, deg/s, and `exists`.
+    `info` serves evaluation; agents must not use it. From the first answer on it holds `scored`, True if the last
+    answer was for a record, and the scores of the last answer: `ospa`, `gospa` and its parts `location_error`,
+    `missed_error` and `false_error` (deg), and `cardinality_error`. At the end of the episode `ospa2` is OSPA(2) over
+    the trajectories, which also penalizes identity switches (deg). `truth` is the ground truth of the newest record:
+    `bearings` (max_targets,), deg; `rates`, deg/s; and `exists`.
 
     ## Starting State
 
-    The first record. Lives, motion, sounds and every record's noise are drawn from the seed, each from a stream of its
-    own; all observers on one seed see the same records, whatever their lag. A target that passes 0 or 180 deg comes
-    back: the array cannot tell its two sides apart.
+    The first record. Lifetimes, motion, sounds and the noise of every record are drawn from the seed, each from its own
+    random stream, so that all agents get the same records for the same seed, with any lag. The bearing of a target that
+    passes 0 or 180 deg is reflected, because a line array cannot distinguish its two sides.
 
     ## Episode End
 
-    Never by termination. Truncation: after `horizon` + `lag` answers (levels 0, 1 and 4: 60 + 5). The record that then
-    comes is not answered.
+    Truncation after `horizon` + `lag` answers (levels 0, 1 and 4: 60 + 5); the environment never terminates. The last
+    observation is not answered.
 
     ## Arguments
 
-    `level` (0 to 5, default 0), and every field of `SonarConfig` as a keyword that overrides the level's value, for
-    example `gym.make("SonarTracking-v0", variant="trial", snr_offset=-10, lag=0)`. `render_mode`: `rgb_array` or
+    `level` (0 to 5, default 0), and every field of `SonarConfig` as a keyword that overrides the value of the level,
+    for example `gym.make("SonarTracking-v0", variant="trial", snr_offset=-10, lag=0)`. `render_mode`: `rgb_array` or
     `human`.
 
     ## References
@@ -111,15 +115,15 @@ class SonarTrackingEnv(TrackEnv):
 
 
 class SonarTrackingVectorEnv(TrackVectorEnv):
-    """`SonarTracking-v0`, N at a time: what `gym.make_vec("SonarTracking-v0", num_envs=N)` makes.
+    """Vector environment of `SonarTracking-v0`, made by `gym.make_vec("SonarTracking-v0", num_envs=N)`.
 
     Args:
         num_envs: Number of scenes N.
-        level: As in `SonarTrackingEnv`.
-        render_mode: None or `rgb_array`; frames of all N come as a tuple.
+        level: Level from 0 to 5; see `SonarTrackingEnv`.
+        render_mode: None or `rgb_array`; `render()` returns a tuple of N frames.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as a Gymnasium `AutoresetMode` or its value.
-        max_episode_steps: Shortens episodes, as `gym.make`'s argument of that name does.
-        **axes: As in `SonarTrackingEnv`.
+        max_episode_steps: Maximum number of steps of an episode; None: `horizon` + `lag`.
+        **axes: Fields of `SonarConfig`; see `SonarTrackingEnv`.
     """
 
     metadata: ClassVar[dict[str, Any]] = _METADATA  # type: ignore[misc]
@@ -148,5 +152,5 @@ class SonarTrackingVectorEnv(TrackVectorEnv):
 
 def _spaces(config: SonarConfig) -> tuple[gym.spaces.Box, gym.spaces.Box]:
     """Observation and action space of one scene."""
-    observation = gym.spaces.Box(0.0, config.most_power, (config.beams,), dtype=np.float64)
+    observation = gym.spaces.Box(0.0, config.max_power, (config.beams,), dtype=np.float64)
     return observation, set_space(config.estimate_rows, [0.0], [180.0])

@@ -1,4 +1,4 @@
-"""Watches one row of a sonar world and remembers what its picture needs: the waterfall, answers and errors so far."""
+"""Recorder of a sonar scene: stores the waterfall, the answers and the errors for pictures."""
 
 from __future__ import annotations
 
@@ -6,30 +6,30 @@ from collections import deque
 
 import numpy as np
 
-from servotrack.envs.track.sonar.render import SHOWN, Waterfall, draw
+from servotrack.envs.track.sonar.render import MAX_RECORDS, Waterfall, draw
 from servotrack.envs.track.sonar.world import SonarWorld
 from servotrack.estimators.metrics import Track
 from servotrack.estimators.types import Array, Image
 
 
 class SonarRecorder:
-    """Call `record` after every reset and step; `frame` draws all records up to the one that was answered last.
+    """Recorder of one scene. Call `record` after every reset and step; `frame` draws all answered records.
 
     Args:
-        world: The world, which the recorder only reads.
-        row: Which of its scenes.
+        world: World to record; it is not changed.
+        row: Index of the scene.
     """
 
     def __init__(self, world: SonarWorld, row: int = 0) -> None:
         self._world, self._row = world, row
         self._newest: Array = np.zeros(world.config.beams)
-        self._records: deque[Array] = deque(maxlen=SHOWN)
+        self._records: deque[Array] = deque(maxlen=MAX_RECORDS)
         self._steps = 0
         self._errors: list[float] = []
         self._numbers: list[int] = []
 
     def record(self) -> None:
-        """Take the world's newest record and answer; a reset forgets the old episode."""
+        """Store the newest record and answer of the world. After a reset, drop the previous episode."""
         world, row = self._world, self._row
         steps = int(world.steps[row])
         if steps == 0:
@@ -44,7 +44,7 @@ class SonarRecorder:
         self._newest = world.observations[row].copy()
 
     def frame(self) -> Image:
-        """Draw the records answered so far, or the first one before any answer.
+        """Draw the answered records, or the first record before any answer.
 
         Returns:
             A new RGB image, shape (544, 800, 3), uint8.

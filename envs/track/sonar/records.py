@@ -1,4 +1,4 @@
-"""Rows of the bearing-time record: beam powers of an episode, a function of (seed, record) whoever listens."""
+"""Rows of the bearing-time record: beam powers as a function of configuration, seed and record number."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ from servotrack.estimators.sonar.array import (
 from servotrack.estimators.types import Array, ComplexArray
 
 _OFFSETS = 4001
-"""Points of a beam pattern's table, from 0 to 2 in the difference of cosines."""
+"""Number of points in the table of a beam pattern, from 0 to 2 in the difference of cosines."""
 
 
 def draw_record(config: SonarConfig, scene: SonarScene, seed: int, record: int) -> Array:
-    """One row: normalized beam powers.
+    """Draw one row of the bearing-time record.
 
     Args:
-        config: The world.
-        scene: Who is there, as `draw_scene` makes it of the same seed.
-        seed: The episode's.
+        config: Parameters of the environment.
+        scene: Targets, drawn by `draw_scene` with the same seed.
+        seed: Seed of the episode.
         record: Number of the record, from 0.
 
     Returns:
-        Beam powers over their noise level, shape (beams,).
+        Beam powers relative to their noise level, shape (beams,).
     """
     return normalize(draw_powers(config, scene, seed, record), config.averages)
 
 
 def draw_powers(config: SonarConfig, scene: SonarScene, seed: int, record: int) -> Array:
-    """Beam powers before they are normalized, over the mean noise of a bin; arguments as in `draw_record`."""
+    """Draw beam powers before normalization, relative to the mean noise of a bin. Arguments: see `draw_record`."""
     rng = Streams(seed)[Stream.RECORD, record]
     if config.fidelity == "snapshots":
         snapshots, bearings = draw_snapshots(config, scene, rng, record), config.beam_bearings
@@ -53,18 +53,19 @@ def draw_powers(config: SonarConfig, scene: SonarScene, seed: int, record: int) 
 
 
 def draw_snapshots(config: SonarConfig, scene: SonarScene, rng: np.random.Generator, record: int) -> ComplexArray:
-    """Spectra at the elements during one record: plane waves of tones and bands in ambient noise.
+    """Draw the spectra at the elements during one record: plane waves of the targets in ambient noise.
 
-    A tone keeps amplitude and phase, a band's spectrum is complex Gaussian; bearings are those of the record's middle.
+    A tone has constant amplitude and phase; the spectrum of a broadband target is complex Gaussian. The bearings are
+    those at the middle of the record.
 
     Returns:
-        Shape (snapshots, F, elements).
+        Complex spectra, shape (snapshots, F, elements).
     """
     frequencies, n = config.band.frequencies, scene.power.shape[0]
     shape = config.snapshots, len(frequencies)
     noise = rng.standard_normal((*shape, config.elements, 2)).view(np.complex128)[..., 0]
     snapshots = noise * np.sqrt(config.ambient / 2.0)[:, None]
-    # Drawn for all targets, whether they are there or not: one's sound does not depend on another's presence.
+    # Drawn for all targets, existing or not, so that the sound of one does not depend on the presence of another.
     sound = rng.standard_normal((n, *shape, 2)).view(np.complex128)[..., 0]
     phase = rng.uniform(0.0, 2.0 * np.pi, (n,))
     here = np.flatnonzero(scene.exists[record])
@@ -79,13 +80,13 @@ def draw_snapshots(config: SonarConfig, scene: SonarScene, rng: np.random.Genera
 
 
 class Moments(NamedTuple):
-    """Mean and variance of beam powers, and how much of the variance is the targets' own, common to all beams.
+    """Mean and variance of beam powers, and the part of the variance that is common to all beams.
 
     Attributes:
-        mean: Shape (beams,).
-        variance: Shape (beams,).
-        patterns: What each target adds to the mean, shape (targets, beams).
-        common: Relative variance of each target's power in a record, shape (targets,).
+        mean: Means, shape (beams,).
+        variance: Variances, shape (beams,).
+        patterns: Contribution of each target to the mean, shape (targets, beams).
+        common: Relative variance of the power of each target in a record, shape (targets,).
     """
 
     mean: Array
@@ -95,10 +96,10 @@ class Moments(NamedTuple):
 
 
 def power_moments(config: SonarConfig, scene: SonarScene, record: int) -> Moments:
-    """Moments of the beam powers of one record, exact but for the table of patterns.
+    """Return the moments of the beam powers of one record, exact up to the interpolation of the pattern table.
 
     With P_f the mean power in a beam and a bin, the mean is sum P_f / F. Snapshots are independent and Gaussian, so the
-    variance is sum P_f^2 / (F^2 K), without the squares of tones, which are steady.
+    variance is sum P_f^2 / (F^2 K), without the squares of tones, whose power is constant.
     """
     F, K = len(config.band.frequencies), config.snapshots
     here = np.flatnonzero(scene.exists[record])
@@ -113,10 +114,11 @@ def power_moments(config: SonarConfig, scene: SonarScene, record: int) -> Moment
 
 
 def _moment_powers(config: SonarConfig, scene: SonarScene, rng: np.random.Generator, record: int) -> Array:
-    """Beam powers with the moments of `power_moments` and Gamma marginals.
+    """Draw beam powers with the moments of `power_moments` and gamma marginals.
 
-    A target's power in the record is drawn once for all beams; the rest is a normal variable, correlated over the beams
-    as white noise is, and shaped to Gamma by Wilson's and Hilferty's cube (Proc. Natl. Acad. Sci. 17, 1931).
+    The power of a target in the record is drawn once for all beams. The rest is a normal variable with the correlation
+    of white noise over the beams, converted to a gamma variable by the cube of Wilson and Hilferty (Proc. Natl. Acad.
+    Sci. 17, 1931).
     """
     root = _correlation_root(config.array, config.band, config.beams, config.shading)
     normal = root @ rng.standard_normal(root.shape[1])
@@ -128,29 +130,29 @@ def _moment_powers(config: SonarConfig, scene: SonarScene, rng: np.random.Genera
 
 
 def _gamma(mean: Array | float, relative_variance: Array, normal: Array) -> Array:
-    """Gamma variables of a mean and a variance over the square of the mean, out of standard normal ones."""
+    """Convert standard normal variables to gamma variables with a given mean and relative variance."""
     ninth = relative_variance / 9.0
     return mean * np.maximum(1.0 - ninth + normal * np.sqrt(ninth), 0.0) ** 3
 
 
 @lru_cache(maxsize=4)
 def _pattern_table(array: LineArray, band: Band, shading: Shading) -> Array:
-    """Pattern of a source of unit power in one bin, by the difference of cosines from 0 to 2; shape (offsets, F)."""
+    """Return beam patterns of a unit source in each bin over the difference of cosines, 0 to 2; shape (offsets, F)."""
     tables = [tabulate_pattern(array, [f], [1.0], shading, _OFFSETS).values for f in band.frequencies.tolist()]
     return np.ascontiguousarray(np.stack(tables, axis=1))
 
 
 @lru_cache(maxsize=4)
 def _correlation_root(array: LineArray, band: Band, beams: int, shading: Shading) -> Array:
-    """A matrix C with C C^T the correlation of noise powers of all beams; shape (beams, beams)."""
+    """Return C, shape (beams, beams), with C C^T the correlation of the noise powers of all beams."""
     values, vectors = np.linalg.eigh(beam_correlation(array, band.frequencies, bearings(beams), shading))
-    # The symmetric root: eigenvectors differ from one linear algebra library to the next, this does not.
+    # The symmetric root is unique; eigenvectors depend on the linear algebra library.
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
 @njit(cache=True, nogil=True)
 def _sums(table, beam_bearings, sources, power, tonal, ambient):  # type: ignore[no-untyped-def]
-    """Sums over the bins of mean powers, of their variances times K, and each source's part of the means."""
+    """Return sums over the bins: mean powers, their variances times K, and the contribution of each source."""
     points, bins = table.shape
     beams, count = len(beam_bearings), len(sources)
     mean, square, patterns = np.zeros(beams), np.zeros(beams), np.zeros((count, beams))

@@ -1,4 +1,4 @@
-"""Pictures of a bearing-time record: the waterfall with tracks in identity colors, and how number and error went."""
+"""Pictures of a sonar scene: waterfall with tracks in identity colors, and plots of target number and OSPA."""
 
 from __future__ import annotations
 
@@ -17,38 +17,40 @@ from servotrack.estimators.metrics import Track
 from servotrack.estimators.types import Array, Image
 
 WIDTH, HEIGHT = 800, 544
-SHOWN = 480
-"""Most records that a waterfall shows; older ones have run out at its top."""
+MAX_RECORDS = 480
+"""Maximum number of records in a waterfall; older records are not shown."""
 WATERFALL = Panel(52, 16, 476, 492)
-"""Where the waterfall lies in the picture, px."""
+"""Panel of the waterfall in the picture, px."""
 
 _NUMBER_PANEL = Panel(544, 16, 240, 248)
 _ERROR_PANEL = Panel(544, 280, 240, 248)
 _ERROR_COLOR: Color = VERMILION
 _BEARING_MARKS = (0, 30, 60, 90, 120, 150, 180)
-_PALE, _FAINTEST, _LOUDEST = 2.5, 15.0, 1000.0
-"""Deviations of noise up to which all is nearly white; what is black is the loudest shown, but within these bounds."""
+_SOFT_DEVIATIONS = 2.5
+"""Standard deviations of noise up to which the logarithmic gray scale is nearly linear and pale."""
+_BLACK_DEVIATIONS = (15.0, 1000.0)
+"""Bounds of the standard deviations that are drawn black; between them, the largest value shown is black."""
 _PALETTE: tuple[Color, ...] = ((247, 245, 240), (205, 214, 218), (140, 163, 176), (77, 104, 128), (27, 40, 61))
-"""From noise to the loudest."""
+"""Colors from noise to the largest power."""
 
 
 @dataclass(frozen=True)
 class Waterfall:
-    """All that a picture of a bearing-time record shows.
+    """Content of a picture of a sonar scene.
 
     Attributes:
-        records: Beam powers over their noise level, oldest first, shape (k, beams); at most `SHOWN`.
-        first: Number of the oldest one.
-        averages: M of a beam power.
+        records: Beam powers relative to their noise level, oldest first, shape (k, beams); at most `MAX_RECORDS`.
+        first: Number of the oldest record.
+        averages: Number of averages M of a beam power.
         period: Time between records, s.
-        horizon: Records that the picture spans.
-        tracks: What was reported, by identity; steps are numbers of records, states bearings in deg.
-        truth: The same of the true targets.
-        true_numbers: Number of targets at each record answered so far, shape (k,).
-        reported_numbers: Reported targets likewise.
+        horizon: Number of records that the picture spans.
+        tracks: Reported tracks with their identities; steps are record numbers, states are bearings in deg.
+        truth: True tracks.
+        true_numbers: Number of targets at each answered record, shape (k,).
+        reported_numbers: Number of reported targets at each answered record, shape (k,).
         errors: OSPA of each answer so far, shape (k,), deg.
         cutoff: Largest OSPA, deg.
-        scored: Answers of an episode that are scored.
+        scored: Number of scored answers of an episode.
     """
 
     records: Array
@@ -73,7 +75,7 @@ def draw(scene: Waterfall) -> Image:
     """
     image = _backdrop().copy()
     panel = WATERFALL.of(image)
-    span = max(min(scene.horizon, SHOWN), 1)
+    span = max(min(scene.horizon, MAX_RECORDS), 1)
     height = round(panel.shape[0] * len(scene.records) / span)
     if height > 0:
         panel[:height] = paint_powers(scene.records, scene.averages, (panel.shape[1], height))
@@ -96,19 +98,19 @@ def draw(scene: Waterfall) -> Image:
 
 
 def paint_powers(records: Array, averages: int, size: tuple[int, int]) -> Image:
-    """A bearing-time record as an image: noise is pale, what stands out of it dark, on a logarithmic scale.
+    """Paint a bearing-time record on a logarithmic scale: noise is pale, large powers are dark.
 
     Args:
-        records: Beam powers over their noise level, shape (k, beams).
-        averages: M of a beam power, which says what stands out.
+        records: Beam powers relative to their noise level, shape (k, beams).
+        averages: Number of averages M of a beam power; the standard deviation of noise is 1 / sqrt(M).
         size: Width and height of the image, px.
 
     Returns:
-        RGB, shape (height, width, 3), uint8.
+        RGB image, shape (height, width, 3), uint8.
     """
     deviations = (np.asarray(records) - 1.0) * np.sqrt(averages)
-    loudest = float(np.clip(deviations.max(initial=0.0), _FAINTEST, _LOUDEST))
-    shade = np.log(np.maximum(deviations, 0.0) / _PALE + 1.0) / np.log(loudest / _PALE + 1.0)
+    loudest = float(np.clip(deviations.max(initial=0.0), *_BLACK_DEVIATIONS))
+    shade = np.log(np.maximum(deviations, 0.0) / _SOFT_DEVIATIONS + 1.0) / np.log(loudest / _SOFT_DEVIATIONS + 1.0)
     tone = np.rint(255.0 * np.clip(shade, 0.0, 1.0)).astype(np.uint8)
     wide = cv2.resize(tone, (size[0], len(tone)), interpolation=cv2.INTER_AREA)
     rows = np.minimum((np.arange(size[1]) + 0.5) * len(tone) / size[1], len(tone) - 1).astype(np.int64)
@@ -116,11 +118,11 @@ def paint_powers(records: Array, averages: int, size: tuple[int, int]) -> Image:
 
 
 def draw_track(panel: Image, points: NDArray[np.int32], label: int) -> None:
-    """A track in its identity's color, with a pale rim that shows on every ground.
+    """Draw a track in the color of its identity, with a pale rim that is visible on any background.
 
     Args:
-        panel: Changed in place.
-        points: Shape (k, 2), px, with 4 fractional bits.
+        panel: Part of the picture, changed in place.
+        points: Pixel coordinates with 4 fractional bits, shape (k, 2).
         label: Identity.
     """
     cv2.polylines(panel, [points], False, IVORY, 4, cv2.LINE_AA, SUBPIXEL_BITS)
@@ -128,7 +130,7 @@ def draw_track(panel: Image, points: NDArray[np.int32], label: int) -> None:
 
 
 def _dotted(panel: Image, points: NDArray[np.int32]) -> None:
-    """The truth: a pale dot with a dark rim every 24 px or so."""
+    """Draw a true track: a pale dot with a dark rim about every 24 px."""
     apart = np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T) / (1 << SUBPIXEL_BITS)
     along = np.cumsum(apart)
     chosen = np.flatnonzero(np.diff(np.floor(along / 24.0), prepend=-1.0) > 0)
@@ -138,7 +140,7 @@ def _dotted(panel: Image, points: NDArray[np.int32]) -> None:
 
 
 def _pieces(track: Track, first: int) -> list[Track]:
-    """A track's visible parts without gaps."""
+    """Split a track into its visible parts without gaps."""
     shown = track.steps >= first
     steps, states = track.steps[shown], track.states[shown]
     cuts = np.flatnonzero(np.diff(steps) > 1) + 1
@@ -146,7 +148,7 @@ def _pieces(track: Track, first: int) -> list[Track]:
 
 
 def _pixels(track: Track, first: int, span: int) -> NDArray[np.int32]:
-    """Fixed-point pixels in the waterfall, in the middle of each record; a lone record is a short stroke."""
+    """Return fixed-point pixels in the waterfall, at the middle of each record. A single record is a short stroke."""
     steps, bearings = track.steps.astype(np.float64), np.clip(track.states[:, 0], -20.0, 200.0)
     if len(steps) == 1:
         steps, bearings = steps[0] + np.array([-0.4, 0.4]), np.repeat(bearings, 2)
@@ -169,7 +171,7 @@ def _time_marks(image: Image, scene: Waterfall, span: int) -> None:
 
 @lru_cache(maxsize=1)
 def _colors() -> Image:
-    """The palette in 256 steps, shape (256, 3)."""
+    """Return the palette in 256 steps, shape (256, 3)."""
     at = np.linspace(0.0, len(_PALETTE) - 1.0, 256)
     shades = np.array(_PALETTE, dtype=np.float64)
     channels = [np.interp(at, np.arange(len(_PALETTE)), shades[:, channel]) for channel in range(3)]

@@ -1,4 +1,4 @@
-"""What fate deals an episode of the sonar world: who is where, when, how fast, and how it sounds."""
+"""Random draws of one sonar episode: lifetimes, bearings, rates and sounds of the targets."""
 
 from __future__ import annotations
 
@@ -13,30 +13,31 @@ from servotrack.envs.track.sonar.config import BROADBAND_SNR, DRAWN_SNR, LOUD_SN
 from servotrack.estimators.types import Array, Mask
 
 PAPER_TONE = 1500.0
-"""Hz."""
+"""Frequency of the tonal target of the variants `rates` and `cross30`, Hz."""
 BROADBAND = (500.0, 1500.0)
-"""Hz."""
+"""Band of broadband targets, Hz."""
 TONES = (800.0, 1500.0)
-"""Tones of drawn targets lie between, Hz."""
+"""Range of the frequencies of random tones, Hz."""
 
-CLOSE = 5.0
-"""Targets nearer to each other meet, deg."""
+MEETING_DISTANCE = 5.0
+"""Bearing difference below which two targets meet, deg."""
 LONGEST_MEETING = 20.0
-"""s; whoever keeps longer beside another one could not be told apart by anybody."""
+"""Longest time that two targets may stay within `MEETING_DISTANCE`, s: beyond it no tracker could separate them."""
 TRIAL_CROSSINGS = 3
-"""A trial has at least as many crossings."""
-_TRIAL_LEAST = 4
+"""Minimum number of crossings of a trial."""
+_TRIAL_MIN_TARGETS = 4
 _TRIAL_LENGTH = 180.0
-"""s."""
-_INSIDE = (20.0, 160.0)
-"""Drawn targets begin and end between, deg; beyond, the beams of a line array are broad."""
+"""Duration of a whole trial, s."""
+_BEARING_RANGE = (20.0, 160.0)
+"""Range of first and last bearings of random targets, deg. Beyond it the beams of a line array are broad."""
 _LOUD_RATE = 0.2
-"""Largest rate of the trial's interferer, deg/s."""
+"""Maximum rate of the interferer of a trial, deg/s."""
 _ATTEMPTS = 100
+"""Number of draws for one target, and for one trial, before drawing fails."""
 
 
 class Stream(IntEnum):
-    """Child streams of an episode's seed. Appending one shifts no other; the numbers must never change."""
+    """Child streams of an episode's seed. The numbers must never change; new streams are appended."""
 
     NUMBER = 0
     LIFE = 1
@@ -47,7 +48,7 @@ class Stream(IntEnum):
 
 
 class PaperTarget(NamedTuple):
-    """A target of the paper's simulation: first and last instant (s), first bearing (deg), and the sign of its rate."""
+    """A target of `rates` and `cross30`: first and last time (s), first bearing (deg), sign of the rate, tone (Hz)."""
 
     first: float
     last: float
@@ -61,7 +62,7 @@ PAPER_TARGETS = (
     PaperTarget(10.0, 45.0, 105.0, -1.0, None),
 )
 PAPER_RATES = {"rates": 1.0, "cross30": 1.5}
-"""Bearing rates, deg/s: the paper's, and those with which the tracks cross when the paper says, after 30 s."""
+"""Bearing rates, deg/s: those of Jiang and Zhou 2016, and those with which the tracks cross at their 30 s."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +70,11 @@ class SonarScene:
     """One episode without its noise; K = horizon + lag + 1 records, n = max_targets.
 
     Attributes:
-        bearings: In the middle of each record, shape (K, n), deg; zeros where a target does not exist.
-        rates: Shape (K, n), deg/s.
-        exists: Shape (K, n), bool.
-        power: Of each target in each bin, per element, over the mean noise of one bin. Shape (n, F).
-        tonal: Whether a target is one steady tone. Shape (n,), bool.
+        bearings: Bearings at the middle of each record, shape (K, n), deg; zeros where a target does not exist.
+        rates: Bearing rates, shape (K, n), deg/s.
+        exists: Targets that exist, shape (K, n), bool.
+        power: Power of each target in each bin, per element, relative to the mean noise of one bin, shape (n, F).
+        tonal: True for tonal targets, False for broadband ones, shape (n,), bool.
     """
 
     bearings: Array
@@ -93,14 +94,14 @@ class _Target(NamedTuple):
 
 
 def draw_scene(config: SonarConfig, seed: int) -> SonarScene:
-    """Draw who is there.
+    """Draw the targets of an episode.
 
     Args:
-        config: The world.
-        seed: Non-negative integer.
+        config: Parameters of the environment.
+        seed: Seed of the episode, a non-negative integer.
 
     Raises:
-        ValueError: So many targets that no place for one of them was found.
+        ValueError: If no separable set of targets or no trial with enough crossings was found.
     """
     streams = Streams(seed)
     records, n = config.horizon + config.lag + 1, config.max_targets
@@ -122,14 +123,14 @@ def draw_scene(config: SonarConfig, seed: int) -> SonarScene:
 
 
 def crossings(bearings: Array, exists: Mask) -> list[tuple[int, int, int]]:
-    """Where bearings of two targets change their order.
+    """Find the records at which two targets have crossed.
 
     Args:
-        bearings: Shape (K, n), deg.
-        exists: Shape (K, n).
+        bearings: Bearings, shape (K, n), deg.
+        exists: Targets that exist, shape (K, n).
 
     Returns:
-        (record after which they have crossed, target, other target), in the order of the pairs.
+        Tuples (first record after the crossing, target, other target), ordered by pairs.
     """
     found = []
     for i in range(bearings.shape[1]):
@@ -174,21 +175,21 @@ def _paper_targets(config: SonarConfig, streams: Streams) -> list[_Target]:
 
 
 def _trial_targets(config: SonarConfig, streams: Streams) -> list[_Target]:
-    count = int(streams[Stream.NUMBER].integers(_TRIAL_LEAST, TRIAL_COUNT + 1))
+    count = int(streams[Stream.NUMBER].integers(_TRIAL_MIN_TARGETS, TRIAL_COUNT + 1))
     for attempt in range(_ATTEMPTS):
         drawn = _draw_targets(config, streams, count, attempt)
-        if drawn is not None and _met(drawn, _span(config)) >= TRIAL_CROSSINGS:
+        if drawn is not None and _count_crossings(drawn, _span(config)) >= TRIAL_CROSSINGS:
             return drawn
     raise ValueError(f"no scene of {count} targets with {TRIAL_CROSSINGS} crossings was found; raise max_rate")
 
 
 def _draw_targets(config: SonarConfig, streams: Streams, count: int, attempt: int) -> list[_Target] | None:
-    """Targets that can be told apart, or None where there was no room for one of them."""
+    """Return separable targets, or None if no place was found for one of them."""
     targets: list[_Target] = []
     while len(targets) < count:
         for trial in range(_ATTEMPTS):
             new = _draw_target(config, streams, (attempt, len(targets), trial))
-            if all(_can_be_told_apart(new, other, config) for other in targets):
+            if all(_separable(new, other, config) for other in targets):
                 targets.append(new)
                 break
         else:
@@ -204,11 +205,11 @@ def _draw_target(config: SonarConfig, streams: Streams, key: tuple[int, int, int
     shortest = span // 2 if config.variant == "trial" else min(config.shortest_life, span)
     alive = shortest + round(length * (span - shortest))
     first = round(part * (span - alive))
-    # Whoever is there at the end of what is scored is there beyond it, too.
+    # A target that exists at the last scored record also exists during the lag.
     last = most if first + alive >= span else first + alive - 1
     if loud:
         first, alive, last = 0, span, most
-    low, high = _INSIDE
+    low, high = _BEARING_RANGE
     start, end = low + (high - low) * place, low + (high - low) * aim
     fastest = _LOUD_RATE if loud else config.max_rate
     rate = float(np.clip((end - start) / (alive * config.period), -fastest, fastest))
@@ -225,31 +226,31 @@ def _draw_target(config: SonarConfig, streams: Streams, key: tuple[int, int, int
 
 
 def _power(config: SonarConfig, snr: float, tone: float | None) -> Array:
-    """Power in each bin of the band, per element, over the mean noise of one bin; shape (F,)."""
+    """Return the power in each bin, per element, relative to the mean noise of one bin, shape (F,)."""
     frequencies = config.band.frequencies
     total = config.noise_bins * 10.0 ** ((snr + config.snr_offset) / 10.0)
     if tone is not None:
         own = np.abs(frequencies - tone)
-        # Ties go to the lower bin; a tone outside the band is not received.
+        # Ties go to the lower bin. A tone outside the band is not received.
         return np.where(np.arange(len(own)) == own.argmin(), total, 0.0) * (own.min() <= config.bin_width / 2.0)
     inside = (frequencies >= BROADBAND[0]) & (frequencies < BROADBAND[1])
     return inside * total * config.bin_width / (BROADBAND[1] - BROADBAND[0])
 
 
 def _reflected(bearings: Array, rates: Array) -> tuple[Array, Array]:
-    """Bearings from 0 to 180: a line array cannot tell its sides apart, so that who crosses its axis turns back."""
+    """Map bearings to 0 to 180 deg by reflection, because a line array cannot distinguish its two sides."""
     turned = bearings % 360.0
     behind = turned > 180.0
     return np.where(behind, 360.0 - turned, turned), np.where(behind, -rates, rates)
 
 
 def _span(config: SonarConfig) -> int:
-    """Records that a scene is drawn for: those that are scored; a shorter trial is the first part of a whole one."""
+    """Return the number of records a scene is drawn for. A shorter trial is the first part of a whole one."""
     return max(config.horizon, round(_TRIAL_LENGTH / config.period)) if config.variant == "trial" else config.horizon
 
 
 def _overlap(one: _Target, other: _Target, span: int) -> tuple[Array, Array]:
-    """Bearings of both while both are there, so far as the lag does not matter."""
+    """Return the bearings of both targets at the records, without the lag, at which both exist."""
     first, last = max(one.first, other.first), min(one.last, other.last, span - 1)
     if first > last:
         return np.zeros(0), np.zeros(0)
@@ -258,18 +259,18 @@ def _overlap(one: _Target, other: _Target, span: int) -> tuple[Array, Array]:
     ]
 
 
-def _can_be_told_apart(one: _Target, other: _Target, config: SonarConfig) -> bool:
-    """Whether two targets meet for a short time only, and neither begins or ends where the other one is."""
+def _separable(one: _Target, other: _Target, config: SonarConfig) -> bool:
+    """Return True if two targets meet only briefly, and neither begins or ends close to the other."""
     a, b = _overlap(one, other, _span(config))
-    near = np.abs(a - b) < CLOSE
+    near = np.abs(a - b) < MEETING_DISTANCE
     if len(near) and (near[0] or near[-1]):
         return False
     edges = np.flatnonzero(np.diff(near, prepend=False, append=False))
     return int((edges[1::2] - edges[::2]).max(initial=0)) * config.period <= LONGEST_MEETING
 
 
-def _met(targets: list[_Target], span: int) -> int:
-    """How often the order of two targets' bearings changes."""
+def _count_crossings(targets: list[_Target], span: int) -> int:
+    """Return the number of changes in the order of the bearings of two targets."""
     total = 0
     for i, one in enumerate(targets):
         for other in targets[i + 1 :]:

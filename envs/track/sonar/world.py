@@ -1,4 +1,4 @@
-"""N sonar worlds at once: the one piece of bookkeeping behind the single and the vector environment."""
+"""N sonar scenes stepped together, for the single and the vector environment."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from servotrack.estimators.types import Array, Mask
 
 
 class SonarWorld:
-    """N scenes with N observers, stepped together; arrays carry a leading axis of N.
+    """N scenes with one observer each, stepped together. Arrays have a leading axis of N.
 
-    An observer sees record k and answers with the bearings it believes in at record k - lag; `step` scores that answer
-    and moves on to record k + 1. Records are drawn when their turn comes.
+    The observer gets record k and answers with its estimate of the bearings at record k - lag. `step` scores the answer
+    and advances to record k + 1. Records are drawn one by one, when they are needed.
 
     Args:
-        config: The world's parameters.
+        config: Parameters of the environment.
         count: Number of scenes N.
 
     Attributes:
-        observations: The newest record, beam powers over their noise level, shape (N, beams).
+        observations: Newest records: beam powers relative to their noise level, shape (N, beams).
         bearings: True bearings at the newest record, shape (N, n), deg; zeros where a target does not exist.
-        rates: Their rates, shape (N, n), deg/s.
-        exists: Which targets exist then, shape (N, n), bool.
-        steps: Records answered so far, shape (N,).
-        reward: -GOSPA / cutoff of the last answer, 0 where it was not scored. Shape (N,).
-        terminated: Never; shape (N,), bool.
-        truncated: All records answered, shape (N,), bool.
-        scored: Whether the last answer was for a record of the episode, shape (N,), bool.
-        ospa, gospa, location, missed, false: Of the last answer, shape (N,), deg; 0 where it was not scored.
-        cardinality_error: Reported targets minus true ones, shape (N,), int; likewise.
-        ospa2: Of the episode, shape (N,), deg; 0 until `truncated`.
-        scorer: Identities and reported rows of the last answer.
+        rates: True bearing rates, shape (N, n), deg/s.
+        exists: Targets that exist at the newest record, shape (N, n), bool.
+        steps: Number of answered records, shape (N,).
+        reward: -GOSPA / cutoff of the last answer, shape (N,); 0 if it was not scored.
+        terminated: Always False, shape (N,).
+        truncated: True if all records are answered, shape (N,), bool.
+        scored: True if the last answer was for a record of the episode, shape (N,), bool.
+        ospa, gospa, location, missed, false: Scores of the last answer, shape (N,), deg; 0 if it was not scored.
+        cardinality_error: Number of reported targets minus number of true ones, shape (N,), int; 0 if not scored.
+        ospa2: OSPA(2) of the episode, shape (N,), deg; 0 until `truncated`.
+        scorer: Holds identities and reported rows of the last answer.
     """
 
     def __init__(self, config: SonarConfig, count: int) -> None:
@@ -58,11 +58,11 @@ class SonarWorld:
         self.cardinality_error, self.ospa2 = np.zeros(count, np.int64), np.zeros(count)
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
-        """Start new episodes in some rows; the others are left as they are, to the bit.
+        """Start new episodes in some rows. The other rows do not change.
 
         Args:
-            rows: Which of the N.
-            seeds: One episode seed for each, non-negative integers.
+            rows: Indices of the scenes.
+            seeds: Episode seed of each, non-negative integers.
         """
         for row, seed in zip(rows, seeds, strict=True):
             self._scenes[row], self._seeds[row] = draw_scene(self.config, seed), seed
@@ -71,12 +71,12 @@ class SonarWorld:
             self._show(row)
 
     def step(self, answers: Array, running: Mask | None = None) -> None:
-        """Score every row's answer, and show the next record.
+        """Score the answers, and advance to the next records.
 
         Args:
-            answers: Shape (N, rows, 2): existence and bearing, deg, at record `steps` - lag.
-            running: Which of the N have an episode under way, (N,) bool; None for all. The others wait for their reset
-                at the record they are at.
+            answers: Existence and bearing (deg) at record `steps` - lag, shape (N, rows, 2).
+            running: True for scenes whose episode is running, shape (N,), bool; None: all. The other scenes stay at
+                their record until they are reset.
         """
         if running is None:
             running = np.ones(self.count, np.bool_)
@@ -84,7 +84,7 @@ class SonarWorld:
         at = self.steps - config.lag
         self.scored = (at >= 0) & (at < config.horizon)
         bearings, exists = self.answered()
-        # An answer before the first record keeps identities and is nothing else.
+        # An answer for a time before the first record only starts identities.
         scores = self.scorer.score(answers, bearings[..., None], exists, np.where(self.scored, at, config.horizon))
         self.ospa = np.where(self.scored, scores.ospa, 0.0)
         self.cardinality_error = np.where(self.scored, scores.cardinality_error, 0)
@@ -100,20 +100,20 @@ class SonarWorld:
     def _show(self, row: int) -> None:
         scene, step = self.scene(row), int(self.steps[row])
         self.observations[row] = np.minimum(
-            draw_record(self.config, scene, self._seeds[row], step), self.config.most_power
+            draw_record(self.config, scene, self._seeds[row], step), self.config.max_power
         )
         self.bearings[row], self.rates[row] = scene.bearings[step], scene.rates[step]
         self.exists[row] = scene.exists[step]
 
     def scene(self, row: int) -> SonarScene:
-        """Who is there in one scene, over the whole episode."""
+        """Return the targets of a scene over the whole episode."""
         scene = self._scenes[row]
         if scene is None:
             raise RuntimeError("a scene has no targets before its first reset: call reset()")
         return scene
 
     def answered(self) -> tuple[Array, Mask]:
-        """True bearings (N, n), deg, and existence (N, n) at the record that the next answer is for."""
+        """Return true bearings (N, n), deg, and existence (N, n) at the record that the next answer is for."""
         bearings, exists = np.zeros_like(self.bearings), np.zeros_like(self.exists)
         for row, scene in enumerate(self._scenes):
             step = int(self.steps[row]) - self.config.lag
@@ -122,16 +122,16 @@ class SonarWorld:
         return bearings, exists
 
     def true_tracks(self, row: int) -> Array:
-        """Bearings of one scene's targets at the scored records, (n, horizon, 1), deg; NaN where there is none."""
+        """Return the true bearings at the scored records, shape (n, horizon, 1), deg; NaN if a target is absent."""
         scene, scored = self.scene(row), slice(0, self.config.horizon)
         return np.where(scene.exists[scored], scene.bearings[scored], np.nan).T[..., None]
 
     def truth(self) -> dict[str, Any]:
-        """What `info["truth"]` tells of the newest record, arrays of N rows."""
+        """Return the entries of `info["truth"]` for the newest record, arrays of N rows."""
         return {"bearings": self.bearings, "rates": self.rates, "exists": self.exists}
 
     def scores(self) -> dict[str, Any]:
-        """What `info` tells of the last answer, arrays of N rows."""
+        """Return the entries of `info` for the last answer, arrays of N rows."""
         return {
             "scored": self.scored,
             "ospa": self.ospa,
@@ -143,20 +143,20 @@ class SonarWorld:
         }
 
     def episode_scores(self) -> dict[str, Any]:
-        """What `info` tells at an episode's end, arrays of N rows."""
+        """Return the entries of `info` at the end of an episode, arrays of N rows."""
         return {"ospa2": self.ospa2}
 
     def privileged(self) -> dict[str, Array]:
-        """What an oracle may know, besides the observation; arrays of N rows.
+        """Return the privileged information of oracle agents, arrays of N rows.
 
         Returns:
-            Of the record that the next answer is for: `true_bearings` (N, n), deg; `true_existence` (N, n), 0 or 1.
+            `true_bearings` (N, n), deg, and `true_existence` (N, n), 0 or 1, at the record that the next answer is for.
         """
         bearings, exists = self.answered()
         return {"true_bearings": bearings, "true_existence": exists.astype(np.float64)}
 
     def debug_view(self, row: int = 0) -> str:
-        """One scene's state as text, for debugging."""
+        """Return the state of a scene as text, for debugging."""
         config = self.config
         return (
             f"record {self.steps[row]}/{config.horizon + config.lag}  targets={int(self.exists[row].sum())}  "
