@@ -1,9 +1,9 @@
-"""Detectors: images in, what was found in them out."""
+"""Detectors of moving people and of a colored marker in images."""
 
 from servotrack.estimators.detect.appearance import box_appearance, box_histograms, color_bins
 from servotrack.estimators.detect.background import BackgroundState, MaskedBackground
 from servotrack.estimators.detect.blobs import BlobFinder
-from servotrack.estimators.detect.detections import Detections, detections_from_boxes
+from servotrack.estimators.detect.detections import Detections, Detector, detections_from_boxes
 from servotrack.estimators.detect.marker import MarkerDetector
 from servotrack.estimators.detect.subtractors import KNNBackground, MOG2Background
 
@@ -11,6 +11,7 @@ __all__ = [
     "BackgroundState",
     "BlobFinder",
     "Detections",
+    "Detector",
     "KNNBackground",
     "MOG2Background",
     "MarkerDetector",

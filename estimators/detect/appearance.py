@@ -1,4 +1,4 @@
-"""Color histograms as appearance: counted over boxes or over the pixels of a blob, compared by one product."""
+"""Color histograms of boxes or blobs as appearance vectors, compared by a dot product."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from servotrack.estimators.types import Array
 
 
 def color_bins(image: ArrayLike, bins: int = 8) -> NDArray[np.int16]:
-    """The histogram bin of every pixel.
+    """Compute the histogram bin of every pixel.
 
     Args:
-        image: RGB or gray, uint8. Shape (H, W, 3) or (H, W), gray being a color of three equal channels.
-        bins: Bins of each channel, 1 to 16, equally wide up to rounding.
+        image: RGB or gray, uint8. Shape (H, W, 3) or (H, W); gray counts as a color of three equal channels.
+        bins: Number of bins of each channel, 1 to 16, equally wide up to rounding.
 
     Returns:
-        (red * bins + green) * bins + blue, each channel's bin being value * bins // 256. Shape (H, W), int16.
+        (red * bins + green) * bins + blue, where the bin of a channel is value * bins // 256. Shape (H, W), int16.
 
     Raises:
-        ValueError: Not such an image, or bins out of range.
+        ValueError: The image has another type or shape, or bins is out of range.
     """
     colors = _as_colors(checked_image(image, "image"))
     _check_bins(bins)
@@ -32,18 +32,19 @@ def color_bins(image: ArrayLike, bins: int = 8) -> NDArray[np.int16]:
 
 
 def box_histograms(image: ArrayLike, boxes: ArrayLike, bins: int = 8) -> Array:
-    """Color histograms of boxes, each pixel counted whose center lies inside (paper 001, equation 6, without a kernel).
+    """Color histograms of boxes over the pixels whose centers lie inside (paper 001, equation 6, without a kernel).
 
     Args:
         image: RGB or gray, uint8. Shape (H, W, 3) or (H, W).
-        boxes: Left, top, width and height. Shape (k, 4), px; parts outside the image do not count.
-        bins: Bins of each channel, 1 to 16.
+        boxes: Left, top, width and height. Shape (k, 4), px; parts outside the image are ignored.
+        bins: Number of bins of each channel, 1 to 16.
 
     Returns:
         Shares, which sum to 1; zeros for a box without a pixel. Shape (k, bins ** 3).
 
     Raises:
-        ValueError: Not such an image, boxes that are not finite or of another shape, or bins out of range.
+        ValueError: The image has another type or shape, boxes are not finite or have another shape, or bins is out of
+            range.
     """
     colors = _as_colors(checked_image(image, "image"))
     _check_bins(bins)
@@ -58,30 +59,30 @@ def box_histograms(image: ArrayLike, boxes: ArrayLike, bins: int = 8) -> Array:
 
 
 def box_appearance(image: ArrayLike, boxes: ArrayLike, bins: int = 8) -> Array:
-    """Roots of color histograms of boxes: unit vectors whose product is the Bhattacharyya coefficient.
+    """Square roots of color histograms of boxes: unit vectors whose product is the Bhattacharyya coefficient.
 
     Args:
         image: RGB or gray, uint8. Shape (H, W, 3) or (H, W).
         boxes: Left, top, width and height. Shape (k, 4), px.
-        bins: Bins of each channel, 1 to 16.
+        bins: Number of bins of each channel, 1 to 16.
 
     Returns:
         Rows of unit length, zeros for a box without a pixel. Shape (k, bins ** 3).
 
     Raises:
-        ValueError: As `box_histograms`.
+        ValueError: The same errors as in `box_histograms`.
     """
     return np.sqrt(box_histograms(image, boxes, bins))
 
 
 def run_appearance(image: NDArray[np.uint8], runs: NDArray[np.int32], count: int, bins: int) -> Array:
-    """Roots of color histograms over the pixels of blobs.
+    """Square roots of color histograms over the pixels of blobs.
 
     Args:
         image: RGB or gray, uint8. Shape (H, W, 3) or (H, W).
-        runs: Row, first column, column after the last, and number of the blob, negative for none. Shape (n, 4).
+        runs: Row, first column, column after the last, and index of the blob, negative for none. Shape (n, 4).
         count: Number of blobs k.
-        bins: Bins of each channel.
+        bins: Number of bins of each channel.
 
     Returns:
         Rows of unit length, zeros for a blob without a pixel. Shape (k, bins ** 3).

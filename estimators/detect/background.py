@@ -1,4 +1,4 @@
-"""Motion as the difference to a background that learns only where nothing moves (paper 000, section 3)."""
+"""Motion detection by the difference to a background that learns only outside the foreground (paper 000, section 3)."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from numpy.typing import ArrayLike
 from servotrack.estimators.detect.blobs import BlobFinder
 from servotrack.estimators.detect.bodies import BodySizes
 from servotrack.estimators.detect.detections import Detections
-from servotrack.estimators.detect.faint import add_faint_regions, join_by_faint_regions
-from servotrack.estimators.detect.healing import heal_regions
+from servotrack.estimators.detect.faint import FaintRules, add_faint_regions, join_by_faint_regions
+from servotrack.estimators.detect.healing import HealingRules, heal_regions
 from servotrack.estimators.detect.images import checked_image, checked_images
 from servotrack.estimators.detect.runs import label_runs, measure_runs
 from servotrack.estimators.types import FloatArray, Image
 
 
 class BackgroundState(NamedTuple):
-    """What the detector remembers; arrays are never changed once they are in a state.
+    """State of a `MaskedBackground`; its arrays are never changed in place.
 
     Attributes:
-        background: Shape of a frame, float32, gray levels.
-        rounded: The same in uint8.
-        mask: The last frame's foreground after opening and closing, 0 or 255. Shape (H, W), uint8.
-        sizes: How tall people are at each row.
-        frames: Number of frames seen.
-        flooded: Number of frames in a row whose foreground covered more than `flood` of the image.
+        background: Background with the shape of a frame, float32, gray levels.
+        rounded: Background in uint8.
+        mask: Foreground of the last frame after opening and closing, 0 or 255. Shape (H, W), uint8.
+        sizes: Heights of people by row.
+        frames: Number of frames so far.
+        flooded: Number of consecutive frames whose foreground covered more than `flood` of the image.
     """
 
     background: FloatArray
@@ -43,31 +43,34 @@ class BackgroundState(NamedTuple):
 
 @dataclass(frozen=True)
 class MaskedBackground:
-    """Background subtraction whose background does not learn where there is foreground (paper 000, equations 5 and 6).
+    """Background subtraction whose background does not learn under foreground (paper 000, equations 5 and 6).
 
-    P = |I - B| >= threshold and B' = (1 - a) B + a P.B + a (1 - P).I. That rule never absorbs a person who stands
-    still, and for the same reason never recovers from a change of light larger than the threshold, nor from people in
-    the first frame; `heal_every` repairs both (see `servotrack.estimators.detect.healing`), `flood` what is left.
+    P = |I - B| >= threshold and B' = (1 - a) B + a P.B + a (1 - P).I. This rule never absorbs a person who stands
+    still. For the same reason it never recovers from a change of light larger than the threshold, nor from people in
+    the first frame. `heal_every` corrects both (see `servotrack.estimators.detect.healing`), `flood` the rest.
 
     Args:
-        threshold: Difference from which a pixel is foreground, gray levels, or "otsu" for Otsu's of every frame.
-        least_threshold: What Otsu's threshold never goes below, gray levels: in an empty scene it would divide noise.
-        faint: Lower threshold for slender regions around clear foreground, which completes people who wear the
-            background's colors, gray levels; 0 for none. Slender regions cannot join people.
-        learning_rate: Weight a of a new frame, per frame, above 0 and below 1.
-        start: Of several frames given to `initial`: their "median", or their "mean", as in the paper.
+        threshold: Difference from which a pixel is foreground, gray levels, or "otsu" for Otsu's threshold of every
+            frame. Raising it gives less foreground.
+        least_threshold: Lower limit of Otsu's threshold, gray levels; in an empty scene Otsu's threshold divides noise.
+        faint: Lower threshold for slender regions around clear foreground, gray levels; 0 for none. It completes people
+            in the background's colors; slender regions cannot join people.
+        learning_rate: Weight a of a new frame, per frame, in (0, 1). Raising it adapts faster.
+        start: First background from the frames given to `initial`: their "median", or their "mean", as in the paper.
         color: Difference of a pixel: "max" over the channels, or of "gray" values.
-        hold: Where the background does not learn: at the "pixels" above the threshold, as in the paper, or in the
+        hold: Region where the background does not learn: the "pixels" above the threshold, as in the paper, or the
             "blobs", so that specks are learned and holes in people are not.
-        shadows: Whether to take away pixels that are darker than the background and of its color.
-        heal_every: Frames between two searches for ghosts and for changed light; 0 for never.
-        flood: Share of the image from which foreground cannot be people: nothing is reported, and where it stays so
-            for `flood_frames`, the frame becomes the background. 1 for never.
-        flood_frames: Patience, frames.
-        blobs: From the mask to detections.
+        shadows: True to remove pixels that are darker than the background and have its color.
+        heal_every: Number of frames between two searches for ghosts and changed light; 0 for never.
+        flood: Share of the image above which the foreground cannot be people. Then no detections are reported, and
+            after `flood_frames` such frames the frame becomes the background. 1 for never.
+        flood_frames: Number of consecutive frames above `flood` after which the background is replaced.
+        blobs: Converts the mask to detections.
+        faint_rules: Conditions under which a faint region completes a person.
+        healing: Conditions under which a region is a ghost or changed light.
 
     Raises:
-        ValueError: A parameter out of range.
+        ValueError: A parameter is out of range.
     """
 
     threshold: float | str = 30.0
@@ -82,6 +85,8 @@ class MaskedBackground:
     flood: float = 0.5
     flood_frames: int = 20
     blobs: BlobFinder = field(default_factory=BlobFinder)
+    faint_rules: FaintRules = field(default_factory=FaintRules)
+    healing: HealingRules = field(default_factory=HealingRules)
 
     def __post_init__(self) -> None:
         """Check the parameters."""
@@ -107,9 +112,9 @@ class MaskedBackground:
 
     @classmethod
     def paper(cls) -> MaskedBackground:
-        """As printed: mean of the first frames, gray, held at pixels, one opening, no closing, nothing healed.
+        """Create the paper's detector: mean of the first frames, gray, hold at pixels, one opening, no healing.
 
-        Threshold, learning rate and smallest blob are not given in the paper.
+        The paper does not give threshold, learning rate and smallest blob.
         """
         return cls(
             threshold=25.0,
@@ -123,15 +128,15 @@ class MaskedBackground:
         )
 
     def initial(self, frames: ArrayLike) -> BackgroundState:
-        """The first background.
+        """Compute the first background.
 
         Args:
             frames: One frame, RGB of shape (H, W, 3) or gray of shape (H, W), uint8; or several, as an array
-                (k, H, W, 3) or a sequence: some 40 that are spaced over a minute or more, for the median, which forgets
-                people who pass; empty ones for the mean.
+                (k, H, W, 3) or a sequence: for the median about 40 frames over a minute or more, so that people who
+                pass are removed; for the mean, frames without people.
 
         Raises:
-            ValueError: No frame, frames of unlike shapes, or not such images.
+            ValueError: There is no frame, frames differ in shape, or a frame is not a valid image.
         """
         several = checked_images(frames)
         average = np.median if self.start == "median" else np.mean
@@ -144,14 +149,14 @@ class MaskedBackground:
         """Detect in a frame, then learn from it.
 
         Args:
-            state: From `initial` or the step before.
-            frame: Of the first frame's shape, uint8.
+            state: Result of `initial` or of the last `step`.
+            frame: Frame with the shape of the first one, uint8.
 
         Returns:
             State and detections.
 
         Raises:
-            ValueError: Not such an image.
+            ValueError: The frame is not a valid image, or its shape differs.
         """
         image = checked_image(frame, shape=state.rounded.shape)
         difference = self._difference(image, state.rounded)
@@ -159,12 +164,12 @@ class MaskedBackground:
         mask = self.blobs.clean(foreground)
         if 0.0 < self.faint < threshold:
             faint_runs, faint_regions = label_runs(self.blobs.clean(_above(difference, self.faint)))
-            # The mask may be the foreground itself, which `hold` wants as it is.
+            # The mask may be the foreground itself, which `hold` needs unchanged.
             mask = mask.copy() if mask is foreground else mask
             faint_boxes = measure_runs(faint_runs, faint_regions)[0]
-            add_faint_regions(mask, faint_runs, faint_boxes)
+            add_faint_regions(mask, faint_runs, faint_boxes, self.faint_rules)
             runs, regions = label_runs(mask)
-            join_by_faint_regions(runs, regions, faint_runs, faint_boxes)
+            join_by_faint_regions(runs, regions, faint_runs, faint_boxes, self.faint_rules)
         else:
             runs, regions = label_runs(mask)
         held = foreground if self.hold == "pixels" else mask
@@ -177,14 +182,14 @@ class MaskedBackground:
             runs[:, 3] = -1
         elif self.heal_every and frames % self.heal_every == 0 and regions:
             channels = image.reshape(*image.shape[:2], -1)
-            heal_regions(channels, background.reshape(channels.shape), runs, regions, threshold, 0.02 * mask.size)
+            heal_regions(channels, background.reshape(channels.shape), runs, regions, threshold, self.healing)
         if flooded:
             runs[:, 3] = -1
         sizes, found = self.blobs.find(state.sizes, runs, regions, image)
         return BackgroundState(background, _rounded(background), mask, sizes, frames, flooded), found
 
     def _difference(self, image: Image, background: Image) -> Image:
-        """How far each pixel is from the background, gray levels."""
+        """Difference of each pixel to the background, gray levels."""
         if self.color == "gray" and image.ndim == 3:
             gray, gray_background = (cv2.cvtColor(one, cv2.COLOR_RGB2GRAY) for one in (image, background))
             return np.asarray(cv2.absdiff(gray, gray_background), dtype=np.uint8)
@@ -195,7 +200,7 @@ class MaskedBackground:
         return np.asarray(difference, dtype=np.uint8)
 
     def _foreground(self, difference: Image, image: Image, background: Image) -> tuple[Image, float]:
-        """Mask of the pixels that differ (equation 5), and the threshold that was used."""
+        """Mask of the pixels that differ (equation 5), and the threshold."""
         if isinstance(self.threshold, str):
             found, _ = cv2.threshold(difference, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
             threshold = max(found + 1.0, self.least_threshold)
@@ -212,13 +217,13 @@ def _rounded(background: FloatArray) -> Image:
 
 
 def _above(difference: Image, threshold: float) -> Image:
-    """255 where the difference is at least the threshold; OpenCV's is "greater than" and works on whole numbers."""
+    """Mask of 255 where the difference is at least the threshold; OpenCV tests "greater than" on whole numbers."""
     return np.asarray(cv2.threshold(difference, math.ceil(threshold) - 1, 255, cv2.THRESH_BINARY)[1], dtype=np.uint8)
 
 
 @njit(cache=True, nogil=True)
 def _drop_shadows(mask, image, background):  # type: ignore[no-untyped-def]
-    """Take away pixels whose channels are all darker by about the same factor, from 0.4 to 0.95."""
+    """Remove pixels whose channels are all darker by about the same factor, from 0.4 to 0.95."""
     for row in range(mask.shape[0]):
         for column in range(mask.shape[1]):
             if mask[row, column] == 0:

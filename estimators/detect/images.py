@@ -1,4 +1,4 @@
-"""What a detector takes for an image, and a clear word about everything else."""
+"""Validation of detector input images."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from servotrack.estimators.types import Image
 
 
 def checked_image(image: ArrayLike, name: str = "frame", shape: tuple[int, ...] | None = None) -> Image:
-    """The image as a contiguous array, the caller's own memory where it already is one.
+    """Check an image and return it as a contiguous array, without a copy if it already is one.
 
     Args:
         image: RGB, shape (H, W, 3), or gray, shape (H, W); uint8.
-        name: What the caller calls it, for the message.
-        shape: The shape that it must have, that of the frames before it; None for any.
+        name: Name of the argument for error messages.
+        shape: Required shape, that of the earlier frames; None for any.
 
     Returns:
         Shape (H, W, 3) or (H, W), uint8.
 
     Raises:
-        ValueError: Another type or shape, an image without pixels, or a change of size.
+        ValueError: The image has another type or shape, or no pixels.
     """
     array = np.asarray(image)
     if array.dtype != np.uint8:
@@ -47,13 +47,13 @@ def checked_image(image: ArrayLike, name: str = "frame", shape: tuple[int, ...] 
 
 
 def checked_images(frames: ArrayLike | Sequence[ArrayLike]) -> list[Image]:
-    """One frame or several as a list.
+    """Check one frame or several frames and return them as a list.
 
     Args:
-        frames: One frame, as `checked_image` takes it; or several of one shape: an array (k, H, W, 3) or a sequence.
+        frames: One frame in the form of `checked_image`; or several of one shape: an array (k, H, W, 3) or a sequence.
 
     Raises:
-        ValueError: No frame, frames of unlike shapes, or not such images.
+        ValueError: There is no frame, frames differ in shape, or a frame is not a valid image.
     """
     if isinstance(frames, np.ndarray) and frames.ndim < 4:
         return [checked_image(frames, "frames")]

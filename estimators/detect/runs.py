@@ -1,4 +1,4 @@
-"""Connected regions of a mask as runs of pixels: what is sparse is cheap, and nothing the size of the image is made."""
+"""Connected regions of a mask as runs of pixels: cheap for sparse masks, without arrays of the image's size."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def label_runs(mask):  # type: ignore[no-untyped-def]
-    """Runs of a mask's pixels, joined where they touch, also at corners.
+    """Runs of a mask's pixels, labeled by connected region (8-connectivity).
 
     Args:
-        mask: Not 0 on what is looked for. Shape (H, W), uint8, rows contiguous.
+        mask: Nonzero on the foreground. Shape (H, W), uint8, rows contiguous.
 
     Returns:
-        Runs, one row each: row, first column, column after the last, number of the region; shape (n, 4), int32, in the
+        Runs, one per row: row, first column, column after the last, index of the region; shape (n, 4), int32, in the
         order of the image; and the number of regions.
     """
     height, width = mask.shape
@@ -22,7 +22,7 @@ def label_runs(mask):  # type: ignore[no-untyped-def]
     for row in range(height):
         line = mask[row]
         here = np.int64(line[0] != 0)
-        # No branch and no dependence: the compiler makes vectors of this.
+        # Without a branch or a dependence the compiler vectorizes this loop.
         for column in range(1, width):
             here += np.int64((line[column] != 0) & (line[column - 1] == 0))
         starts[row] = here
@@ -63,7 +63,7 @@ def label_runs(mask):  # type: ignore[no-untyped-def]
             runs[n, 3] = regions
             regions += 1
         else:
-            # Roots come first, so they have their number already.
+            # Roots come first, so they already have their index.
             runs[n, 3] = runs[_root(parent, n), 3]
     return runs, regions
 
@@ -81,12 +81,12 @@ def measure_runs(runs, regions):  # type: ignore[no-untyped-def]
     """Boxes, centroids and areas of regions.
 
     Args:
-        runs: As `label_runs` gives them; a negative number belongs to no region.
+        runs: Result of `label_runs`; runs with a negative index belong to no region.
         regions: Number of regions k.
 
     Returns:
-        Boxes (left, top, width, height), shape (k, 4); centroids, shape (k, 2); areas, shape (k,); all px, float64,
-        pixel i spanning i to i + 1. Zeros for a region without a pixel.
+        Boxes (left, top, width, height), shape (k, 4); centroids, shape (k, 2); areas, shape (k,); all px, float64;
+        pixel i spans i to i + 1. Zeros for a region without a pixel.
     """
     boxes, centroids, areas = np.zeros((regions, 4)), np.zeros((regions, 2)), np.zeros(regions)
     for n in range(runs.shape[0]):
@@ -107,7 +107,7 @@ def measure_runs(runs, regions):  # type: ignore[no-untyped-def]
         boxes[k, 2] -= boxes[k, 0]
         boxes[k, 3] -= boxes[k, 1]
         if areas[k] > 0.0:
-            # By name: rows as a whole bring numba's text of what cannot be broadcast, twenty megabytes of it.
+            # Entry by entry: division of a whole row compiles numba's broadcast errors, some 20 MB of code.
             centroids[k, 0] /= areas[k]
             centroids[k, 1] /= areas[k]
     return boxes, centroids, areas

@@ -1,9 +1,9 @@
-"""OpenCV's mixture and nearest-neighbor background models (MOG2, KNN) behind the same interface and the same blobs."""
+"""OpenCV's mixture and nearest-neighbor background models (MOG2, KNN) with the interface of `MaskedBackground`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -16,27 +16,38 @@ from servotrack.estimators.detect.images import checked_image, checked_images
 from servotrack.estimators.detect.runs import label_runs
 from servotrack.estimators.types import Image
 
-_SHADOW = 127  # OpenCV's value of a shadow in a mask
+_SHADOW = 127
+"""OpenCV's value of a shadow pixel in a mask."""
+
+
+class BackgroundSubtractor(Protocol):
+    """OpenCV's background model, which learns in place."""
+
+    def apply(self, image: Any, /) -> Any:
+        """Return the foreground mask of an image, shape (H, W), uint8, and learn from it."""
 
 
 class OpenCVModel:
-    """OpenCV's background model, which learns in place, and the number of frames that it was stepped through."""
+    """OpenCV's background model and the number of frames that it has learned from.
 
-    def __init__(self, subtractor: Any) -> None:
-        """Hold a model that was not stepped yet."""
+    Args:
+        subtractor: A new model.
+    """
+
+    def __init__(self, subtractor: BackgroundSubtractor) -> None:
         self.subtractor = subtractor
         self.frames = 0
 
 
 class SubtractorState(NamedTuple):
-    """What such a detector remembers.
+    """State of a `MOG2Background` or `KNNBackground`.
 
     Attributes:
-        model: Shared by all states of a sequence: only the last one can be stepped from.
-        shape: Of the frames.
-        mask: The last frame's foreground after opening and closing, 0 or 255. Shape (H, W), uint8.
-        sizes: How tall people are at each row.
-        frames: Number of frames seen.
+        model: OpenCV's model, shared by all states of a sequence: only the last state can be stepped from.
+        shape: Shape of the frames.
+        mask: Foreground of the last frame after opening and closing, 0 or 255. Shape (H, W), uint8.
+        sizes: Heights of people by row.
+        frames: Number of frames so far.
     """
 
     model: OpenCVModel
@@ -47,22 +58,22 @@ class SubtractorState(NamedTuple):
 
 
 class _Subtractor:
-    """What both have in common."""
+    """Base of the detectors with one of OpenCV's models."""
 
     blobs: BlobFinder
 
-    def _create(self) -> Any:
+    def _create(self) -> BackgroundSubtractor:
         raise NotImplementedError
 
     def initial(self, frames: ArrayLike) -> SubtractorState:
-        """A new model that has seen the given frames.
+        """Create a model and let it learn from the given frames.
 
         Args:
             frames: One frame, RGB of shape (H, W, 3) or gray of shape (H, W), uint8; or several, as an array
                 (k, H, W, 3) or a sequence.
 
         Raises:
-            ValueError: No frame, frames of unlike shapes, or not such images.
+            ValueError: There is no frame, frames differ in shape, or a frame is not a valid image.
         """
         several = checked_images(frames)
         model = OpenCVModel(self._create())
@@ -72,23 +83,23 @@ class _Subtractor:
         return SubtractorState(model, shape, np.zeros(shape[:2], np.uint8), self.blobs.initial(), 0)
 
     def step(self, state: SubtractorState, frame: ArrayLike) -> tuple[SubtractorState, Detections]:
-        """Detect in a frame and learn from it; the state before is used up, since OpenCV's model learns in place.
+        """Detect in a frame and learn from it; OpenCV's model learns in place, so the given state becomes invalid.
 
         Args:
-            state: From `initial` or the step before.
-            frame: Of the first frame's shape, uint8.
+            state: Result of `initial` or of the last `step`.
+            frame: Frame with the shape of the first one, uint8.
 
         Returns:
             State and detections.
 
         Raises:
-            ValueError: Not such an image, or a state that was stepped from before.
+            ValueError: The frame is not a valid image, or the state was stepped from before.
         """
         image = checked_image(frame, shape=state.shape)
         model = state.model
         if model.frames != state.frames:
             raise ValueError(
-                f"state is of frame {state.frames}, but its OpenCV model has gone on to frame {model.frames}; "
+                f"state is of frame {state.frames}, but its OpenCV model has learned up to frame {model.frames}; "
                 "step from the last state, or start again with initial(frame)"
             )
         mask = model.subtractor.apply(image)
@@ -108,13 +119,13 @@ class MOG2Background(_Subtractor):
     absorbs people who stand still.
 
     Args:
-        history: Frames over which it learns.
-        threshold: Squared Mahalanobis distance from which a pixel does not fit the background.
-        shadows: Whether to take away what OpenCV holds for shadows.
-        blobs: From the mask to detections.
+        history: Number of frames over which it learns. Raising it adapts more slowly.
+        threshold: Squared Mahalanobis distance from which a pixel is foreground. Raising it gives less foreground.
+        shadows: True to remove pixels that OpenCV classifies as shadow.
+        blobs: Converts the mask to detections.
 
     Raises:
-        ValueError: A parameter out of range.
+        ValueError: A parameter is out of range.
     """
 
     history: int = 500
@@ -126,7 +137,7 @@ class MOG2Background(_Subtractor):
         """Check the parameters."""
         _check(self.history, self.threshold)
 
-    def _create(self) -> Any:
+    def _create(self) -> BackgroundSubtractor:
         return cv2.createBackgroundSubtractorMOG2(self.history, self.threshold, self.shadows)
 
 
@@ -138,13 +149,14 @@ class KNNBackground(_Subtractor):
     absorbs people who stand still.
 
     Args:
-        history: Frames over which it learns.
-        threshold: Squared distance, gray levels, from which a pixel does not fit a sample.
-        shadows: Whether to take away what OpenCV holds for shadows.
-        blobs: From the mask to detections.
+        history: Number of frames over which it learns. Raising it adapts more slowly.
+        threshold: Squared distance from which a pixel does not match a sample, gray levels squared. Raising it gives
+            less foreground.
+        shadows: True to remove pixels that OpenCV classifies as shadow.
+        blobs: Converts the mask to detections.
 
     Raises:
-        ValueError: A parameter out of range.
+        ValueError: A parameter is out of range.
     """
 
     history: int = 500
@@ -156,7 +168,7 @@ class KNNBackground(_Subtractor):
         """Check the parameters."""
         _check(self.history, self.threshold)
 
-    def _create(self) -> Any:
+    def _create(self) -> BackgroundSubtractor:
         return cv2.createBackgroundSubtractorKNN(self.history, self.threshold, self.shadows)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from servotrack.estimators.detect import BlobFinder
-from servotrack.estimators.detect.bodies import body_line, learn_sizes, no_sizes
+from servotrack.estimators.detect.bodies import Cover, body_line, learn_sizes, no_sizes
 from servotrack.estimators.detect.runs import label_runs, measure_runs
 
 SHAPE = (288, 384)
@@ -81,7 +81,7 @@ def test_specks_go_and_bodies_hold_together():
 
 
 def test_heights_are_learned_by_row(taught):
-    intercept, slope = body_line(taught, SHAPE[0])
+    intercept, slope = body_line(taught, SHAPE[0], Cover())
     for foot in (130, 200, 270):
         assert intercept + slope * foot == pytest.approx(person_height(foot), rel=0.08)
 
@@ -89,8 +89,8 @@ def test_heights_are_learned_by_row(taught):
 def test_heights_are_not_learned_from_groups_or_strips(taught):
     sizes = no_sizes()
     odd = np.array([[50.0, 50.0, 60.0, 50.0], [50.0, 50.0, 4.0, 60.0], [0.0, 50.0, 16.0, 40.0]])
-    assert learn_sizes(sizes, odd, odd[:, 2] * odd[:, 3], SHAPE).counts.sum() == 0.0
-    assert body_line(sizes, SHAPE[0]) is None
+    assert learn_sizes(sizes, odd, odd[:, 2] * odd[:, 3], SHAPE, Cover()).counts.sum() == 0.0
+    assert body_line(sizes, SHAPE[0], Cover()) is None
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def test_a_state_that_is_used_up_says_so(kind):
     detector = kind()
     state = detector.initial(frame())
     detector.step(state, frame())
-    with pytest.raises(ValueError, match="state is of frame 0, but its OpenCV model has gone on to frame 1"):
+    with pytest.raises(ValueError, match="state is of frame 0, but its OpenCV model has learned up to frame 1"):
         detector.step(state, frame())
 
 
