@@ -16,8 +16,8 @@ from servotrack.baselines.worlds import RANDOM_AGENT, WORLDS, World
 from servotrack.estimators.types import Array
 
 EQUAL_SCORE = 0.02
-"""Margin of equivalence: agents share a row of the overview if the 95 % interval of the paired difference of their scores
-lies within plus or minus this in every task. Raising it folds more agents."""
+"""Margin of equivalence: agents share a row of the overview if the 95 % interval of the paired difference of their
+scores lies within plus or minus this in every task. Raising it folds more agents."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def _are_equal(task: TaskSummary, first: str, second: str) -> bool:
     if np.array_equal(a.scores, other):
         return True
     difference = statistics.bootstrap_mean(a.scores - other)
-    return -EQUAL_SCORE < difference.low and difference.high < EQUAL_SCORE
+    return max(-difference.low, difference.high) < EQUAL_SCORE
 
 
 def stamp(cells: Iterable[CellResults]) -> str:

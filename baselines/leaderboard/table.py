@@ -20,8 +20,8 @@ SIGNIFICANCE = 0.05
 PRIVILEGED_MARK = "†"
 BOUND_MARK = "× bound"
 SAME_NOTE = (
-    "Agents behind `same` are equivalent to the row's agent at every level: equal to the bit, or with the 95 % interval "
-    f"of the paired difference within ±{EQUAL_SCORE:g}."
+    "Agents behind `same` are equivalent to the row's agent at every level: equal to the bit, or with the 95 % "
+    f"interval of the paired difference within ±{EQUAL_SCORE:g}."
 )
 _COMMON_NOTE = (
     f"{PRIVILEGED_MARK} sees the truth. Brackets: 95 % intervals. Differences are paired by seed against the agent "

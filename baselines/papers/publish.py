@@ -10,8 +10,8 @@ from servotrack.baselines.papers.request import Request
 from servotrack.baselines.reporting.embed import embed
 from servotrack.baselines.reporting.figure import save_figure
 from servotrack.baselines.reporting.files import atomic_path
-from servotrack.baselines.reporting.grid import Grid, as_rich, as_sections
-from servotrack.baselines.reporting.terminal import command_line
+from servotrack.baselines.reporting.grid import Grid, as_sections
+from servotrack.baselines.reporting.terminal import command_line, print_tables
 
 
 def publish(
@@ -33,8 +33,7 @@ def publish(
         figures: Matplotlib figures, keyed by file name without suffix.
     """
     paper, output, console = request.paper, request.output, request.console
-    for title, grid in tables.items():
-        console.print(as_rich(grid, title))
+    print_tables(console, tables)
     console.print(note, style="dim")
     intro = f"Written by `{command_line()}`{scope}. {note}\n\n"
     written = [output / f"{paper.name}.md", request.claims or output / "claims.yaml"]

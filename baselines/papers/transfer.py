@@ -15,8 +15,8 @@ from servotrack.baselines.papers.gm_phd_video.experiment import Method, run_meth
 from servotrack.baselines.papers.request import Request
 from servotrack.baselines.reporting.embed import embed
 from servotrack.baselines.reporting.files import atomic_path
-from servotrack.baselines.reporting.grid import Grid, as_rich, as_sections
-from servotrack.baselines.reporting.terminal import command_line, progress_bars
+from servotrack.baselines.reporting.grid import Grid, as_sections
+from servotrack.baselines.reporting.terminal import command_line, print_tables, progress_bars
 from servotrack.estimators.types import Array
 
 DETECTORS = ("masked", "masked-paper", "mog2", "knn")
@@ -55,8 +55,7 @@ def reproduce(request: Request) -> None:
             ranked[f"yours: {sequence.name}"] = _mota(sequence)
             progress.advance(bar)
     tables = {"Rank correlation of MOTA": _correlations(ranked), "MOTA of all configurations": _ranking(ranked)}
-    for title, grid in tables.items():
-        console.print(as_rich(grid, title))
+    print_tables(console, tables)
     hint = "" if request.recordings else (
         " Without --source only rendered scenes are compared with each other. Add --source VIDEO --truth FILE for each "
         "of your sequences."

@@ -15,7 +15,8 @@ from servotrack.baselines.agents.people.catalog import DETECTORS, create_detecto
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.files import atomic_path
-from servotrack.baselines.reporting.grid import Grid, as_markdown, as_rich
+from servotrack.baselines.reporting.grid import Grid, as_markdown
+from servotrack.baselines.reporting.terminal import print_tables
 from servotrack.baselines.track_command.inputs import FileInput, Input, PixelInput
 from servotrack.baselines.track_command.offline import OFFLINE_TRACKS, write_offline
 from servotrack.baselines.track_command.painter import BoxPainter
@@ -203,7 +204,7 @@ def _score(
     grids = [score_grid(one, name) for name, one in scores.items()]
     grid = Grid(grids[0].headings, [row for one in grids for row in one.rows], grids[0].words)
     note = f"Match: {MATCH_RULES[request.match].summary}. Ratios in percent. All true boxes count, hidden ones too."
-    console.print(as_rich(grid, f"{Path(request.source).name}: {detector}"))
+    print_tables(console, {f"{Path(request.source).name}: {detector}": grid})
     console.print(note, style="dim", highlight=False)
     record = {
         "format": _FORMAT,

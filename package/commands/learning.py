@@ -14,6 +14,7 @@ from servotrack.commands.terms import (
     Results,
     Settings,
     Split,
+    TableFormat,
     console,
     env_kwargs,
     levels_of,
@@ -72,16 +73,16 @@ def agents(
             help="Document for the table of learned agents, with <!-- agents:begin --> and <!-- agents:end -->."
         ),
     ] = None,
+    table_format: TableFormat = "table",
 ) -> None:
     """List all agents, and the training cost of the learned ones."""
     from servotrack.baselines.leaderboard.agents_table import agents_grid, shipped_grid
     from servotrack.baselines.reporting.embed import embed
-    from servotrack.baselines.reporting.grid import as_markdown, as_rich
-    from servotrack.baselines.reporting.terminal import command_line
+    from servotrack.baselines.reporting.grid import as_markdown
+    from servotrack.baselines.reporting.terminal import command_line, print_tables
 
     learned = shipped_grid()
-    console().print(as_rich(agents_grid(world), "Agents"))
-    console().print(as_rich(learned, "Learned agents"))
+    print_tables(console(table_format), {"Agents": agents_grid(world), "Learned agents": learned})
     if into is not None:
         embed(f"{as_markdown(learned)}\nWritten by `{command_line()}`, from the agents' cards.", into, "agents")
 
@@ -97,19 +98,24 @@ def compare(
         Path | None,
         typer.Option(help="Document for the table, with <!-- compare:begin --> and <!-- compare:end -->."),
     ] = None,
+    table_format: TableFormat = "table",
 ) -> None:
     """Compare all training runs of a recipe with one agent. The interval resamples training runs and episodes."""
     from servotrack.baselines.evaluation.results import ResultsFolder
     from servotrack.baselines.reporting.embed import embed
-    from servotrack.baselines.reporting.terminal import command_line, progress_bars
+    from servotrack.baselines.reporting.terminal import command_line, print_tables, progress_bars
     from servotrack.baselines.training.comparison import compare as run
 
+    screen = console(table_format)
     with progress_bars() as progress:
         bar = progress.add_task("agents", total=None)
         found = run(
             runs, recipe, against, ResultsFolder(results), episodes, split, lambda: progress.update(bar, advance=1)
         )
     text = "\n".join(comparison.markdown() for comparison in found)
-    console().print(text, soft_wrap=True)
+    if screen.table_format == "table":
+        screen.print(text, soft_wrap=True)
+    else:
+        print_tables(screen, {comparison.environment: comparison.grid() for comparison in found})
     if into is not None:
         embed(f"{text}\nWritten by `{command_line()}`.", into, "compare")

@@ -9,7 +9,7 @@ import typer
 
 from servotrack.baselines.papers.reproduce import PAPERS, find_paper, reproduce_paper
 from servotrack.baselines.papers.request import Recording
-from servotrack.commands.terms import console
+from servotrack.commands.terms import TableFormat, console
 
 
 def reproduce(
@@ -50,6 +50,7 @@ def reproduce(
             "<!-- PAPER:end -->."
         ),
     ] = None,
+    table_format: TableFormat = "table",
 ) -> None:
     """Reproduce a paper: tables and figures beside the paper's own, and a verdict on each of its claims."""
     name = find_paper(paper).name
@@ -58,4 +59,4 @@ def reproduce(
     if len(truths) != len(sources):
         raise ValueError(f"--truth goes with every --source or with none, got {len(truths)} for {len(sources)}")
     recordings = [Recording(s, t) for s, t in zip(sources, truths, strict=True)]
-    reproduce_paper(name, output, runs, console(), claims, recordings, into)
+    reproduce_paper(name, output, runs, console(table_format), claims, recordings, into)

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Mapping
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from servotrack.baselines.reporting.grid import Grid
+    from servotrack.baselines.reporting.terminal import Screen
 
 DEFAULT_RESULTS = Path("results")
-PIPED_WIDTH = 190
 
 Results = Annotated[
     Path, typer.Option("--results", "-o", help="Folder of results. Finished episodes in it are not run again.")
@@ -33,51 +28,25 @@ Settings = Annotated[
 Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Number of processes. -1 uses all processors.")]
 
 
-class Format(str, Enum):
-    """Formats of printed tables."""
-
-    table = "table"
-    json = "json"
-    csv = "csv"
+TableFormat = Annotated[
+    str, typer.Option("--format", metavar="table|json|csv", help="Format of the printed tables: table, json or csv.")
+]
 
 
-TableFormat = Annotated[Format, typer.Option("--format", help="Format of the printed tables.")]
-
-
-def console() -> Console:
-    """Return the console for command output. When piped it is 190 columns wide, so that table rows do not wrap."""
-    from rich.console import Console
-
-    console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=PIPED_WIDTH)
-
-
-def print_tables(tables: Mapping[str, Grid], table_format: Format = Format.table) -> None:
-    """Print tables to stdout.
+def console(table_format: str = "table") -> Screen:
+    """Return the console of a command.
 
     Args:
-        tables: Grids by their titles.
-        table_format: `table` for people; `json` prints one object with a list of rows per title; `csv` prints all rows
-            with the title in the first column.
+        table_format: `table` for people. With `json` or `csv`, stdout holds the tables alone.
+
+    Raises:
+        ValueError: Another format.
     """
-    from servotrack.baselines.reporting.grid import as_csv, as_json, as_rich
+    from servotrack.baselines.reporting.terminal import Format, Screen
 
-    if table_format is Format.json:
-        typer.echo(as_json(tables))
-    elif table_format is Format.csv:
-        typer.echo(as_csv(tables), nl=False)
-    else:
-        for title, grid in tables.items():
-            console().print(as_rich(grid, title))
-
-
-def print_notes(*lines: str, table_format: Format = Format.table, style: str | None = None) -> None:
-    """Print notes and paths below tables; to stderr where stdout holds JSON or CSV."""
-    from rich.console import Console
-
-    screen = console() if table_format is Format.table else Console(stderr=True, highlight=False)
-    for line in lines:
-        screen.print(line, soft_wrap=True, style=style, markup=False)
+    if table_format not in list(Format):
+        raise ValueError(f"--format must be one of {', '.join(Format)}, got {table_format!r}")
+    return Screen(Format(table_format))
 
 
 def words(text: str) -> list[str]:

@@ -10,6 +10,7 @@ import typer
 from servotrack.commands.terms import (
     Level,
     Settings,
+    TableFormat,
     console,
     env_kwargs,
 )
@@ -65,6 +66,7 @@ def track(
     ] = False,
     video: Annotated[bool, typer.Option(help="Write the annotated video tracks.mp4.")] = True,
     show_truth: Annotated[bool, typer.Option("--show-truth", help="Draw the true boxes into the video, too.")] = False,
+    table_format: TableFormat = "table",
 ) -> None:
     """Track people in a real sequence; write MOTChallenge tracks, an annotated video and, with --truth, scores."""
     from servotrack.baselines.track_command.command import TrackRequest, run_command
@@ -85,7 +87,7 @@ def track(
         video,
         show_truth,
     )
-    code = run_command(request, console())
+    code = run_command(request, console(table_format))
     if code:
         raise typer.Exit(code)
 
