@@ -1,4 +1,4 @@
-"""A small world in two correct forms, single and vector, with a switch for every fault that the checkers must find."""
+"""A small single and vector environment, with a switch for every fault that the checkers must find."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def advance(state: Any, action: Any, push: float) -> Any:
 
 
 class CounterVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
-    """N of them; `fault` names what is wrong, None for nothing."""
+    """N counters with the named fault, or None."""
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
 
@@ -76,8 +76,8 @@ class CounterVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             for generator in self.generators:
                 generator.random()
         self.started = True
-        told = np.ones_like(chosen) if self.fault == "infos of all after a mask" else chosen
-        return self._observations(), self._infos(told)
+        included = np.ones_like(chosen) if self.fault == "infos of all after a mask" else chosen
+        return self._observations(), self._infos(included)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         assert self.started, "call reset() first"

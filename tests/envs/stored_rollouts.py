@@ -1,4 +1,4 @@
-"""Rollouts that are stored beside their test: reading, storing, and the same bits from another process."""
+"""Stored rollouts: reading, writing, and hashes from another process."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Rollout = Callable[[Any], Mapping[str, Any]]
 
 
 def stored_rollout(file: Path, case: Any) -> dict[str, Any]:
-    """What is stored of a case, by quantity."""
+    """Return the stored arrays of a case, by quantity."""
     with np.load(file) as stored:
         return {name.split("/")[1]: stored[name] for name in stored if name.startswith(f"{case}/")}
 
@@ -23,7 +23,7 @@ def stored_rollout(file: Path, case: Any) -> dict[str, Any]:
 def assert_as_stored(
     file: Path, case: Any, history: Mapping[str, Any], images: Iterable[str] = (), tolerance: float = 1e-6
 ) -> None:
-    """A rollout comes out as it is stored: numbers to a relative tolerance, images to a mean difference below 1."""
+    """Compare a rollout with the stored one: numbers to a relative tolerance, images to a mean difference below 1."""
     stored = stored_rollout(file, case)
     assert stored.keys() == history.keys()
     for name, values in history.items():
@@ -34,7 +34,7 @@ def assert_as_stored(
 
 
 def digests(rollout: Rollout, cases: Iterable[Any]) -> list[str]:
-    """A hash of all bits of each case."""
+    """Hash all bits of each case."""
     found = []
     for case in cases:
         sha = hashlib.sha256()
@@ -45,13 +45,13 @@ def digests(rollout: Rollout, cases: Iterable[Any]) -> list[str]:
 
 
 def digests_elsewhere(script: str) -> list[str]:
-    """The hashes that a test file prints when it is run with --digests in a process of its own."""
+    """Return the hashes that a test file prints when run with --digests in another process."""
     out = subprocess.run([sys.executable, script, "--digests"], capture_output=True, text=True, check=True, timeout=300)
     return out.stdout.split()
 
 
 def print_or_store(file: Path, rollout: Rollout, cases: Iterable[Any]) -> None:
-    """What a test file does as a script: with --digests print the hashes, else store all anew."""
+    """Main function of a test file: with --digests print the hashes, else write the stored rollouts anew."""
     if "--digests" in sys.argv:
         print("\n".join(digests(rollout, cases)))
         return

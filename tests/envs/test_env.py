@@ -1,4 +1,4 @@
-"""The single environments as Gymnasium and Stable-Baselines3 see them, and what bad input is told."""
+"""Single environments: checks of Gymnasium and Stable-Baselines3, and error messages for invalid input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The following world keeps the rules of Gymnasium and Stable-Baselines3, single and vector."""
+"""PedestrianServo follows the rules of Gymnasium and Stable-Baselines3, single and vector."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_stable_baselines3s_checker_is_content(keywords):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # Advice for its own networks: that they want larger images, and cannot read a table.
+        # Warnings about its own networks, which need larger images and do not accept tables.
         warnings.filterwarnings("ignore", message="The minimal resolution for an image is 36x36")
         warnings.filterwarnings("ignore", message="Your observation detections has an unconventional shape")
         checker.check_env(gym.make(ENV_ID, horizon=30, **keywords))
@@ -48,16 +48,16 @@ def test_vector_environment_is_the_single_one_to_the_bit(keywords):
     check_vector_matches_single(ENV_ID, horizon=8, **keywords)
 
 
-def test_what_oracles_are_told():
+def test_privileged_observations_of_oracles():
     env = PrivilegedObservation(gym.make(ENV_ID, level=0))
     observation, _ = env.reset(seed=3)
     assert observation in env.observation_space
     left, top, width, height = observation["target_box"]
     np.testing.assert_allclose(observation["true_people"][0, 1:5], [left + width / 2, top + height / 2, width, height])
     vector = VectorPrivilegedObservation(gym.make_vec(ENV_ID, 2, vectorization_mode="vector_entry_point"))
-    told, _ = vector.reset(seed=0)
-    assert told["true_people"].shape == (2, 6, 8)
-    assert told["true_jacobian"].shape == (2, 2, 3)
+    observations, _ = vector.reset(seed=0)
+    assert observations["true_people"].shape == (2, 6, 8)
+    assert observations["true_jacobian"].shape == (2, 2, 3)
 
 
 @pytest.mark.parametrize(

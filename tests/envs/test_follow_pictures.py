@@ -1,4 +1,4 @@
-"""The camera over the crowd and its pictures for people: who is drawn where, when, and that nothing else decides it."""
+"""The camera over the crowd and its pictures: positions and times of drawn people, and determinism."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def without_crowd(world, size=240):
 
 
 def moved(world, places):
-    """Put everybody somewhere and let them stay there."""
+    """Put all people at these places, at rest."""
     world.people[..., 2:] = 0.0
     world.people[..., :2] = places
 
@@ -87,7 +87,7 @@ def test_people_are_drawn_where_the_detector_s_truth_says(level):
         rows, columns = np.nonzero(drawn)
         # Arms and feet swing to and fro about the middle.
         np.testing.assert_allclose([columns.mean() + 0.5, rows.mean() + 0.5], [u, v], atol=2.0)
-        # A stride reaches beyond the shoulders' box, and nobody fills it.
+        # A stride reaches beyond the shoulders' box, and a person does not fill it.
         assert 0.4 * width * height < drawn.sum() < 1.5 * width * height
     assert found >= 4
 
@@ -141,12 +141,12 @@ def test_a_lampshade_covers_who_is_under_it():
     under = picture(world)
     moved(world, lamp[:2] + np.array([0.0, lamp[2] + 0.6]))
     beside = picture(world)
-    # The tips of their feet may show.
+    # The tips of the feet may be visible.
     shown = [(image != empty).any(axis=-1).sum() for image in (under, beside)]
     assert shown[0] < 0.1 * shown[1]
 
 
-def test_shadows_darken_the_floor_and_only_where_somebody_is():
+def test_shadows_darken_the_floor_only_near_people():
     lit, dark = (picture(world_of(100_004, level=0, shadows=shadows)).astype(int) for shadows in (0.0, 0.8))
     change = (lit - dark).sum(axis=-1)
     assert (change >= 0).all()
@@ -224,7 +224,7 @@ def test_pictures_for_people_show_what_they_are_given_and_disturb_nothing():
         assert not ERROR_PANEL.of(changed).any()
 
 
-def test_the_distance_s_plot_tells_of_whom_the_tool_is_with():
+def test_the_plot_of_distances_marks_wrong_and_lost_persons():
     world = world_of(100_007)
     recorder = Recorder(world)
     recorder.record()

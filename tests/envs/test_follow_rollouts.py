@@ -1,4 +1,4 @@
-"""Short stored rollouts of the following world: nobody changes it by accident.
+"""Short stored rollouts of PedestrianServo: a change of behavior fails here.
 
 A change of behavior means a new version of the id. Where one is meant, `python tests/envs/test_follow_rollouts.py`
 stores them anew.

@@ -1,4 +1,4 @@
-"""The crowd under the arm: who walks, who is detected, and who counts as followed."""
+"""The crowd under the arm: motion, detections, and scores of following."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def over_the_person(world: FollowWorld, row: int = 0) -> np.ndarray:
     return np.clip(wanted / world.config.max_joint_rate, -1.0, 1.0)[None]
 
 
-def test_the_arm_can_follow_the_person_and_nobody_walks_through_anybody():
+def test_the_arm_can_follow_the_person_and_people_do_not_overlap():
     for seed in SEEDS:
         episode = draw_follow_episode(follow_config(2), seed)
         path = episode.path

@@ -1,4 +1,4 @@
-"""Every layout that is dealt can be solved."""
+"""Every drawn layout can be solved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ladder and its axes: what a level adds, and what bad arguments are told."""
+"""Levels of difficulty: settings that each level adds, and error messages for invalid arguments."""
 
 from __future__ import annotations
 

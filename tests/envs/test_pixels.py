@@ -1,4 +1,4 @@
-"""UncalibServoPixels: the image shows what the camera model says, when it says, and nothing else decides a pixel."""
+"""UncalibServoPixels: images agree with the camera model in space and time, and are deterministic."""
 
 from itertools import pairwise
 
@@ -28,7 +28,7 @@ def rollout(steps=12, seed=11, **arguments):
 
 
 def redness(image):
-    """Sum of what is redder than any floor, and its centroid: deliberately not the package's own detector."""
+    """Sum and centroid of pixels redder than any floor, independent of the package's own detector."""
     excess = image[..., 0].astype(float) - image[..., 1:].max(axis=-1)
     weights = np.where(excess > 50, excess, 0.0)
     rows, columns = np.mgrid[: len(image), : len(image)] + 0.5

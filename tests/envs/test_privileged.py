@@ -1,4 +1,4 @@
-"""Wrappers that add the truth, and what the truth is good for."""
+"""Wrappers that add the ground truth, and oracles that use it."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_the_true_jacobian_is_that_of_differences(level: int) -> None:
 
 @pytest.mark.parametrize("level", [1, 2, 3])
 def test_an_oracle_solves_nearly_every_layout(level: int) -> None:
-    """Steer by the true Jacobian on noisy features: what no estimator is needed for has to be possible."""
+    """Steer with the true Jacobian on noisy features: without estimation errors the task must be solvable."""
     count, gain, period = 64, 4.0, 0.05
     env = VectorPrivilegedObservation(gym.make_vec("UncalibServo-v0", num_envs=count, level=level))
     observation, _ = env.reset(seed=list(range(100_000, 100_000 + count)))

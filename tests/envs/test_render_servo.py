@@ -1,4 +1,4 @@
-"""Pictures of the servo world: what they show, that they repeat, and that drawing disturbs nothing."""
+"""Pictures of UncalibServo: their contents, determinism, and no effect on the episode."""
 
 import sys
 from dataclasses import replace

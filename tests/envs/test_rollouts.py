@@ -1,4 +1,4 @@
-"""Short stored rollouts of every servo id: nobody changes an environment by accident.
+"""Short stored rollouts of every servo id: a change of behavior fails here.
 
 A change of behavior means a new version of the id. Where one is meant, `python tests/envs/test_rollouts.py` stores them
 anew.
@@ -42,7 +42,7 @@ def actions() -> Any:
 
 
 def rollout(env_id: str, level: int) -> dict[str, Any]:
-    """Everything that comes back, one array (STEPS + 1, ...) for each quantity."""
+    """All returned values, one array (STEPS + 1, ...) for each quantity."""
     env = gym.make(env_id, disable_env_checker=True, **arguments(env_id, level))
     observation, info = env.reset(seed=SEED)
     rows = [observation | {"reward": 0.0, "tracking_error": info["tracking_error"]} | info["truth"]]
@@ -67,7 +67,7 @@ def all_digests() -> list[str]:
 
 
 def store() -> None:
-    """Write the rollouts of the environments as they are now."""
+    """Write the rollouts of the current environments."""
     arrays = {}
     for env_id, level in WORLDS:
         for name, values in rollout(env_id, level).items():

@@ -1,4 +1,4 @@
-"""Randomness: each quantity has a stream of its own, and agents cannot shift it."""
+"""Randomness: each quantity has its own stream, independent of the agent's actions."""
 
 from __future__ import annotations
 

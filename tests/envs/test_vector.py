@@ -1,4 +1,4 @@
-"""The vector environments: our own checkers, bits at larger N, seeds, masks, and bad input."""
+"""Vector environments: the checkers, bit-identity at larger N, seeds, masks, and invalid input."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_gymnasium_makes_it_by_default() -> None:
     assert env.unwrapped.max_joint_rate == 2.0
 
 
-def test_generators_of_sub_environments_are_told() -> None:
+def test_generators_and_seeds_of_sub_environments_are_reported() -> None:
     env = gym.make_vec("UncalibServo-v0", num_envs=3)
     env.reset(seed=[4, 5, 9])
     assert env.unwrapped.np_random_seed == (4, 5, 9)
@@ -136,7 +136,7 @@ def test_a_first_reset_by_mask_is_refused() -> None:
         env.reset(options={"reset_mask": np.array([True, False, True])})
 
 
-def test_an_ended_episode_has_to_be_reset_where_nobody_else_does() -> None:
+def test_an_ended_episode_has_to_be_reset_by_the_caller() -> None:
     env = gym.make_vec(
         "UncalibServo-v0", num_envs=3, level=0, horizon=1, warmup=0, autoreset_mode=AutoresetMode.DISABLED
     )

@@ -1,4 +1,4 @@
-"""The servo world's physics, time and score."""
+"""Physics, time and score of the servo world."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from servotrack.estimators.camera import project_points
 
 
 def test_strong_motors_follow_the_commanded_rates() -> None:
-    """A motor obeys one substep late; for the rest, the joints are the integral of their rates, over 10 s."""
+    """A motor reacts one substep late; otherwise, the joints are the integral of their rates, over 10 s."""
     arm = ArmSpace(ServoConfig(), 1)
     arm.reset(0, np.array([0.5, 0.5]))
     wanted, late, drift = START.copy(), PERIOD / 5, 0.0
@@ -78,7 +78,7 @@ def test_a_reset_leaves_the_other_arms_their_bits() -> None:
 
 
 def test_rows_that_wait_for_their_reset_are_not_observed() -> None:
-    """Their tables have ended: a step that counts them would read beyond."""
+    """The tables of these rows have ended: a step that counts them would read beyond the end."""
     world = ServoWorld(servo_config(4, horizon=5), 2)
     world.reset([0, 1], [0, 1])
     for _ in range(5):
@@ -167,7 +167,7 @@ def test_an_episode_terminates_after_20_samples_out_of_view() -> None:
 
 
 def test_samples_out_of_view_are_counted_anew_after_a_reset() -> None:
-    """A given layout is not rejected: with this lens the paper's target starts out of view."""
+    """A fixed layout is not rejected, although with this lens the paper's target starts out of view."""
     world = ServoWorld(servo_config(0, focal=2000.0), 1)
     for _ in range(2):
         world.reset([0], [0])
