@@ -27,9 +27,9 @@ from servotrack.envs.registration import ENVIRONMENTS
 
 FOLDER = Path(__file__).parent / "environments"
 IMAGES = Path(__file__).parent / "images"
-ANIMATION_WIDTH = 560
+ANIMATION_WIDTH = 520
 """Width of an animation, px. Wider animations make larger files."""
-ANIMATION_QUALITY = 50
+ANIMATION_QUALITY = 40
 """Quality of an animation's frames, 0 to 100."""
 
 
@@ -84,9 +84,9 @@ ANIMATIONS = {
     "UncalibServo-v0": Animation({"level": 3}, "lifted-kf", frames=72),
     "UncalibServoReach-v0": Animation({"level": 3}, "lifted-kf", frames=50, every=2),
     "UncalibServoPixels-v0": Animation({"level": 3}, "lifted-kf", frames=72),
-    "PedestrianServo-v0": Animation({"level": 2}, "phd-servo", frames=72),
+    "PedestrianServo-v0": Animation({"level": 2}, "phd-servo", frames=50),
     "ClutterTracking-v0": Animation({}, "pmb", first=20, frames=60, every=1, duration=120),
-    "PedestrianTracking-v0": Animation({"level": 1}, "pmb", first=40, frames=48, every=4, duration=140),
+    "PedestrianTracking-v0": Animation({"level": 1}, "pmb", first=40, frames=40, every=5, duration=160),
     "ColorTracking-v0": Animation({"level": 2}, "monte-carlo-color-plus", frames=60, every=3, duration=120),
     "SonarTracking-v0": Animation({"level": 1}, "hmm-row", frames=58, every=1, duration=150),
     "VideoTracking-v0": Animation({}, "pmb", frames=29, every=2, duration=120),

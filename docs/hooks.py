@@ -1,6 +1,6 @@
-"""MkDocs hooks: formulas become MathML while the site is built, and the site gets the pages of the checkout's root.
+"""MkDocs hooks: formulas as MathML, pages from the checkout's root, and names for the theme's landmarks.
 
-Formulas stand between dollar signs in the Markdown files. MathML needs no script and no font from another host.
+Formulas are TeX in the Markdown files. MathML needs no script and no font from another host.
 """
 
 from __future__ import annotations
@@ -19,6 +19,14 @@ ROOT_PAGES = {"contributing.md": "CONTRIBUTING.md", "changelog.md": "CHANGELOG.m
 
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
 
+_TEST_COMMENT = re.compile(r"^<!-- (?:(?:check|file): .*?|run) -->\n", re.DOTALL | re.MULTILINE)
+_UNNAMED_DIALOG = '<div class="md-search" data-md-component="search" role="dialog">'
+_NAVIGATION = re.compile(
+    r'(<nav class="md-nav" data-md-level="\d+") aria-labelledby="[^"]*"(?: aria-expanded="\w+")?'
+    r'(>\s*<label class="md-nav__title" for="[^"]*">\s*<span class="md-nav__icon md-icon"></span>\s*)'
+    r"([^<]*?)(\s*</label>)"
+)
+
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages of the checkout's root, their links rewritten for the site."""
@@ -29,9 +37,20 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Leave out the comments that the tests read."""
+    return _TEST_COMMENT.sub("", markdown)
+
+
 def on_page_content(html: str, **_: Any) -> str:
     """Replace formulas by MathML."""
     return _FORMULA.sub(_mathml, html)
+
+
+def on_post_page(output: str, **_: Any) -> str:
+    """Name the theme's search dialog and its nested navigation for screen readers."""
+    output = output.replace(_UNNAMED_DIALOG, _UNNAMED_DIALOG[:-1] + ' aria-label="Search">')
+    return _NAVIGATION.sub(r'\1 aria-label="Pages: \3"\2\3\4', output)
 
 
 def _mathml(match: re.Match[str]) -> str:
