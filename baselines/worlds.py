@@ -217,8 +217,8 @@ def public_attribute(env: Any, name: str) -> Any:
     """Value of an environment's public attribute, None where it has none.
 
     Args:
-        env: A Gymnasium environment or vector environment, wrapped or not. Gymnasium's own vector environments are
-            asked for the attribute of their first sub-environment.
+        env: A Gymnasium environment or vector environment, wrapped or not. Of Gymnasium's own vector
+            environments, the first sub-environment is read.
         name: Name of the attribute, such as "scene_model" or "max_joint_rate".
     """
     inner = env.unwrapped

@@ -1,4 +1,4 @@
-"""The main job: agents x environments x seeds, in parallel, resumable, and then the leaderboard."""
+"""Suites of cells (agents x environments x seeds), evaluated in parallel and resumable."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def suite_of(
 
 
 def _has_network(name: str, env_id: str, kwargs: Mapping[str, Any]) -> bool:
-    """Whether an agent can act in an environment: a learned one needs a network that was trained at its level."""
+    """Return True if an agent can act in an environment: a learned one needs a network trained at its level."""
     trained_in = agent_card(name).trained_in
     level = {key: kwargs[key] for key in ("level",) if key in kwargs}
     return trained_in is None or describe_environment(env_id, level) in trained_in
@@ -158,12 +158,12 @@ def run_suite(
     Compute time per step is measured afterwards, one agent at a time, when the processors are free.
 
     Args:
-        cells: What to evaluate.
-        folder: Where results are resumed from and saved to.
+        cells: Cells to evaluate.
+        folder: Results folder. Finished cells in it are skipped.
         episodes: Per cell.
         split: Seeds to take: "test", or "tune" while anything is still being chosen.
         jobs: Processes, as in joblib; -1 for all processors.
-        progress: Where to show bars.
+        progress: Progress display for the bars.
 
     Raises:
         ValueError: Bad arguments.
@@ -201,14 +201,14 @@ def _evaluated(
 
 
 def _evaluate_cell(cell: Cell, folder: ResultsFolder, seeds: list[int], record: dict[str, Any]) -> None:
-    """Runs in a worker process, which has to register the ids first and whose own command line says nothing."""
+    """Run one cell in a worker process. Workers must register the ids first, and have no command line of their own."""
     import servotrack  # noqa: F401
 
     evaluate(cell.env_id, cell.agent, seeds, cell.env_kwargs, folder=folder, timing=False, record=record)
 
 
 def _measure_times(cells: Sequence[Cell], folder: ResultsFolder, seeds: list[int], progress: Progress | None) -> None:
-    """Once per agent and id, in the cell in the middle of the suite: the time does not depend on the level."""
+    """Measure compute times once per agent and id, in the middle cell of the suite: they do not depend on the level."""
     by_agent: dict[tuple[str, str], list[Cell]] = {}
     for cell in cells:
         by_agent.setdefault((cell.env_id, cell.agent), []).append(cell)

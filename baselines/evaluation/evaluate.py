@@ -1,4 +1,4 @@
-"""Run an agent for one episode per seed and write down what happened, without giving it anything but observations."""
+"""Evaluation of an agent: one episode per seed. The agent gets observations only."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def evaluate(
         agent: A registered name, "name+law", "module:callable", or a card.
         seeds: Environment seeds, all different; see `servotrack.baselines.evaluation.seeds`.
         env_kwargs: Arguments of the environment.
-        folder: Where to resume from and save to; None keeps everything in memory.
+        folder: Results folder to resume from and save to. None keeps everything in memory.
         chunk: Episodes that run side by side.
-        timing: Whether to measure the compute time per step, in a pass of its own, unbatched.
+        timing: True to measure the compute time per step, in a separate pass, unbatched.
         on_episodes: Called with the number of episodes that were just finished (or found finished).
         record: Provenance to write down; None for that of this process.
 
@@ -102,7 +102,7 @@ def make_vector(env_id: str, count: int, env_kwargs: Mapping[str, Any], *, privi
 
 
 def _takes_seed_lists(env_id: str) -> bool:
-    """Whether the id has a vector environment with one seed per row; Gymnasium's own take a single number only."""
+    """Return True if the id has a vector environment with one seed per row; Gymnasium's own take a single seed."""
     return str(gym.spec(env_id).vector_entry_point).startswith("servotrack.")
 
 
@@ -117,11 +117,11 @@ def make_single(env_id: str, env_kwargs: Mapping[str, Any], *, privileged: bool 
 
 
 def show_belief(env: Any, state: Any) -> None:
-    """Tell a world's picture where an agent of one environment believes its target to be, where both have a say in it.
+    """Draw the believed target position of an agent, where the environment and the agent both support it.
 
     Args:
         env: One environment; those with an attribute `belief` draw it.
-        state: What the agent's `predict` returned; a `belief` in it has a leading axis of one.
+        state: State from the agent's `predict`. A `belief` in it has a leading axis of one.
     """
     belief = getattr(state, "belief", None)
     if belief is not None and hasattr(env.unwrapped, "belief"):

@@ -1,7 +1,8 @@
 """Results on disk: one JSON file per (environment with its arguments, agent), with provenance, and never an aggregate.
 
 A file is written under a temporary name in the same folder and then renamed, so that a reader or a killed writer never
-leaves half a file. Rows are episodes; whoever wants a mean computes it (`servotrack.baselines.evaluation.statistics`).
+leaves half a file. Rows are episodes. Aggregates are never stored;
+`servotrack.baselines.evaluation.statistics` computes them.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ class CellResults:
         env_id: Gymnasium id.
         env_kwargs: Arguments of the environment.
         agent: Name of the agent.
-        card: What the agent may know and what it cost: `information`, `requires`, `tuning_steps`, `summary`.
+        card: Information and cost of the agent: `information`, `requires`, `tuning_steps`, `summary`.
         max_steps: Steps of a full episode.
         rows: One dictionary per episode; `seed` is the key.
         step_seconds: Durations of single `predict` calls from a pass of its own, unbatched; empty if not measured.
@@ -102,7 +103,7 @@ class ResultsFolder:
         temporary_in(self.path, "").unlink()
 
     def file_of(self, env_id: str, env_kwargs: Mapping[str, Any], agent: str) -> Path:
-        """Where a cell lies."""
+        """Return the path of a cell's file."""
         return self.path / _file_name(describe_environment(env_id, env_kwargs)) / f"{_file_name(agent)}.json"
 
     def save(self, cell: CellResults) -> Path:

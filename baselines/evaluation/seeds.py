@@ -14,7 +14,7 @@ def take(split: str, count: int, first: int = 0) -> list[int]:
 
     Args:
         split: "train", "tune" or "test".
-        count: How many, at least 1.
+        count: Number of seeds, at least 1.
         first: Offset inside the split, at least 0.
 
     Raises:

@@ -85,8 +85,8 @@ def paired_difference(
     Args:
         values: One number per episode. Shape (k,).
         reference: The reference agent's numbers on the same seeds in the same order. Shape (k,).
-        confidence: Of the percentile bootstrap interval.
-        resamples: Of the bootstrap and of the permutation test.
+        confidence: Confidence of the percentile bootstrap interval.
+        resamples: Number of resamples of the bootstrap and of the permutation test.
 
     Returns:
         The mean difference, its interval, and the two-sided p-value of the sign-flip test for a mean of zero.
@@ -115,8 +115,8 @@ def crossed_difference(
     Args:
         values: One number per training run and episode. Shape (runs, k).
         reference: The reference agent's numbers on the same seeds in the same order. Shape (k,).
-        confidence: Of the percentile interval.
-        resamples: Of the bootstrap.
+        confidence: Confidence of the percentile interval.
+        resamples: Number of bootstrap resamples.
 
     Raises:
         ValueError: Fewer than two runs, different lengths, empty or not finite.
@@ -154,9 +154,9 @@ def stratified_interquartile_mean(
     Source: R. Agarwal et al., Deep reinforcement learning at the edge of the statistical precipice, NeurIPS 2021.
 
     Args:
-        tasks: For every task the scores of its episodes.
-        confidence: Of the percentile interval.
-        resamples: Of the bootstrap.
+        tasks: Scores of the episodes, one array per task.
+        confidence: Confidence of the percentile interval.
+        resamples: Number of bootstrap resamples.
     """
     samples = [_sample(task, f"tasks[{i}]") for i, task in enumerate(tasks)]
     if not samples:

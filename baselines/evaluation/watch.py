@@ -33,10 +33,10 @@ def film_episode(
 
     Args:
         env_id: Gymnasium id with `rgb_array` rendering.
-        agent: What `create_agent` takes.
+        agent: Agent as `create_agent` takes it.
         path: Ends in .webm, .mp4 or .avi.
         env_kwargs: Arguments of the environment.
-        seed: Of the episode.
+        seed: Seed of the episode.
 
     Returns:
         Number of frames.

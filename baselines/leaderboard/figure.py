@@ -43,7 +43,7 @@ def draw_levels(tasks: Sequence[TaskSummary]) -> Figure:
     """Mean score against level, one line per agent with its interval shaded, beside a key that gives the success rates.
 
     Args:
-        tasks: What `level_tasks` returns, at least one.
+        tasks: Tasks of `level_tasks`, at least one.
 
     Raises:
         ValueError: No tasks.

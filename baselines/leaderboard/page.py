@@ -35,7 +35,7 @@ def html_page(tasks: Sequence[TaskSummary], command: str, figure: str | None, vi
 
     Args:
         tasks: From `summarize`.
-        command: What the page says it was written by.
+        command: Command that the page names as its origin.
         figure: Path of the figure beside the page.
         video: Path of a film beside the page.
     """

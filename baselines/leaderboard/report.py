@@ -20,8 +20,8 @@ def write_report(tasks: Sequence[TaskSummary], folder: Path, command: str, video
 
     Args:
         tasks: From `summarize`.
-        folder: Where to.
-        command: What the tables say they were written by.
+        folder: Output folder.
+        command: Command that the tables name as their origin.
         video: A film inside `folder` for the page to show.
 
     Returns:

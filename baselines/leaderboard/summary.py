@@ -26,9 +26,9 @@ class AgentSummary:
 
     Attributes:
         agent: Name.
-        information: What it was told.
-        privileged: Whether it saw the truth.
-        episodes: How many episodes the row stands on.
+        information: Information class: what the agent may know.
+        privileged: True if it saw the truth.
+        episodes: Number of episodes.
         mean_return: Over episodes.
         success: Rate with Wilson's interval.
         steady: Mean steady error, m.
@@ -39,9 +39,9 @@ class AgentSummary:
         seeds: Seeds of the episodes.
         measures: Means over episodes of the world's measures, by column, in the rows' units.
         difference: The world's headline measure minus the reference's, paired by seed.
-        adjusted_p: Its p-value after Holm's correction over the task's table.
+        adjusted_p: P-value of the difference after Holm's correction over the task's table.
         step_seconds: Median compute time of one step, s.
-        tuning_steps: Environment steps spent on tuning or training; None where nobody counted them.
+        tuning_steps: Environment steps spent on tuning or training; None where they were not counted.
     """
 
     agent: str
@@ -158,7 +158,7 @@ def overall(tasks: Sequence[TaskSummary]) -> list[OverallSummary]:
 def fold_equal(
     tasks: Sequence[TaskSummary], ranked: Sequence[OverallSummary]
 ) -> list[tuple[OverallSummary, list[str]]]:
-    """Gather agents that cannot be told apart, so that they share a row.
+    """Gather equivalent agents, so that they share a row.
 
     An agent joins one above it of the same information class if in every task their scores are equal to the bit, or the
     95 % interval of their paired difference lies within plus or minus `EQUAL_SCORE`.

@@ -1,4 +1,4 @@
-"""The leaderboard in words: tables for the terminal (Rich) and for documents (Markdown), from the same cells."""
+"""Tables of the leaderboard, for the terminal, for documents and for programs."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def markdown_overview(
 
     Args:
         tasks: From `summarize`.
-        command: What the tables say they were written by.
+        command: Command that the tables name as their origin.
         details: True to append every task's own table, under a heading of the third level.
         results_stamp: Digest of the results (`summary.stamp`), which the figure of the same results carries too.
     """
@@ -199,7 +199,7 @@ def markdown_report(tasks: Sequence[TaskSummary], command: str) -> str:
 
 
 def caveat(task: TaskSummary) -> str:
-    """What a reader of a task's table has to know first; empty where there is nothing."""
+    """Return the caveat that stands above a task's table, "" for none."""
     if not task.deterministic:
         return ""
     return (

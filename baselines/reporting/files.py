@@ -54,10 +54,10 @@ def read_document(path: Path, kind: str, version: int, otherwise: str, remedy: s
 
     Args:
         path: The file.
-        kind: What its `format` has to be.
-        version: What its `format_version` has to be.
-        otherwise: What it is where `format` is another.
-        remedy: What to do about a file that is not usable.
+        kind: Required value of `format`.
+        version: Required value of `format_version`.
+        otherwise: Description of a file of another format, for the error message.
+        remedy: Remedy for an unusable file, for the error message.
 
     Raises:
         ResultsError: The file is unreadable, corrupt, foreign or of another format version.

@@ -17,7 +17,7 @@ class Grid(NamedTuple):
     Attributes:
         headings: One per column.
         rows: Cells.
-        words: How many columns from the left hold words and not numbers.
+        words: Number of columns from the left that hold words; the others hold numbers.
     """
 
     headings: list[str]
@@ -46,8 +46,8 @@ def as_sections(grids: Mapping[str, Grid], heading: str) -> str:
     """Tables under their titles as Markdown.
 
     Args:
-        grids: By their titles.
-        heading: What begins a title, "##" for example.
+        grids: Grids by their titles.
+        heading: Prefix of a title, such as "##".
     """
     return "\n".join(f"{heading} {title}\n\n{as_markdown(grid)}" for title, grid in grids.items())
 

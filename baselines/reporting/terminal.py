@@ -60,7 +60,7 @@ def print_tables(console: Console, tables: Mapping[str, Grid]) -> None:
     """Print tables in the format of the screen; another console prints them for people.
 
     Args:
-        console: Where to print.
+        console: Console of the command.
         tables: Grids by their titles. JSON is one object with a list of rows per title; CSV has the title in the first
             column.
     """
