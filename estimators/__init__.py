@@ -1,1 +1,1 @@
-"""Algorithms: arrays in, arrays out; they know no world."""
+"""Estimators: pure functions from arrays to arrays, independent of Gymnasium and of the environments."""

@@ -1,15 +1,15 @@
-"""A camera that rides on a planar two-link arm and looks down on the plane of its targets (paper 002, section 3.1).
+"""Camera model on a planar two-link arm, looking down on the plane of its targets (paper 002, section 3.1).
 
-The camera sits at the tool, `depth` above the plane. Its x axis runs along the second link turned by the mounting
-angle psi, y and z are flipped, so that with phi = theta1 + theta2 + psi a ground point p appears, before tilt, at
+The camera is at the tool, `depth` above the plane. Its x axis is the direction of the second link rotated by the
+mounting angle psi; y and z are flipped. With phi = theta1 + theta2 + psi a ground point p appears, before tilt, at
 
     q = (F R(phi)^T (p - p_tool), depth),  F = diag(1, -1).
 
-A small rotation Rx(tilt_x) Ry(tilt_y) tilts the optical axis; then comes the pinhole with focal lengths (f, f (1 +
-aspect)) and radial distortion d (1 + k1 |d|^2 / half_width^2) of the pixel offset d from the principal point. With k1
-< 0 the image folds over where 1 + 3 k1 rho^2 <= 0; points out there are never visible.
+A small rotation Rx(tilt_x) Ry(tilt_y) tilts the optical axis. The pinhole projection has the focal lengths (f, f (1 +
+aspect)) and the radial distortion d (1 + k1 |d|^2 / half_width^2) of the pixel offset d from the principal point. With
+k1 < 0 the image folds over where 1 + 3 k1 rho^2 <= 0; points beyond the fold are never visible.
 
-The scalar kernels are compiled, so that one arm and a thousand get the same bits.
+The scalar kernels are compiled, so that one arm and a batch of arms get the same bits.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ def pack_camera(
     distortion: ArrayLike = 0.0,
     half_width: float = 240.0,
 ) -> Array:
-    """Pack camera parameters into the rows that the kernels read.
+    """Pack camera parameters into rows for the kernels.
 
     Args:
-        focal: Focal length over pixel pitch, f. Shape (*batch,), px.
-        depth: Height of the camera over the plane. Shape (*batch,), m.
+        focal: Focal length f in pixels. Shape (*batch,), px.
+        depth: Height of the camera above the plane. Shape (*batch,), m.
         mounting: Angle psi between the camera's x axis and the second link. Shape (*batch,), rad.
         center: Principal point. Shape (*batch, 2), px.
         tilt: Rotations about the camera's x and y axes. Shape (*batch, 2), rad.
         aspect: Excess of the vertical over the horizontal focal length, as a fraction. Shape (*batch,).
         distortion: Radial coefficient k1 at one half width from the principal point. Shape (*batch,).
-        half_width: Half the image's width, the unit of the distortion's radius, px.
+        half_width: Half the image width, px; the unit of the radius in the distortion.
 
     Returns:
-        Shape (*batch, CAMERA_SIZE).
+        Packed cameras. Shape (*batch, CAMERA_SIZE).
     """
     focal, depth, mounting, aspect, distortion = np.broadcast_arrays(
         *(np.asarray(a, dtype=np.float64) for a in (focal, depth, mounting, aspect, distortion))
@@ -71,7 +71,7 @@ def pack_camera(
 
 @njit(cache=True, nogil=True)
 def project_ground(cam, gx, gy):  # type: ignore[no-untyped-def]
-    """Pixel (u, v) of a ground point in the camera's untilted frame, and whether it lies in front and before the fold.
+    """Pixel (u, v) of a ground point in the untilted camera frame; True if it lies in front and before the fold.
 
     Args:
         cam: One packed camera, shape (CAMERA_SIZE,).
@@ -94,7 +94,7 @@ def project_ground(cam, gx, gy):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def project(cam, l1, l2, theta1, theta2, px, py):  # type: ignore[no-untyped-def]
-    """Pixel (u, v) of the ground point (px, py) m seen from the arm's tool, and whether it can be seen at all."""
+    """Pixel (u, v) of the ground point (px, py) m seen from the arm's tool, and True if it is projectable."""
     phi = theta1 + theta2
     c2, s2 = math.cos(phi), math.sin(phi)
     wx = px - l1 * math.cos(theta1) - l2 * c2
@@ -125,7 +125,7 @@ def total_jacobian(cam, l1, l2, theta1, theta2, px, py, vx, vy, out):  # type: i
     k = cam[16] * cam[17] * cam[17]
     stretch = 1.0 + k * (du * du + dv * dv)
     for j in range(3):
-        # Motion of w = p - p_tool under joint 1, joint 2 and time, and of the frame itself (phi) under the joints.
+        # Derivative of w = p - p_tool by joint 1, joint 2 and time, and of the frame angle phi by the joints.
         if j == 0:
             ax, ay, turn = l1 * s1 + l2 * s2, -l1 * c1 - l2 * c2, 1.0
         elif j == 1:
@@ -146,9 +146,9 @@ def total_jacobian(cam, l1, l2, theta1, theta2, px, py, vx, vy, out):  # type: i
 
 @njit(cache=True, nogil=True)
 def ground_point(cam, u, v):  # type: ignore[no-untyped-def]
-    """Ground point (gx, gy) m, in the camera's untilted frame, that pixel (u, v) sees; the inverse of `project_ground`.
+    """Ground point (gx, gy) m of pixel (u, v) in the untilted camera frame: the inverse of `project_ground`.
 
-    Pixels beyond the fold, or that look above the horizon, get a far point in their direction.
+    Pixels beyond the fold or above the horizon give a far point in their direction.
     """
     du, dv = u - cam[2], v - cam[3]
     rho_d = math.hypot(du, dv) * cam[17]
@@ -160,7 +160,7 @@ def ground_point(cam, u, v):  # type: ignore[no-untyped-def]
     for _ in range(8):
         slope = 1.0 + 3.0 * k * rho * rho
         step = (rho * (1.0 + k * rho * rho) - rho_d) / slope
-        # No further step would change a bit: at once without distortion.
+        # Converged to the bit; without distortion in the first iteration.
         if step == 0.0:
             break
         rho = rho - step
@@ -169,7 +169,7 @@ def ground_point(cam, u, v):  # type: ignore[no-untyped-def]
     scale = rho / rho_d if rho_d > 1e-12 else 1.0
     x = du * scale / cam[0]
     y = dv * scale / cam[1]
-    # The tilt rotation's transpose turns the ray back into the untilted frame.
+    # The transposed tilt rotation gives the ray in the untilted frame.
     rx = cam[7] * x + cam[10] * y + cam[13]
     ry = cam[8] * x + cam[11] * y + cam[14]
     rz = max(cam[9] * x + cam[12] * y + cam[15], 1e-3)
@@ -201,7 +201,7 @@ def _ground_rows(cam, pixels, out):  # type: ignore[no-untyped-def]
 
 
 def _rows(*arrays: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
-    """Common batch shape of arrays of row vectors, and each as contiguous (rows, columns)."""
+    """Return the common batch shape of arrays of row vectors, and each array as contiguous (rows, columns)."""
     values = [np.asarray(a, dtype=np.float64) for a in arrays]
     batch = np.broadcast_shapes(*(a.shape[:-1] for a in values))
     return batch, [
@@ -212,17 +212,17 @@ def _rows(*arrays: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
 def project_points(
     camera: ArrayLike, links: ArrayLike, joint_angles: ArrayLike, points: ArrayLike
 ) -> tuple[Array, Mask]:
-    """Image points of ground points.
+    """Project ground points into the image.
 
     Args:
         camera: Packed cameras (`pack_camera`). Shape (*batch, CAMERA_SIZE).
         links: Link lengths. Shape (*batch, 2), m.
-        joint_angles: Shape (*batch, 2), rad.
+        joint_angles: Joint angles. Shape (*batch, 2), rad.
         points: Ground points in the base frame. Shape (*batch, 2), m.
 
     Returns:
-        Pixels, shape (*batch, 2), and whether each lies in front of the camera and before the fold, shape (*batch,);
-        the image's borders are not considered.
+        Pixels, shape (*batch, 2), and a mask of the points in front of the camera and before the fold, shape
+        (*batch,). The image borders are ignored.
     """
     batch, (cam, link, joint, point) = _rows(camera, links, joint_angles, points)
     out, seen = np.empty((len(cam), 2)), np.empty(len(cam), dtype=np.bool_)
@@ -238,12 +238,12 @@ def image_jacobian(
     Args:
         camera: Packed cameras. Shape (*batch, CAMERA_SIZE).
         links: Link lengths. Shape (*batch, 2), m.
-        joint_angles: Shape (*batch, 2), rad.
-        points: Shape (*batch, 2), m.
-        velocities: Shape (*batch, 2), m/s.
+        joint_angles: Joint angles. Shape (*batch, 2), rad.
+        points: Ground points in the base frame. Shape (*batch, 2), m.
+        velocities: Velocities of the ground points. Shape (*batch, 2), m/s.
 
     Returns:
-        Shape (*batch, 2, 3): px/rad, px/rad, px/s.
+        Jacobians. Shape (*batch, 2, 3): px/rad, px/rad, px/s.
     """
     batch, (cam, link, joint, point, velocity) = _rows(camera, links, joint_angles, points, velocities)
     out = np.empty((len(cam), 2, 3))
@@ -252,14 +252,14 @@ def image_jacobian(
 
 
 def ground_points(camera: ArrayLike, pixels: ArrayLike) -> Array:
-    """Ground points that pixels see, in the camera's untilted frame: F R(phi)^T (p - p_tool).
+    """Ground points of pixels in the untilted camera frame: F R(phi)^T (p - p_tool).
 
     Args:
         camera: Packed cameras (`pack_camera`). Shape (*batch, CAMERA_SIZE).
-        pixels: Shape (*batch, 2), px.
+        pixels: Pixels (u, v). Shape (*batch, 2), px.
 
     Returns:
-        Shape (*batch, 2), m.
+        Ground points. Shape (*batch, 2), m.
     """
     batch, (cam, pixel) = _rows(camera, pixels)
     out = np.empty((len(cam), 2))

@@ -1,11 +1,12 @@
-"""Hidden Markov models on grids: forward-backward smoothing, best paths and existence, for one or many chains.
+"""Hidden Markov models on grids: forward-backward smoothing, Viterbi paths and existence, for one or many chains.
 
     chain = grid_chain(positions=721, rates=np.arange(-2.0, 2.1, 0.5), spacing=0.25)
     smoothed = smooth(chain, likelihood)  # likelihood ratios, shape (rows, 721)
     there = presence(smoothed.existence_likelihood)
     print(spans(there), smoothed.marginal.reshape(-1, 9, 721).sum(axis=1).argmax(axis=1))
 
-`smooth` is forward-backward, `presence` the sequential test of existence; any sparse transition makes a chain.
+`smooth` is the forward-backward recursion and `presence` the sequential test of existence. `sparse_chain` makes a chain
+from any sparse transition matrix.
 """
 
 from servotrack.estimators.hmm.chain import Chain, GridChain, grid_chain, sparse_chain

@@ -1,28 +1,32 @@
 """Markov chains over many states whose transitions are runs of shifted additions.
 
-A run adds `weight` times the probabilities of `length` neighboring states to as many neighboring states elsewhere. On a
-grid of positions and rates one run carries all positions of one rate to another rate; a sparse matrix is runs of
-length one.
+A run adds `weight` times the probabilities of `length` neighboring states to the same number of neighboring states
+elsewhere. On a grid of positions and rates, one run moves all positions of one rate to another rate. A sparse matrix
+consists of runs of length one.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, sparray, spmatrix
 
 from servotrack.estimators.types import Array, Labels
 
-SMALLEST_WEIGHT = 1e-5
-"""Transitions of less probability are left out."""
-
 
 class Runs(NamedTuple):
-    """Transitions: source, target and length of each run, and its probability. Shape (runs,) each."""
+    """Transitions of a chain.
+
+    Attributes:
+        source: First source state of each run. Shape (runs,).
+        target: First target state of each run. Shape (runs,).
+        length: Number of neighboring states in each run. Shape (runs,).
+        weight: Transition probability of each run. Shape (runs,).
+    """
 
     source: Labels
     target: Labels
@@ -35,15 +39,15 @@ class Chain:
     """A Markov chain.
 
     Attributes:
-        states: Their number S.
-        runs: Its transitions; `grid_chain` and `sparse_chain` make them.
+        states: Number S of states.
+        runs: Transitions, as `grid_chain` and `sparse_chain` make them.
     """
 
     states: int
     runs: Runs
 
     def predict(self, probabilities: ArrayLike) -> Array:
-        """Probabilities one step later, not normalized: what leaves the grid is gone. Shape (S,)."""
+        """Predict probabilities one step ahead; probability that leaves the grid is lost. Shape (S,)."""
         p = np.ascontiguousarray(probabilities, np.float64)
         if p.shape != (self.states,):
             raise ValueError(f"probabilities must have shape ({self.states},), got {p.shape}")
@@ -52,18 +56,18 @@ class Chain:
         return out
 
     def uniform(self) -> Array:
-        """The same probability for all states. Shape (S,)."""
+        """Return the same probability for all states. Shape (S,)."""
         return np.full(self.states, 1.0 / self.states)
 
 
 @dataclass(frozen=True, eq=False)
 class GridChain(Chain):
-    """A chain over positions and their rates; state r * positions + i is rate r at position i.
+    """Markov chain over positions and rates; state r * positions + i is rate r at position i.
 
     Attributes:
-        positions: Their number P.
-        rates: The rates, per second. Shape (R,).
-        spacing: Of the positions.
+        positions: Number P of positions.
+        rates: Rates, per second. Shape (R,).
+        spacing: Distance of neighboring positions.
         period: Time of one step, s.
     """
 
@@ -74,22 +78,30 @@ class GridChain(Chain):
 
 
 def grid_chain(
-    positions: int, rates: ArrayLike, spacing: float, period: float = 1.0, acceleration: float = 0.3
+    positions: int,
+    rates: ArrayLike,
+    spacing: float,
+    period: float = 1.0,
+    acceleration: float = 0.3,
+    least_weight: float = 1e-5,
 ) -> GridChain:
-    """Nearly constant rate on a grid: x' = x + (r + r') / 2 period, r' Gaussian about r.
+    """Markov chain of a nearly constant rate on a grid: x' = x + (r + r') / 2 period, r' Gaussian about r.
 
-    The noise of the constant-rate model is of rank one, so that the change of rate decides the position; with rates
-    in steps of 2 spacing / period (or whole multiples of it) every step ends on the grid.
+    The noise of the constant-rate model has rank one, so the change of rate determines the position. With rates in
+    steps of 2 spacing / period (or whole multiples of it) every step ends on the grid.
 
     Args:
-        positions: Their number P.
+        positions: Number P of positions.
         rates: Equally spaced rates, per second. Shape (R,).
-        spacing: Of the positions.
+        spacing: Distance of neighboring positions.
         period: Time of one step, s.
-        acceleration: Standard deviation of the acceleration, per second squared.
+        acceleration: Standard deviation of the acceleration, per second squared. Larger values allow faster maneuvers
+            and average fewer rows.
+        least_weight: Transition probability below which a transition is omitted. Larger values are faster and less
+            exact.
 
     Raises:
-        ValueError: For rates that do not fit the grid; the message says which spacing does.
+        ValueError: The rates do not fit the grid; the message gives a spacing that does.
     """
     r = np.atleast_1d(np.asarray(rates, np.float64))
     if positions < 2:
@@ -100,7 +112,7 @@ def grid_chain(
     cells = _cells_of_rates(r, spacing, period)
     weight = np.exp(-(np.subtract.outer(r, r) ** 2) / (2.0 * (acceleration * period) ** 2))
     weight /= weight.sum(axis=1, keepdims=True)
-    weight[weight < SMALLEST_WEIGHT] = 0.0
+    weight[weight < least_weight] = 0.0
     weight /= weight.sum(axis=1, keepdims=True)
     before, after = np.nonzero(weight)
     shift = (cells[before] + cells[after]) // 2
@@ -112,14 +124,14 @@ def grid_chain(
     return GridChain(positions * len(r), runs, positions, r, spacing, period)
 
 
-def sparse_chain(transitions: Any) -> Chain:
-    """A chain from its transition probabilities.
+def sparse_chain(transitions: ArrayLike | sparray | spmatrix) -> Chain:
+    """Make a chain from its transition probabilities.
 
     Args:
         transitions: Probability of each state (column) after each state (row); dense or scipy.sparse. Shape (S, S).
 
     Raises:
-        ValueError: For a matrix that is not square, or rows that are not probabilities with a sum of at most 1.
+        ValueError: The matrix is not square, or a row does not hold probabilities with a sum of at most 1.
     """
     matrix = coo_array(transitions)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
@@ -136,7 +148,7 @@ def sparse_chain(transitions: Any) -> Chain:
 
 
 def _cells_of_rates(rates: Array, spacing: float, period: float) -> Labels:
-    """Cells that each rate moves in one step, as whole numbers whose differences are even."""
+    """Cells per step for each rate: whole numbers with even differences."""
     if not np.isfinite(rates).all():
         raise ValueError(f"rates must be finite, got {rates.tolist()}")
     step = float(rates[1] - rates[0]) if len(rates) > 1 else 2.0 * spacing / period
@@ -167,7 +179,7 @@ def predict_into(runs, probabilities, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def reach_of_band(runs, width, low, high):  # type: ignore[no-untyped-def]
-    """Where runs lead from states whose number modulo `width` lies in low to high - 1: the same of their targets."""
+    """Band of the targets, modulo `width`, of runs whose source modulo `width` lies in low to high - 1."""
     lowest, highest = width, 0
     for run in range(runs.source.shape[0]):
         first = runs.source[run] % width
@@ -180,10 +192,10 @@ def reach_of_band(runs, width, low, high):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def step_band(runs, read, write, values, width, low, high, out):  # type: ignore[no-untyped-def]
-    """One step along the runs from states whose number modulo `width` lies in low to high - 1; added to `out`.
+    """Add one step along the runs, from states whose index modulo `width` lies in low to high - 1, to `out`.
 
-    Read at a run's source and written at its target this is `predict_into`; the other way about it is the backward
-    step, out[i] = sum_j a_ij values[j], of the states i in the band.
+    With `read` the sources and `write` the targets of the runs, this is `predict_into`. Exchanged, it is the backward
+    step out[i] = sum_j a_ij values[j] of the states i in the band.
     """
     for run in range(runs.source.shape[0]):
         first = runs.source[run] % width

@@ -1,4 +1,4 @@
-"""Mutual exclusion of many chains: a cell that another chain holds says nothing new."""
+"""Mutual exclusion of several chains: a cell occupied by another chain becomes uninformative."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from servotrack.estimators.types import Array
 
 
 def occupancy(marginal: Array, presence: Array, positions: int, spread: int) -> Array:
-    """Probability psi that a chain holds each cell of position and rate, or one next to it.
+    """Probability psi that a chain occupies each cell of position and rate, or a neighboring one.
 
     Args:
-        marginal: Of the states of a grid chain. Shape (T, S).
-        presence: That the chain's object is there. Shape (T,).
-        positions: Positions P of the grid.
-        spread: Cells of position to each side that an object holds; of rate it is one.
+        marginal: Probabilities of the states of a grid chain. Shape (T, S).
+        presence: Probability that the chain's object is present. Shape (T,).
+        positions: Number P of positions of the grid.
+        spread: Cells of position that an object occupies to each side; in rate it is one cell. Larger values keep
+            chains farther apart.
 
     Returns:
-        Shape (T, S).
+        Probabilities. Shape (T, S).
     """
     T, S = marginal.shape
     cells = marginal.reshape(T, S // positions, positions)
@@ -31,16 +32,16 @@ def occupancy(marginal: Array, presence: Array, positions: int, spread: int) -> 
 
 
 def exclude(likelihood: Array, held: Sequence[Array]) -> Array:
-    """Likelihood in which what others hold is uninformative: 1 + (b - 1) prod_m (1 - psi_m).
+    """Make cells occupied by other chains uninformative: 1 + (b - 1) prod_m (1 - psi_m).
 
-    A product b prod_m (1 - psi_m) instead would push tracks apart where they cross.
+    The product b prod_m (1 - psi_m) would push tracks apart where they cross.
 
     Args:
-        likelihood: Of the positions. Shape (T, P).
+        likelihood: Likelihood ratios b of the positions. Shape (T, P).
         held: `occupancy` of every other chain. Shape (T, S) each.
 
     Returns:
-        Of the states. Shape (T, S).
+        Likelihood ratios of the states. Shape (T, S).
     """
     T, P = likelihood.shape
     free = np.ones_like(held[0])

@@ -1,4 +1,4 @@
-"""The sequential test: from when to when is there something that a chain can follow?"""
+"""Sequential test of existence: probability that a chain's object is present in each row, and spans of presence."""
 
 from __future__ import annotations
 
@@ -12,31 +12,36 @@ from servotrack.estimators.types import Array
 
 
 class Span(NamedTuple):
-    """Rows `first` to `last`, both included."""
+    """Rows `first` to `last`, both included.
+
+    Attributes:
+        first: First row.
+        last: Last row.
+    """
 
     first: int
     last: int
 
 
 def presence(existence_likelihood: ArrayLike, switching: float = 0.02, prior: float = 0.5) -> Array:
-    """Probability that the object is there in each row given all rows (paper 003, eqs. 29 to 33).
+    """Probability that the object is present in each row given all rows (paper 003, eqs. 29 to 33).
 
-    A chain of two states, absent and there, with the row's likelihood 1 and Lam_k.
+    The model is a chain of two states, absent and present, with the row likelihoods 1 and Lam_k.
 
     Args:
-        existence_likelihood: Lam_k. Shape (T,).
-        switching: Probability of a change from row to row.
-        prior: Probability at the first row.
+        existence_likelihood: Lam_k, not negative. Shape (T,).
+        switching: Probability of a change from row to row. Larger values react faster to appearance and disappearance.
+        prior: Probability of presence at the first row.
 
     Returns:
-        Shape (T,).
+        Probabilities. Shape (T,).
 
     Raises:
-        ValueError: For a likelihood that is negative or not finite, or probabilities outside (0, 1).
+        ValueError: A likelihood is negative or not finite, or a probability is outside (0, 1).
     """
     ratio = np.ascontiguousarray(existence_likelihood, np.float64)
     if ratio.ndim != 1 or not (np.isfinite(ratio).all() and (ratio >= 0.0).all()):
-        raise ValueError("existence_likelihood must be one axis of finite values that are not negative")
+        raise ValueError("existence_likelihood must have one axis of finite values >= 0")
     for name, value in (("switching", switching), ("prior", prior)):
         if not 0.0 < value < 1.0:
             raise ValueError(f"{name} must lie in (0, 1), got {value!r}")
@@ -46,12 +51,12 @@ def presence(existence_likelihood: ArrayLike, switching: float = 0.02, prior: fl
 
 
 def spans(probability: ArrayLike, threshold: float = 0.5, bridge: int = 6) -> list[Span]:
-    """Stretches of rows in which the object is there.
+    """Find the spans of rows in which the object is present.
 
     Args:
-        probability: As from `presence`. Shape (T,).
-        threshold: Rows above it belong to a span.
-        bridge: Gaps of at most this many rows do not end a span.
+        probability: Probability of presence, see `presence`. Shape (T,).
+        threshold: Probability above which a row belongs to a span.
+        bridge: Longest gap, in rows, that does not end a span.
     """
     above = np.flatnonzero(np.asarray(probability) > threshold)
     if not len(above):
@@ -64,7 +69,7 @@ def spans(probability: ArrayLike, threshold: float = 0.5, bridge: int = 6) -> li
 
 @njit(cache=True, nogil=True)
 def _two_states(ratio, switching, prior, out):  # type: ignore[no-untyped-def]
-    """Forward-backward over absent and there; `out` holds the forward probabilities on the way."""
+    """Forward-backward recursion over absent and present; `out` holds the forward probabilities in between."""
     T = ratio.shape[0]
     there = prior
     for k in range(T):

@@ -1,4 +1,4 @@
-"""Scaled forward-backward smoothing of a chain, with what each row says about the chain's existence."""
+"""Scaled forward-backward smoothing of a chain, with the existence likelihood of each row."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from servotrack.estimators.hmm.chain import Chain, reach_of_band, step_band
 from servotrack.estimators.types import Array, Labels
 
 TINY = 1e-120
-"""Added to messages: rows that contradict each other must not leave all states with a probability of 0."""
+"""Offset added to messages, so that contradicting rows never leave all states with probability 0."""
 
 
 class Smoothed(NamedTuple):
-    """What all rows together say.
+    """Result of `smooth`.
 
     Attributes:
         marginal: Probability of each state in each row given all rows. Shape (T, S).
-        existence_likelihood: Lam_k: mean likelihood of row k under what all other rows say of the state; its mean is 1
-            where the rows are noise. Shape (T,).
-        log_evidence: Sum of the logarithms of the scales c_k: of the likelihood of all rows.
-        bands: Of each row, first of the W columns that are not left out, and the one after the last. Shape (T, 2).
+        existence_likelihood: Lam_k, the mean likelihood of row k under the state distribution given all other rows. Its
+            mean is 1 where the rows are noise. Shape (T,).
+        log_evidence: Log likelihood of all rows, the sum of the logarithms of the scales c_k.
+        bands: First of the W columns used in each row, and the column after the last one. Shape (T, 2).
     """
 
     marginal: Array
@@ -39,24 +39,24 @@ def smooth(
     presence: ArrayLike | None = None,
     negligible: float = 0.0,
 ) -> Smoothed:
-    """Forward-backward (paper 003, eqs. 8 to 16 and the appendix, reconstructed).
+    """Forward-backward smoothing (paper 003, eqs. 8 to 16 and the appendix, reconstructed).
 
     Args:
-        chain: S states.
-        likelihood: Ratio of each row's likelihood under the state to that under noise, positive. Shape (T, W): W = S,
-            or a divisor of S where the state s has the likelihood s modulo W (a grid's positions).
+        chain: Markov chain of S states.
+        likelihood: Ratio b of each row's likelihood under the state to that under noise, positive. Shape (T, W): W = S,
+            or a divisor of S, where state s has the likelihood of column s modulo W (a grid's positions).
         prior: Probabilities of the states at the first row; None: uniform. Shape (S,).
-        presence: Probability that the chain's object is there in each row: rows count as 1 + presence (b - 1). None:
-            always. Shape (T,).
-        negligible: The outermost of the W columns of states are left out of a row while each of them has less
-            probability given the rows so far; what is in reach of the rest in the next row is taken in again. A target
-            that the rows show well then costs its surroundings instead of the whole grid. 0: none are.
+        presence: Probability that the chain's object exists in each row; the likelihood becomes 1 + presence (b - 1).
+            None: always 1. Shape (T,).
+        negligible: Probability, given the rows so far, below which the outermost of the W columns of states are omitted
+            from a row. Columns within reach of the others are used again in the next row. Larger values limit the
+            computation to the surroundings of a clear target. 0 omits none.
 
     Returns:
         Marginals, existence likelihoods (of the full likelihood) and evidence.
 
     Raises:
-        ValueError: For a wrong shape, likelihoods that are not positive and finite, or `negligible` outside [0, 1e-6].
+        ValueError: A shape is wrong, a likelihood is not positive and finite, or `negligible` is outside [0, 1e-6].
     """
     if not 0.0 <= negligible <= 1e-6:
         raise ValueError(f"negligible must lie in [0, 1e-6], got {negligible!r}")
@@ -73,13 +73,13 @@ def smooth(
 
 
 def advance(chain: Chain, prior: ArrayLike, likelihood: ArrayLike, presence: float = 1.0) -> Array:
-    """Prior of the next row: one forward step.
+    """Compute the prior of the next row by one forward step.
 
     Args:
-        chain: S states.
+        chain: Markov chain of S states.
         prior: Probabilities before the row. Shape (S,).
-        likelihood: Of the row, as in `smooth`. Shape (W,).
-        presence: As in `smooth`.
+        likelihood: Likelihood ratios of the row, see `smooth`. Shape (W,).
+        presence: Probability that the object exists in the row.
 
     Returns:
         Probabilities before the next row, normalized. Shape (S,).
@@ -112,7 +112,7 @@ def _prior(chain: Chain, prior: ArrayLike | None) -> Array:
 
 @njit(cache=True, nogil=True)
 def _forward_backward(runs, likelihood, prior, presence, negligible, marginal, existence, bands):  # type: ignore[no-untyped-def]
-    """Writes the marginals over the forward messages; returns the log evidence."""
+    """Overwrite the forward messages with the marginals and return the log evidence."""
     T, W = likelihood.shape
     S = prior.shape[0]
     message = prior.copy()
@@ -179,7 +179,7 @@ def _forward_backward(runs, likelihood, prior, presence, negligible, marginal, e
 
 @njit(cache=True, nogil=True)
 def _multiply(values, factors, out, cavity):  # type: ignore[no-untyped-def]
-    """Products into out, of values that are at least TINY; added to the cavity."""
+    """Write the products of values + TINY and factors to `out`, and add them to the cavity."""
     for i in range(out.shape[0]):
         out[i] = (values[i] + TINY) * factors[i]
     for i in range(out.shape[0]):
@@ -188,7 +188,7 @@ def _multiply(values, factors, out, cavity):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _accumulate(gamma, beta, cavity):  # type: ignore[no-untyped-def]
-    """The message gamma becomes gamma times beta, and is added to the cavity."""
+    """Multiply gamma by beta in place, and add the product to the cavity."""
     for i in range(gamma.shape[0]):
         gamma[i] *= beta[i]
     for i in range(gamma.shape[0]):

@@ -1,4 +1,4 @@
-"""The single best path of a chain."""
+"""Viterbi algorithm: the most probable path of a chain."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from servotrack.estimators.types import Labels
 
 
 def best_path(chain: Chain, log_likelihood: ArrayLike) -> tuple[Labels, float]:
-    """States of the path of largest probability, from a uniform prior.
+    """Find the path of largest probability under a uniform prior.
 
     Args:
-        chain: S states.
-        log_likelihood: Of each row under each state. Shape (T, W), W = S or a divisor of it as in `smooth`.
+        chain: Markov chain of S states.
+        log_likelihood: Log likelihood of each row under each state. Shape (T, W), with W = S or a divisor of it, see
+            `smooth`.
 
     Returns:
-        The states, shape (T,), and the path's log probability (of rows and transitions, less that of the prior).
+        The states, shape (T,), and the log probability of the path (rows and transitions without the prior).
 
     Raises:
-        ValueError: For a wrong shape, no rows, or values that are not finite.
+        ValueError: The shape is wrong, there are no rows, or a value is not finite.
     """
     rows = np.ascontiguousarray(log_likelihood, np.float64)
     if rows.ndim != 2 or rows.shape[0] == 0 or rows.shape[1] == 0 or chain.states % rows.shape[1]:
@@ -41,7 +42,7 @@ def best_path(chain: Chain, log_likelihood: ArrayLike) -> tuple[Labels, float]:
 
 @njit(cache=True, nogil=True)
 def _forward(runs, log_weight, rows, back):  # type: ignore[no-untyped-def]
-    """Largest log probability of a path to each state; `back` has each state's predecessor."""
+    """Largest log probability of a path to each state; `back` receives each state's predecessor."""
     T, W = rows.shape
     S = back.shape[1]
     value, best = np.zeros(S), np.empty(S)

@@ -1,4 +1,4 @@
-"""Distances between sets and between sets of trajectories: what a tracker is judged by."""
+"""Metrics of trackers: distances between sets and between sets of trajectories, CLEAR MOT, IDF1 and HOTA."""
 
 from servotrack.estimators.metrics.distances import (
     box_distances,

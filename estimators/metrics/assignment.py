@@ -1,4 +1,4 @@
-"""Optimal assignment as a compiled kernel: shortest augmenting paths, as fast for a dozen targets as for a hundred."""
+"""Compiled optimal assignment by shortest augmenting paths, for a dozen to hundreds of targets."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def assign(cost, rows, columns):  # type: ignore[no-untyped-def]
-    """Cheapest assignment of every row to a column of its own (Jonker and Volgenant, 1987; Crouse, 2016).
+    """Assign every row to a different column at the lowest total cost (Jonker and Volgenant, 1987; Crouse, 2016).
 
     Args:
-        cost: Finite costs, shape (>= rows, >= columns); only the leading block counts.
+        cost: Finite costs, shape (>= rows, >= columns); only the leading block is used.
         rows: Number of rows, at most `columns`.
         columns: Number of columns.
 
@@ -41,7 +41,7 @@ def assign(cost, rows, columns):  # type: ignore[no-untyped-def]
                 if path < shortest[column]:
                     shortest[column] = path
                     previous[column] = row
-                # Among equals a free column ends the search at once.
+                # Among equal columns a free one ends the search at once.
                 if shortest[column] < best or (shortest[column] == best and row_of[column] < 0):
                     nearest, best = column, shortest[column]
             length = best

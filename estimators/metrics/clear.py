@@ -1,4 +1,4 @@
-"""CLEAR MOT (Bernardin and Stiefelhagen, 2008): errors counted under a matching that holds on to yesterday's pairs."""
+"""CLEAR MOT (Bernardin and Stiefelhagen, 2008): errors under a matching that keeps the pairs of the previous step."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from servotrack.estimators.metrics.sequence import EPSILON, TrackSequence
 
 
 class ClearScores(NamedTuple):
-    """CLEAR MOT.
+    """CLEAR MOT scores.
 
     Attributes:
         mota: One minus misses, false positives and switches per true object, at most 1.
-        motp: Mean similarity of matched pairs, 0 where there are none.
+        motp: Mean similarity of matched pairs, 0 without pairs.
         matches, misses, false_positives, identity_switches: Counts over all steps.
-        fragments: How often a true track is found again after a gap.
+        fragments: Number of times a true track is found again after a gap.
     """
 
     mota: float
@@ -33,22 +33,22 @@ def clear_mot(sequence: TrackSequence, threshold: float = 0.5) -> ClearScores:
     """Score a sequence.
 
     Args:
-        sequence: From `track_sequence`.
-        threshold: Similarity from which two may be matched.
+        sequence: Result of `track_sequence`.
+        threshold: Smallest similarity of a matched pair, in (0, 1]. Larger values demand more exact estimates.
     """
     objects = len(sequence.truth_counts)
-    last = np.full(objects, -1)  # estimate that a true track was last matched with, at any earlier step
-    current = np.full(objects, -1)  # the same, at the step before only
+    last = np.full(objects, -1)  # estimate of the latest match of each true track
+    current = np.full(objects, -1)  # estimate matched at the previous step only
     fragments = np.zeros(objects, dtype=np.int64)
     matches = misses = false_positives = switches = 0
     total = 0.0
     for truth, estimate, similarity in sequence.frames:
         if len(truth) == 0 or len(estimate) == 0:
-            # As the reference implementation does, pairs outlive a step at which one side is empty.
+            # Pairs survive a step at which one side is empty, as in the reference implementation.
             misses += len(truth)
             false_positives += len(estimate)
             continue
-        # A pair of the step before is worth more than any similarity.
+        # A pair of the previous step outweighs any similarity.
         value = 1000.0 * (estimate[None, :] == current[truth][:, None]) + similarity
         value[similarity < threshold - EPSILON] = 0.0
         rows, columns = linear_sum_assignment(value, maximize=True)
@@ -65,7 +65,7 @@ def clear_mot(sequence: TrackSequence, threshold: float = 0.5) -> ClearScores:
         false_positives += len(estimate) - len(found)
         total += float(similarity[rows, columns].sum())
     errors = misses + false_positives + switches
-    # Without truth there is nothing to be a share of; without answers nobody was found.
+    # Without true objects the ratio is undefined; it is reported as 0.
     mota = 1.0 - errors / (matches + misses) if matches + misses else 0.0
     return ClearScores(
         mota,

@@ -1,4 +1,4 @@
-"""Base distances between the members of two sets."""
+"""Base distances between the members of two sets: points, boxes, centroids, angles."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def point_distances(first: ArrayLike, second: ArrayLike) -> Array:
         second: Points, shape (*batch, k, d).
 
     Returns:
-        Shape (*batch, n, k), in the points' unit.
+        Distances, shape (*batch, n, k), in the points' unit.
 
     Raises:
         ValueError: The points differ in dimension.
@@ -35,14 +35,14 @@ def box_distances(first: ArrayLike, second: ArrayLike) -> Array:
     """One minus intersection over union of boxes (left, top, width, height).
 
     Args:
-        first: Shape (*batch, n, 4), px.
-        second: Shape (*batch, k, 4), px.
+        first: Boxes, shape (*batch, n, 4), px.
+        second: Boxes, shape (*batch, k, 4), px.
 
     Returns:
-        Shape (*batch, n, k), from 0 (equal) to 1 (apart). Boxes without an area are apart from everything.
+        Distances, shape (*batch, n, k), from 0 (equal) to 1 (disjoint). Boxes without area have distance 1 to all.
 
     Raises:
-        ValueError: Boxes that do not have four numbers.
+        ValueError: Boxes do not have four numbers.
     """
     a, b = _pair(first, second)
     if a.shape[-1] != 4:
@@ -56,17 +56,18 @@ def box_distances(first: ArrayLike, second: ArrayLike) -> Array:
 def centroid_distances(first: ArrayLike, second: ArrayLike) -> Array:
     """Distances between the centers of boxes (left, top, width, height), in heights of the first ones.
 
-    Blobs of motion seldom have the outline of the person behind them: their overlap is no fair match, their place is.
+    Use it for motion blobs, whose outline seldom equals the person's: their position is comparable, their overlap is
+    not.
 
     Args:
         first: True boxes, shape (*batch, n, 4), px.
-        second: Shape (*batch, k, 4), px.
+        second: Estimated boxes, shape (*batch, k, 4), px.
 
     Returns:
-        Shape (*batch, n, k). Infinite for a true box without a height.
+        Distances, shape (*batch, n, k). Infinite for a true box without height.
 
     Raises:
-        ValueError: Boxes that do not have four numbers.
+        ValueError: Boxes do not have four numbers.
     """
     a, b = _pair(first, second)
     if a.shape[-1] != 4:
@@ -80,15 +81,15 @@ def wrapped_distances(first: ArrayLike, second: ArrayLike, period: float) -> Arr
     """Distances on a circle, for bearings.
 
     Args:
-        first: Shape (*batch, n, 1).
-        second: Shape (*batch, k, 1).
+        first: Angles, shape (*batch, n, 1).
+        second: Angles, shape (*batch, k, 1).
         period: Length of the circle, in the values' unit (360 for degrees).
 
     Returns:
-        Shape (*batch, n, k), from 0 to `period` / 2.
+        Distances, shape (*batch, n, k), from 0 to `period` / 2.
 
     Raises:
-        ValueError: More than one number each, or a period that is not positive.
+        ValueError: Members have more than one number, or the period is not positive.
     """
     a, b = _pair(first, second)
     if a.shape[-1] != 1:
@@ -112,14 +113,14 @@ def _pair(first: ArrayLike, second: ArrayLike) -> tuple[Array, Array]:
 
 
 def _stacked(values: Array, batch: tuple[int, ...]) -> Array:
-    """Values of shape (*batch, n, k) as (rows, n, k); a view where no broadcasting is needed."""
+    """Reshape values (*batch, n, k) to (rows, n, k); a view unless broadcasting is needed."""
     whole = values if values.shape[:-2] == batch else np.broadcast_to(values, (*batch, *values.shape[-2:]))
     return np.ascontiguousarray(whole).reshape(math.prod(batch), *values.shape[-2:])
 
 
 @njit(cache=True, nogil=True)
 def _box_distances(first, second, out):  # type: ignore[no-untyped-def]
-    # NumPy's maximum and minimum hand NaN on, so that a box with one is apart from everything.
+    # NumPy's maximum and minimum propagate NaN, so a box with NaN has distance 1 to all.
     for row in range(len(out)):
         for i in range(out.shape[1]):
             a = first[row, i]

@@ -1,4 +1,4 @@
-"""HOTA (Luiten et al., 2021): detection and association in equal parts, averaged over localization thresholds."""
+"""HOTA (Luiten et al., 2021): detection and association with equal weight, averaged over localization thresholds."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from servotrack.estimators.metrics.sequence import EPSILON, TrackSequence
 from servotrack.estimators.types import Array
 
 THRESHOLDS = np.arange(0.05, 0.99, 0.05)
+"""Localization thresholds of the definition: similarity 0.05 to 0.95."""
 
 
 class HotaScores(NamedTuple):
     """HOTA at each of the 19 thresholds 0.05 to 0.95, shape (19,).
 
     Attributes:
-        hota: Geometric mean of the next two.
-        deta: Detection accuracy, matches over matches, misses and false positives.
-        assa: Association accuracy, the mean over matches of the same share for the pair's tracks.
+        hota: Geometric mean of `deta` and `assa`.
+        deta: Detection accuracy: matches over matches, misses and false positives.
+        assa: Association accuracy: mean over matches of the same ratio for the pair's tracks.
     """
 
     hota: Array
@@ -32,10 +33,10 @@ def hota_scores(sequence: TrackSequence) -> HotaScores:
     """Score a sequence.
 
     Args:
-        sequence: From `track_sequence`.
+        sequence: Result of `track_sequence`.
     """
     alignment = _alignment(sequence)
-    # Of every match its pair of tracks and how many thresholds it passes; few of all pairs ever meet.
+    # For every match: the pair of tracks and the number of thresholds passed. Most pairs never match.
     pairs, passed = Joined(np.int64), Joined(np.int64)
     for truth, estimate, similarity in sequence.meetings():
         rows, columns = linear_sum_assignment(alignment[np.ix_(truth, estimate)] * similarity, maximize=True)
@@ -54,7 +55,7 @@ def hota_scores(sequence: TrackSequence) -> HotaScores:
 
 
 def _alignment(sequence: TrackSequence) -> Array:
-    """How much two tracks are one over the whole sequence, which decides whom to match at each step."""
+    """Global similarity of two tracks over the whole sequence, which guides the matching of each step."""
     total = np.zeros((len(sequence.truth_counts), len(sequence.estimate_counts)))
     for truth, estimate, similarity in sequence.meetings():
         union = similarity.sum(axis=0)[None, :] + similarity.sum(axis=1)[:, None] - similarity

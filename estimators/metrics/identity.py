@@ -1,4 +1,4 @@
-"""IDF1 (Ristani et al., 2016): how much of the sequence one lasting pairing of identities explains."""
+"""IDF1 (Ristani et al., 2016): share of the sequence that one fixed pairing of identities explains."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from servotrack.estimators.metrics.sequence import TrackSequence
 
 
 class IdentityScores(NamedTuple):
-    """Identity metrics.
+    """Identity scores.
 
     Attributes:
-        idf1: Harmonic mean of the next two.
+        idf1: Harmonic mean of precision and recall.
         precision, recall: Share of estimated and of true objects that the best pairing of tracks explains.
     """
 
@@ -27,14 +27,14 @@ def identity_scores(sequence: TrackSequence, threshold: float = 0.5) -> Identity
     """Score a sequence.
 
     Args:
-        sequence: From `track_sequence`.
-        threshold: Similarity from which two count as together.
+        sequence: Result of `track_sequence`.
+        threshold: Smallest similarity of a match, in (0, 1].
     """
     together = np.zeros((len(sequence.truth_counts), len(sequence.estimate_counts)))
     for truth, estimate, similarity in sequence.meetings():
         rows, columns = np.nonzero(similarity >= threshold)
         together[truth[rows], estimate[columns]] += 1.0
-    # Misses and false positives of a pairing are the fewest where the steps together are the most.
+    # The pairing with the most matched steps has the fewest misses and false positives.
     explained = float(together[linear_sum_assignment(together, maximize=True)].sum())
     true, reported = float(sequence.truth_counts.sum()), float(sequence.estimate_counts.sum())
     return IdentityScores(

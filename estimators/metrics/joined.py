@@ -1,4 +1,4 @@
-"""One array out of a great many small ones."""
+"""Concatenation of very many small arrays with little memory overhead."""
 
 from __future__ import annotations
 
@@ -7,28 +7,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-_JOINED_FROM = 4096
-
 
 class Joined:
-    """Collects arrays of one axis and joins them every few thousand: kept one by one, each takes a hundred bytes more.
+    """Collector of one-dimensional arrays, concatenated in blocks to save about 100 bytes per array.
 
     Args:
-        dtype: Of the whole.
+        dtype: Data type of the result.
+        block: Number of arrays after which they are concatenated.
     """
 
-    def __init__(self, dtype: DTypeLike) -> None:
-        self._dtype = np.dtype(dtype)
+    def __init__(self, dtype: DTypeLike, block: int = 4096) -> None:
+        self._dtype, self._block = np.dtype(dtype), block
         self._blocks: list[NDArray[Any]] = []
         self._loose: list[NDArray[Any]] = []
 
     def append(self, values: ArrayLike) -> None:
-        """Add values, shape (k,), at the end."""
+        """Append values, shape (k,)."""
         self._loose.append(np.asarray(values, self._dtype))
-        if len(self._loose) >= _JOINED_FROM:
+        if len(self._loose) >= self._block:
             self._blocks.append(np.concatenate(self._loose))
             self._loose.clear()
 
     def array(self) -> NDArray[Any]:
-        """All values so far, shape (n,)."""
+        """Return all values so far, shape (n,)."""
         return np.concatenate([np.zeros(0, self._dtype), *self._blocks, *self._loose])

@@ -17,14 +17,14 @@ from servotrack.estimators.types import Array
 
 
 class MotScores(NamedTuple):
-    """What tables of multi-object tracking report; ratios from 0 to 1, MOTA possibly below 0.
+    """Scores of multi-object tracking; ratios from 0 to 1, MOTA possibly below 0.
 
     Attributes:
         hota, deta, assa: Luiten et al. (2021), averaged over localization thresholds.
         idf1: Ristani et al. (2016).
         mota, motp: Bernardin and Stiefelhagen (2008).
         identity_switches, false_positives, misses: Counts under CLEAR MOT's matching.
-        fragments: How often a true track is found again after a gap, under the same.
+        fragments: Number of times a true track is found again after a gap, under the same matching.
     """
 
     hota: float
@@ -53,14 +53,14 @@ def mot_scores(
         truth: True tracks.
         estimate: Estimated tracks.
         distances: Base distances of two arrays of states, (n, d) and (k, d) to (n, k); boxes by default.
-        cutoff: Distance at which similarity, which falls linearly from 1, is 0.
-        threshold: Similarity from which CLEAR MOT and IDF1 count a match, above 0 and at most 1.
-        ignored: True tracks whose finding is neither right nor wrong, such as people who are hidden; an estimate that
-            fits one of them at a step, and no counted one, is left out there. A track may be counted at some
-            steps and ignored at others: give its parts to the two lists.
+        cutoff: Distance at which the similarity, which falls linearly from 1, reaches 0.
+        threshold: Smallest similarity of a match in CLEAR MOT and IDF1, in (0, 1].
+        ignored: True tracks that count neither as matches nor as misses, such as hidden people. An estimate that
+            matches an ignored track and no counted one at a step is left out at that step. A track may be counted at
+            some steps and ignored at others: put its parts into the two lists.
 
     Raises:
-        ValueError: `cutoff` is not positive, `threshold` is out of range, or tracks of unlike states.
+        ValueError: `cutoff` is not positive, `threshold` is out of range, or states differ in dimension.
     """
     if not 0.0 < threshold <= 1.0:
         raise ValueError(f"threshold must be above 0 and at most 1, got {threshold!r}")

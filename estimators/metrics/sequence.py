@@ -1,4 +1,4 @@
-"""A sequence as the metrics of multi-object tracking read it: who is there at each step, and how like each other."""
+"""Input of the multi-object tracking metrics: existing tracks and pairwise similarities at each step."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from servotrack.estimators.metrics.joined import Joined
 from servotrack.estimators.metrics.tracks import Track, members_by_step
 from servotrack.estimators.types import Array, Labels, Mask
 
-EPSILON = float(np.finfo(np.float64).eps)  # rounding that a similarity at the threshold is forgiven
+EPSILON = float(np.finfo(np.float64).eps)
+"""Rounding error that a similarity at the threshold may have."""
 
 
 class Frame(NamedTuple):
-    """One step.
+    """Existing tracks of one step, and their similarities.
 
     Attributes:
         truth: Indices of the true tracks that exist. Shape (n,).
         estimate: Indices of the estimated tracks that exist. Shape (k,).
-        similarity: Of each pair, from 0 to 1. Shape (n, k).
+        similarity: Similarity of each pair, from 0 to 1. Shape (n, k).
     """
 
     truth: NDArray[np.intp]
@@ -31,13 +32,13 @@ class Frame(NamedTuple):
 
 
 class _Frames(Sequence[Frame]):
-    """Frames cut out of whole arrays when they are asked for: hours of steps would fill the memory.
+    """Frames sliced from whole arrays on access, to save memory in long sequences.
 
     Args:
         sizes: Numbers of true and of estimated tracks at each step, shape (T, 2).
-        truth: Indices of all steps, one after the other.
-        estimate: Likewise.
-        similarity: Of all pairs of all steps, likewise.
+        truth: Indices of the true tracks of all steps, concatenated.
+        estimate: Indices of the estimated tracks of all steps, concatenated.
+        similarity: Similarities of all pairs of all steps, flattened and concatenated.
     """
 
     def __init__(self, sizes: Labels, truth: NDArray[np.intp], estimate: NDArray[np.intp], similarity: Array) -> None:
@@ -64,10 +65,10 @@ class _Frames(Sequence[Frame]):
 
 
 class TrackSequence(NamedTuple):
-    """All steps.
+    """Frames of all steps, and the lengths of the tracks.
 
     Attributes:
-        frames: One per step.
+        frames: One frame per step.
         truth_counts: Steps at which each true track exists. Shape (number of true tracks,).
         estimate_counts: Steps at which each estimated track exists. Shape (number of estimated tracks,).
     """
@@ -77,7 +78,7 @@ class TrackSequence(NamedTuple):
     estimate_counts: Labels
 
     def meetings(self) -> Iterator[Frame]:
-        """The steps at which both sides exist; the others say nothing about who is whom."""
+        """Iterate over the steps with at least one true and one estimated track."""
         return (frame for frame in self.frames if frame.similarity.size)
 
 
@@ -89,19 +90,19 @@ def track_sequence(
     ignored: Sequence[Track] = (),
     threshold: float = 0.5,
 ) -> TrackSequence:
-    """Pair up what exists step by step.
+    """Compute the similarities of true and estimated tracks at each step.
 
     Args:
         truth: True tracks that count.
         estimate: Estimated tracks.
         distances: Base distances of two arrays of states, (n, d) and (k, d) to (n, k).
-        cutoff: Distance at which similarity, which falls linearly from 1, is 0.
-        ignored: True tracks that do not count, such as people who are hidden: an estimate that the best assignment of
-            a step gives to one of them is dropped there, as MOTChallenge does before it scores.
-        threshold: Similarity from which that assignment pairs.
+        cutoff: Distance at which the similarity, which falls linearly from 1, reaches 0.
+        ignored: True tracks that do not count, such as hidden people. An estimate that the best assignment of a step
+            gives to one of them is dropped at that step, as in MOTChallenge.
+        threshold: Smallest similarity of a pair in that assignment.
 
     Raises:
-        ValueError: `cutoff` is not positive, or tracks of unlike states.
+        ValueError: `cutoff` is not positive, or states differ in dimension.
     """
     if not cutoff > 0.0:
         raise ValueError(f"cutoff must be positive, got {cutoff!r}")
@@ -135,9 +136,9 @@ def track_sequence(
 
 
 def _not_ignored(similarity: Array, counted: Mask, threshold: float) -> Mask:
-    """Which estimates are not paired with ignored truth, truth that counts coming first."""
+    """Mask of the estimates not assigned to ignored tracks; counted tracks are assigned first."""
     eligible = np.where(similarity >= threshold - EPSILON, similarity, 0.0)
-    # More than all similarities together: no pair with truth that counts is given up.
+    # The bonus exceeds the sum of all similarities, so pairs with counted tracks come first.
     rows, columns = linear_sum_assignment(eligible + (eligible > 0.0) * counted[:, None] * len(counted), maximize=True)
     dropped = (eligible[rows, columns] > 0.0) & ~counted[rows]
     kept = np.ones(similarity.shape[1], dtype=np.bool_)

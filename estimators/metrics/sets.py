@@ -1,4 +1,4 @@
-"""OSPA and GOSPA between finite sets, batched, from one assignment."""
+"""OSPA and GOSPA between finite sets, in batches, from one assignment."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from servotrack.estimators.types import Array, Labels
 
 
 class GospaParts(NamedTuple):
-    """GOSPA (alpha = 2) and what it is made of; `total ** order = location + missed + false`.
+    """GOSPA (alpha = 2) and its parts; `total ** order = location + missed + false`.
 
     Attributes:
-        total: Shape (*batch,), in the distances' unit.
+        total: Value of the metric. Shape (*batch,), in the distances' unit.
         location: Sum of the located targets' errors to the power of `order`. Shape (*batch,).
         missed: `cutoff ** order / 2` for every truth without an estimate. Shape (*batch,).
-        false: The same for every estimate without a truth. Shape (*batch,).
+        false: `cutoff ** order / 2` for every estimate without a truth. Shape (*batch,).
     """
 
     total: Array
@@ -34,8 +34,8 @@ class SetScores(NamedTuple):
     """All set distances between a truth and an estimate.
 
     Attributes:
-        ospa: Shape (*batch,), in the distances' unit.
-        gospa: With its three parts.
+        ospa: OSPA distance. Shape (*batch,), in the distances' unit.
+        gospa: GOSPA distance with its three parts.
         cardinality_error: Number of estimates minus number of truths. Shape (*batch,), int.
     """
 
@@ -49,19 +49,19 @@ def score_distances(
 ) -> SetScores:
     """OSPA (Schuhmacher, Vo and Vo, 2008, eq. 3) and GOSPA (Rahmathullah et al., 2017, eq. 1 and prop. 1) at once.
 
-    With alpha = 2 an assigned pair beyond the cut-off costs what a missed and a false target cost, so that the
-    assignment of OSPA is also GOSPA's.
+    With alpha = 2 an assigned pair beyond the cut-off costs as much as one missed and one false target, so both metrics
+    have the same optimal assignment.
 
     Args:
-        distances: Base distances between truths and estimates, shape (*batch, n, k); values where nothing exists do
-            not count.
-        truth_exists: Which truths exist, shape (*batch, n), bool.
-        estimate_exists: Which estimates exist, shape (*batch, k), bool.
-        cutoff: Distance c from which an estimate has nothing to do with a truth; positive.
-        order: The p of the metrics, at least 1.
+        distances: Base distances between truths and estimates, shape (*batch, n, k). Values of members that do
+            not exist are ignored.
+        truth_exists: Mask of the truths that exist, shape (*batch, n), bool.
+        estimate_exists: Mask of the estimates that exist, shape (*batch, k), bool.
+        cutoff: Cut-off distance c, positive: a pair farther apart counts as one missed and one false target.
+        order: Order p of the metrics, at least 1. Larger values weigh large errors more.
 
     Raises:
-        ValueError: A cut-off, an order or shapes out of place, or an existing member at no distance (NaN).
+        ValueError: The cut-off, the order or a shape is invalid, or a distance between existing members is NaN.
     """
     if not (math.isfinite(cutoff) and cutoff > 0.0):
         raise ValueError(f"cutoff must be positive and finite, got {cutoff!r}")
@@ -100,15 +100,15 @@ def score_points(
     """`score_distances` for points under the Euclidean distance.
 
     Args:
-        truth: Shape (*batch, n, d).
-        estimate: Shape (*batch, k, d).
-        cutoff: In the points' unit.
-        order: The p of the metrics.
-        truth_exists: Shape (*batch, n), bool; None: all.
-        estimate_exists: Shape (*batch, k), bool; None: all.
+        truth: True points, shape (*batch, n, d).
+        estimate: Estimated points, shape (*batch, k, d).
+        cutoff: Cut-off c of the metrics, in the points' unit.
+        order: Order p of the metrics.
+        truth_exists: Mask of the truths that exist, shape (*batch, n), bool; None: all.
+        estimate_exists: Mask of the estimates that exist, shape (*batch, k), bool; None: all.
 
     Raises:
-        ValueError: As `score_distances`, and points of different dimensions.
+        ValueError: As `score_distances`, or if points differ in dimension.
     """
     a, b = np.asarray(truth, dtype=np.float64), np.asarray(estimate, dtype=np.float64)
     distances = point_distances(a, b)
@@ -121,13 +121,13 @@ def ospa(truth: ArrayLike, estimate: ArrayLike, cutoff: float, order: float = 1.
     """Optimal subpattern assignment distance of point sets; 0 between empty sets, `cutoff` if one is empty.
 
     Args:
-        truth: Shape (*batch, n, d).
-        estimate: Shape (*batch, k, d).
-        cutoff: The c of the metric, in the points' unit.
-        order: The p of the metric.
+        truth: True points, shape (*batch, n, d).
+        estimate: Estimated points, shape (*batch, k, d).
+        cutoff: Cut-off c of the metric, in the points' unit.
+        order: Order p of the metric.
 
     Returns:
-        Shape (*batch,), in the points' unit.
+        Distance, shape (*batch,), in the points' unit.
 
     Raises:
         ValueError: As `score_points`.
@@ -142,7 +142,7 @@ def gospa(truth: ArrayLike, estimate: ArrayLike, cutoff: float, order: float = 1
 
 @njit(cache=True, nogil=True)
 def _score(distances, truths, estimates, cutoff, order, out):  # type: ignore[no-untyped-def]
-    """Fill (ospa, gospa, location, missed, false, cardinality error) of every row; False if it met a NaN."""
+    """Fill (ospa, gospa, location, missed, false, cardinality error) of every row; return False for a NaN."""
     count, n_max, k_max = distances.shape
     small = min(n_max, k_max)
     cost = np.empty((small, max(n_max, k_max)))

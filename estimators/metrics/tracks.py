@@ -1,4 +1,4 @@
-"""Tracks: what one identity was at which steps, as lists and as arrays with NaN where it did not exist."""
+"""Tracks (states of one identity over steps), as lists and as arrays with NaN where a track does not exist."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from servotrack.estimators.types import Array, Labels
 
 
 class Track(NamedTuple):
-    """One identity's states.
+    """States of one identity.
 
     Attributes:
-        steps: The steps at which it existed, increasing; gaps are allowed. Shape (k,), int.
-        states: Shape (k, d).
+        steps: Steps at which the track exists, increasing; gaps are allowed. Shape (k,), int.
+        states: State at each of these steps. Shape (k, d).
     """
 
     steps: Labels
@@ -24,18 +24,18 @@ class Track(NamedTuple):
 
 
 def stack_tracks(tracks: Sequence[Track], length: int, dimension: int) -> Array:
-    """Tracks on one time axis.
+    """Put tracks on one time axis.
 
     Args:
-        tracks: Any number, also none.
+        tracks: Tracks, possibly none.
         length: Number of steps T.
-        dimension: Numbers of a state d.
+        dimension: Dimension d of a state.
 
     Returns:
-        Shape (number of tracks, T, d), NaN where a track does not exist.
+        States, shape (number of tracks, T, d), NaN where a track does not exist.
 
     Raises:
-        ValueError: A track with steps outside 0..T - 1, or states of another shape.
+        ValueError: A track has steps outside 0..T - 1, or states of another shape.
     """
     stacked = np.full((len(tracks), length, dimension), np.nan)
     for row, track in enumerate(tracks):
@@ -45,11 +45,11 @@ def stack_tracks(tracks: Sequence[Track], length: int, dimension: int) -> Array:
 
 
 class Members(NamedTuple):
-    """Who exists at one step.
+    """Tracks that exist at one step.
 
     Attributes:
         rows: Indices of the tracks, increasing. Shape (k,).
-        states: Shape (k, d).
+        states: States of these tracks. Shape (k, d).
     """
 
     rows: NDArray[np.intp]
@@ -57,7 +57,7 @@ class Members(NamedTuple):
 
 
 class _Steps(Sequence[Members]):
-    """Members of T steps, cut out of whole arrays when they are asked for: hours of steps would fill the memory."""
+    """Members of T steps, sliced from whole arrays on access to save memory in long sequences."""
 
     def __init__(self, bounds: Labels, rows: NDArray[np.intp], states: Array) -> None:
         self._bounds, self._rows, self._states = bounds, rows, states
@@ -80,23 +80,23 @@ class _Steps(Sequence[Members]):
 
 
 def members_by_step(tracks: Sequence[Track], length: int, dimension: int) -> Sequence[Members]:
-    """Tracks step by step, in memory that grows with what exists and not with tracks times steps.
+    """List the tracks that exist at each step, in memory proportional to the number of states.
 
     Args:
-        tracks: Any number, also none. States with NaN do not exist.
+        tracks: Tracks, possibly none. States with NaN count as not existing.
         length: Number of steps T.
-        dimension: Numbers of a state d.
+        dimension: Dimension d of a state.
 
     Returns:
-        T of them.
+        Members of each of the T steps.
 
     Raises:
-        ValueError: A track with steps outside 0..T - 1, or states of another shape.
+        ValueError: A track has steps outside 0..T - 1, or states of another shape.
     """
     present = [_present(_checked(row, track, length, dimension)) for row, track in enumerate(tracks)]
     bounds = np.zeros(length + 1, np.int64)
     for track in present:
-        # One track is at a step once.
+        # A track occurs at most once per step.
         bounds[track.steps + 1] += 1
     np.cumsum(bounds, out=bounds)
     rows, states = np.empty(bounds[-1], np.intp), np.empty((bounds[-1], dimension))
@@ -109,7 +109,7 @@ def members_by_step(tracks: Sequence[Track], length: int, dimension: int) -> Seq
 
 
 def _present(track: Track) -> Track:
-    """A track without the steps at which it does not exist."""
+    """Remove the steps at which a track does not exist."""
     exists = ~np.isnan(track.states).any(axis=1)
     return track if exists.all() else Track(track.steps[exists], track.states[exists])
 
@@ -126,17 +126,17 @@ def _checked(row: int, track: Track, length: int, dimension: int) -> Track:
 
 
 def tracks_from_rows(labels: ArrayLike, states: ArrayLike) -> list[Track]:
-    """Tracks out of labelled rows, step by step.
+    """Make tracks from labeled rows of every step.
 
     Args:
-        labels: Identity in each row at each step, negative where the row reports nothing. Shape (T, n), int.
-        states: Shape (T, n, d).
+        labels: Identity in each row at each step, negative for an empty row. Shape (T, n), int.
+        states: State in each row at each step. Shape (T, n, d).
 
     Returns:
         One track per label, in the order of their first appearance.
 
     Raises:
-        ValueError: Shapes that do not fit, or a label twice in a step.
+        ValueError: Shapes disagree, or a label occurs twice in a step.
     """
     names, values = np.asarray(labels, dtype=np.int64), np.asarray(states, dtype=np.float64)
     if names.ndim != 2 or values.shape[:2] != names.shape or values.ndim != 3:
@@ -146,7 +146,7 @@ def tracks_from_rows(labels: ArrayLike, states: ArrayLike) -> list[Track]:
     steps, rows = np.nonzero(names >= 0)
     found = names[steps, rows]
     _, first, inverse = np.unique(found, return_index=True, return_inverse=True)
-    # Stable: the steps of a label stay in order.
+    # A stable sort keeps the steps of a label in order.
     order = np.argsort(inverse, kind="stable")
     twice = np.flatnonzero((np.diff(inverse[order]) == 0) & (np.diff(steps[order]) == 0))
     if len(twice):

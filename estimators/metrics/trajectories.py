@@ -1,4 +1,4 @@
-"""OSPA(2) and trajectory GOSPA: distances between sets of trajectories, where identity counts."""
+"""OSPA(2) and trajectory GOSPA: distances between sets of trajectories, including identity errors."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from servotrack.estimators.types import Array
 
 
 class TrajectoryGospaParts(NamedTuple):
-    """Trajectory GOSPA and its parts; `total ** order` is the sum of the others.
+    """Trajectory GOSPA and its parts; `total ** order` is the sum of the other parts.
 
     Attributes:
-        total: In the states' unit.
+        total: Value of the metric, in the states' unit.
         location: Errors of located targets to the power of `order`, summed over steps.
-        missed: `cutoff ** order / 2` for every step of a truth without an estimate.
-        false: The same for every step of an estimate without a truth.
+        missed: `cutoff ** order / 2` for every step of a true track without an estimate.
+        false: `cutoff ** order / 2` for every step of an estimated track without a true one.
         switches: `switch_cost ** order` for every full switch of identity, half of it for the start or end of one.
     """
 
@@ -43,22 +43,22 @@ def ospa2(
 ) -> float:
     """OSPA(2) over the whole time axis (Beard, Vo and Vo, 2020, eqs. 13 and 17, equal weights).
 
-    The base distance of two tracks is the mean, over the steps at which either exists, of the distance cut at
-    `cutoff`, which also counts where only one exists; an OSPA of tracks follows.
+    The base distance of two tracks is the mean distance, limited to `cutoff`, over the steps at which either exists. A
+    step at which only one exists counts `cutoff`. The result is the OSPA of the tracks under this base distance.
 
     Args:
         truth: True tracks, shape (n, T, d), NaN where a track does not exist.
         estimate: Estimated tracks, shape (k, T, d).
-        cutoff: The c of the metric, in the states' unit.
-        order: The p of the OSPA of tracks; the mean over time is of order one.
+        cutoff: Cut-off c of the metric, in the states' unit.
+        order: Order p of the OSPA of tracks; the mean over time has order one.
         distances: Base distances of two arrays of states, (*batch, n, d) and (*batch, k, d) to (*batch, n, k); None:
             Euclidean.
 
     Returns:
-        From 0 to `cutoff`.
+        Distance from 0 to `cutoff`.
 
     Raises:
-        ValueError: Shapes that do not fit, a cut-off that is not positive, an order below 1.
+        ValueError: Shapes disagree, the cut-off is not positive, or the order is below 1.
     """
     a, b = _check(truth, estimate, cutoff, order)
     n, k = len(a), len(b)
@@ -77,20 +77,20 @@ def ospa2(
 def trajectory_gospa(
     truth: ArrayLike, estimate: ArrayLike, cutoff: float, switch_cost: float, order: float = 1.0
 ) -> TrajectoryGospaParts:
-    """The linear-programming metric of Garcia-Fernandez, Rahmathullah and Svensson (2020, eq. 23), alpha = 2.
+    """Trajectory GOSPA by linear programming (Garcia-Fernandez, Rahmathullah and Svensson, 2020, eq. 23), alpha = 2.
 
-    Pairs of tracks that never come within the cut-off cannot lower the cost and get no variable; what remains falls
-    apart into independent programs.
+    Pairs of tracks that never come within the cut-off cannot lower the cost and have no variable. The remaining pairs
+    split into independent programs.
 
     Args:
         truth: True tracks, shape (n, T, d), NaN where a track does not exist.
         estimate: Estimated tracks, shape (k, T, d).
-        cutoff: The c of the metric, in the states' unit.
-        switch_cost: The gamma of the metric, in the states' unit.
-        order: The p of the metric.
+        cutoff: Cut-off c of the metric, in the states' unit.
+        switch_cost: Cost gamma of a switch of identity, in the states' unit.
+        order: Order p of the metric.
 
     Raises:
-        ValueError: Shapes that do not fit; a cut-off or switch cost that is not positive; an order below 1.
+        ValueError: Shapes disagree, the cut-off or switch cost is not positive, or the order is below 1.
     """
     a, b = _check(truth, estimate, cutoff, order)
     if not (math.isfinite(switch_cost) and switch_cost > 0.0):
@@ -123,7 +123,7 @@ def _check(truth: ArrayLike, estimate: ArrayLike, cutoff: float, order: float) -
 
 
 def _existing(tracks: Array) -> Array:
-    """Tracks that exist at some step, with NaN in all numbers of a state or in none."""
+    """Keep the tracks that exist at some step, with NaN in all numbers of a state or in none."""
     absent = np.asarray(np.isnan(tracks).any(axis=2))
     return np.where(absent[..., None], np.nan, tracks)[~np.asarray(absent.all(axis=1))]
 
@@ -132,11 +132,11 @@ def _assignment_weights(gain: Array, switch_cost: float) -> Array:
     """Optimal soft assignments W of the metric's linear program.
 
     Args:
-        gain: What assigning a pair at a step changes, at most 0. Shape (n, k, T).
-        switch_cost: Of a change of W by two, gamma to the power of p.
+        gain: Change of the cost by assigning a pair at a step, at most 0. Shape (n, k, T).
+        switch_cost: Cost of a change of W by two, gamma to the power of p.
 
     Returns:
-        Shape (n, k, T), from 0 to 1.
+        Weights from 0 to 1. Shape (n, k, T).
     """
     n, k, steps = gain.shape
     weights = np.zeros_like(gain)
@@ -151,20 +151,20 @@ def _assignment_weights(gain: Array, switch_cost: float) -> Array:
             continue
         useful = np.flatnonzero((gain[rows, columns] < 0.0).any(axis=0))
         solved = _solve_program(gain[rows, columns][:, useful], rows, columns, switch_cost)
-        # Where nothing is to be gained the last assignment may stay, which costs no switch.
+        # At steps without gain the previous assignment stays, which avoids switches.
         latest = np.clip(np.searchsorted(useful, np.arange(steps), side="right") - 1, 0, None)
         weights[rows, columns] = solved[:, latest]
     return weights
 
 
 def _solve_program(gain: Array, rows: NDArray[np.intp], columns: NDArray[np.intp], switch_cost: float) -> Array:
-    """The linear program of one group of pairs; gain and result have shape (pairs, steps)."""
+    """Solve the linear program of one group of pairs; gain and result have shape (pairs, steps)."""
     from scipy.optimize import linprog
 
     pairs, steps = gain.shape
     size, changes = pairs * steps, pairs * (steps - 1)
     index = np.arange(size).reshape(pairs, steps)
-    # Every track takes part in at most one pair at a step.
+    # A track belongs to at most one pair per step.
     row_number = np.unique(rows, return_inverse=True)[1]
     column_number = np.unique(columns, return_inverse=True)[1]
     owners = np.concatenate([row_number, row_number.max() + 1 + column_number])
@@ -173,7 +173,7 @@ def _solve_program(gain: Array, rows: NDArray[np.intp], columns: NDArray[np.intp
         (np.ones(2 * size), (capacity_rows, np.concatenate([index.ravel(), index.ravel()]))),
         shape=((owners.max() + 1) * steps, size + changes),
     )
-    # A change of W, up or down, is bounded by its own variable.
+    # One variable per change of W bounds its absolute value.
     number = np.arange(changes)
     after, before = index[:, 1:].ravel(), index[:, :-1].ravel()
     one = np.ones(changes)
@@ -196,7 +196,7 @@ def _solve_program(gain: Array, rows: NDArray[np.intp], columns: NDArray[np.intp
 
 
 def _general_distances(a: Array, b: Array, cutoff: float, distances: Callable[[Array, Array], Array]) -> Array:
-    """`_track_distances` under any base distance."""
+    """Mean distance of tracks as in `_track_distances`, under any base distance. Shape (n, k)."""
     exist_a, exist_b = ~np.isnan(a[..., 0]), ~np.isnan(b[..., 0])
     here = np.where(exist_b[..., None], b, 0.0)
     out = np.empty((len(a), len(b)))
@@ -211,7 +211,7 @@ def _general_distances(a: Array, b: Array, cutoff: float, distances: Callable[[A
 
 @njit(cache=True, nogil=True)
 def _cut_distances(a, b, cutoff):  # type: ignore[no-untyped-def]
-    """Distances cut at the cut-off, which also stands where either track does not exist; shape (n, k, T)."""
+    """Distances limited to the cut-off, and the cut-off where either track does not exist; shape (n, k, T)."""
     out = np.full((a.shape[0], b.shape[0], a.shape[1]), cutoff)
     for i in range(a.shape[0]):
         for j in range(b.shape[0]):
@@ -227,7 +227,7 @@ def _cut_distances(a, b, cutoff):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _track_distances(a, b, cutoff):  # type: ignore[no-untyped-def]
-    """Mean cut distance over the steps at which either track exists, shape (n, k)."""
+    """Mean limited distance over the steps at which either track exists, shape (n, k)."""
     errors = _cut_distances(a, b, cutoff)
     out = np.empty((a.shape[0], b.shape[0]))
     for i in range(a.shape[0]):
