@@ -155,7 +155,7 @@ def test_nothing_tracked_leaves_an_earlier_file_alone(tmp_path):
     cv2.imwrite(str(tmp_path / "f" / "1.png"), np.zeros((64, 64, 3), np.uint8))
     source = PixelInput(tmp_path / "f", Brightness())
     (tmp_path / "f" / "1.png").write_bytes(b"broken")
-    with pytest.raises(SequenceError, match="is no image"):
+    with pytest.raises(SequenceError, match="cannot be decoded as an image"):
         track(source, Following(), out)
     assert [p.name for p in out.iterdir()] == ["tracks.txt"] and "earlier" in (out / "tracks.txt").read_text()
 
@@ -316,7 +316,7 @@ def test_interrupt_in_the_middle_keeps_valid_files_and_says_so(tmp_path):
         (["walk.avi", "--size", "4x4"], "size must have sides from 8 to 16384 px, got '4x4'"),
         (["walk.avi", "--match", "area"], "match must be one of iou, centroid, got 'area'"),
         (["walk.avi", "--truth", "bad.txt"], "bad.txt, line 2: boxes must be finite"),
-        (["walk.avi", "--truth", "bomb.xml"], "bomb.xml, line 1: entities are refused"),
+        (["walk.avi", "--truth", "bomb.xml"], "bomb.xml, line 1: entities are not allowed"),
         (["walk.avi", "--detector", "file"], "holds no det/det.txt"),
         (["walk.avi", "--start", "99"], "ends after 12 frame(s), before the first wanted one; start was 99"),
         (["walk.avi", "--out", "bad.txt"], "bad.txt is a file"),

@@ -120,7 +120,7 @@ def test_damaged_image_is_named(tmp_path):
     write_images(tmp_path, {"1.png": picture(1), "2.png": picture(2)})
     (tmp_path / "2.png").write_bytes(b"no image")
     got = []
-    with pytest.raises(SequenceError, match=r"2\.png is no image that can be decoded"):
+    with pytest.raises(SequenceError, match=r"2\.png cannot be decoded as an image"):
         for image in open_frames(tmp_path):
             got.append(number(image))
     assert got == [1]
@@ -162,7 +162,7 @@ def test_sources_that_are_none_are_named(tmp_path):
     write_video(tmp_path / "none.avi", 0)
     (tmp_path / "folder").mkdir()
     for name, message in {
-        "text.avi": "cannot be decoded: it is no video",
+        "text.avi": "cannot be decoded: not a video",
         "empty.avi": "empty.avi is empty",
         "none.avi": "holds no frame that can be decoded",
         "folder": "^[^ ]*folder holds no images",

@@ -97,10 +97,10 @@ BAD_ROWS = {
     b"1.5,1,0,0,5,5,1\n": "frame must be a whole number, got 1.5",
     b"1,-1,0,0,5,5,1\n": "ids of tracks must be whole numbers of at least 0, got -1",
     b"1,1,0,0,5\n": "at least frame, id, left, top, width, height, got 5",
-    b"1,1,a,0,5,5,1\n": "rows must hold numbers with commas between, got '1,1,a",
+    b"1,1,a,0,5,5,1\n": "rows must contain numbers separated by commas, got '1,1,a",
     b"1,1,0,0,5,5,1\n2,1,0,0,5,5,1\n1,1,9,9,5,5,1\n": "line 3: id 1 is in this frame already, in line 1",
     b"1,1,0,0,5,5,1,1,1.5\n": "visibility must lie in",
-    b"\x00\x01\x02\xff": "rows must hold numbers",
+    b"\x00\x01\x02\xff": "rows must contain numbers",
     b"x" * 5000: "lines must be shorter than 4096 bytes",
 }
 
@@ -138,11 +138,11 @@ def test_cvml_boxes_are_by_center_and_groups_do_not_count(tmp_path):
 BOMB = b"""<?xml version="1.0"?><!DOCTYPE dataset [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">
 <!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;">]><dataset>&c;</dataset>"""
 BAD_XML = {
-    BOMB: "line 1: entities are refused",
-    b'<!DOCTYPE d [<!ENTITY x SYSTEM "file:///etc/passwd">]><dataset>&x;</dataset>': "line 1: entities are refused",
+    BOMB: "line 1: entities are not allowed",
+    b'<!DOCTYPE d [<!ENTITY x SYSTEM "file:///etc/passwd">]><dataset>&x;</dataset>': "line 1: entities are not allowed",
     b"<annotation><object/></annotation>": "line 1: the outermost element must be <dataset>, .*got <annotation>",
-    CVML[:400]: "no well-formed XML",
-    b"": "no well-formed XML",
+    CVML[:400]: "not well-formed XML",
+    b"": "not well-formed XML",
     CVML.replace(b'xc="10.5"', b'xc="nan"'): "line 5: xc must be a finite number, got 'nan'",
     CVML.replace(b' w="3"', b' w="-3"', 1): "line 5: width and height must be at least 0",
     CVML.replace(b' w="3"', b"", 1): "line 5: <box> must have the attribute 'w'",

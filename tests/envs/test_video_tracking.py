@@ -125,7 +125,7 @@ def test_detections_are_those_of_the_file_scaled_with_the_frames(tmp_path):
 def test_a_source_that_breaks_ends_the_episode_with_a_warning(tmp_path):
     env = gym.make(ENV_ID, source=sequence(tmp_path))
     (tmp_path / "img1" / "000004.png").write_bytes(b"broken")
-    with pytest.warns(UserWarning, match=r"ends after 3 of 6 frames: .*000004\.png is no image"):
+    with pytest.warns(UserWarning, match=r"ends after 3 of 6 frames: .*000004\.png cannot be decoded as an image"):
         seen, _, info = episode(env)
     assert len(seen) == 4 and info["mota"] == 1.0
 

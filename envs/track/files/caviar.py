@@ -1,4 +1,4 @@
-"""CAVIAR's truth, CVML: an XML file of frames, objects and boxes, as some other sequences' truth has it, too."""
+"""Reader of CAVIAR's CVML: ground truth as an XML file of frames, objects and boxes. Other data sets use it, too."""
 
 from __future__ import annotations
 
@@ -19,14 +19,17 @@ _MAX_DEPTH = 64
 
 
 def read_caviar(path: str | Path) -> RecordedTracks:
-    """Tracks out of a CVML file; groups, orientations and hypotheses about behavior are passed over.
+    """Read the tracks of a CVML file. Groups, orientations and behavior hypotheses are skipped.
 
     Args:
-        path: `<dataset>` of `<frame number>`, `<objectlist>`, `<object id>`, `<box xc yc w h>`, center and size in px;
-            frames count from 0. Entities are refused, so that a file cannot grow while it is read.
+        path: XML file with `<dataset>`, `<frame number>`, `<objectlist>`, `<object id>` and `<box xc yc w h>`: center
+            and size in px. Frames are counted from 0. Entities are not allowed, because they can expand to any size.
+
+    Returns:
+        Tracks of all identities.
 
     Raises:
-        SequenceError: Missing, not XML, of another schema, or with a bad value.
+        SequenceError: If the file is missing, is not XML, has another schema or contains an invalid value.
 
     References:
         List and Fisher, "CVML - an XML-based computer vision markup language", ICPR 2004.
@@ -38,20 +41,20 @@ def read_caviar(path: str | Path) -> RecordedTracks:
             defusedxml.sax.parse(stream, handler)
     except defusedxml.DefusedXmlException as error:
         raise SequenceError(
-            f"{file}, line {handler.line}: entities are refused in a file of truth ({error}); remove them"
+            f"{file}, line {handler.line}: entities are not allowed in ground-truth files ({error}); remove them"
         ) from error
     except SAXException as error:
-        raise SequenceError(f"{file}, line {handler.line}: this is no well-formed XML ({_reason(error)})") from error
+        raise SequenceError(f"{file}, line {handler.line}: not well-formed XML ({_reason(error)})") from error
     except OSError as error:
         raise SequenceError(f"{file} cannot be read ({error.strerror}); check its permissions") from error
-    # Expat looks encodings up among Python's codecs, which may fail in ways of their own.
+    # Expat looks encodings up among Python's codecs, which raise their own errors.
     except (LookupError, UnicodeError) as error:
         raise SequenceError(f"{file}, line {handler.line}: the encoding cannot be read ({error})") from error
     return handler.rows.finish()
 
 
 class _Handler(ContentHandler):
-    """Follows the elements, and takes boxes in where the schema has them."""
+    """Handler that follows the elements and collects the boxes at the places of the schema."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -63,16 +66,16 @@ class _Handler(ContentHandler):
 
     @property
     def line(self) -> int:
-        """Where the parser is."""
+        """Line number of the parser."""
         number = None if self._locator is None else self._locator.getLineNumber()
         return number or 1
 
     def setDocumentLocator(self, locator: Locator) -> None:
-        """Keep what tells the line."""
+        """Store the locator, which gives line numbers."""
         self._locator = locator
 
     def startElement(self, name: str, attrs: AttributesImpl) -> None:
-        """One more element opens."""
+        """Handle the start of an element."""
         if not self._place and name != _BOX[0]:
             raise self.rows.fail(
                 self.line, f"the outermost element must be <dataset>, as in CAVIAR's CVML, got <{name[:40]}>"
@@ -92,7 +95,7 @@ class _Handler(ContentHandler):
             self.rows.add(self.line, self._frame, self._identity, box, 1.0)
 
     def endElement(self, name: str) -> None:
-        """The innermost element closes."""
+        """Handle the end of the innermost element."""
         if tuple(self._place) == _OBJECT and self._boxes != 1:
             raise self.rows.fail(self.line, f"<object> must hold one <box xc yc w h>, got {self._boxes}")
         self._place.pop()

@@ -1,4 +1,4 @@
-"""Decoders of single images: a video file, a camera, a folder of images, each behind the same few calls."""
+"""Decoders of video files, cameras and image folders, with one interface."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from servotrack.estimators.types import Image
 
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 _ATTEMPTS = 5
-"""Times in a row that a decoder may deliver nothing before the sequence counts as over."""
+"""Number of failed reads in a row after which a sequence has ended."""
 _TIMEOUT = 10_000
-"""Longest wait of OpenCV for a frame, ms."""
+"""Time-out of OpenCV for opening a file or reading a frame, ms."""
 _FRAME_RATES = (0.1, 1000.0)
-"""Frame rates outside are a container's slip, per second."""
+"""Range of plausible frame rates, frames per second. Values outside are treated as unknown."""
 
 
 def find_decoder(source: str | Path | int) -> Decoder:
-    """The decoder for a source: a camera's index, a folder, or a file; it is not opened yet.
+    """Return the unopened decoder for a source: the index of a camera, a folder, or a file.
 
     Raises:
-        SequenceError: Nothing there, or nothing in it.
+        SequenceError: If the source does not exist or is empty.
     """
     if isinstance(source, bool):
         raise SequenceError(f"source must be a path or a camera's index, got {source!r}")
@@ -66,13 +66,13 @@ def _folder_decoder(path: Path) -> Decoder:
 
 
 class Decoder(ABC):
-    """What delivers decoded images one by one; may be opened again after `close`.
+    """Source of decoded images, one by one. It can be opened again after `close`.
 
     Attributes:
-        name: For titles and messages.
-        live: Whether it cannot start anew.
-        length: Claimed number of images, once open; None where nothing is claimed.
-        frame_rate: Per second, once open; None where nothing is told.
+        name: Name for titles and messages.
+        live: True if the source cannot restart.
+        length: Number of images that the source claims, once open; None if unknown.
+        frame_rate: Frames per second, once open; None if unknown.
     """
 
     live = False
@@ -84,28 +84,28 @@ class Decoder(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Go to the first image."""
+        """Open the source at the first image."""
 
     @abstractmethod
     def read(self) -> NDArray[Any] | None:
-        """The next image as OpenCV has it; None at the end."""
+        """Return the next image in OpenCV's format; None at the end."""
 
     @abstractmethod
     def skip(self) -> bool:
-        """Pass over the next image; False at the end."""
+        """Skip the next image. Return False at the end."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of files."""
+        """Close files."""
 
     def detail(self, position: int) -> str:
-        """What else tells where an image is."""
+        """Return additional text for messages about an image, e.g. its file name."""
         return ""
 
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keeps OpenCV from writing to the user's terminal what an error of ours will say."""
+    """Silence OpenCV's messages on the terminal; an exception reports the error."""
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
@@ -115,19 +115,19 @@ def _quiet() -> Iterator[None]:
 
 
 class Capture(Decoder):
-    """What OpenCV's VideoCapture decodes."""
+    """Decoder based on OpenCV's VideoCapture."""
 
     _capture: Any = None
 
     @abstractmethod
     def _start(self) -> Any:
-        """An opened VideoCapture."""
+        """Return an opened VideoCapture."""
 
     def open(self) -> None:
-        """Start at the first image; one that is open goes on."""
+        """Open at the first image; do nothing if already open."""
         if self._capture is not None:
             return
-        # FFmpeg would tell the user's terminal of every damaged block.
+        # Otherwise FFmpeg prints every damaged block on the terminal.
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
         with _quiet():
             self._capture = self._start()
@@ -136,7 +136,7 @@ class Capture(Decoder):
         self.length = int(length) if 1.0 <= length < 2**31 and not self.live else None
 
     def read(self) -> NDArray[Any] | None:
-        """The next image; waits out a few times that nothing comes."""
+        """Return the next image, after up to `_ATTEMPTS` reads; None at the end."""
         for _ in range(_ATTEMPTS):
             delivered, image = self._tried(self._capture.read)
             if delivered and image is not None and image.size:
@@ -144,11 +144,11 @@ class Capture(Decoder):
         return None
 
     def skip(self) -> bool:
-        """Pass over an image without decoding its colors."""
+        """Skip an image without converting it. Return False at the end."""
         return any(self._tried(self._capture.grab) for _ in range(_ATTEMPTS))
 
     def close(self) -> None:
-        """Let go of the file or camera."""
+        """Close the file or camera."""
         if self._capture is not None:
             self._capture.release()
         self._capture = None
@@ -171,7 +171,7 @@ class VideoFile(Capture):
         super().__init__(str(path))
         self.path = path
         try:
-            # OpenCV tells nothing of permissions.
+            # OpenCV does not report missing permissions.
             with path.open("rb"):
                 pass
         except OSError as error:
@@ -179,7 +179,7 @@ class VideoFile(Capture):
 
     def _start(self) -> Any:
         waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _TIMEOUT, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _TIMEOUT]
-        # First the backend whose behavior is known; where a platform lacks it, whichever there is.
+        # FFmpeg first, because its behavior is known; any other backend if the platform lacks it.
         for backend, parameters in ((cv2.CAP_FFMPEG, waits), (cv2.CAP_ANY, [])):
             try:
                 capture = cv2.VideoCapture(str(self.path), backend, parameters)
@@ -188,8 +188,8 @@ class VideoFile(Capture):
             if capture.isOpened():
                 return capture
         raise SequenceError(
-            f"{self.path} cannot be decoded: it is no video, of an unknown format, or truncated "
-            "(an mp4 that was not finished has no index)"
+            f"{self.path} cannot be decoded: not a video, an unknown format, or truncated "
+            "(an unfinished mp4 file has no index)"
         )
 
 
@@ -206,7 +206,7 @@ class Camera(Capture):
         capture = cv2.VideoCapture(self._index) if 0 <= self._index < 2**31 else None
         if capture is None or not capture.isOpened():
             raise SequenceError(
-                f"camera {self._index} cannot be opened; check that it is attached and that nothing else uses it"
+                f"camera {self._index} cannot be opened; check that it is attached and not used by another program"
             )
         return capture
 
@@ -228,11 +228,11 @@ class ImageFolder(Decoder):
         self.length, self.frame_rate = len(names), frame_rate
 
     def open(self) -> None:
-        """Go to the first image."""
+        """Start at the first image."""
         self._next = 0
 
     def read(self) -> NDArray[Any] | None:
-        """The next image."""
+        """Return the next image; None at the end."""
         if self._next == len(self._names):
             return None
         file = self._path / self._names[self._next]
@@ -242,34 +242,34 @@ class ImageFolder(Decoder):
         except cv2.error as error:
             raise SequenceError(f"{file} cannot be decoded ({_reason(error)})") from error
         if image is None or image.size == 0:
-            raise SequenceError(f"{file} is no image that can be decoded; mend it or take it out of the folder")
+            raise SequenceError(f"{file} cannot be decoded as an image; replace it or remove it from the folder")
         self._next += 1
         return image
 
     def skip(self) -> bool:
-        """Pass over an image without opening it."""
+        """Skip an image without opening it. Return False at the end."""
         if self._next == len(self._names):
             return False
         self._next += 1
         return True
 
     def close(self) -> None:
-        """Nothing is open between images."""
+        """Do nothing: no file stays open between images."""
 
     def detail(self, position: int) -> str:
-        """The file's name."""
+        """Return the file name of an image."""
         return f" ({self._names[position]})"
 
 
 def to_rgb(image: NDArray[Any], where: str) -> Image:
-    """A decoded image as RGB, uint8, shape (H, W, 3).
+    """Convert a decoded image to RGB, uint8, shape (H, W, 3).
 
     Args:
-        image: As OpenCV has it: gray, BGR or BGRA, of 8 or 16 bits, of which the high byte counts.
-        where: For the message.
+        image: Image in OpenCV's format: gray, BGR or BGRA, 8 or 16 bits. Of 16 bits the high byte is used.
+        where: Source and frame, for the error message.
 
     Raises:
-        SequenceError: Any other image.
+        SequenceError: If the image has another format.
     """
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Frames of recorded and live sequences: one iterator over videos, image folders, cameras and MOTChallenge folders."""
+"""Frames of videos, image folders, cameras and MOTChallenge folders, behind one iterator."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from servotrack.envs.track.files.recorded import SequenceError
 from servotrack.estimators.types import Image
 
 SIDES = (8, 16384)
-"""Smallest and largest side that frames may be resized to, px."""
+"""Range of width and height for resized frames, px."""
 
 
 class FrameSource:
-    """The frames of a sequence, RGB, uint8, all of one size; `open_frames` makes it.
+    """Frames of a sequence: RGB, uint8, all of the same size. Made by `open_frames`.
 
-    Every iteration starts anew at the first frame, except over a camera, which goes on. Frames are decoded one by one;
-    none is kept. Gray images get three equal channels, of 16-bit images the high byte counts, alpha is dropped, and
-    an orientation that a camera noted is not applied. OpenCV brings a video whose size changes to that of its first
-    frame; in a folder such a change is an error.
+    Every iteration starts at the first frame; only a camera continues. Frames are decoded one by one and not kept. Gray
+    images get three equal channels, of 16-bit images the high byte is used, alpha is dropped, and the orientation tag
+    of a camera is not applied. If the size changes within a video, OpenCV resizes to the size of the first frame; in a
+    folder it is an error.
 
     Attributes:
-        name: For titles and messages.
-        frame_rate: Frames of the source per second; None where it does not tell.
-        source_size: Width and height as decoded, px.
-        size: Width and height of the frames that are delivered, px.
-        length: Frames that the source claims to have; None where it does not tell. It may lie.
-        live: Whether it is a camera.
-        warning: Why the newest iteration ended earlier than the source claims; empty where it did not.
+        name: Name for titles and messages.
+        frame_rate: Frames of the source per second; None if unknown.
+        source_size: Width and height of the decoded frames, px.
+        size: Width and height of the delivered frames, px.
+        length: Number of frames that the source claims; None if unknown. The claim can be wrong.
+        live: True for a camera.
+        warning: Reason why the last iteration ended earlier than the source claims; empty if it did not.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class FrameSource:
             raise
         if first is None:
             decoder.close()
-            raise SequenceError(f"{self.name} holds no frame that can be decoded; check that it plays elsewhere")
+            raise SequenceError(f"{self.name} holds no frame that can be decoded; check that a video player opens it")
         to_rgb(first, self.name)
         self.length, self.frame_rate = decoder.length, decoder.frame_rate
         self.source_size = (first.shape[1], first.shape[0])
@@ -59,10 +59,10 @@ class FrameSource:
             decoder.close()
 
     def __iter__(self) -> Iterator[Image]:
-        """Frames, from `start` on.
+        """Yield the frames from `start` on.
 
         Raises:
-            SequenceError: A frame that cannot be decoded, or of another size than the first; no frame at all.
+            SequenceError: If there is no frame, or a frame cannot be decoded or differs in size from the first one.
         """
         decoder, self.warning = self._decoder, ""
         position = delivered = 0
@@ -89,7 +89,7 @@ class FrameSource:
         self._check_end(position, delivered)
 
     def close(self) -> None:
-        """Let go of the camera or file."""
+        """Close the camera or file."""
         self._decoder.close()
 
     def _deliver(self, image: NDArray[Any], position: int) -> Image:
@@ -97,7 +97,7 @@ class FrameSource:
         if (image.shape[1], image.shape[0]) != self.source_size:
             raise SequenceError(
                 f"{where}: it has {image.shape[1]}x{image.shape[0]} px, the first one "
-                f"{self.source_size[0]}x{self.source_size[1]}; bring all to one size"
+                f"{self.source_size[0]}x{self.source_size[1]}; resize all frames to one size"
             )
         return resize(to_rgb(image, where), self.size)
 
@@ -125,20 +125,23 @@ def open_frames(
     count: int | None = None,
     stride: int = 1,
 ) -> FrameSource:
-    """Open a sequence.
+    """Open the frames of a sequence.
 
     Args:
-        source: A video file, a folder of images (taken in the order of the numbers in their names), the folder of a
-            MOTChallenge sequence, or a camera's index.
-        width: Resize to this, px; with only one of the two, the shape is kept.
-        height: Resize to this, px.
+        source: Video file, folder of images (sorted by the numbers in their names), folder of a MOTChallenge sequence,
+            or index of a camera.
+        width: Width to which frames are resized, px; None: follows from `height`, or no resizing.
+        height: Height to which frames are resized, px; None: follows from `width`, or no resizing.
         start: First frame, counted from 0.
-        count: Most frames; None for all.
-        stride: Take every so manieth frame.
+        count: Maximum number of frames; None: all.
+        stride: Use every N-th frame.
+
+    Returns:
+        Iterable over the frames.
 
     Raises:
-        SequenceError: Nothing there, nothing in it, or nothing that can be decoded.
-        ValueError: Another argument out of its range.
+        SequenceError: If the source does not exist, is empty or cannot be decoded.
+        ValueError: If another argument is out of its range.
     """
     for name, value, low, high in (
         ("width", width, *SIDES),
@@ -153,7 +156,7 @@ def open_frames(
 
 
 def resize(image: Image, size: tuple[int, int]) -> Image:
-    """An image brought to (width, height), by areas where it shrinks; itself where it has that size."""
+    """Resize an image to (width, height): area averaging when a side shrinks, otherwise bilinear interpolation."""
     if (image.shape[1], image.shape[0]) == size:
         return image
     shrinks = size[0] < image.shape[1] or size[1] < image.shape[0]
@@ -161,7 +164,7 @@ def resize(image: Image, size: tuple[int, int]) -> Image:
 
 
 def resized(size: tuple[int, int], width: int | None, height: int | None) -> tuple[int, int]:
-    """The size that frames of `size` are brought to; with only one side given, the shape is kept; px."""
+    """Return the resized (width, height) of frames, px. With only one side given, the aspect ratio is kept."""
     if width is None and height is None:
         return size
     if width is None:

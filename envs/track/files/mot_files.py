@@ -1,4 +1,4 @@
-"""MOTChallenge's files: rows of tracks and detections, seqinfo.ini, and the folder of a sequence."""
+"""Readers and writers of MOTChallenge files: tracks, detections, seqinfo.ini, and the folder of a sequence."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _MAX_INI = 65536
 _TRACK_COLUMNS = 6
 _FLAG, _VISIBILITY = 6, 8
 _WITH_VISIBILITY = 9
-"""Rows of exactly nine columns (MOT16 and later) end in class and visibility; those of ten in three coordinates."""
+"""Number of columns of rows with visibility (MOT16 and later). Rows of ten columns end in three coordinates."""
 
 
 class SequenceInfo(NamedTuple):
-    """What seqinfo.ini tells; None where it does not.
+    """Content of seqinfo.ini; None for missing entries.
 
     Attributes:
-        name: Of the sequence.
-        images: Folder of the images, inside that of the sequence.
+        name: Name of the sequence.
+        images: Folder of the images, relative to that of the sequence.
         frame_rate: Frames per second.
         length: Claimed number of frames.
-        width, height: Of the images, px.
+        width, height: Size of the images, px.
     """
 
     name: str
@@ -42,13 +42,13 @@ class SequenceInfo(NamedTuple):
 
 
 class MotFolder(NamedTuple):
-    """The parts of a MOTChallenge sequence; None for those that are not there.
+    """Parts of a MOTChallenge sequence; None for missing parts.
 
     Attributes:
-        info: As seqinfo.ini tells; without that file, the folder's name and defaults.
+        info: Content of seqinfo.ini; without that file, the name of the folder and defaults.
         images: Folder of images.
-        detections: det/det.txt.
-        truth: gt/gt.txt.
+        detections: Path of det/det.txt.
+        truth: Path of gt/gt.txt.
     """
 
     info: SequenceInfo
@@ -58,12 +58,12 @@ class MotFolder(NamedTuple):
 
 
 def find_mot_folder(path: str | Path) -> MotFolder | None:
-    """The parts of a folder that is a MOTChallenge sequence; None where it is none.
+    """Return the parts of a MOTChallenge sequence; None if the folder is not one.
 
-    A folder is one if it holds seqinfo.ini, det/det.txt, gt/gt.txt or img1.
+    A folder is a MOTChallenge sequence if it contains seqinfo.ini, det/det.txt, gt/gt.txt or the image folder.
 
     Raises:
-        SequenceError: A bad seqinfo.ini.
+        SequenceError: If seqinfo.ini is invalid.
     """
     folder = Path(path)
     seqinfo, detections, truth = folder / "seqinfo.ini", folder / "det" / "det.txt", folder / "gt" / "gt.txt"
@@ -80,13 +80,16 @@ def find_mot_folder(path: str | Path) -> MotFolder | None:
 
 
 def read_mot_tracks(path: str | Path) -> RecordedTracks:
-    """Tracks out of gt.txt, or of a tracker's results; rows with flag (or confidence) 0 do not count and are dropped.
+    """Read the tracks of a gt.txt or of the results of a tracker. Rows with flag (or confidence) 0 are ignored.
 
     Args:
-        path: Rows of frame (from 1), id, left, top, width, height, then perhaps flag, class and visibility.
+        path: File with rows of frame (from 1), id, left, top, width, height, and optionally flag, class and visibility.
+
+    Returns:
+        Tracks of all identities.
 
     Raises:
-        SequenceError: Missing, not text, a bad row, or an id twice in a frame.
+        SequenceError: If the file is missing or not text, a row is invalid, or an id is twice in a frame.
     """
     file = Path(path)
     rows = TrackRows(file)
@@ -104,16 +107,16 @@ def read_mot_tracks(path: str | Path) -> RecordedTracks:
 
 
 def read_mot_detections(path: str | Path) -> dict[int, Detections]:
-    """Detections out of det.txt.
+    """Read the detections of a det.txt.
 
     Args:
-        path: Rows of frame (from 1), -1, left, top, width, height, confidence; without a confidence it is 1.
+        path: File with rows of frame (from 1), -1, left, top, width, height, confidence (default 1).
 
     Returns:
-        By step (frame from 0), only where there are any.
+        Detections by step (frame from 0); frames without detections are missing.
 
     Raises:
-        SequenceError: Missing, not text, or a bad row.
+        SequenceError: If the file is missing or not text, or a row is invalid.
     """
     file = Path(path)
     rows = TrackRows(file)
@@ -123,7 +126,7 @@ def read_mot_detections(path: str | Path) -> dict[int, Detections]:
         confidence = values[_FLAG] if len(values) > _FLAG else 1.0
         if not math.isfinite(confidence):
             raise rows.fail(line, f"confidence must be finite, got {confidence:g}")
-        # The row goes through the same checks as a track's; its identity, -1, means nothing.
+        # The row passes the same checks as that of a track; the identity column, -1, has no meaning.
         rows.add(line, step, 0, (values[2], values[3], values[4], values[5]), 1.0)
         found.setdefault(step, []).append((*values[2:6], confidence))
     arrays = {step: np.array(boxes) for step, boxes in found.items()}
@@ -131,10 +134,10 @@ def read_mot_detections(path: str | Path) -> dict[int, Detections]:
 
 
 def read_seqinfo(path: str | Path) -> SequenceInfo:
-    """What seqinfo.ini tells.
+    """Read seqinfo.ini.
 
     Raises:
-        SequenceError: Missing, not of the format, or an image folder outside the sequence's own.
+        SequenceError: If the file is missing, has another format, or names an image folder outside the sequence.
     """
     file = check_file(Path(path))
     parser = configparser.ConfigParser(interpolation=None)
@@ -142,7 +145,7 @@ def read_seqinfo(path: str | Path) -> SequenceInfo:
         with file.open("rb") as handle:
             content = handle.read(_MAX_INI + 1)
         if len(content) > _MAX_INI:
-            raise SequenceError(f"{file} is larger than {_MAX_INI} bytes: no seqinfo.ini; check the path")
+            raise SequenceError(f"{file} is larger than {_MAX_INI} bytes and cannot be a seqinfo.ini; check the path")
         parser.read_string(content.decode("utf-8-sig"), source=str(file))
         section = parser["Sequence"]
     except (configparser.Error, UnicodeDecodeError, KeyError, OSError) as error:
@@ -150,7 +153,7 @@ def read_seqinfo(path: str | Path) -> SequenceInfo:
         raise SequenceError(f"{file} must have a section [Sequence] with lines key=value ({reason})") from error
     images = section.get("imDir", "img1").strip()
     if not images or "\0" in images or Path(images).is_absolute() or ".." in Path(images).parts:
-        raise SequenceError(f"{file}: imDir must be a folder inside the sequence's own, got {images!r}")
+        raise SequenceError(f"{file}: imDir must be a folder inside that of the sequence, got {images!r}")
     length, width, height = (_number(file, section, key) for key in ("seqLength", "imWidth", "imHeight"))
     return SequenceInfo(
         section.get("name", file.parent.name).strip(),
@@ -163,27 +166,27 @@ def read_seqinfo(path: str | Path) -> SequenceInfo:
 
 
 def mot_row(frame: int, identity: int, box: ArrayLike, confidence: float = 1.0) -> str:
-    """One line of a tracker's results, with its line break.
+    """Return one line of the results of a tracker, with its line break.
 
     Args:
-        frame: From 1.
-        identity: At least 1.
-        box: Left, top, width, height, px; written to a hundredth.
-        confidence: Written in column 7; the coordinates in space after it are -1.
+        frame: Frame number, from 1.
+        identity: Identity, at least 1.
+        box: Left, top, width, height, px; written with two decimals.
+        confidence: Confidence, written in column 7; the 3-D coordinates after it are -1.
     """
     left, top, width, height = np.asarray(box, dtype=np.float64).tolist()
     return f"{frame},{identity},{left:.2f},{top:.2f},{width:.2f},{height:.2f},{confidence:.3g},-1,-1,-1\n"
 
 
 def truth_row(frame: int, identity: int, box: ArrayLike, counts: bool, visibility: float) -> str:
-    """One line of a gt.txt in nine columns, with its line break; the class is 1, a pedestrian.
+    """Return one line of a gt.txt in nine columns, with its line break. The class is 1, pedestrian.
 
     Args:
-        frame: From 1.
-        identity: At least 1.
-        box: Left, top, width, height, px; written to a hundredth.
-        counts: Whether a tracker is to find it.
-        visibility: From 0 to 1.
+        frame: Frame number, from 1.
+        identity: Identity, at least 1.
+        box: Left, top, width, height, px; written with two decimals.
+        counts: True if the box is scored, False if it is ignored.
+        visibility: Visible share, 0 to 1.
     """
     left, top, width, height = np.asarray(box, dtype=np.float64).tolist()
     return f"{frame},{identity},{left:.2f},{top:.2f},{width:.2f},{height:.2f},{int(counts)},1,{visibility:.3f}\n"
@@ -193,11 +196,11 @@ def write_seqinfo(path: str | Path, info: SequenceInfo) -> None:
     """Write a seqinfo.ini that `read_seqinfo` reads.
 
     Args:
-        path: The file.
-        info: What it tells; all of it.
+        path: File to write.
+        info: Content; no entry may be None.
     """
     parser = configparser.ConfigParser()
-    # Keys keep their capitals, which other readers of these files want.
+    # Keys keep their capitals, which other readers of these files expect.
     parser.optionxform = str  # type: ignore[assignment,method-assign]
     parser["Sequence"] = {
         "name": info.name,
@@ -213,7 +216,7 @@ def write_seqinfo(path: str | Path, info: SequenceInfo) -> None:
 
 
 def _rows(rows: TrackRows) -> Iterator[tuple[int, list[float]]]:
-    """Line number and numbers of every row that is not blank; lines are bounded, so that memory is."""
+    """Yield line number and values of every row that is not blank. The length of lines is limited, to limit memory."""
     path = check_file(rows.path)
     try:
         with path.open("rb") as handle:
@@ -221,7 +224,9 @@ def _rows(rows: TrackRows) -> Iterator[tuple[int, list[float]]]:
             while content := handle.readline(_MAX_LINE + 1):
                 line += 1
                 if len(content) > _MAX_LINE:
-                    raise rows.fail(line, f"lines must be shorter than {_MAX_LINE} bytes; this is no file of rows")
+                    raise rows.fail(
+                        line, f"lines must be shorter than {_MAX_LINE} bytes; the file is not in MOTChallenge format"
+                    )
                 if line == 1:
                     content = content.removeprefix(b"\xef\xbb\xbf")
                 if content.strip():
@@ -236,16 +241,16 @@ def _numbers_of(rows: TrackRows, line: int, content: bytes) -> list[float]:
         values = [float(part) for part in parts]
     except ValueError:
         shown = content.strip()[:60].decode("ascii", "backslashreplace")
-        raise rows.fail(line, f"rows must hold numbers with commas between, got {shown!r}") from None
+        raise rows.fail(line, f"rows must contain numbers separated by commas, got {shown!r}") from None
     if len(values) < _TRACK_COLUMNS:
         raise rows.fail(
-            line, f"rows must hold at least frame, id, left, top, width, height, got {len(values)} number(s)"
+            line, f"rows must contain at least frame, id, left, top, width, height, got {len(values)} number(s)"
         )
     return values
 
 
 def _whole(rows: TrackRows, line: int, name: str, value: float) -> int:
-    if not value.is_integer():  # also of NaN and infinity
+    if not value.is_integer():  # False for NaN and infinity, too
         raise rows.fail(line, f"{name} must be a whole number, got {value:g}")
     return int(value)
 
@@ -259,5 +264,5 @@ def _number(path: Path, section: configparser.SectionProxy, key: str) -> float |
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and 0.0 < value <= 1e12):
-        raise SequenceError(f"{path}: {key} must be a positive number, got {text!r}; mend the line or delete it")
+        raise SequenceError(f"{path}: {key} must be a positive number, got {text!r}; correct the line or delete it")
     return value

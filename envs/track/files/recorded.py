@@ -1,4 +1,4 @@
-"""Recorded tracks: what a file of truth or of results holds, whichever format it is in."""
+"""Recorded tracks: the common content of ground-truth and result files of all formats."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from servotrack.estimators.metrics.tracks import Track
 from servotrack.estimators.types import Array, Labels
 
 MAX_FRAME = 10_000_000
-"""Latest frame that is believed: four days at 25 frames per second. Beyond it a number is a slip of the pen."""
+"""Number of accepted frames (four days at 25 frames per second). Larger frame numbers are rejected as errors."""
 MAX_ROWS = 10_000_000
-"""Most boxes of a file."""
+"""Maximum number of boxes in a file."""
 MAX_PIXELS = 1e6
-"""Largest coordinate or size of a box that is believed, px."""
+"""Largest accepted coordinate or size of a box, px."""
 _MAX_ID = 2**53
 
 
 class SequenceError(ValueError):
-    """A file of a recorded sequence that cannot be used; the message names file, line and remedy."""
+    """Error in a file of a recorded sequence. The message names file, line and remedy."""
 
 
 class PeopleInFrame(NamedTuple):
-    """Who is in one frame of a recorded sequence.
+    """People in one frame of a recorded sequence.
 
     Attributes:
-        ids: Increasing. Shape (k,), int.
-        boxes: Left, top, width, height. Shape (k, 4), px.
-        visibilities: Visible share of each, from 0 to 1. Shape (k,).
+        ids: Identities, increasing, shape (k,), int.
+        boxes: Left, top, width, height, shape (k, 4), px.
+        visibilities: Visible shares from 0 to 1, shape (k,).
     """
 
     ids: Labels
@@ -44,12 +44,12 @@ class PeopleInFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class RecordedTracks:
-    """All identities of a recorded sequence.
+    """Tracks of all identities of a recorded sequence.
 
     Attributes:
-        ids: As the file has them, increasing. Shape (n,), int.
-        tracks: One per identity; steps count frames from 0; states are boxes (left, top, width, height). n of them, px.
-        visibilities: Visible share of each box, from 0 to 1; 1 where the file does not tell. n arrays of shape (k,).
+        ids: Identities of the file, increasing, shape (n,), int.
+        tracks: One track per identity. Steps count frames from 0; states are boxes (left, top, width, height), px.
+        visibilities: Visible shares of the boxes of each track, 0 to 1; 1 if the file has none. n arrays of shape (k,).
     """
 
     ids: Labels
@@ -58,11 +58,11 @@ class RecordedTracks:
 
     @property
     def length(self) -> int:
-        """Steps up to the last box."""
+        """Number of steps up to the last box."""
         return max((int(track.steps[-1]) + 1 for track in self.tracks), default=0)
 
     def by_frame(self) -> Mapping[int, PeopleInFrame]:
-        """Who is in each frame (from 0) that has anybody."""
+        """Return the people in each frame (from 0) that has any."""
         if not self.tracks:
             return {}
         steps = np.concatenate([track.steps for track in self.tracks])
@@ -80,17 +80,17 @@ class RecordedTracks:
 
 
 class _Frames(Mapping[int, PeopleInFrame]):
-    """Frames cut out of whole arrays when they are asked for: hours of them would fill the memory."""
+    """Frames as slices of whole arrays, made on access: one object per frame would need too much memory."""
 
-    def __init__(self, frames: Labels, bounds: Labels, everybody: PeopleInFrame) -> None:
-        self._frames, self._bounds, self._everybody = frames, bounds, everybody
+    def __init__(self, frames: Labels, bounds: Labels, people: PeopleInFrame) -> None:
+        self._frames, self._bounds, self._people = frames, bounds, people
 
     def __getitem__(self, frame: int) -> PeopleInFrame:
         at = int(np.searchsorted(self._frames, frame))
         if at == len(self._frames) or self._frames[at] != frame:
             raise KeyError(frame)
         inside = slice(self._bounds[at], self._bounds[at + 1])
-        ids, boxes, visibilities = self._everybody
+        ids, boxes, visibilities = self._people
         return PeopleInFrame(ids[inside], boxes[inside], visibilities[inside])
 
     def __iter__(self) -> Iterator[int]:
@@ -101,10 +101,10 @@ class _Frames(Mapping[int, PeopleInFrame]):
 
 
 class TrackRows:
-    """Collects the rows of a file, checks each, and makes tracks of them.
+    """Collector of the rows of a file: checks each row and builds the tracks.
 
     Args:
-        path: The file, for messages.
+        path: Path of the file, for messages.
     """
 
     def __init__(self, path: Path) -> None:
@@ -113,21 +113,21 @@ class TrackRows:
         self._keys = array("q")
 
     def fail(self, line: int, message: str) -> SequenceError:
-        """The error to raise for a line."""
+        """Return the error to raise for a line."""
         return SequenceError(f"{self.path}, line {line}: {message}")
 
     def add(self, line: int, step: int, identity: int, box: tuple[float, float, float, float], visible: float) -> None:
-        """Take in one box.
+        """Add one box.
 
         Args:
-            line: Where it stands in the file.
+            line: Line number in the file.
             step: Frame, from 0.
-            identity: At least 0.
+            identity: Identity, at least 0.
             box: Left, top, width, height, px.
             visible: Visible share, 0 to 1.
 
         Raises:
-            SequenceError: A number out of its range, or too many rows.
+            SequenceError: If a number is out of its range or there are too many rows.
         """
         if not 0 <= step < MAX_FRAME:
             raise self.fail(line, f"frame must be one of the first {MAX_FRAME}, got {step} (counted from 0)")
@@ -137,22 +137,22 @@ class TrackRows:
         if not 0.0 <= visible <= 1.0:
             raise self.fail(line, f"visibility must lie in [0, 1], got {visible:g}")
         if len(self._keys) >= 3 * MAX_ROWS:
-            raise self.fail(line, f"a file must hold at most {MAX_ROWS} boxes; split it")
+            raise self.fail(line, f"a file must hold at most {MAX_ROWS} boxes; split the file")
         self._values.extend((*box, visible))
         self._keys.extend((identity, step, line))
 
     def check_box(self, line: int, box: tuple[float, float, float, float]) -> None:
-        """Raises SequenceError where a box is not finite, far outside any image, or of negative size."""
+        """Raise SequenceError if a box is not finite, far outside any image, or of negative size."""
         if not all(math.isfinite(value) and abs(value) <= MAX_PIXELS for value in box):
             raise self.fail(line, f"boxes must be finite, within {MAX_PIXELS:g} px, got {_numbers(box)}")
         if box[2] < 0.0 or box[3] < 0.0:
             raise self.fail(line, f"width and height must be at least 0, got {_numbers(box)}")
 
     def finish(self) -> RecordedTracks:
-        """The tracks.
+        """Return the tracks.
 
         Raises:
-            SequenceError: An identity twice in a frame.
+            SequenceError: If an identity is twice in a frame.
         """
         keys = np.array(self._keys, dtype=np.int64).reshape(-1, 3)
         values = np.array(self._values, dtype=np.float64).reshape(-1, 5)
@@ -174,15 +174,15 @@ class TrackRows:
 
 
 def check_file(path: Path) -> Path:
-    """Raises SequenceError unless the path is a file."""
+    """Return the path if it is a file, else raise SequenceError."""
     if path.is_dir():
-        raise SequenceError(f"{path} is a folder; name the file")
+        raise SequenceError(f"{path} is a folder; give the path of a file")
     try:
         there = path.is_file()
     except (OSError, ValueError) as error:
         raise SequenceError(f"{str(path)!r} cannot be a file ({error})") from error
     if not there:
-        raise SequenceError(f"{path} does not exist, or is no plain file; check the path")
+        raise SequenceError(f"{path} does not exist or is not a regular file; check the path")
     return path
 
 

@@ -1,4 +1,4 @@
-"""Every parameter of the pedestrian scene, and the levels that set them."""
+"""Parameters of the pedestrian environment, and the levels that set them."""
 
 from __future__ import annotations
 
@@ -9,46 +9,48 @@ from servotrack.envs.arguments import check_fields, check_keywords, check_level
 
 SCRIPTS = ("random", "crossing", "crowd", "meet_split_third_guy", "replay")
 POPULATED = ("random", "crossing", "crowd")
-"""Scripts in which `people` decides how many there are."""
+"""Scripts in which `people` sets the mean number of people."""
 OBSERVATIONS = ("pixels", "blobs", "centroids")
 PAPER_FRAMES = 922
-"""Frames of paper 000's sequence Meet_Split_3rdGuy."""
+"""Length of the CAVIAR sequence Meet_Split_3rdGuy, which Wu and Hu 2010 use, frames."""
 PAPER_FRAME_RATE = 25.0
+"""Frame rate of that sequence, frames per second."""
 PAPER_EMPTY_FRAMES = 49
-"""Its first frames, which show nobody."""
+"""Number of empty frames at the start of that sequence."""
 BOX_CUTOFF, POINT_CUTOFF = 1.0, 40.0
-"""The c of reward and scores by default: one minus IoU, and px."""
+"""Default cut-off c of reward and scores: 1 - IoU for boxes, px for centroids."""
 
 
 @dataclass(frozen=True)
 class PedestrianConfig:
-    """All that defines a pedestrian scene. The picture's axes are off by default.
+    """Parameters of a pedestrian environment. Most difficulties of the picture are off by default.
 
     Attributes:
-        script: Who comes when and does what: `random`, `crossing`, `crowd`, `meet_split_third_guy`, or `replay`.
-        source: Recorded tracks to replay: a CAVIAR XML file, MOTChallenge's gt.txt or a sequence's folder (`replay`).
-        horizon: Frames of an episode that are answered.
-        observation: What agents see: `pixels`, `blobs` or `centroids`.
-        width: Of the frame, px.
-        height: Of the frame, px.
+        script: Motion of the people: `random`, `crossing`, `crowd`, `meet_split_third_guy`, or `replay`.
+        source: Recorded tracks to replay: a CAVIAR XML file, MOTChallenge's gt.txt or the folder of a sequence
+            (`replay`).
+        horizon: Number of answered frames of an episode.
+        observation: Kind of observation: `pixels`, `blobs` or `centroids`.
+        width: Width of the frame, px.
+        height: Height of the frame, px.
         frame_rate: Frames per second.
-        people: Mean number in the scene at a time (`random`, `crossing`, `crowd`).
-        max_people: Most at a time.
-        empty_frames: How many first frames show the lobby empty, as before opening hours, so that a background can be
-            learned; then it is as populated as it will be. Of `meet_split_third_guy` at most 49, and of `replay` what
-            the recording has, so that there it says only what agents are told.
-        camouflage: Share of clothes in the background's colors, 0 to 1.
+        people: Mean number of people in the scene at a time (`random`, `crossing`, `crowd`).
+        max_people: Maximum number of people at a time.
+        empty_frames: Number of first frames that show the empty lobby, so that a background can be learned; then the
+            lobby has its usual population. At most 49 with `meet_split_third_guy`. With `replay` the recording decides,
+            and this value is only passed to agents in the scene model.
+        camouflage: Probability that a piece of clothing has a color of the background, 0 to 1.
         shadow: Opacity of cast shadows, 0 to 1.
-        flicker: Standard deviation of the whole frame's brightness from frame to frame, gray levels.
-        plant: Sway of a plant's leaves, px.
+        flicker: Standard deviation of the brightness of the whole frame, independent in each frame, gray levels.
+        plant: Amplitude of the sway of plant leaves, px.
         light_drift: Amplitude of a slow change of brightness, gray levels.
-        light_step: A sudden change of brightness, gray levels, at a frame drawn from the middle third of the episode.
-        sensor_noise: Standard deviation of a pixel's noise, gray levels.
+        light_step: Sudden change of brightness at a random frame in the middle third of the episode, gray levels.
+        sensor_noise: Standard deviation of the pixel noise, gray levels.
         compression: Strength of JPEG artifacts, 0 (none) to 1 (quality 10).
-        occluders: Number of pillars, plants and signs that people walk behind.
+        occluders: Number of pillars, plants and signs in front of the people.
         max_measurements: Rows of an observation of blobs or centroids; None: 2 max_people + 16.
         max_estimates: Rows of an action; None: 2 max_people + 8.
-        cutoff: The c of reward and scores; None: 1 (one minus IoU) for boxes, 40 px for centroids.
+        cutoff: Cut-off c of the reward and of all scores; None: 1 (1 - IoU) for boxes, 40 px for centroids.
     """
 
     script: str = "random"
@@ -75,7 +77,7 @@ class PedestrianConfig:
     cutoff: float | None = None
 
     def __post_init__(self) -> None:
-        """Check every field; raises ValueError that names the argument, the value and what would be right."""
+        """Check every field. A ValueError names the argument, its value and the valid values."""
         for name, options in (("script", SCRIPTS), ("observation", OBSERVATIONS)):
             if getattr(self, name) not in options:
                 raise ValueError(f"{name} must be one of {', '.join(options)}, got {getattr(self, name)!r}")
@@ -86,7 +88,7 @@ class PedestrianConfig:
             if self.empty_frames > PAPER_EMPTY_FRAMES:
                 raise ValueError(
                     f"empty_frames must be at most {PAPER_EMPTY_FRAMES} in the script 'meet_split_third_guy', "
-                    f"where the first person comes then, got {self.empty_frames}"
+                    f"where the first person enters then, got {self.empty_frames}"
                 )
             if self.frame_rate != PAPER_FRAME_RATE:
                 raise ValueError(
@@ -115,12 +117,12 @@ class PedestrianConfig:
 
     @property
     def answers_boxes(self) -> bool:
-        """Whether answers are boxes; else they are centroids."""
+        """True if answers are boxes, False if they are centroids."""
         return self.observation != "centroids"
 
     @property
     def score_cutoff(self) -> float:
-        """The c of reward and scores."""
+        """Cut-off c of the reward and of all scores."""
         if self.cutoff is not None:
             return self.cutoff
         return BOX_CUTOFF if self.answers_boxes else POINT_CUTOFF
@@ -152,16 +154,16 @@ AXES = tuple(f.name for f in fields(PedestrianConfig))
 
 
 def pedestrian_config(level: int = 0, **axes: Any) -> PedestrianConfig:
-    """The configuration of a level, with single parameters overridden.
+    """Return the configuration of a level, with some parameters overridden.
 
     Args:
         level: 0 `plain`, 1 `crossing`, 2 `crowd`, 3 `camouflage`, 4 `light`, 5 `everything`.
-        **axes: Fields of `PedestrianConfig`. The script `meet_split_third_guy` brings a horizon of 922 frames, of
-            which the first 49 are empty; `replay` tells agents of no empty frames.
+        **axes: Fields of `PedestrianConfig` with the values to use. The script `meet_split_third_guy` sets a horizon
+            of 922 frames, of which the first 49 are empty; `replay` sets `empty_frames` to 0.
 
     Raises:
-        ValueError: A level that does not exist, or a value outside its bounds.
-        TypeError: An unknown keyword; the message suggests the nearest known one.
+        ValueError: If the level does not exist or a value is outside its bounds.
+        TypeError: If a keyword is unknown; the message suggests the nearest known one.
     """
     level = check_level(level, len(_LEVELS))
     check_keywords(axes, AXES)

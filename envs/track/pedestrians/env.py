@@ -1,4 +1,4 @@
-"""People on video: the world of the observers that count and follow them."""
+"""PedestrianTracking-v0: multi-person tracking in rendered video."""
 
 from __future__ import annotations
 
@@ -23,85 +23,89 @@ _METADATA = METADATA | {"servotrack_kind": "people", "render_fps": 25}
 
 
 class PedestrianTrackingEnv(TrackEnv):
-    """Count people who walk through a lobby, say where they are, and keep them apart, by the frames of a camera.
+    """Track the people in the rendered video of a surveillance camera in a lobby, from pixels or from blobs.
 
     ## Description
 
-    A camera looks down into a lobby. People come in at the sides, walk, stand, meet, go on together or apart, hide one
-    another, and leave; a social force model moves them. The agent is an observer. It changes nothing in the world; it
-    answers every frame with the set of people it believes in, and keeps their identities apart.
+    A camera looks down into a lobby. People enter at the sides, walk, stand, meet, continue together or apart, occlude
+    each other, and leave; a social force model moves them. The agent is a passive observer: its actions do not
+    influence the people. It answers every frame with an estimate of the set of people and of their identities.
 
     | level | scene |
     |---|---|
-    | 0 `plain` | four people on average, one in three standing, even light |
-    | 1 `crossing` | five who cross each other's ways all the time |
-    | 2 `crowd` | ten on average, in groups |
-    | 3 `camouflage` | nine in ten clothes in the background's colors, more noise |
-    | 4 `light` | cast shadows, flicker, slow drift of the light and a sudden change of it |
-    | 5 `everything` | a crowd of eight with all of this, swaying plants, compression and pillars to walk behind |
+    | 0 `plain` | four people on average, one in three standing, constant light |
+    | 1 `crossing` | five people whose paths cross all the time |
+    | 2 `crowd` | ten people on average, in groups |
+    | 3 `camouflage` | nine in ten clothes have colors of the background; more sensor noise |
+    | 4 `light` | cast shadows, flicker, slow drift and a sudden change of the light |
+    | 5 `everything` | a crowd of eight with the effects above, swaying plants, compression and occluding pillars |
 
-    Every axis of difficulty is a keyword of its own. `script` chooses who comes when: `random`, `crossing`, `crowd`,
-    `meet_split_third_guy` (the 922 frames of paper 000's sequence: two meet, become one region at about frame 450 and
-    part at about 468, a third comes by), or `replay` with `source`, recorded tracks that people of our own walk again.
+    Every difficulty is a separate keyword. `script` selects the motion of the people: `random`, `crossing`, `crowd`,
+    `meet_split_third_guy` (922 frames as in the CAVIAR sequence Meet_Split_3rdGuy: two people meet, form one region at
+    about frame 450 and separate at about 468; a third passes), or `replay`, where rendered people walk along recorded
+    tracks given by `source`.
 
-    The public attribute `scene_model` holds the parameters that agents may know, a
-    `servotrack.envs.track.people.camera_model.VideoModel`.
+    The attribute `scene_model`, a `servotrack.envs.track.people.camera_model.VideoModel`, holds the parameters that
+    agents may use: frame size and rate, maximum number of people, and number of empty frames at the start.
 
     ## Action Space
 
-    `Box((max_estimates, 5), float64)`: the answer, one row per identity: existence, then left, top, width and height of
-    the box around the whole person, hidden parts included, cut at the frame's border, px. With
-    `observation="centroids"` `Box((max_estimates, 3), float64)`: existence and the middle of that box. An existence of
-    at least 0.5 reports the person; from 0.05 to 0.5 the row keeps its identity silently; below 0.05 the identity ends
-    and the row is free for another.
+    `Box((max_estimates, 5), float64)`: the estimated set, one row per identity: existence probability, then left, top,
+    width and height of the bounding box of the whole person, including occluded parts, clipped at the frame border, px.
+    With `observation="centroids"` `Box((max_estimates, 3), float64)`: existence and the center of that box. An
+    existence of at least 0.5 reports the person. From 0.05 to 0.5 the person is not reported, but the row keeps its
+    identity. Below 0.05 the identity ends and the row is free for another person.
 
     ## Observation Space
 
-    By `observation`:
+    Depends on `observation`:
 
     * `pixels`: `Box(0, 255, (height, width, 3), uint8)`, an RGB frame;
-    * `blobs`: `Box((max_measurements, 5), float64)`, what a motion detector finds: 1, then a box, px;
+    * `blobs`: `Box((max_measurements, 5), float64)`, the regions of a motion detector: 1, then the box, px;
     * `centroids`: `Box((max_measurements, 3), float64)`: 1, then the center of gravity of each region, px.
 
-    The detector is paper 000's (`servotrack.estimators.detect.MaskedBackground`), which has seen the lobby empty.
-    People who stand together are one blob, somebody in the background's colors is several or none. Rows are in random
-    order; unused rows are zeros at the end; where there are too many, the smallest regions are dropped.
+    The motion detector is that of Wu and Hu 2010 (`servotrack.estimators.detect.MaskedBackground`), with the background
+    learned from the empty lobby. People who stand close together form one blob; a person in background colors gives
+    several blobs or none. The rows are in random order; unused rows at the end are zeros. If there are too many
+    regions, the smallest ones are dropped.
 
     ## Rewards
 
-    `-GOSPA(c = cutoff, p = 1, alpha = 2) / c` of the answer to each frame, over one minus IoU (c = 1) of boxes or the
-    distance (c = 40 px) of centroids: a missed or a false person costs one half, a located one its error over c.
+    `-GOSPA(c = cutoff, p = 1, alpha = 2) / c` of the answer to each frame. The base distance is 1 - IoU of boxes, with
+    c = 1, or the distance of centroids, with c = 40 px. A missed or a false person costs one half, a localized person
+    costs its distance divided by c.
 
-    People of whom less than a fifth is visible do not count: nobody misses them, and an answer at one of them (within
-    half the cutoff; one answer for each, and only one that is at nobody who counts) is left out as if it had not been
-    given, in rewards and in all scores.
+    People with a visible share below 0.2 are ignored, like the ignore regions of MOTChallenge: they do not count
+    as missed, and an answer that matches one of them (within half the cut-off, one answer per ignored person, and only
+    if no scored person is assigned to it) is left out of the reward and of all scores.
 
-    `info` holds, for evaluation and not for agents: `ospa`, `gospa` and its parts `location_error`, `missed_error`,
-    `false_error`, `cardinality_error`, all of the last answer and from the first answer on; at the episode's end
-    `ospa2`, OSPA(2) over the trajectories, where identity counts, and `mota`, `idf1` and `hota`; and `truth` of the
-    newest frame, rows of `max_people`: `boxes` (left, top, width, height, px), `ids` (0 for nobody), `visibility` (from
-    0 to 1) and `exists` (who counts). `world.true_tracks(0)` and `world.answered_tracks(0)` are the episode's tracks so
-    far.
+    `info` serves evaluation; agents must not use it. From the first answer on it holds the scores of the last answer:
+    `ospa`, `gospa` and its parts `location_error`, `missed_error` and `false_error`, and `cardinality_error`. At the
+    end of the episode it holds `ospa2`, OSPA(2) over the trajectories, which also penalizes identity switches, and
+    `mota`, `idf1` and `hota`. `truth` is the ground truth of the newest frame, `max_people` rows: `boxes` (left, top,
+    width, height, px), `ids` (0 for an unused row), `visibility` (visible share, 0 to 1) and `exists` (True for scored
+    people). `world.true_tracks(0)` and `world.answered_tracks(0)` return the tracks of the episode so far.
 
     ## Starting State
 
-    Frame 0: an empty lobby, from which a background can be learned; after `empty_frames` (default 25) a lobby with
-    people in it; with 0 they are there from the first frame on. Everything is drawn from the seed, each
-    quantity from a stream of its own; all observers on one seed see the same frames.
+    Frame 0. The first `empty_frames` frames (default 25) show the empty lobby, so that a background can be learned;
+    then the lobby is populated. With `empty_frames=0` people are present from the first frame on. Every quantity is
+    drawn from the seed by its own random stream, so that all agents get the same frames for the same seed.
 
     ## Episode End
 
-    Never by termination. Truncation: after `horizon` answers (default 300). The frame that then comes is not scored.
+    Truncation after `horizon` answers (default 300); the environment never terminates. The last observation is not
+    scored.
 
     ## Arguments
 
-    `level` (0 to 5, default 0) and every field of `PedestrianConfig` as a keyword that overrides the level's value, for
-    example `gym.make("PedestrianTracking-v0", observation="blobs", people=8, shadow=0.5)`.
-    `render_mode`: `rgb_array` or `human`; with `show_truth=True` pictures show true boxes, too.
+    `level` (0 to 5, default 0), and every field of `PedestrianConfig` as a keyword that overrides the value of the
+    level, for example `gym.make("PedestrianTracking-v0", observation="blobs", people=8, shadow=0.5)`.
+    `render_mode`: `rgb_array` or `human`. `show_truth=True` also draws the true boxes.
 
     ## References
 
-    Wu and Hu, "Multi-target tracking based on Gaussian mixture PHD filter in video", 2010 (paper 000). Helbing and
+    Wu and Hu, "Multi-target tracking based on Gaussian mixture PHD filter in video", 2010. Helbing and
     Molnar, "Social force model for pedestrian dynamics", Physical Review E 51(5), 1995. Rahmathullah, Garcia-Fernandez
     and Svensson, "Generalized optimal sub-pattern assignment metric", FUSION 2017.
 
@@ -132,16 +136,16 @@ class PedestrianTrackingEnv(TrackEnv):
 
 
 class PedestrianTrackingVectorEnv(TrackVectorEnv):
-    """`PedestrianTracking-v0`, N at a time: what `gym.make_vec("PedestrianTracking-v0", num_envs=N)` makes.
+    """Vector environment of `PedestrianTracking-v0`, made by `gym.make_vec("PedestrianTracking-v0", num_envs=N)`.
 
     Args:
         num_envs: Number of scenes N.
-        level: As in `PedestrianTrackingEnv`.
-        render_mode: None or `rgb_array`; frames of all N come as a tuple.
+        level: Level from 0 to 5; see `PedestrianTrackingEnv`.
+        render_mode: None or `rgb_array`; `render()` returns a tuple of N frames.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as a Gymnasium `AutoresetMode` or its value.
-        max_episode_steps: Shortens episodes, as `gym.make`'s argument of that name does.
-        show_truth: Whether pictures show true boxes, too.
-        **axes: As in `PedestrianTrackingEnv`.
+        max_episode_steps: Maximum number of steps of an episode; None: `horizon`.
+        show_truth: If True, pictures also show the true boxes.
+        **axes: Fields of `PedestrianConfig`; see `PedestrianTrackingEnv`.
     """
 
     metadata: ClassVar[dict[str, Any]] = _METADATA  # type: ignore[misc]
@@ -171,7 +175,7 @@ class PedestrianTrackingVectorEnv(TrackVectorEnv):
 
 
 def scene_model_of(config: PedestrianConfig) -> VideoModel:
-    """What the agents of a scene are told about it."""
+    """Return the scene model of an environment with these parameters."""
     paper = config.script == "meet_split_third_guy"
     return VideoModel(
         observation=config.observation,
@@ -188,7 +192,7 @@ def _spaces(config: PedestrianConfig) -> tuple[gym.spaces.Box, gym.spaces.Box]:
     """Observation and action space of one scene."""
     size = [float(config.width), float(config.height)]
     high = size * 2 if config.answers_boxes else size
-    # People are tracked beyond the border, and half a frame is enough for that.
+    # Trackers may follow people beyond the border, by up to half a frame.
     reach = [0.5 * config.width, 0.5 * config.height]
     low, far = [-x for x in reach], [x + r for x, r in zip(size, reach, strict=True)]
     if config.answers_boxes:

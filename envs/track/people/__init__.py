@@ -1,1 +1,1 @@
-"""Worlds of people in boxes: what rendered and recorded sequences share."""
+"""Tracking of people by boxes or centroids: the common part of rendered and recorded sequences."""

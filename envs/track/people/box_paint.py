@@ -1,4 +1,4 @@
-"""Boxes, points, trails and tags painted into a video frame of any size, fast enough for live video."""
+"""Painting of boxes, points, trails and tags into video frames of any size, fast enough for live video."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _DETECTION_COLOR: Color = (255, 214, 92)
 
 
 class BoxTrail(NamedTuple):
-    """Where one identity was, oldest first, the present estimate last.
+    """Past states of one identity, oldest first, current estimate last.
 
     Attributes:
-        label: Decides the color, and stands on the tag.
+        label: Identity; it decides the color and is written on the tag.
         states: Boxes (left, top, width, height), shape (k, 4), or points, shape (k, 2); px.
     """
 
@@ -41,7 +41,7 @@ def _blend(image, i, j, color, share):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _paint_box(image, box, color, thickness, radius, opacity, fill, brackets):  # type: ignore[no-untyped-def]
-    """A rounded outline with a dark rim; `brackets` above zero keeps only that share of each side at its ends."""
+    """Paint a rounded outline with a dark rim. With `brackets` > 0 only this share of a side is drawn at both ends."""
     left, top, width, height = box[0], box[1], box[2], box[3]
     half_width, half_height = 0.5 * width, 0.5 * height
     x0, y0 = left + half_width, top + half_height
@@ -77,7 +77,7 @@ def _paint_box(image, box, color, thickness, radius, opacity, fill, brackets):  
 
 @njit(cache=True, nogil=True)
 def _paint_trail(image, points, color, thickness, oldest, newest):  # type: ignore[no-untyped-def]
-    """A line through points whose opacity goes from `oldest` to `newest`."""
+    """Paint a line through points whose opacity changes from `oldest` to `newest`."""
     segments = len(points) - 1
     reach = 0.5 * thickness + 0.5
     for k in range(segments):
@@ -93,7 +93,7 @@ def _paint_trail(image, points, color, thickness, oldest, newest):  # type: igno
             for j in range(start, stop):
                 px = j + 0.5 - ax
                 t = (px * (bx - ax) + py * (by - ay)) / length2
-                # Half open, so that neighbors do not paint their common point twice.
+                # Half-open segments: neighbors must not paint their common point twice.
                 if t <= 0.0 or t > 1.0:
                     continue
                 distance = abs(px * (by - ay) - py * (bx - ax)) / math.sqrt(length2)
@@ -104,7 +104,7 @@ def _paint_trail(image, points, color, thickness, oldest, newest):  # type: igno
 
 @njit(cache=True, nogil=True)
 def _paint_disc(image, x, y, radius, color, opacity):  # type: ignore[no-untyped-def]
-    """A disc with an ivory rim."""
+    """Paint a disc with an ivory rim."""
     rim = (253.0, 252.0, 249.0)
     reach = radius + 2.0
     for i in range(max(int(y - reach), 0), min(int(y + reach) + 1, image.shape[0])):
@@ -119,7 +119,7 @@ def _paint_disc(image, x, y, radius, color, opacity):  # type: ignore[no-untyped
 
 
 def line_width(height: int) -> float:
-    """Thickness of boxes in a frame of this height, px."""
+    """Return the line width of boxes in a frame of this height, px."""
     return max(1.4, height / 288.0)
 
 
@@ -131,15 +131,15 @@ def annotate(
     detections: Array | None = None,
     caption: str | None = None,
 ) -> None:
-    """Paint what a tracker says into a frame, in place, at the frame's own size.
+    """Paint the output of a tracker into a frame, in place.
 
     Args:
-        image: RGB, uint8, contiguous. Shape (H, W, 3).
-        reported: Identities that are reported, each with its trail.
-        held: Identities that are held silently; they are fainter and bear no tag.
+        image: Contiguous RGB image, shape (H, W, 3), uint8.
+        reported: Trails of reported identities.
+        held: Trails of identities that are held without being reported; they are fainter and have no tag.
         truth: True boxes, shape (n, 4), or points, shape (n, 2), px.
-        detections: Found boxes or points, as `truth`.
-        caption: A line at the top left, for example the number of people; characters the font lacks are left out.
+        detections: Detected boxes, shape (n, 4), or points, shape (n, 2), px.
+        caption: Text at the top left, e.g. the number of people. Characters that the font lacks are left out.
     """
     width = line_width(image.shape[0])
     if detections is not None:
@@ -159,7 +159,7 @@ def annotate(
 
 
 def printable(text: str) -> str:
-    """A line with only what the small font has: lower case, other characters as spaces."""
+    """Return the text in lower case, with characters that the font lacks replaced by spaces."""
     plain = text.lower().replace("_", "-")
     return " ".join("".join(c if _known(c) else " " for c in plain).split())
 
@@ -173,7 +173,7 @@ def _known(character: str) -> bool:
 
 
 def _anchor(states: Array) -> Array:
-    """Points that a trail follows: the feet of boxes, points as they are."""
+    """Return the points of a trail: the bottom centers of boxes, or the points themselves."""
     if states.shape[1] == 2:
         return states
     return states[:, :2] + states[:, 2:] * np.array([0.5, 1.0])
@@ -205,13 +205,13 @@ def _state(image: Image, trail: BoxTrail, width: float, opacity: float) -> None:
 
 
 def _inside(box: Array) -> Array:
-    """A box of at least a pixel, cut far outside any image, so that loops over it stay short."""
+    """Return a box of at least one pixel, clipped far outside any image, which bounds the loops over its pixels."""
     left, top = np.clip(np.nan_to_num(box[:2]), -1e5, 1e5)
     return np.array([left, top, *np.clip(np.nan_to_num(box[2:]), 1.0, 1e5)])
 
 
 def _tag(image: Image, trail: BoxTrail, width: float) -> None:
-    """The identity's number on its color, above the box or, where there is no room, inside it."""
+    """Paint the label on the color of its identity, above the box or, at the top of the image, inside it."""
     state = np.nan_to_num(np.asarray(trail.states[-1], dtype=np.float64))
     text = str(trail.label)
     size = 6.0 + 2.2 * (width - 1.0)

@@ -1,4 +1,4 @@
-"""Remembers what pictures of tracking on video need: trails of identities, numbers and errors so far."""
+"""Recorder for pictures of tracking in video: trails of identities, numbers of people, errors."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from servotrack.estimators.types import Array, Image
 
 
 class BoxRecorder:
-    """Call `record` after every answer and `reset` before a new episode; memory stays bounded however long it runs.
+    """Recorder with bounded memory. Call `record` after every answer and `reset` before a new episode.
 
     Args:
-        horizon: Frames that the plots span.
+        horizon: Number of frames that the plots span.
     """
 
     def __init__(self, horizon: int = 300) -> None:
@@ -25,7 +25,7 @@ class BoxRecorder:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Clear all stored frames."""
         self._frame = 0
         self._past: dict[int, deque[Array]] = {}
         self._last_seen: dict[int, int] = {}
@@ -42,14 +42,14 @@ class BoxRecorder:
         true_number: int | None = None,
         error: float | None = None,
     ) -> None:
-        """Take one frame's answer.
+        """Store the answer to one frame.
 
         Args:
-            labels: Identity of each row; negative where a row holds none. Shape (k,).
+            labels: Identity of each row, shape (k,); negative for an unused row.
             states: Boxes, shape (k, 4), or points, shape (k, 2), px.
-            reported: Which rows are reported, others are held silently; None: all. Shape (k,).
-            true_number: People that are there, where it is known.
-            error: Of the answer, where it is known.
+            reported: True for reported rows, False for identities that are only held, shape (k,); None: all reported.
+            true_number: True number of people, if known.
+            error: Error of the answer, if known.
         """
         names = np.asarray(labels, dtype=np.int64).tolist()
         rows = np.array(states, dtype=np.float64)
@@ -71,7 +71,7 @@ class BoxRecorder:
             self._errors.append(float(error))
 
     def trails(self) -> tuple[list[BoxTrail], list[BoxTrail]]:
-        """Trails of the identities that are reported now, and of those held silently."""
+        """Return the trails of reported identities, and of those that are held without being reported."""
         both: tuple[list[BoxTrail], list[BoxTrail]] = ([], [])
         for name, flag in self._now:
             both[0 if flag else 1].append(BoxTrail(name, np.array(self._past[name])))
@@ -86,14 +86,14 @@ class BoxRecorder:
         error_name: str = "ospa",
         cutoff: float = 1.0,
     ) -> BoxScene:
-        """What `box_render.draw` needs for the frame that was answered last.
+        """Return the input of `box_render.draw` for the last answered frame.
 
         Args:
             frame: RGB or gray, uint8.
             truth: True boxes or points to show, px.
             detections: Found boxes or points to show, px.
-            title: Over the number's plot.
-            error_name: What the errors are.
+            title: Title of the plot of numbers.
+            error_name: Name of the error metric.
             cutoff: Largest error.
         """
         reported, held = self.trails()

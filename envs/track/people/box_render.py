@@ -1,4 +1,4 @@
-"""Pictures of people being tracked on video: the frame with boxes and trails, and how number and error went so far."""
+"""Pictures of tracking in video: frame with boxes and trails, and plots of number of people and error."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from servotrack.envs.track.people.box_paint import BoxTrail, annotate, printable
 from servotrack.estimators.types import Array, Image
 
 _MARGIN = 16
-_WIDEST = 960
-"""Frames are enlarged by whole numbers up to this width, and made smaller above it, px."""
+_MAX_WIDTH = 960
+"""Maximum width of the frame in the picture, px. Smaller frames are enlarged by whole numbers, larger ones shrunk."""
 _PLOT_HEIGHT, _GAP = 112, 12
-_NARROWEST = 320  # of the picture's inner part, so that the plots have room
+_MIN_WIDTH = 320  # of the picture without margins, px, so that the plots fit
 _TRUTH_COLOR: Color = mix(FLOOR, INK, 0.38)
 _ERROR_COLOR: Color = VERMILION
 _NUMBER_COLOR: Color = TEAL
@@ -41,21 +41,21 @@ def _no_boxes() -> Array:
 
 @dataclass(frozen=True)
 class BoxScene:
-    """All that a picture of tracking on video shows.
+    """Content of a picture of tracking in video.
 
     Attributes:
         frame: RGB, uint8, shape (H, W, 3), or gray, shape (H, W).
-        reported: Trails of the reported identities, the present estimate last.
-        held: Trails of identities held silently.
-        truth: True boxes to show, shape (n, 4), or points, shape (n, 2), px.
-        detections: Found boxes or points to show, as `truth`.
-        reported_numbers: Reported people in each frame so far. Shape (k,).
-        true_numbers: True number in each frame so far; None where it is unknown. Shape (k,).
-        errors: Of each answer so far, shape (k,); None leaves the plot out.
-        error_name: What the errors are.
+        reported: Trails of the reported identities, current estimate last.
+        held: Trails of identities that are held without being reported.
+        truth: True boxes, shape (n, 4), or points, shape (n, 2), px.
+        detections: Detected boxes, shape (n, 4), or points, shape (n, 2), px.
+        reported_numbers: Number of reported people in each frame so far, shape (k,).
+        true_numbers: True number of people in each frame so far, shape (k,); None if unknown.
+        errors: Error of each answer so far, shape (k,); None: no plot.
+        error_name: Name of the error metric.
         cutoff: Largest error.
-        horizon: Frames that the plots span.
-        title: Over the number's plot.
+        horizon: Number of frames that the plots span.
+        title: Title of the plot of numbers.
     """
 
     frame: Image
@@ -76,11 +76,11 @@ def draw(scene: BoxScene) -> Image:
     """Draw a scene: the frame enlarged, and below it number and error over time.
 
     Returns:
-        A new RGB image, its sides even (video coders ask for it); 800 by 736 for frames of 384 by 288.
+        New RGB image with even sides, as video encoders require; 800 x 736 px for frames of 384 x 288 px.
     """
     frame = scene.frame if scene.frame.ndim == 3 else cv2.cvtColor(scene.frame, cv2.COLOR_GRAY2RGB)
     height, width = frame.shape[:2]
-    scale = max(_WIDEST // width, 1) if width <= _WIDEST else _WIDEST / width
+    scale = max(_MAX_WIDTH // width, 1) if width <= _MAX_WIDTH else _MAX_WIDTH / width
     size = (max(round(width * scale), 1), max(round(height * scale), 1))
     resized = cv2.resize(frame, size, interpolation=cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA)
     large = np.ascontiguousarray(resized, dtype=np.uint8)
@@ -91,7 +91,7 @@ def draw(scene: BoxScene) -> Image:
         np.asarray(scene.truth) * scale,
         np.asarray(scene.detections) * scale,
     )
-    inner = max(size[0], _NARROWEST)
+    inner = max(size[0], _MIN_WIDTH)
     image = np.empty((2 * _MARGIN + size[1] + _GAP + _PLOT_HEIGHT, 2 * _MARGIN + inner, 3), dtype=np.uint8)
     image = image if image.shape[0] % 2 == 0 else np.empty((image.shape[0] + 1, *image.shape[1:]), dtype=np.uint8)
     image = image if image.shape[1] % 2 == 0 else np.empty((image.shape[0], image.shape[1] + 1, 3), dtype=np.uint8)
@@ -108,7 +108,7 @@ def draw(scene: BoxScene) -> Image:
 
 
 def _fill(image: Image, color: Color) -> None:
-    # By whole rows: NumPy takes twenty times as long to repeat three bytes.
+    # Whole rows are copied: broadcasting three bytes takes NumPy twenty times as long.
     image[:] = np.tile(np.array(color, dtype=np.uint8), (image.shape[1], 1))
 
 
@@ -143,7 +143,7 @@ def _axes(panel: Image, title: str) -> None:
 
 
 def _legend(panel: Image, text: str, right: int, color: Color, thickness: int) -> int:
-    """A line's name with a piece of it, right-aligned; returns where the next one to the left ends."""
+    """Draw a legend entry, right-aligned at column `right`. Return the right end of the next entry to the left."""
     put_text(panel, text, right, PLOT_INSET + 8, SOFT_INK, align="right")
     left = right - round(text_width(text, 8.0)) - 6
     panel[PLOT_INSET + 4 - thickness // 2 : PLOT_INSET + 4 - thickness // 2 + thickness, left - 14 : left] = color
@@ -151,7 +151,7 @@ def _legend(panel: Image, text: str, right: int, color: Color, thickness: int) -
 
 
 def _curve(panel: Image, values: Array, top: float, horizon: int, color: Color, thickness: int) -> None:
-    """The last `horizon` values, from 0 to `top`, in steps."""
+    """Draw the last `horizon` values, from 0 to `top`, as a step curve."""
     values = values[-horizon:]
     if len(values) == 0:
         return

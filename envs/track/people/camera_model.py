@@ -1,4 +1,4 @@
-"""What the agents of a world of video frames are told about it."""
+"""The scene model that agents get in video environments: camera and frame parameters."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class VideoModel:
-    """What an observer of video is told: what a user who sets up a camera knows, and nothing of who walks by.
+    """Model that agents get. It describes the camera, and contains nothing about the people.
 
     Attributes:
-        observation: What it sees: `pixels` (RGB frames), `blobs` (boxes) or `centroids`.
-        width: Of the frame, px.
-        height: Of the frame, px.
+        observation: Kind of observation: `pixels` (RGB frames), `blobs` (boxes) or `centroids`.
+        width: Width of the frame, px.
+        height: Height of the frame, px.
         frame_rate: Frames per second.
-        max_people: Most people at a time, hidden ones included; of a real sequence, the most that an answer can hold.
-        empty_frames: How many first frames show nobody for certain; 0 where nothing is known.
-        cutoff: The c of reward and scores: one minus IoU of boxes, px of centroids.
+        max_people: Maximum number of people at a time, including occluded ones; for a recorded sequence, the number of
+            rows of an answer.
+        empty_frames: Number of first frames that are known to show no people; 0 if unknown.
+        cutoff: Cut-off c of the reward and of all scores: 1 - IoU for boxes, px for centroids.
     """
 
     observation: str
@@ -29,5 +30,5 @@ class VideoModel:
 
     @property
     def answers_boxes(self) -> bool:
-        """Whether answers are boxes (left, top, width, height); else they are centroids."""
+        """True if answers are boxes (left, top, width, height), False if they are centroids."""
         return self.observation != "centroids"

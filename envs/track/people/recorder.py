@@ -1,4 +1,4 @@
-"""Watches one observer of a world of people and remembers what its picture needs."""
+"""Recorder of one observer of a world with people: stores trails, numbers and errors for pictures."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from servotrack.envs.track.people.box_render import draw
 from servotrack.envs.track.people.world import PeopleWorld
 from servotrack.estimators.types import Image
 
-_PLOTTED = 1000
-"""Most frames that the plots span."""
+_MAX_PLOTTED = 1000
+"""Maximum number of frames that the plots span."""
 
 
 class PeopleRecorder:
-    """Call `record` after every reset and step; `frame` draws the frame that was answered last.
+    """Recorder of one observer. Call `record` after every reset and step; `frame` draws the last answered frame.
 
     Args:
-        world: The world, which the recorder only reads.
-        row: Which of its observers.
-        show_truth: Whether the boxes of those who count are drawn, too.
+        world: World to record; it is not changed.
+        row: Index of the observer.
+        show_truth: If True, the true boxes of scored people are drawn, too.
     """
 
     def __init__(self, world: PeopleWorld, row: int = 0, show_truth: bool = False) -> None:
         self._world, self._row, self._show_truth = world, row, show_truth
-        self._boxes = BoxRecorder(min(world.horizon, _PLOTTED))
+        self._boxes = BoxRecorder(min(world.horizon, _MAX_PLOTTED))
         self._answered = 0
         self._shown = self._newest = (world.images[row], np.empty((0, 4)))
 
     def record(self) -> None:
-        """Take the world's newest answer and frame; a reset forgets the old episode."""
+        """Store the newest answer and frame of the world. After a reset, drop the previous episode."""
         world, row, steps = self._world, self._row, int(self._world.steps[self._row])
         newest = (world.images[row], world.boxes[row][world.exists[row]])
         if steps == 0:
@@ -48,10 +48,10 @@ class PeopleRecorder:
         self._answered, self._newest = steps, newest
 
     def frame(self) -> Image:
-        """Draw the frame answered last, or the first one before any answer.
+        """Draw the last answered frame, or the first frame before any answer.
 
         Returns:
-            A new RGB image, uint8.
+            New RGB image, uint8.
         """
         image, truth = self._shown
         return draw(self._boxes.scene(image, truth if self._show_truth else None, cutoff=self._world.cutoff))

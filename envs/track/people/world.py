@@ -1,4 +1,4 @@
-"""What the worlds of people on video share: the truth of the newest frame, scores of the last answer, and tracks."""
+"""Base of the worlds with people: ground truth of the newest frame, scores of the last answer, and tracks."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from servotrack.estimators.metrics import (
 )
 from servotrack.estimators.types import Array, Labels
 
-COUNTED_FROM = 0.2
-"""Visible share from which a person counts."""
+MIN_VISIBILITY = 0.2
+"""Smallest visible share with which a person is scored. People below it are ignored."""
 
 
 class PeopleWorld:
-    """Base of N scenes of people with N observers; arrays carry a leading axis of N, people have n rows.
+    """Base of N scenes of people with one observer each. Arrays have a leading axis of N, then n rows of people.
 
     Args:
         count: Number of scenes N.
-        horizon: Frames of an episode.
+        horizon: Number of frames of an episode.
         rows: Rows of an answer.
-        boxes: Whether answers are boxes; else they are centers.
-        cutoff: The c of reward and scores.
-        scored: Whether the truth is known.
+        boxes: True if answers are boxes, False if they are centers.
+        cutoff: Cut-off c of the reward and of all scores.
+        scored: True if there is ground truth.
 
     Attributes:
-        images: The newest frames, N arrays of shape (H, W, 3).
-        ids: Who is in a row, shape (N, n): identities from 1, 0 for nobody in the image.
-        boxes: Shape (N, n, 4): left, top, width, height, px.
-        visibility: Visible share of each, shape (N, n).
-        exists: Who counts, shape (N, n): those of whom at least a fifth is visible.
-        steps: Frames answered so far, shape (N,).
-        reward: -GOSPA / cutoff of the last answer, shape (N,); 0 where the truth is not known.
-        terminated: Never; shape (N,), bool.
-        truncated: All frames answered, shape (N,), bool.
-        ospa, gospa, location, missed, false: Of the last answer, shape (N,).
-        cardinality_error: Reported people minus true ones, shape (N,), int.
-        ospa2, mota, idf1, hota: Of the episode, shape (N,); 0 until `truncated`.
-        scorer: Identities and reported rows of the last answer.
+        images: Newest frames, N arrays of shape (H, W, 3).
+        ids: Identity in each row, shape (N, n), from 1; 0 for an unused row.
+        boxes: True boxes (left, top, width, height), shape (N, n, 4), px.
+        visibility: Visible share of each person, shape (N, n).
+        exists: True for scored people, with a visible share of at least `MIN_VISIBILITY`, shape (N, n).
+        steps: Number of answered frames, shape (N,).
+        reward: -GOSPA / cutoff of the last answer, shape (N,); 0 without ground truth.
+        terminated: Always False, shape (N,).
+        truncated: True if all frames are answered, shape (N,), bool.
+        ospa, gospa, location, missed, false: Scores of the last answer, shape (N,).
+        cardinality_error: Number of reported people minus number of true ones, shape (N,), int.
+        ospa2, mota, idf1, hota: Scores of the episode, shape (N,); 0 until `truncated`.
+        scorer: Holds identities and reported rows of the last answer.
     """
 
     images: list[NDArray[np.uint8]]
@@ -64,17 +64,17 @@ class PeopleWorld:
         self.mota, self.idf1, self.hota = np.zeros(count), np.zeros(count), np.zeros(count)
 
     def answered_tracks(self, row: int) -> list[Track]:
-        """What one observer has reported so far, without answers at people who do not count."""
+        """Return the reported tracks of one observer so far, without answers at ignored people."""
         return self.scorer.tracks(row)
 
     def true_tracks(self, row: int) -> list[Track]:
-        """True tracks at the frames answered so far, one per identity, without frames in which it does not count.
+        """Return the true tracks at the answered frames, one per identity, without frames in which it is ignored.
 
         Returns:
-            In the order of identities; states are boxes, or centers where answers are centers, px.
+            Tracks in the order of identities. States are boxes, or centers if answers are centers, px.
         """
         ids, boxes, visibility = self._past(row)
-        states, counted = self._answerable(boxes), (visibility >= COUNTED_FROM) & (ids > 0)
+        states, counted = self._answerable(boxes), (visibility >= MIN_VISIBILITY) & (ids > 0)
         tracks = []
         for identity in np.unique(ids[counted]).tolist():
             frames, rows = np.nonzero((ids == identity) & counted)
@@ -82,11 +82,11 @@ class PeopleWorld:
         return tracks
 
     def truth(self) -> dict[str, Any]:
-        """What `info["truth"]` tells of the newest frame, arrays of N rows."""
+        """Return the entries of `info["truth"]` for the newest frame, arrays of N rows."""
         return {"boxes": self.boxes, "ids": self.ids, "visibility": self.visibility, "exists": self.exists}
 
     def scores(self) -> dict[str, Any]:
-        """What `info` tells of the last answer, arrays of N rows."""
+        """Return the entries of `info` for the last answer, arrays of N rows."""
         return {
             "ospa": self.ospa,
             "gospa": self.gospa,
@@ -97,15 +97,15 @@ class PeopleWorld:
         }
 
     def episode_scores(self) -> dict[str, Any]:
-        """What `info` tells at an episode's end, arrays of N rows."""
+        """Return the entries of `info` at the end of an episode, arrays of N rows."""
         return {"ospa2": self.ospa2, "mota": self.mota, "idf1": self.idf1, "hota": self.hota}
 
     def privileged(self) -> dict[str, Array]:
-        """What an oracle may know, besides the observation; arrays of N rows.
+        """Return the privileged information of oracle agents, arrays of N rows.
 
         Returns:
-            `true_boxes` (N, n, 4), px; `true_ids` (N, n), 0 for nobody; `true_existence` (N, n), 0 or 1: who counts;
-            `true_visibility` (N, n). n is 0 where the truth is not known.
+            `true_boxes` (N, n, 4), px; `true_ids` (N, n), 0 for an unused row; `true_existence` (N, n), 1 for scored
+            people, else 0; `true_visibility` (N, n). Without ground truth n is 0.
         """
         return {
             "true_boxes": self.boxes.copy(),
@@ -115,19 +115,19 @@ class PeopleWorld:
         }
 
     def _past(self, row: int) -> tuple[Labels, Array, Array]:
-        """Identities (k, n), boxes (k, n, 4) and visibilities (k, n) of one scene's k answered frames."""
+        """Return ids (k, n), boxes (k, n, 4) and visibilities (k, n) of the k answered frames of a scene."""
         raise NotImplementedError
 
     def _begin(self, row: int) -> None:
-        """A new episode."""
+        """Start a new episode."""
         self.scorer.reset(row)
         self.steps[row], self.truncated[row] = 0, False
         self.ospa2[row] = self.mota[row] = self.idf1[row] = self.hota[row] = 0.0
 
     def _note_truth(self, ids: Labels, boxes: Array, visibility: Array) -> None:
-        """The newest frames' truth."""
+        """Store the ground truth of the newest frames."""
         self.ids, self.boxes, self.visibility = ids, boxes, visibility
-        self.exists = (ids > 0) & (visibility >= COUNTED_FROM)
+        self.exists = (ids > 0) & (visibility >= MIN_VISIBILITY)
 
     def _score(self, answers: Array) -> None:
         """Score the answers to the newest frames."""
@@ -139,18 +139,18 @@ class PeopleWorld:
             self.reward = -scores.gospa.total / self.cutoff
 
     def _finish(self, row: int) -> None:
-        """Scores of a whole episode, where the truth is known."""
+        """Compute the scores of a whole episode, if there is ground truth."""
         if not self.scored:
             return
         true, answered = self.true_tracks(row), self.answered_tracks(row)
         self.ospa2[row] = self.scorer.trajectory_score(row, stack_tracks(true, self.horizon, self._dimension))
         if not true and not answered:
-            # The metrics are defined by shares of nothing then; who reports nobody where nobody is has made no error.
+            # The metrics are 0 / 0 here. An empty answer to an empty scene has no error.
             self.mota[row] = self.idf1[row] = self.hota[row] = 1.0
             return
         found = mot_scores(true, answered, self._distances, self.cutoff)
         self.mota[row], self.idf1[row], self.hota[row] = found.mota, found.idf1, found.hota
 
     def _answerable(self, boxes: Array) -> Array:
-        """Boxes as they are, or their centers where answers are centers."""
+        """Return the boxes, or their centers if answers are centers."""
         return boxes if self._answers_boxes else boxes[..., :2] + 0.5 * boxes[..., 2:]

@@ -1,4 +1,4 @@
-"""Real sequences as a world: a video, a folder of images or a MOTChallenge sequence, answered frame by frame."""
+"""VideoTracking-v0: multi-person tracking in recorded video, image folders and MOTChallenge sequences."""
 
 from __future__ import annotations
 
@@ -19,60 +19,63 @@ _METADATA = METADATA | {"servotrack_kind": "people", "render_fps": 25}
 
 
 class VideoTrackingEnv(TrackEnv):
-    """Count people in a real sequence, say where they are, and keep them apart; scored where the truth is known.
+    """Track the people in a recorded video, image folder, MOTChallenge sequence or camera; scored if truth is given.
 
     ## Description
 
-    A recorded sequence is shown frame by frame: a video file, a folder of images, the folder of a MOTChallenge sequence
-    (img1, det, gt, seqinfo.ini), or a camera. The agent is an observer. It answers every frame with the set of people
-    it believes in, and keeps their identities apart. Without `source` the sequence is 60 frames that
-    `PedestrianTracking-v0` rendered, so that the environment works where there is no data.
+    The frames of a sequence are observed one by one. The source is a video file, a folder of images, the folder of a
+    MOTChallenge sequence (img1, det, gt, seqinfo.ini), or a camera. The agent is a passive observer: it answers every
+    frame with an estimate of the set of people and of their identities. Without `source` the sequence consists of 60
+    frames rendered by `PedestrianTracking-v0`, so that the environment works without any data.
 
-    The public attribute `scene_model` holds the parameters that agents may know, a
-    `servotrack.envs.track.people.camera_model.VideoModel`.
+    The attribute `scene_model`, a `servotrack.envs.track.people.camera_model.VideoModel`, holds the parameters that
+    agents may use: frame size and rate, and maximum number of people.
 
     ## Action Space
 
-    `Box((max_estimates, 5), float64)`: the answer, one row per identity: existence, then left, top, width and height of
-    the box around the person, px of the frames that are shown. An existence of at least 0.5 reports the person; from
-    0.05 to 0.5 the row keeps its identity silently; below 0.05 the identity ends and the row is free for another.
+    `Box((max_estimates, 5), float64)`: the estimated set, one row per identity: existence probability, then left, top,
+    width and height of the bounding box of the person, px of the observed frames. An existence of at least 0.5 reports
+    the person. From 0.05 to 0.5 the person is not reported, but the row keeps its identity. Below 0.05 the identity
+    ends and the row is free for another person.
 
     ## Observation Space
 
-    By `observation`:
+    Depends on `observation`:
 
     * `pixels`: `Box(0, 255, (height, width, 3), uint8)`, an RGB frame;
-    * `detections`: `Box((max_measurements, 5), float64)`, one row per detection of the sequence's det/det.txt: 1, then
-      its box, px, in the order of the file; unused rows are zeros at the end.
+    * `detections`: `Box((max_measurements, 5), float64)`, one row per detection in det/det.txt of the sequence: 1, then
+      the box, px, in the order of the file; unused rows at the end are zeros.
 
     ## Rewards
 
-    `-GOSPA(c = cutoff, p = 1, alpha = 2) / c` of the answer to each frame over one minus IoU (c = 1): a missed or a
-    false person costs one half, a located one its error. People of whom less than a fifth is visible do not count,
-    where the truth tells; an answer at one of them is left out. Without truth the reward is 0.
+    `-GOSPA(c = cutoff, p = 1, alpha = 2) / c` of the answer to each frame, with 1 - IoU as base distance (c = 1): a
+    missed or a false person costs one half, a localized person costs 1 - IoU. People with a visible share below 0.2
+    according to the ground truth are ignored: they do not count as missed, and an answer that matches one of
+    them is left out. Without ground truth the reward is 0.
 
-    `info` holds, for evaluation and not for agents: `scored`, whether there is truth, and only where there is, `ospa`,
-    `gospa` and its parts `location_error`, `missed_error`, `false_error`, `cardinality_error`, of the last answer and
-    from the first answer on; at the episode's end `ospa2`, OSPA(2) over the trajectories, and `mota`, `idf1`, `hota`;
-    and `truth` of the newest frame, rows as many as there are people at most: `boxes` (left, top, width, height, px),
-    `ids` (0 for nobody, numbered from 1 in the order of the file's), `visibility` and `exists` (who counts).
+    `info` serves evaluation; agents must not use it. From the first answer on it holds `scored`, True if there is
+    ground truth. Only then it also holds the scores of the last answer: `ospa`, `gospa` and its parts `location_error`,
+    `missed_error` and `false_error`, and `cardinality_error`; and at the end of the episode `ospa2`, OSPA(2) over the
+    trajectories, and `mota`, `idf1` and `hota`. `truth` is the ground truth of the newest frame, with as many rows as
+    people in the fullest frame: `boxes` (left, top, width, height, px), `ids` (numbered from 1 in the order of the ids
+    of the file, 0 for an unused row), `visibility` and `exists` (True for scored people).
 
     ## Starting State
 
-    The frame `start`. The sequence is what it is: every seed shows the same frames, and nothing is random. Only a
-    camera never shows the same again.
+    The frame `start`. Nothing is random: every seed gives the same frames. Only a camera never repeats its frames.
 
     ## Episode End
 
-    Never by termination. Truncation: after the last frame, or after `horizon` answers; with a warning where decoding
-    ends before the frames that the source claims to have. After the last answer the last frame is shown again.
+    Truncation after the last frame or after `horizon` answers; the environment never terminates. If decoding ends
+    before the number of frames that the source claims, a warning is given. The last observation repeats the last frame.
 
     ## Arguments
 
     Every field of `servotrack.envs.track.video.recording.VideoConfig`, for example `gym.make("VideoTracking-v0",
     source="vtest.avi", truth="PETS2009-S2L1.xml", width=384)` or `gym.make("VideoTracking-v0", source="TUD-Campus",
-    observation="detections")`. `truth` is MOTChallenge's gt.txt or CAVIAR's XML; that of a MOTChallenge folder is
-    found. `render_mode`: `rgb_array` or `human`; with `show_truth=True` pictures show true boxes, too.
+    observation="detections")`. `truth` is a gt.txt of MOTChallenge or an XML file of CAVIAR; the gt/gt.txt of a
+    MOTChallenge folder is found automatically. `render_mode`: `rgb_array` or `human`. `show_truth=True` also draws the
+    true boxes.
 
     ## References
 
@@ -95,7 +98,7 @@ class VideoTrackingEnv(TrackEnv):
         super().__init__(world, *_spaces(world), render_mode, "VideoTracking-v0")
 
     def close(self) -> None:
-        """Close the window, if there is one, and let go of the source."""
+        """Close the window, if one is open, and the source."""
         self.world.close()
         super().close()
 
@@ -109,17 +112,17 @@ class VideoTrackingEnv(TrackEnv):
 
 
 class VideoTrackingVectorEnv(TrackVectorEnv):
-    """`VideoTracking-v0`, N at a time: what `gym.make_vec("VideoTracking-v0", num_envs=N)` makes.
+    """Vector environment of `VideoTracking-v0`, made by `gym.make_vec("VideoTracking-v0", num_envs=N)`.
 
-    All show the same sequence, each by a decoder of its own.
+    All sub-environments observe the same sequence, each with its own decoder.
 
     Args:
         num_envs: Number of observers N.
-        render_mode: None or `rgb_array`; frames of all N come as a tuple.
+        render_mode: None or `rgb_array`; `render()` returns a tuple of N frames.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as a Gymnasium `AutoresetMode` or its value.
-        max_episode_steps: Shortens episodes, as `gym.make`'s argument of that name does.
-        show_truth: Whether pictures show true boxes, too.
-        **axes: As in `VideoTrackingEnv`.
+        max_episode_steps: Maximum number of steps of an episode; None: all frames.
+        show_truth: If True, pictures also show the true boxes.
+        **axes: Fields of `VideoConfig`; see `VideoTrackingEnv`.
     """
 
     metadata: ClassVar[dict[str, Any]] = _METADATA  # type: ignore[misc]
@@ -147,18 +150,18 @@ class VideoTrackingVectorEnv(TrackVectorEnv):
 
 
 def video_config(**axes: Any) -> VideoConfig:
-    """The configuration with some fields set.
+    """Return the configuration with some fields set.
 
     Raises:
-        ValueError: A value outside its bounds.
-        TypeError: An unknown keyword; the message suggests the nearest known one.
+        ValueError: If a value is outside its bounds.
+        TypeError: If a keyword is unknown; the message suggests the nearest known one.
     """
     check_keywords(axes, [field.name for field in fields(VideoConfig)])
     return VideoConfig(**axes)
 
 
 def scene_model_of(world: VideoWorld) -> VideoModel:
-    """What the agents are told about a sequence."""
+    """Return the scene model of a sequence."""
     recording, config = world.recording, world.config
     return VideoModel(
         observation="pixels" if recording.detections is None else "blobs",

@@ -1,4 +1,4 @@
-"""A recorded sequence, ready to be answered frame by frame: its frames, detections and truth."""
+"""Loading of a recorded sequence: frames, detections and ground truth."""
 
 from __future__ import annotations
 
@@ -22,33 +22,37 @@ from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.types import Array, Image, Labels
 
 VIDEO_OBSERVATIONS = ("pixels", "detections")
-LONGEST = 3000
-"""Frames of an episode unless a horizon is given: two minutes."""
-_NOMINAL_RATE = 25.0
+DEFAULT_MAX_FRAMES = 3000
+"""Maximum number of frames of an episode if no horizon is given: two minutes at 25 frames per second."""
+_DEFAULT_FRAME_RATE = 25.0
+"""Frame rate of sources that have none, frames per second."""
 _RENDERED_FRAMES, _RENDERED_EMPTY = 60, 10
+"""Number of frames of the rendered sequence, and of empty ones at its start."""
 _RENDERED_SEED = 0
 
 
 @dataclass(frozen=True)
 class VideoConfig:
-    """All that defines a world of recorded frames.
+    """Parameters of an environment of recorded frames.
 
     Attributes:
-        source: A video file, a folder of images, the folder of a MOTChallenge sequence, or a camera's index; None for
-            60 frames that the pedestrian scene renders.
-        truth: A file of truth, MOTChallenge's gt.txt or CAVIAR's XML; None for the one in the sequence's folder.
-        observation: `pixels`, or `detections`: those of the sequence's det/det.txt.
-        width: Resize frames to this, px; with only one of width and height, the shape is kept. Boxes follow.
-        height: Resize frames to this, px.
+        source: Video file, folder of images, folder of a MOTChallenge sequence, or index of a camera; None: 60 frames
+            rendered by the pedestrian environment.
+        truth: File of the ground truth, a gt.txt of MOTChallenge or an XML file of CAVIAR; None: the one in the folder
+            of the sequence, if any.
+        observation: `pixels`, or `detections` for those in det/det.txt of the sequence.
+        width: Width to which frames are resized, px; None: follows from `height`, or no resizing. Boxes are scaled with
+            the frames.
+        height: Height to which frames are resized, px; None: follows from `width`, or no resizing.
         start: First frame, counted from 0.
-        stride: Every so manieth frame.
-        horizon: Most frames that are answered; None for all, at most 3000.
-        least_confidence: Detections of less are left out; None for none.
+        stride: Use every N-th frame.
+        horizon: Maximum number of answered frames; None: all, at most 3000.
+        least_confidence: Minimum confidence of detections; None: all are used.
         max_estimates: Rows of an action.
-        cutoff: The c of reward and scores, over one minus IoU.
+        cutoff: Cut-off c of the reward and of all scores, as 1 - IoU.
 
     Raises:
-        ValueError: A field out of its range.
+        ValueError: If a field is out of its range.
     """
 
     source: str | int | None = None
@@ -90,20 +94,20 @@ _OPTIONAL = ("width", "height", "horizon", "least_confidence")
 
 @dataclass(frozen=True)
 class Recording:
-    """A sequence of K frames of which n people are at most in one, and m detections at most.
+    """Sequence of K frames with at most n people and m detections in a frame.
 
     Attributes:
-        name: For titles.
-        width: Of the frames that are delivered, px.
-        height: Of the frames that are delivered, px.
+        name: Name for titles.
+        width: Width of the delivered frames, px.
+        height: Height of the delivered frames, px.
         frame_rate: Frames per second.
-        horizon: K. Decoding may end earlier.
-        open: Starts an iteration over the frames; None where there are no images.
-        scored: Whether there is truth.
-        ids: Who is in a row at each frame, from 1, 0 for nobody. Shape (K, n), int.
-        boxes: Shape (K, n, 4), px.
-        visibility: Shape (K, n).
-        detections: Sets with existence in column 0. Shape (K, m, 5); None where frames are observed.
+        horizon: Number of frames K. Decoding may end earlier.
+        open: Function that starts an iteration over the frames; None if there are no images.
+        scored: True if there is ground truth.
+        ids: Identity in each row at each frame, from 1, 0 for an unused row, shape (K, n), int.
+        boxes: True boxes (left, top, width, height), shape (K, n, 4), px.
+        visibility: Visible shares, shape (K, n).
+        detections: Sets of detections with existence in column 0, shape (K, m, 5); None if frames are observed.
     """
 
     name: str
@@ -120,10 +124,10 @@ class Recording:
 
 
 def load_recording(config: VideoConfig) -> Recording:
-    """Open a sequence and read what comes with it.
+    """Open a sequence and read its detections and ground truth.
 
     Raises:
-        SequenceError: A source or file that cannot be used.
+        SequenceError: If the source or a file cannot be used.
     """
     if config.source is None:
         return _rendered(config)
@@ -144,11 +148,11 @@ def load_recording(config: VideoConfig) -> Recording:
         size, scale = frames.size, (frames.size[0] / frames.source_size[0], frames.size[1] / frames.source_size[1])
         last = frames.length
     else:
-        size, scale = _told_size(config, info)
+        size, scale = _declared_size(config, info)
         last = max([step + 1 for step in found] + [truth.length if truth else 0])
-    horizon = config.horizon or LONGEST
+    horizon = config.horizon or DEFAULT_MAX_FRAMES
     if last is not None:
-        # One frame at least: whether there is one is for the decoder to say.
+        # At least one frame; the decoder reports an error if there is none.
         horizon = min(horizon, max(-(-(last - config.start) // config.stride), 1))
     numbers = range(config.start, config.start + horizon * config.stride, config.stride)
     people = {} if truth is None else truth.by_frame()
@@ -156,9 +160,9 @@ def load_recording(config: VideoConfig) -> Recording:
         name=info.name,
         width=size[0],
         height=size[1],
-        frame_rate=(info.frame_rate or _NOMINAL_RATE) / config.stride,
+        frame_rate=(info.frame_rate or _DEFAULT_FRAME_RATE) / config.stride,
         horizon=horizon,
-        # A decoder for each observer; of a camera there is one.
+        # Every observer has its own decoder; a camera has only one.
         open=None if frames is None else frames.__iter__ if frames.live else lambda: iter(_open(config)),
         scored=truth is not None,
         **_truth_arrays(people, numbers, np.array([*scale, *scale])),
@@ -178,16 +182,16 @@ def _truth(config: VideoConfig, sequence: MotFolder | None) -> RecordedTracks | 
     return None if path is None else read_tracks(path)
 
 
-def _told_size(config: VideoConfig, info: SequenceInfo) -> tuple[tuple[int, int], tuple[float, float]]:
-    """Size of frames that are not there, and by what boxes are scaled."""
+def _declared_size(config: VideoConfig, info: SequenceInfo) -> tuple[tuple[int, int], tuple[float, float]]:
+    """Return the size of the frames, from seqinfo.ini if there are no images, and the scale of boxes (x, y)."""
     if info.width is None or info.height is None or max(info.width, info.height) > SIDES[1]:
-        raise SequenceError(f"{config.source}: without images, seqinfo.ini must tell imWidth and imHeight")
+        raise SequenceError(f"{config.source}: without images, seqinfo.ini must give imWidth and imHeight")
     size = resized((info.width, info.height), config.width, config.height)
     return size, (size[0] / info.width, size[1] / info.height)
 
 
 def _truth_arrays(people: Mapping[int, PeopleInFrame], numbers: range, scale: Array) -> dict[str, Any]:
-    """Ids, boxes and visibility, identities numbered from 1 in the order of the file's."""
+    """Return ids, boxes and visibility; identities are numbered from 1 in the order of the ids of the file."""
     inside = {k: people[number] for k, number in enumerate(numbers) if number in people}
     names = np.unique(np.concatenate([who.ids for who in inside.values()] or [np.zeros(0, np.int64)]))
     most = max((len(who.ids) for who in inside.values()), default=0)
@@ -207,7 +211,7 @@ def _detections(
     scale: tuple[float, float],
     size: tuple[int, int],
 ) -> Array:
-    """Sets of detections as they are observed, cut to three frames' width and height."""
+    """Return the observed sets of detections, clipped to `detection_bounds`."""
     least = -math.inf if config.least_confidence is None else config.least_confidence
     kept = {step: one.boxes[one.confidences >= least] for step, one in found.items()}
     sets = np.zeros((len(numbers), max([1, *(len(boxes) for boxes in kept.values())]), 5))
@@ -220,14 +224,14 @@ def _detections(
 
 
 def detection_bounds(width: int, height: int) -> tuple[list[float], list[float]]:
-    """Lowest and highest detected box: a frame's width and height beyond every border."""
+    """Return the lowest and highest detected box: up to one frame size beyond every border."""
     w, h = float(width), float(height)
     return [-w, -h, 0.0, 0.0], [2.0 * w, 2.0 * h, 3.0 * w, 3.0 * h]
 
 
 @lru_cache(maxsize=2)
 def _rendered(config: VideoConfig) -> Recording:
-    """Frames of the pedestrian scene, the same whatever the seed, as those of a file are."""
+    """Return frames rendered by the pedestrian environment, the same for every seed."""
     detects = config.observation == "detections"
     shown = "blobs" if detects else "pixels"
     scene = PedestrianConfig(horizon=_RENDERED_FRAMES, empty_frames=_RENDERED_EMPTY, observation=shown)

@@ -1,4 +1,4 @@
-"""N observers of one recorded sequence: the one piece of bookkeeping behind the single and the vector environment."""
+"""N observers of one recorded sequence, for the single and the vector environment."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from servotrack.estimators.types import Array, Image, Labels, Mask
 
 
 class VideoWorld(PeopleWorld):
-    """N observers of a sequence, each at a frame of its own; attributes as in `PeopleWorld`, and those below.
+    """N observers of a sequence, each at its own frame. Attributes: see `PeopleWorld`, and below.
 
-    An observer sees frame k and answers with the people it believes in at k; `step` scores that answer and shows frame
-    k + 1, after the last frame that one again. Frames are decoded when they are needed, and none is kept.
+    The observer gets frame k and answers with its estimate of the set of people in frame k. `step` scores the answer
+    and advances to frame k + 1; the last frame is repeated at the end. Frames are decoded when they are needed and not
+    kept.
 
     Args:
-        config: The world's parameters.
+        config: Parameters of the environment.
         count: Number of observers N.
-        pictures: Whether `images` are wanted where detections are observed.
+        pictures: If True, frames are decoded for `images` even if detections are observed.
 
     Attributes:
-        recording: The sequence.
-        observations: What agents see: frames (N, H, W, 3) uint8, or sets of detections (N, m, 5).
+        recording: Sequence.
+        observations: Frames, shape (N, H, W, 3), uint8, or sets of detections, shape (N, m, 5).
 
     Raises:
-        SequenceError: A source or file that cannot be used.
+        SequenceError: If the source or a file cannot be used.
     """
 
     def __init__(self, config: VideoConfig, count: int, pictures: bool = False) -> None:
@@ -51,14 +52,14 @@ class VideoWorld(PeopleWorld):
         self._newest()
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
-        """Start again at the first frame in some rows; the others are left as they are, to the bit.
+        """Restart some rows at the first frame. The other rows do not change.
 
         Args:
-            rows: Which of the N.
-            seeds: One for each; nothing depends on them.
+            rows: Indices of the observers.
+            seeds: Episode seed of each; not used.
 
         Raises:
-            SequenceError: The first frame cannot be decoded.
+            SequenceError: If the first frame cannot be decoded.
         """
         for row, _ in zip(rows, seeds, strict=True):
             self._begin(row)
@@ -71,12 +72,12 @@ class VideoWorld(PeopleWorld):
         self._newest()
 
     def step(self, answers: Array, running: Mask | None = None) -> None:
-        """Score every row's answer to its newest frame, and show the next frame.
+        """Score the answers to the newest frames, and advance to the next frames.
 
         Args:
-            answers: Shape (N, rows, 5): existence, then boxes, px.
-            running: Which of the N have an episode under way, (N,) bool; None for all. The others wait for their reset
-                at the frame they are at.
+            answers: Existence and boxes (px), shape (N, rows, 5).
+            running: True for observers whose episode is running, shape (N,), bool; None: all. The others stay at their
+                frame until they are reset.
         """
         if running is None:
             running = np.ones(self.count, np.bool_)
@@ -93,19 +94,19 @@ class VideoWorld(PeopleWorld):
         self._newest()
 
     def close(self) -> None:
-        """Let go of files and cameras."""
+        """Close files and cameras."""
         self._frames = [iter(()) for _ in range(self.count)]
 
     def scores(self) -> dict[str, Any]:
-        """What `info` tells of the last answer, arrays of N rows: whether there is truth, and only then the scores."""
+        """Return the entries of `info` for the last answer, arrays of N rows; without ground truth only `scored`."""
         return {"scored": np.full(self.count, self.scored)} | (super().scores() if self.scored else {})
 
     def episode_scores(self) -> dict[str, Any]:
-        """What `info` tells at an episode's end, arrays of N rows; nothing without truth."""
+        """Return the entries of `info` at the end of an episode, arrays of N rows; empty without ground truth."""
         return super().episode_scores() if self.scored else {}
 
     def debug_view(self, row: int = 0) -> str:
-        """One observer's state as text, for debugging."""
+        """Return the state of an observer as text, for debugging."""
         return (
             f"{self.recording.name}  frame {self.steps[row]}/{self.recording.horizon}  "
             f"people={int(self.exists[row].sum())}  reported={int(self.scorer.reported[row].sum())}  "
@@ -113,7 +114,7 @@ class VideoWorld(PeopleWorld):
         )
 
     def _decode(self, row: int) -> None:
-        """The next frame; a source that ends early, or breaks, ends the episode."""
+        """Decode the next frame. The episode ends if the source ends early or fails."""
         if not self._decodes:
             return
         try:
@@ -122,7 +123,7 @@ class VideoWorld(PeopleWorld):
             self._ended[row] = True
             gym.logger.warn(
                 f"the episode ends after {self.steps[row]} of {self.recording.horizon} frames: "
-                f"{str(error) or f'{self.recording.name} has no more'}"
+                f"{str(error) or f'{self.recording.name} has no more frames'}"
             )
 
     def _observe(self, row: int) -> None:
@@ -132,7 +133,7 @@ class VideoWorld(PeopleWorld):
             self.observations[row] = self.recording.detections[self._frame(row)]
 
     def _frame(self, row: int) -> int:
-        """The frame an observer is at; after the last one that one again."""
+        """Return the index of an observer's frame; the last frame is repeated."""
         return min(int(self.steps[row]), self.recording.horizon - 1)
 
     def _past(self, row: int) -> tuple[Labels, Array, Array]:
