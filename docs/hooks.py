@@ -47,6 +47,11 @@ def on_page_content(html: str, **_: Any) -> str:
     return _FORMULA.sub(_mathml, html)
 
 
+def on_post_template(output_content: str, **_: Any) -> str:
+    """Name the landmarks of pages without a source, such as 404.html."""
+    return on_post_page(output_content)
+
+
 def on_post_page(output: str, **_: Any) -> str:
     """Name the theme's search dialog and its nested navigation for screen readers."""
     output = output.replace(_UNNAMED_DIALOG, _UNNAMED_DIALOG[:-1] + ' aria-label="Search">')

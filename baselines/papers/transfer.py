@@ -86,7 +86,7 @@ def _correlations(ranked: Mapping[str, Array]) -> Grid:
         [first, *("" if first == second else rank_correlation(ranked[first], ranked[second]) for second in names)]
         for first in names
     ]
-    return Grid(["", *names], rows, 1)
+    return Grid(["scene", *names], rows, 1)
 
 
 def rank_correlation(first: Array, second: Array) -> str:

@@ -147,7 +147,7 @@ def _finding_grid(open_loop: Mapping[float, float], closed_loop: float) -> Grid:
         for kappa, difference in open_loop.items()
     ]
     rows.append(["closed loop, 1000 steps", "tool paths apart by", f"{_tiny(closed_loop)} m"])
-    return Grid(["experiment", "", "largest difference UKF - KF"], rows, 2)
+    return Grid(["experiment", "setting", "largest difference UKF - KF"], rows, 2)
 
 
 def _scale_grid(scaled: Mapping[tuple[str, float], Run], tracking: Mapping[str, Sequence[Run]]) -> Grid:
