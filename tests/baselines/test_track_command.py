@@ -142,7 +142,7 @@ def test_broken_source_keeps_what_was_tracked(tmp_path, background):
     (folder / "4.png").write_bytes(b"broken")
     source = PixelInput(folder, Brightness(), background=background)
     run = track(source, Following(), tmp_path / "out", BoxPainter((64, 64)))
-    assert run.frames == [0, 1, 2, 3] and "4.png is no image" in run.stopped and run.error is not None
+    assert run.frames == [0, 1, 2, 3] and "4.png cannot be decoded as an image" in run.stopped and run.error is not None
     assert read_tracks(tmp_path / "out" / "tracks.txt").length == 4
     assert film_frames(tmp_path / "out" / "tracks.mp4") == 4
 

@@ -1,4 +1,4 @@
-"""How everybody moves in an episode: whatever the script, one form."""
+"""Movement of all people of an episode, in one form for every script."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ def draw_movement(
     recorded: RecordedTracks | None = None,
     obstacles: tuple[tuple[float, float, float], ...] = (),
 ) -> Movement:
-    """Draw all movement of an episode, one frame more than is answered.
+    """Draw the movement of an episode with horizon + 1 frames.
 
     Args:
-        config: The scene.
-        seed: Of the episode, a non-negative integer.
-        recorded: What the script `replay` replays.
-        obstacles: What nobody can walk through: x, z and radius of each, m.
+        config: Parameters of the environment.
+        seed: Seed of the episode, a non-negative integer.
+        recorded: Recording for the script `replay`.
+        obstacles: x, z and radius of each obstacle, m.
 
     Raises:
-        ValueError: A recording with more people at a time than `max_people`.
+        ValueError: If the recording has more people at a time than `max_people`.
     """
     camera = lobby_camera(config.width, config.height)
     if recorded is not None:
@@ -40,13 +40,13 @@ def draw_movement(
         parties, frames = draw_parties(config, camera, seed)
         dt = 1.0 / config.frame_rate
         paths = [_seen(done, camera, dt) for done in walk(parties, frames, dt, config.max_people, obstacles)]
-    # Whoever is there by the end of the empty frames appears with all others.
+    # People who are present at the end of the empty frames appear together.
     shown_from = config.empty_frames if config.script in POPULATED else 0
     return assemble(paths, config.horizon + 1, config.max_people, float(config.width), shown_from)
 
 
 def _seen(done: Walk, camera: Camera, dt: float) -> ImagePath:
-    """A walk as the camera sees it."""
+    """Return the path of a walk in the image."""
     stature = done.plan.stature
     steps = np.diff(done.positions, axis=0, prepend=done.positions[:1]) / stature
     if len(steps) > 1:

@@ -1,4 +1,4 @@
-"""A whole episode's people in the image, frame by frame, each in a row of their own while they are there."""
+"""Movement of all people of an episode in the image, and the gait that follows from their steps."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from servotrack.envs.track.pedestrians.people import People
 from servotrack.estimators.types import Array, Labels
 
 _MARGIN = 0.7
-"""How far outside the image somebody is still drawn, body heights; shadows fall into it."""
+"""Distance outside the image up to which people are drawn, body heights; their shadows can fall into it."""
 
 
 class ImagePath(NamedTuple):
-    """One person's life in the image, k frames.
+    """Path of one person in the image over k frames; quantities as in `People`.
 
     Attributes:
         first: First frame.
-        feet: Shape (k, 2), px.
-        height: Shape (k,), px.
-        heading: Shape (k,), rad.
-        phase: Shape (k,), rad.
-        stride: Shape (k,).
-        outfit_seed: Seed of how they look.
+        feet: Positions of the feet, shape (k, 2), px.
+        height: Heights, shape (k,), px.
+        heading: Headings, shape (k,), rad.
+        phase: Phases of the gait, shape (k,), rad.
+        stride: Strides, shape (k,).
+        outfit_seed: Seed of the outfit.
     """
 
     first: int
@@ -42,17 +42,19 @@ class ImagePath(NamedTuple):
 
 @dataclass(frozen=True)
 class Movement:
-    """Everybody's movement; K frames, n rows, of which one belongs to a person for life and then to another.
+    """Movement of all people over K frames in n rows; quantities as in `People`.
+
+    A person keeps one row; after the person has left, a later one may get the row.
 
     Attributes:
-        ids: Who is in a row, from 1; 0 for nobody. Shape (K, n), int.
-        feet: Shape (K, n, 2), px.
-        height: Shape (K, n), px.
-        heading: Shape (K, n), rad.
-        phase: Shape (K, n), rad.
-        stride: Shape (K, n).
-        outfit_seeds: Shape (K, n), int.
-        width: Of the image, px.
+        ids: Identity in each row, from 1; 0 for an unused row, shape (K, n), int.
+        feet: Positions of the feet, shape (K, n, 2), px.
+        height: Heights, shape (K, n), px.
+        heading: Headings, shape (K, n), rad.
+        phase: Phases of the gait, shape (K, n), rad.
+        stride: Strides, shape (K, n).
+        outfit_seeds: Seeds of the outfits, shape (K, n), int.
+        width: Width of the image, px.
     """
 
     ids: Labels
@@ -65,11 +67,11 @@ class Movement:
     width: float
 
     def people(self, frame: int) -> tuple[People, NDArray[np.intp]]:
-        """Who may be seen in a frame, and their rows."""
+        """Return the people who may be visible in a frame, and their rows."""
         ids, feet, height = self.ids[frame], self.feet[frame], self.height[frame]
         column, reach = feet[:, 0], _MARGIN * height
         rows = np.flatnonzero((ids > 0) & (column > -reach) & (column < self.width + reach))
-        # A view of the frame and then its rows: several times cheaper than both in one index.
+        # A view of the frame, then its rows: several times faster than both in one index.
         people = People(
             ids[rows],
             feet[rows],
@@ -83,17 +85,17 @@ class Movement:
 
 
 def assemble(paths: Sequence[ImagePath], frames: int, rows: int, width: float, shown_from: int = 0) -> Movement:
-    """Give everybody a row.
+    """Assign a row to every path.
 
     Args:
-        paths: In the order of their first frames; what lies outside the frames is left out.
+        paths: Paths, ordered by their first frame. Parts outside the frames are left out.
         frames: Number of frames K.
         rows: Number of rows n.
-        width: Of the image, px.
-        shown_from: First frame that shows anybody.
+        width: Width of the image, px.
+        shown_from: First frame that shows people.
 
     Raises:
-        ValueError: More people at a time than rows.
+        ValueError: If there are more people at a time than rows.
     """
     made = Movement(
         np.zeros((frames, rows), np.int64), np.zeros((frames, rows, 2)), np.zeros((frames, rows)),
@@ -106,11 +108,11 @@ def assemble(paths: Sequence[ImagePath], frames: int, rows: int, width: float, s
         start, stop = max(path.first, shown_from), min(path.first + len(path.height), frames)
         if stop <= start:
             continue
-        # The row that has been free for longest, so that nobody is taken for who left it just before.
+        # The row that has been free for longest, so that a new person is not confused with the previous one.
         row = int(np.argmin(free_from))
         if free_from[row] > start:
             there = int((free_from > start).sum()) + 1
-            raise ValueError(f"max_people must be at least {there}: so many are there in frame {start}, got {rows}")
+            raise ValueError(f"max_people must be at least {there}, the number of people in frame {start}, got {rows}")
         identity += 1
         free_from[row] = stop
         at, of = slice(start, stop), slice(start - path.first, stop - path.first)
@@ -122,28 +124,28 @@ def assemble(paths: Sequence[ImagePath], frames: int, rows: int, width: float, s
 
 
 _SMOOTHING = 0.16
-"""Time over which a gait follows the speed, s."""
+"""Time constant with which the gait follows the speed, s."""
 _TURNING = 0.2
-"""Time over which a body follows its direction, s."""
-_WALKS_FROM = 0.1
-"""Speed from which somebody faces where they go, body heights per second."""
+"""Time constant with which the heading follows the direction of motion, s."""
+_MIN_WALKING_SPEED = 0.1
+"""Minimum speed at which a person faces the direction of motion, body heights per second."""
 
 
 @njit(cache=True, nogil=True)
 def gait(steps, facing, first_heading, first_phase, dt):  # type: ignore[no-untyped-def]
-    """Heading, phase and stride along a path.
+    """Return heading, phase and stride along a path.
 
-    A stride grows with speed, as people's do: 0.4 heights standing, 0.84 at one height per second.
+    The length of a stride grows with speed: 0.4 heights at rest, 0.84 at one height per second.
 
     Args:
-        steps: Way from frame to frame on the floor, body heights; the first from the frame before. Shape (k, 2).
-        facing: Where to face while standing, NaN for as before, shape (k,), rad.
-        first_heading: Heading before the first frame, rad; NaN for that of the first steps.
+        steps: Displacements on the floor from the previous frame, body heights, shape (k, 2).
+        facing: Heading while standing, rad, shape (k,); NaN: unchanged.
+        first_heading: Heading before the first frame, rad; NaN: that of the first steps.
         first_phase: Phase before the first frame, rad.
-        dt: Between frames, s.
+        dt: Time between frames, s.
 
     Returns:
-        Shape (k, 3).
+        Heading (rad), phase (rad) and stride, shape (k, 3).
     """
     count = len(steps)
     out = np.empty((count, 3))
@@ -165,7 +167,7 @@ def gait(steps, facing, first_heading, first_phase, dt):  # type: ignore[no-unty
         vx += follow * (dx / dt - vx)
         vz += follow * (dz / dt - vz)
         goal = heading
-        if math.sqrt(vx * vx + vz * vz) > _WALKS_FROM:
+        if math.sqrt(vx * vx + vz * vz) > _MIN_WALKING_SPEED:
             goal = math.atan2(vz, vx)
         elif not math.isnan(facing[k]):
             goal = facing[k]

@@ -1,4 +1,4 @@
-"""The sequence of paper 000, Meet_Split_3rdGuy: two meet and part, a third comes by."""
+"""Script `meet_split_third_guy`, after the CAVIAR sequence of Wu and Hu 2010: two people meet and separate."""
 
 from __future__ import annotations
 
@@ -15,28 +15,29 @@ from servotrack.estimators.types import Array
 NUMBERS = (
     (0, 0), (49, 1), (169, 2), (319, 3), (518, 2), (624, 1), (699, 2), (749, 3), (755, 2), (899, 1),
 )  # fmt: skip
-"""From which frame on how many people are there."""
+"""Pairs of a frame and the number of people from this frame on."""
 MERGE, SPLIT = 450, 468
-"""When the two who meet become one region, and when two again."""
+"""Frames at which the regions of the two people who meet merge and split."""
 
 _MEETING = (-1.15, 8.6)
-_CLOSE = (0.11, 0.17)
-"""Half the way from one to the other of the two who meet, m."""
+"""Place of the meeting (x, z), m."""
+_HALF_OFFSET = (0.11, 0.17)
+"""Half the offset between the two people who meet, m."""
 _JITTER = 0.25
-"""How far places differ from seed to seed, either way, m."""
-_STEADY = (0.0, 0.0, 0.0)
+"""Maximum random deviation of each coordinate of a place, m."""
+_NO_WANDER = (0.0, 0.0, 0.0)
 _RIGHT, _LEFT = 0.0, math.pi
 
 
 def meet_split_third_guy(config: PedestrianConfig, camera: Camera, streams: Streams) -> list[Party]:
-    """The plans of the five people who come; the first is there from frame 49 on, the last until the end.
+    """Return the plans of the five people. The first enters at frame 49, the last stays until the end.
 
-    People appear half inside the image's border, so that they are seen from the frame on that the schedule gives.
+    People appear half inside the image border, so that they are visible from the frame of the schedule on.
 
     Args:
-        config: Whose horizon may cut the sequence.
-        camera: Which sees the lobby.
-        streams: Of the episode.
+        config: Parameters of the environment. A shorter horizon cuts the sequence.
+        camera: Camera of the lobby.
+        streams: Random streams of the episode.
     """
     rng = streams[Stream.PARTY]
     last = max(PAPER_FRAMES, config.horizon) + 1
@@ -49,7 +50,7 @@ def meet_split_third_guy(config: PedestrianConfig, camera: Camera, streams: Stre
         return np.array([side * (float(camera.half_width(depth)) - 0.03), depth])
 
     meeting = np.array(_MEETING) + rng.uniform(-_JITTER, _JITTER, 2)
-    sides = np.array(_CLOSE)
+    sides = np.array(_HALF_OFFSET)
     first = (
         49,
         518,
@@ -88,7 +89,7 @@ def meet_split_third_guy(config: PedestrianConfig, camera: Camera, streams: Stre
     fifth = (749, last, border(1, 7.6), [leg(near(1.6, 8.4), until=float(last), due=815.0, face=_LEFT)])
     body = streams[Stream.BODY]
     parties: list[Party] = []
-    # Who meets is of one party, whose members keep less distance.
+    # The two people who meet form one party, whose members keep less distance.
     for people in ((first, second), (third,), (fourth,), (fifth,)):
         party = []
         for birth, death, start, legs in people:
@@ -96,7 +97,14 @@ def meet_split_third_guy(config: PedestrianConfig, camera: Camera, streams: Stre
             outfit_seed = int(body.integers(0, 2**62))
             party.append(
                 Plan(
-                    birth, (float(start[0]), float(start[1])), np.array(legs), 0.8, stature, outfit_seed, _STEADY, death
+                    birth,
+                    (float(start[0]), float(start[1])),
+                    np.array(legs),
+                    0.8,
+                    stature,
+                    outfit_seed,
+                    _NO_WANDER,
+                    death,
                 )
             )
         parties.append(party)

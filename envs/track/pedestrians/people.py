@@ -1,4 +1,4 @@
-"""Where people are in the image at one frame: what moves them hands this to what draws them."""
+"""People of one frame in image coordinates: the interface between movement and rendering."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from servotrack.estimators.types import Array, Labels
 
 
 class People(NamedTuple):
-    """The n people of one frame, in any order; pixel i spans i to i + 1.
+    """People of one frame, n in any order. Pixel i covers [i, i + 1].
 
     Attributes:
-        ids: Identities, at least 1, each for life. Shape (n,), int.
-        feet: Where they stand: the middle between the feet, column and row. Shape (n, 2), px.
-        height: From sole to crown, standing upright. Shape (n,), px.
-        heading: Where they face: 0 to the right, pi/2 away from the camera. Shape (n,), rad.
-        phase: Of the gait; one stride of two steps is 2 pi. Shape (n,), rad.
-        stride: How far arms and legs swing: 0 standing, 1 walking at full pace. Shape (n,).
-        outfit_seeds: Seed of a person's clothes, skin, build. Shape (n,), int.
+        ids: Identities, at least 1, constant for a person, shape (n,), int.
+        feet: Middle between the feet, column and row, shape (n, 2), px.
+        height: Height of the upright body, shape (n,), px.
+        heading: Direction that the body faces: 0 to the right, pi/2 away from the camera, shape (n,), rad.
+        phase: Phase of the gait; a stride of two steps is 2 pi, shape (n,), rad.
+        stride: Swing of arms and legs: 0 standing, 1 walking at full pace, shape (n,).
+        outfit_seeds: Seeds of clothes, skin and build, shape (n,), int.
     """
 
     ids: Labels
@@ -33,15 +33,14 @@ class People(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """A drawn frame and its truth.
+    """Rendered frame and its ground truth.
 
     Attributes:
-        image: RGB, uint8. Shape (H, W, 3).
-        boxes: Smallest box around each person's whole silhouette, hidden parts included, cut at the image's border:
-            left, top, width, height; zeros where nothing of it lies inside. Shape (n, 4), px.
-        visibility: Share of each silhouette's pixels that can be seen; what lies outside the image cannot. Shape (n,).
-        owners: Which person a pixel belongs to, as a row of `People` + 1; 0 is background, an occluder too.
-            Shape (H, W), uint8.
+        image: RGB image, shape (H, W, 3), uint8.
+        boxes: Bounding box (left, top, width, height) of each whole silhouette, including occluded parts, clipped at
+            the image border, shape (n, 4), px; zeros if the silhouette lies outside.
+        visibility: Share of the pixels of each silhouette that is visible; parts outside the image are not, shape (n,).
+        owners: Person of each pixel, as row of `People` + 1; 0 for background and occluders, shape (H, W), uint8.
     """
 
     image: NDArray[np.uint8]

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from servotrack.envs.track.pedestrians import shapes
-from servotrack.envs.track.pedestrians.floor import BACK_WALL, FAR, NEAR, Camera
+from servotrack.envs.track.pedestrians.floor import BACK_WALL, MAX_DEPTH, MIN_DEPTH, Camera
 from servotrack.estimators.types import Array
 
 Color = tuple[float, float, float]
@@ -136,7 +136,7 @@ def occluders(camera: Camera, count: int, rng: np.random.Generator) -> list[Prop
     kinds = rng.permutation(max(count, 3))
     strips = rng.permutation(count)
     for k in range(count):
-        z = float(rng.uniform(NEAR + 1.0, FAR - 2.5))
+        z = float(rng.uniform(MIN_DEPTH + 1.0, MAX_DEPTH - 2.5))
         reach = 0.84 * float(camera.half_width(z))
         # Each has a strip of the image's width of its own, so that they hide people rather than one another.
         x = reach * (2.0 * (strips[k] + rng.uniform(0.2, 0.8)) / count - 1.0)

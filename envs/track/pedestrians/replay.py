@@ -1,4 +1,4 @@
-"""Recorded trajectories walked again by people of our own: CAVIAR's XML and MOTChallenge's rows."""
+"""Replay of recorded trajectories (CAVIAR, MOTChallenge) by rendered people."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from servotrack.envs.track.pedestrians.scene import Stream
 from servotrack.estimators.types import Array
 
 _WINDOW = 7
-"""Frames over which feet and height are averaged, for boxes drawn by hand jump."""
-_SMALLEST = 4.0
-"""Boxes less high than this are left out, px."""
+"""Number of frames over which feet and height are averaged, because hand-drawn boxes jump."""
+_MIN_HEIGHT = 4.0
+"""Minimum height of used boxes, px."""
 
 
 def read_recording(config: PedestrianConfig) -> RecordedTracks:
-    """The recording that a scene replays, scaled to its frame where the folder of a sequence tells the recording's.
+    """Read the recording to replay. If seqinfo.ini gives the image size, boxes are scaled to the frame.
 
     Args:
-        config: Whose `source` names the file or folder.
+        config: Parameters; `source` is the file or folder.
 
     Raises:
-        SequenceError: As `read_tracks`; nobody in it; or boxes beyond the scene's frame.
+        SequenceError: If `read_tracks` fails, the file has no tracks, or the boxes lie outside the frame.
     """
     assert config.source is not None
     path = Path(config.source)
     recorded = read_tracks(path)
     if not recorded.tracks:
-        raise SequenceError(f"{path} holds no tracks; give a file with some")
+        raise SequenceError(f"{path} contains no tracks; give a file with tracks")
     scale = np.ones(4)
     if path.is_dir() and (path / "seqinfo.ini").is_file():
         info = read_seqinfo(path / "seqinfo.ini")
@@ -54,31 +54,34 @@ def read_recording(config: PedestrianConfig) -> RecordedTracks:
 
 
 def replay(recorded: RecordedTracks, config: PedestrianConfig, camera: Camera, streams: Streams) -> list[ImagePath]:
-    """Everybody's life in the image; who is gone for some frames of the recording goes on straight meanwhile.
+    """Return the paths of all people in the image. Gaps in a track are interpolated linearly.
 
     Args:
-        recorded: As `read_recording` returned it.
-        config: The scene.
-        camera: Which turns movement in the image into directions on the floor.
-        streams: Of the episode, for looks.
+        recorded: Recording, read by `read_recording`.
+        config: Parameters of the environment.
+        camera: Camera, which converts movement in the image to directions on the floor.
+        streams: Random streams of the episode, for outfits and gait.
+
+    Returns:
+        Paths, ordered by their first frame.
     """
     body = streams[Stream.BODY]
     outfit_seeds = body.integers(0, 2**62, len(recorded.tracks))
     phases = body.uniform(0.0, 2.0 * math.pi, len(recorded.tracks))
     paths = []
     for track, outfit_seed, phase in zip(recorded.tracks, outfit_seeds.tolist(), phases.tolist(), strict=True):
-        tall = track.states[:, 3] >= _SMALLEST
+        tall = track.states[:, 3] >= _MIN_HEIGHT
         if not tall.any():
             continue
         known, boxes = track.steps[tall], track.states[tall]
         steps = np.arange(known[0], known[-1] + 1)
         left, top, width, height = (_smooth(np.interp(steps, known, column)) for column in boxes.T)
         feet = np.stack([left + width / 2.0, top + height], axis=1)
-        # Below the horizon of our camera, or the recording's would have to be known.
+        # Feet are moved below the horizon of the rendering camera; the camera of the recording is unknown.
         low = np.maximum(feet[:, 1], camera.horizon + 0.15 * config.height)
         floor = camera.unproject(np.stack([feet[:, 0], low], axis=1))
         direction = np.diff(floor, axis=0, prepend=floor[:1])
-        # How far, the image tells in body heights; ways along the line of sight are foreshortened by a half or so.
+        # Length of the way in body heights; movement along the line of sight is foreshortened by about one half.
         way = np.hypot(*(np.diff(feet, axis=0, prepend=feet[:1]) * [1.0, 2.0]).T) / height
         length = np.hypot(*direction.T)
         movement = direction * np.divide(way, length, out=np.zeros_like(way), where=length > 0.0)[:, None]
@@ -89,7 +92,7 @@ def replay(recorded: RecordedTracks, config: PedestrianConfig, camera: Camera, s
 
 
 def _smooth(values: Array) -> Array:
-    """Moving average that keeps the ends in place."""
+    """Return the moving average with fixed end points."""
     reach = min(_WINDOW, len(values)) // 2
     if reach == 0:
         return values

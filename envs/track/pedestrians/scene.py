@@ -1,4 +1,4 @@
-"""People who walk the lobby by their plans: social forces move them, pymunk's bodies keep them apart."""
+"""Simulation of people in the lobby: the social force model moves them, pymunk resolves contacts."""
 
 from __future__ import annotations
 
@@ -12,21 +12,23 @@ import numpy as np
 import pymunk
 import pymunk.batch
 
-from servotrack.envs.track.pedestrians.floor import BACK_WALL, NEAR
+from servotrack.envs.track.pedestrians.floor import BACK_WALL, MIN_DEPTH
 from servotrack.envs.track.pedestrians.social_force import LEG_NUMBERS, drive
 from servotrack.estimators.types import Array, Labels
 
 BODY_RADIUS = 0.2
-"""Of the circle that nobody enters, m."""
-_ELBOW_ROOM = 0.35
-"""Between somebody who stands and an obstacle, m."""
-_FRONT = NEAR - 0.4
-_NEVER = 2**62
+"""Radius of a person's body, m."""
+_OBSTACLE_CLEARANCE = 0.35
+"""Distance between a standing person and an obstacle, m."""
+_FRONT = MIN_DEPTH - 0.4
+"""Front border of the floor, z in m."""
+_NO_DEATH = 2**62
+"""Frame of death of people without one."""
 _MOTION = pymunk.batch.BodyFields.POSITION | pymunk.batch.BodyFields.VELOCITY
 
 
 class Stream(IntEnum):
-    """Child streams of an episode's seed that decide motion; those of the picture lie elsewhere. Never change one."""
+    """Child streams of an episode's seed that decide motion. The numbers must never change."""
 
     ARRIVAL = 1000
     PARTY = 1001
@@ -36,17 +38,17 @@ class Stream(IntEnum):
 
 @dataclass(frozen=True)
 class Plan:
-    """What one person is going to do.
+    """Plan of one person.
 
     Attributes:
-        birth: Frame at which they come, from 0; below it before the episode.
-        start: Where they come, (x, z), m.
-        legs: Where they go one after the other, rows as `social_force` names them. Shape (legs, 6).
-        pace: Speed they like, m/s.
+        birth: Frame of entry; negative values lie before the episode.
+        start: Place of entry (x, z), m.
+        legs: Legs in their order, with the columns of `social_force`, shape (legs, 6).
+        pace: Desired speed, m/s.
         stature: Body height, m.
-        outfit_seed: Seed of how they look.
+        outfit_seed: Seed of the outfit.
         wander: Small changes of direction: amplitude (rad), rate (rad per frame), phase (rad).
-        death: Frame at which they are gone; None: when their legs are done.
+        death: Frame at which the person disappears; None: after the last leg.
     """
 
     birth: int
@@ -60,22 +62,22 @@ class Plan:
 
 
 Party = list[Plan]
-"""Those who belong together."""
+"""Plans of people who belong together."""
 
 
 def leg(place: Array, pause: float = 0.0, until: float = 0.0, due: float = -1.0, face: float = math.nan) -> list[float]:
-    """A leg as `social_force` wants it."""
+    """Return a leg with the columns of `social_force`."""
     return [float(place[0]), float(place[1]), pause, until, due, face]
 
 
 class Walk(NamedTuple):
-    """What one person did.
+    """Simulated walk of one person.
 
     Attributes:
-        plan: What they had planned.
+        plan: Plan of the person.
         first: First frame.
-        positions: (x, z) in every frame of their life. Shape (k, 2), m.
-        facing: Where they meant to face while they stood, NaN for no preference. Shape (k,), rad.
+        positions: Position (x, z) in every frame, shape (k, 2), m.
+        facing: Heading while standing, shape (k,), rad; NaN if unspecified.
     """
 
     plan: Plan
@@ -91,18 +93,17 @@ def walk(
     most: int,
     obstacles: Sequence[tuple[float, float, float]] = (),
 ) -> list[Walk]:
-    """Let people live their plans.
+    """Simulate the plans.
 
     Args:
-        parties: Plans of those who belong together, ordered by the first birth. A party that would be too many when
-            its first comes stays away.
-        frames: The frames to simulate; the first may lie before 0.
-        dt: Between frames, s.
-        most: Most people at a time.
-        obstacles: What nobody can walk through: x, z and radius of each, m.
+        parties: Parties, ordered by their first birth. A party that would exceed `most` at its first birth is skipped.
+        frames: Frames to simulate; the first may be negative.
+        dt: Time between frames, s.
+        most: Maximum number of people at a time.
+        obstacles: x, z and radius of each obstacle, m.
 
     Returns:
-        One walk per person, in the order in which they came.
+        One walk per person, in the order of entry.
     """
     simulation = _Simulation(parties, dt, obstacles)
     births = [min(plan.birth for plan in party) for party in parties]
@@ -123,7 +124,7 @@ def walk(
 
 
 class _Simulation:
-    """All people of an episode, those who are there as bodies in one pymunk Space."""
+    """Simulation of all people of an episode. Those present are bodies in one pymunk Space."""
 
     def __init__(
         self, parties: Sequence[Sequence[Plan]], dt: float, obstacles: Sequence[tuple[float, float, float]]
@@ -139,12 +140,12 @@ class _Simulation:
         for row, plan in enumerate(self.plans):
             self._legs[row, : len(plan.legs)] = plan.legs
         self._obstacles = np.array(obstacles, dtype=np.float64).reshape(-1, 3)
-        _step_aside(self._legs, self._obstacles)
+        _avoid_obstacles(self._legs, self._obstacles)
         self._leg_count = np.array([len(plan.legs) for plan in self.plans], dtype=np.int64)
         self._leg, self._since = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._arrived = np.full(count, -1, dtype=np.int64)
         self._facing, self._over = np.full(count, math.nan), np.zeros(count, np.bool_)
-        self._deaths = np.array([_NEVER if p.death is None else p.death for p in self.plans], dtype=np.int64)
+        self._deaths = np.array([_NO_DEATH if p.death is None else p.death for p in self.plans], dtype=np.int64)
         self._pace = np.array([plan.pace for plan in self.plans], dtype=np.float64)
         self._wander = np.array([plan.wander for plan in self.plans], dtype=np.float64).reshape(count, 3)
         self._position, self._velocity = np.zeros((count + 1, 2)), np.zeros((count + 1, 2))
@@ -153,31 +154,31 @@ class _Simulation:
         self._space.collision_slop = 0.01
         self._bodies: dict[int, tuple[pymunk.Body, pymunk.Circle]] = {}
         self._active = np.empty(0, np.int64)
-        # All bodies' numbers are read and written in one call; the Space has them in an order of its own.
+        # All bodies are read and written in one call, in the order of the Space.
         self._order = np.empty(0, np.int64)
         self._read, self._written = pymunk.batch.Buffer(), pymunk.batch.Buffer()
         self._given = np.zeros((0, 2))
-        self._someone_over, self._next_death = False, _NEVER
+        self._any_over, self._next_death = False, _NO_DEATH
         self._history: list[tuple[Labels, Array, Array]] = []
         self._entered: dict[int, int] = {}
         self._build_walls()
 
     @property
     def present(self) -> int:
-        """How many are there."""
+        """Number of people present."""
         return len(self._bodies)
 
     def members(self, party: int) -> list[int]:
-        """Who belongs to a party."""
+        """Return the indices of the people of a party."""
         return list(range(self._first[party], self._first[party + 1]))
 
     def can_enter(self, index: int) -> bool:
-        """Whether nobody stands where somebody is to come; otherwise they wait outside."""
+        """Return True if the place of entry is free. Otherwise the person waits outside."""
         near = self._space.point_query_nearest(self.plans[index].start, BODY_RADIUS, pymunk.ShapeFilter())
         return near is None
 
     def enter(self, index: int, frame: int) -> None:
-        """Somebody comes, already walking."""
+        """Add a person, already walking."""
         plan = self.plans[index]
         body = pymunk.Body(1.0, float("inf"))
         body.position = plan.start
@@ -192,8 +193,8 @@ class _Simulation:
         self._note_active()
 
     def record(self, frame: int) -> None:
-        """Note where everybody is; those whose time is over are gone."""
-        if self._someone_over or frame >= self._next_death:
+        """Remove people whose time is over, and store the positions of the others."""
+        if self._any_over or frame >= self._next_death:
             active = self._active
             for index in active[self._over[active] | (self._deaths[active] <= frame)].tolist():
                 self._leave(index)
@@ -201,10 +202,10 @@ class _Simulation:
         self._history.append((active, self._position[active], self._facing[active]))
 
     def advance(self, frame: int) -> None:
-        """One step of time: forces give velocities, bodies move with them and stop each other."""
+        """Advance one frame: forces give velocities; bodies move and collide."""
         if not len(self._active):
             return
-        self._someone_over = drive(
+        self._any_over = drive(
             self._active, self._position, self._velocity, self._legs, self._leg_count, self._leg, self._since,
             self._arrived, self._facing, self._over, self._pace, self._wander, self._party, self._walls,
             self._obstacles, frame, self._dt,
@@ -218,7 +219,7 @@ class _Simulation:
         self._position[self._order], self._velocity[self._order] = moved[:, :2], moved[:, 2:]
 
     def walks(self) -> list[Walk]:
-        """What everybody did."""
+        """Return the walks of all people."""
         if not self._history:
             return []
         who, positions, facing = (np.concatenate(parts) for parts in zip(*self._history, strict=True))
@@ -234,18 +235,18 @@ class _Simulation:
         self._note_active()
 
     def _note_active(self) -> None:
-        """Who is there, and in which order the Space has them."""
+        """Update the indices of people present, and their order in the Space."""
         self._active = np.array(sorted(self._bodies), dtype=np.int64)
         self._read.clear()
         pymunk.batch.get_space_bodies(self._space, pymunk.batch.BodyFields.BODY_ID, self._read)
-        # The ground is among them; the last row of the arrays is its own.
+        # The ground is one of the bodies; it has the last row of the arrays.
         owners = {body.id: index for index, (body, _) in self._bodies.items()}
         owners[self._space.static_body.id] = len(self.plans)
         ids = np.frombuffer(self._read.int_buf(), dtype=np.uintp).tolist()
         self._order = np.array([owners[number] for number in ids], dtype=np.int64)
         self._given = np.zeros((len(ids), 2))
         self._written.set_float_buf(self._given)
-        self._next_death = int(self._deaths[self._active].min(initial=_NEVER))
+        self._next_death = int(self._deaths[self._active].min(initial=_NO_DEATH))
 
     def _build_walls(self) -> None:
         ground = self._space.static_body
@@ -255,12 +256,12 @@ class _Simulation:
             self._space.add(pymunk.Circle(ground, radius, (x, z)))
 
 
-def _step_aside(legs: Array, obstacles: Array) -> None:
-    """Move places that are in or at an obstacle off it, away from its middle."""
+def _avoid_obstacles(legs: Array, obstacles: Array) -> None:
+    """Move the goals of legs that are too close to an obstacle away from its center."""
     for x, z, radius in obstacles.tolist():
         off = legs[..., :2] - [x, z]
         distance = np.hypot(off[..., 0], off[..., 1])
-        free = radius + BODY_RADIUS + _ELBOW_ROOM
+        free = radius + BODY_RADIUS + _OBSTACLE_CLEARANCE
         inside = distance < free
         direction = np.where(
             distance[inside, None] > 1e-6, off[inside] / np.maximum(distance[inside, None], 1e-6), [1, 0]

@@ -1,4 +1,4 @@
-"""Who comes when and does what: the plans of a lobby's visitors."""
+"""Random scripts: arrival times and plans of the visitors of the lobby."""
 
 from __future__ import annotations
 
@@ -9,36 +9,40 @@ import numpy as np
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.config import PedestrianConfig
-from servotrack.envs.track.pedestrians.floor import FAR, NEAR, Camera
+from servotrack.envs.track.pedestrians.floor import MAX_DEPTH, MIN_DEPTH, Camera
 from servotrack.envs.track.pedestrians.paper_script import meet_split_third_guy
 from servotrack.envs.track.pedestrians.scene import Party, Plan, Stream, leg
 from servotrack.estimators.types import Array
 
-OUTSIDE = 0.55
-"""How far beyond the image's border people come and go, m."""
+ENTRY_DISTANCE = 0.55
+"""Distance outside the image border at which people enter and leave, m."""
 WARM_UP = 14.0
-"""Time for which people come before anybody is shown, so that the lobby is populated then, s."""
+"""Simulated time before the first populated frame, s, so that the lobby has its usual population then."""
 
-_EVENNESS = 4.0
-"""Shape of the gaps between arrivals; 1 would be Poisson's, with episodes that nobody or everybody visits."""
+_ARRIVAL_SHAPE = 4.0
+"""Shape parameter of the gamma distributed gaps between arrivals. Larger values give more regular arrivals; 1 would be
+a Poisson process, with very empty and very full episodes."""
 
 _RESIDENCE = {"random": 13.3, "crossing": 10.5, "crowd": 14.1}
-"""Mean time in sight, s, as measured: with it `people` is the mean number."""
+"""Measured mean time that a person is in sight, s. It makes `people` the mean number of people."""
 _PARTY_SIZE = {"random": 1.4, "crossing": 1.2, "crowd": 1.85}
-"""Mean number of people of a party."""
+"""Mean number of people in a party."""
 _DOORS = ((-1, 7.4), (-1, 9.6), (-1, 13.0), (1, 7.4), (1, 9.6), (1, 13.0))
-"""Side and depth (m) of where people come and go."""
+"""Side and depth (m) of the doors at which people enter and leave."""
 _SPACING = 0.6
-"""Between those who walk or stand together, m."""
+"""Distance between people who walk or stand together, m."""
 
 
 def draw_parties(config: PedestrianConfig, camera: Camera, seed: int) -> tuple[list[Party], range]:
-    """The parties that come in an episode, ordered by their first birth, and the frames to simulate.
+    """Draw the parties of an episode.
 
     Args:
-        config: The scene; its script is any but `replay`.
-        camera: Which sees the lobby.
-        seed: Of the episode.
+        config: Parameters of the environment, with any script except `replay`.
+        camera: Camera of the lobby.
+        seed: Seed of the episode.
+
+    Returns:
+        Parties, ordered by their first birth, and the frames to simulate.
     """
     streams = Streams(seed)
     if config.script == "meet_split_third_guy":
@@ -49,9 +53,11 @@ def draw_parties(config: PedestrianConfig, camera: Camera, seed: int) -> tuple[l
         return [], frames
     arrivals = streams[Stream.ARRIVAL]
     rate = config.people / (_RESIDENCE[config.script] * _PARTY_SIZE[config.script] * config.frame_rate)
-    # Enough gaps to fill all but one episode in many billions.
+    # Number of gaps that suffices except with negligible probability.
     expected = rate * len(frames)
-    gaps = arrivals.gamma(_EVENNESS, 1.0 / (_EVENNESS * rate), round(expected + 8.0 * math.sqrt(expected) + 16.0))
+    gaps = arrivals.gamma(
+        _ARRIVAL_SHAPE, 1.0 / (_ARRIVAL_SHAPE * rate), round(expected + 8.0 * math.sqrt(expected) + 16.0)
+    )
     births = begin + np.floor(np.cumsum(gaps)).astype(np.int64)
     visit = _VISITS[config.script]
     parties = []
@@ -62,7 +68,7 @@ def draw_parties(config: PedestrianConfig, camera: Camera, seed: int) -> tuple[l
 
 
 class _Lobby:
-    """Draws what a party's plans are made of, from streams of its own."""
+    """Random draws for the plans of one party, from its own streams."""
 
     def __init__(self, config: PedestrianConfig, camera: Camera, streams: Streams, number: int) -> None:
         self._camera = camera
@@ -71,39 +77,39 @@ class _Lobby:
         self._body = streams[Stream.BODY, number]
 
     def chance(self, probability: float) -> bool:
-        """Whether something of this probability happens."""
+        """Return True with this probability."""
         return bool(self.rng.random() < probability)
 
     def door(self, but_side: int = 0) -> tuple[int, float]:
-        """Side and depth of a door, not on the side `but_side`."""
+        """Draw side and depth (m) of a door that is not on the side `but_side`."""
         side, depth = _DOORS[int(self.rng.integers(len(_DOORS)))]
         return (-but_side if side == but_side else side), depth + float(self.rng.uniform(-0.9, 0.9))
 
     def outside(self, door: tuple[int, float]) -> Array:
-        """The point of the floor beyond a door."""
+        """Return the point of the floor outside a door, m."""
         side, depth = door
-        return np.array([side * (float(self._camera.half_width(depth)) + OUTSIDE), depth])
+        return np.array([side * (float(self._camera.half_width(depth)) + ENTRY_DISTANCE), depth])
 
     def spot(self, side: int) -> Array:
-        """A place in sight, mostly in one half of the image and not too close to its border."""
-        depth = float(self.rng.uniform(NEAR + 0.6, FAR - 0.7))
+        """Draw a visible place in one half of the image, away from its border."""
+        depth = float(self.rng.uniform(MIN_DEPTH + 0.6, MAX_DEPTH - 0.7))
         return np.array([side * self.rng.uniform(0.0, 0.85) * float(self._camera.half_width(depth)), depth])
 
     def frames(self, low: float, high: float) -> float:
-        """A time between `low` and `high` seconds, evenly on a logarithmic scale, in whole frames."""
+        """Draw a time between `low` and `high` seconds, log-uniform, as a whole number of frames."""
         return float(round(self.rate * low * (high / low) ** self.rng.random()))
 
     def pace(self) -> float:
-        """A speed that somebody likes, m/s."""
+        """Draw a desired speed, m/s."""
         return float(np.clip(1.1 + 0.33 * self.rng.standard_normal(), 0.4, 1.9))
 
     def beside(self) -> Array:
-        """From one to the other of two who keep together, m."""
+        """Draw the offset between two people who stay together, m."""
         angle = self.rng.uniform(0.0, 2.0 * math.pi)
         return _SPACING * np.array([math.cos(angle), math.sin(angle)])
 
     def plan(self, birth: int, start: Array, legs: list[list[float]], pace: float) -> Plan:
-        """A plan of somebody new."""
+        """Return the plan of a new person, with random stature, outfit and wandering."""
         wander = self._body.uniform([0.0, 0.02, 0.0], [0.25, 0.07, 2.0 * math.pi])
         return Plan(
             birth,
@@ -117,7 +123,7 @@ class _Lobby:
 
 
 def _together(lobby: _Lobby, birth: int, start: Array, stops: list[tuple[Array, float]], size: int) -> Party:
-    """Plans of people who keep together: stops are places and how many frames they stay."""
+    """Return the plans of a party that stays together. Stops are places (m) and durations (frames)."""
     pace = lobby.pace()
     offsets = [np.zeros(2)] + [lobby.beside() * (1.0 + 0.5 * (k // 2)) for k in range(size - 1)]
     party = []
@@ -144,7 +150,7 @@ def _random_visit(lobby: _Lobby, birth: int) -> Party:
 
 
 def _crossing_visit(lobby: _Lobby, birth: int) -> Party:
-    """Straight through, to the other side and mostly at another depth."""
+    """Return a visit that crosses the lobby to the other side, mostly to another depth."""
     enter = lobby.door()
     leave = lobby.outside(lobby.door(enter[0]))
     return _together(lobby, birth, lobby.outside(enter), [(leave, 0.0)], 2 if lobby.chance(0.2) else 1)
@@ -162,14 +168,14 @@ def _crowd_visit(lobby: _Lobby, birth: int) -> Party:
 
 
 def _meeting(lobby: _Lobby, birth: int) -> Party:
-    """Two come by different ways, meet, stay, and go on together or apart."""
+    """Return a visit in which two people arrive separately, meet, stay, and leave together or separately."""
     doors = [lobby.door()]
     doors.append(lobby.door(doors[0][0] if lobby.chance(0.2) else -doors[0][0]))
     place, apart = lobby.spot(doors[0][0]), lobby.beside()
     starts = [lobby.outside(door) for door in doors]
     paces = [lobby.pace(), lobby.pace()]
     ways = [float(np.hypot(*(place - start))) / pace * lobby.rate for start, pace in zip(starts, paces, strict=True)]
-    # Who has the longer way comes first, so that nobody waits long.
+    # The person with the longer way enters first, so that both arrive at about the same time.
     births = [birth + round(max(ways) - way) for way in ways]
     until = birth + max(ways) + lobby.frames(1.0, 7.0)
     exits = [lobby.outside(lobby.door(-door[0] if lobby.chance(0.9) else 0)) for door in doors]
@@ -184,12 +190,12 @@ def _meeting(lobby: _Lobby, birth: int) -> Party:
 
 
 def _inside(place: Array) -> Array:
-    """A place no nearer and no farther than people walk."""
-    return np.array([place[0], min(max(place[1], NEAR), FAR)])
+    """Return the place with its depth clipped to the walkable range."""
+    return np.array([place[0], min(max(place[1], MIN_DEPTH), MAX_DEPTH)])
 
 
 def _angle(direction: Array) -> float:
-    """Where a direction on the floor points, rad; NaN for none."""
+    """Return the angle of a direction on the floor, rad; NaN for the zero vector."""
     return math.atan2(direction[1], direction[0]) if np.any(direction) else math.nan
 
 

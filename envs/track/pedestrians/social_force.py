@@ -1,7 +1,7 @@
-"""Where people want to go and how they keep off each other: the social force model as a compiled kernel.
+"""Social force model of pedestrians as a compiled kernel: desired velocities and repulsion.
 
 Helbing and Molnar, "Social force model for pedestrian dynamics", Physical Review E 51(5), 1995; equation numbers below
-are theirs. What bodies do that touch is not its business.
+refer to it. Contacts between bodies are handled elsewhere.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ import numpy as np
 from numba import njit
 
 X, Z, PAUSE, UNTIL, DUE, FACE = range(6)
-"""Columns of a leg: where to (m), how many frames to stay at least, the frame before which not to go on, the frame at
-which to arrive (below 0: at one's own pace), and where to face meanwhile (rad; NaN: as before)."""
+"""Columns of a leg: goal (m), minimum stay (frames), frame until which to stay, frame of arrival (below 0: at the
+person's own pace), and heading during the stay (rad; NaN: unchanged)."""
 LEG_NUMBERS = 6
+"""Number of columns of a leg."""
 
 _RELAXATION = 0.5
 """tau of eq. (2), s."""
@@ -23,27 +24,27 @@ _STRENGTH, _RANGE, _STEP_TIME = 2.1, 0.3, 2.0
 _WALL_STRENGTH, _WALL_RANGE = 10.0, 0.2
 """U0 (m^2/s^2) and R (m) of eq. (5)."""
 _OBSTACLE_STRENGTH, _OBSTACLE_RANGE = 2.5, 0.25
-"""The same for things that stand about; wider, so that people do not brush against them."""
-_BEHIND, _SEEN_COSINE = 0.5, math.cos(math.radians(100.0))
-"""What a person out of sight counts, and where sight ends, eqs. (7) and (8)."""
-_FASTEST = 1.3
-"""Largest speed in desired ones, eq. (10)."""
-_KEEP_RIGHT = math.radians(12.0)
-"""Repulsion is turned by this, so that two who meet head on do not stop each other."""
-_FAMILIAR = 0.12
-"""What a person of the same party counts."""
-_STANDING = 0.25
-"""What others count for a person who stands."""
-_TOLERANCE = 0.2
-"""Distance at which one has arrived to stay, m."""
-_EXACT = 0.05
-"""The same for who is to be there at a certain frame, m."""
-_PASSING = 0.4
-"""Distance at which one goes on, m."""
-_SLOWEST, _HURRIED = 0.2, 1.9
-"""Range of a speed that is to arrive in time, m/s."""
-_PATIENCE = 40.0
-"""After this time a leg is given up, s."""
+"""Strength (m/s^2) and range (m) of the repulsion by obstacles; the range is larger than that of walls."""
+_OUT_OF_SIGHT_WEIGHT, _SIGHT_COSINE = 0.5, math.cos(math.radians(100.0))
+"""Weight of people outside the field of view, and cosine of its half angle, eqs. (7) and (8)."""
+_MAX_SPEED_RATIO = 1.3
+"""Maximum speed relative to the desired speed, eq. (10)."""
+_REPULSION_TURN = math.radians(12.0)
+"""Rotation of the repulsion, rad, so that two people who meet head-on do not stop each other."""
+_PARTY_WEIGHT = 0.12
+"""Weight of people of the same party."""
+_STANDING_WEIGHT = 0.25
+"""Weight of the forces of others on a standing person."""
+_STOP_DISTANCE = 0.2
+"""Distance from a goal at which a person stops, m."""
+_TIMED_STOP_DISTANCE = 0.05
+"""Distance from a goal with an arrival time at which a person stops, m."""
+_PASSING_DISTANCE = 0.4
+"""Distance from a goal without a stay at which the next leg begins, m."""
+_MIN_TIMED_SPEED, _MAX_TIMED_SPEED = 0.2, 1.9
+"""Range of the speed of a person with an arrival time, m/s."""
+_LEG_TIMEOUT = 40.0
+"""Time after which a leg is aborted, s."""
 
 
 @njit(cache=True, nogil=True)
@@ -66,32 +67,32 @@ def drive(  # type: ignore[no-untyped-def]
     frame,
     dt,
 ):
-    """New velocities of all who are there; legs that are done give way to the next.
+    """Update the velocities of all active people, and advance finished legs.
 
     Args:
-        active: Who is there, indices, shape (a,).
-        position: Shape (n, 2), m.
-        velocity: Shape (n, 2), m/s; replaced by the velocity that forces lead to.
-        legs: Shape (n, most legs, 6).
+        active: Indices of the people in the scene, shape (a,).
+        position: Positions, shape (n, 2), m.
+        velocity: Velocities, shape (n, 2), m/s; replaced by the new ones.
+        legs: Legs of each person, shape (n, max legs, 6).
         leg_count: Number of legs, shape (n,).
-        leg: The present one, shape (n,); advanced, and equal to `leg_count` when all are done.
-        since: Frame at which the present leg began, shape (n,); advanced with it.
-        arrived: Frame of arrival at the present leg's end, -1 before, shape (n,); changed.
-        facing: Where to face, NaN while walking and for no preference, shape (n,), rad; replaced.
-        over: Whose legs are all done, shape (n,), bool; changed.
+        leg: Index of the current leg, shape (n,); advanced in place. It is `leg_count` when all legs are finished.
+        since: Frame at which the current leg began, shape (n,); changed in place.
+        arrived: Frame of arrival at the end of the current leg, -1 before, shape (n,); changed in place.
+        facing: Heading of standing people, shape (n,), rad; NaN while walking and if unspecified; replaced.
+        over: True for people who have finished all legs, shape (n,), bool; changed in place.
         pace: Desired speed, shape (n,), m/s.
         wander: Amplitude (rad), rate (rad per frame) and phase (rad) of small changes of direction, shape (n, 3).
-        party: Who belongs together, shape (n,).
-        walls: z of the wall behind and of the border in front, m.
-        obstacles: x, z and radius of each, shape (o, 3), m.
+        party: Index of the party, shape (n,).
+        walls: z of the back wall and of the front border, m.
+        obstacles: x, z and radius of each obstacle, shape (o, 3), m.
         frame: Number of the frame.
-        dt: Between frames, s.
+        dt: Time between frames, s.
 
     Returns:
-        Whether anybody's legs are all done.
+        True if any person has finished all legs.
     """
     count = len(active)
-    someone_over = False
+    any_over = False
     wanted = np.zeros((count, 2))
     speeds = np.zeros(count)
     for a in range(count):
@@ -101,10 +102,10 @@ def drive(  # type: ignore[no-untyped-def]
             goal = legs[i, leg[i]]
             dx, dz = goal[X] - position[i, 0], goal[Z] - position[i, 1]
             distance = math.sqrt(dx * dx + dz * dz)
-            near = _TOLERANCE if goal[PAUSE] > 0.0 or goal[UNTIL] > frame else _PASSING
+            near = _STOP_DISTANCE if goal[PAUSE] > 0.0 or goal[UNTIL] > frame else _PASSING_DISTANCE
             if goal[DUE] >= 0.0:
-                near = _EXACT
-            if arrived[i] < 0 and (distance < near or (frame - since[i]) * dt > _PATIENCE):
+                near = _TIMED_STOP_DISTANCE
+            if arrived[i] < 0 and (distance < near or (frame - since[i]) * dt > _LEG_TIMEOUT):
                 arrived[i] = frame
             if arrived[i] < 0 or frame - arrived[i] < goal[PAUSE] or frame < goal[UNTIL]:
                 break
@@ -113,19 +114,19 @@ def drive(  # type: ignore[no-untyped-def]
             arrived[i] = -1
         facing[i] = math.nan
         if leg[i] >= leg_count[i]:
-            over[i] = someone_over = True
+            over[i] = any_over = True
             continue
         goal = legs[i, leg[i]]
         if arrived[i] >= 0:
             facing[i] = goal[FACE]
-            # Those who were pushed come back slowly.
-            back = 0.0 if distance < 0.5 * _TOLERANCE else 0.4
+            # People who were pushed away return slowly.
+            back = 0.0 if distance < 0.5 * _STOP_DISTANCE else 0.4
             wanted[a, 0], wanted[a, 1] = back * dx, back * dz
             speeds[a] = 0.3
             continue
         speed = pace[i]
         if goal[DUE] >= 0.0:
-            speed = min(max(distance / (max(goal[DUE] - frame, 1.0) * dt), _SLOWEST), _HURRIED)
+            speed = min(max(distance / (max(goal[DUE] - frame, 1.0) * dt), _MIN_TIMED_SPEED), _MAX_TIMED_SPEED)
         elif goal[PAUSE] > 0.0:
             speed *= min(1.0, 0.35 + distance)
         angle = wander[i, 0] * math.sin(wander[i, 1] * frame + wander[i, 2]) * min(1.0, 0.5 * distance)
@@ -134,10 +135,10 @@ def drive(  # type: ignore[no-untyped-def]
         wanted[a, 1] = speed * (s * dx + c * dz) / distance
         speeds[a] = speed
     force = np.zeros((count, 2))
-    turn_c, turn_s = math.cos(_KEEP_RIGHT), math.sin(_KEEP_RIGHT)
+    turn_c, turn_s = math.cos(_REPULSION_TURN), math.sin(_REPULSION_TURN)
     for a in range(count):
         i = active[a]
-        weight = 1.0 if math.sqrt(wanted[a, 0] ** 2 + wanted[a, 1] ** 2) > 0.15 else _STANDING
+        weight = 1.0 if math.sqrt(wanted[a, 0] ** 2 + wanted[a, 1] ** 2) > 0.15 else _STANDING_WEIGHT
         fx, fz = 0.0, 0.0
         for b in range(count):
             if a == b:
@@ -155,17 +156,17 @@ def drive(  # type: ignore[no-untyped-def]
             axis = 0.5 * math.sqrt(max((r + q) ** 2 - step * step, 1e-6))
             size = _STRENGTH / _RANGE * math.exp(-axis / _RANGE) * (r + q) / (4.0 * axis)
             gx, gz = size * (rx / r + qx / q), size * (rz / r + qz / q)
-            if wanted[a, 0] * -gx + wanted[a, 1] * -gz < _SEEN_COSINE * speeds[a] * math.sqrt(gx * gx + gz * gz):
-                gx, gz = _BEHIND * gx, _BEHIND * gz
+            if wanted[a, 0] * -gx + wanted[a, 1] * -gz < _SIGHT_COSINE * speeds[a] * math.sqrt(gx * gx + gz * gz):
+                gx, gz = _OUT_OF_SIGHT_WEIGHT * gx, _OUT_OF_SIGHT_WEIGHT * gz
             if party[i] == party[j]:
-                gx, gz = _FAMILIAR * gx, _FAMILIAR * gz
+                gx, gz = _PARTY_WEIGHT * gx, _PARTY_WEIGHT * gz
             fx += turn_c * gx + turn_s * gz
             fz += -turn_s * gx + turn_c * gz
         for o in range(len(obstacles)):
             rx, rz = position[i, 0] - obstacles[o, 0], position[i, 1] - obstacles[o, 1]
             r = max(math.sqrt(rx * rx + rz * rz), 1e-9)
             size = _OBSTACLE_STRENGTH * math.exp(-max(r - obstacles[o, 2], 0.0) / _OBSTACLE_RANGE) / r
-            # To the side on which one passes anyway.
+            # Sideways, toward the side on which the person passes.
             side = 1.0 if rz * wanted[a, 0] > rx * wanted[a, 1] else -1.0
             fx += size * (rx + side * rz)
             fz += size * (rz - side * rx)
@@ -178,8 +179,8 @@ def drive(  # type: ignore[no-untyped-def]
         vx = velocity[i, 0] + dt * ((wanted[a, 0] - velocity[i, 0]) / _RELAXATION + force[a, 0])
         vz = velocity[i, 1] + dt * ((wanted[a, 1] - velocity[i, 1]) / _RELAXATION + force[a, 1])
         speed = math.sqrt(vx * vx + vz * vz)
-        most = _FASTEST * max(speeds[a], 0.1)
+        most = _MAX_SPEED_RATIO * max(speeds[a], 0.1)
         if speed > most:
             vx, vz = vx * most / speed, vz * most / speed
         velocity[i, 0], velocity[i, 1] = vx, vz
-    return someone_over
+    return any_over

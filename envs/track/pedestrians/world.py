@@ -1,4 +1,4 @@
-"""N pedestrian scenes at once: the one piece of bookkeeping behind the single and the vector environment."""
+"""N pedestrian scenes stepped together, for the single and the vector environment."""
 
 from __future__ import annotations
 
@@ -21,18 +21,19 @@ from servotrack.estimators.types import Array, Labels, Mask
 
 
 class PedestrianWorld(PeopleWorld):
-    """N scenes with N observers, stepped together; attributes as in `PeopleWorld`, and those below.
+    """N scenes with one observer each, stepped together. Attributes: see `PeopleWorld`, and below.
 
-    An observer sees frame k and answers with the people it believes in at k; `step` scores that answer and draws frame
-    k + 1, of those scenes only whose episode is under way. A person has one row for life, who comes later may have it
-    after. After `reset` and `step` the newest frame's truth lies in the public arrays; copy what you keep.
+    The observer gets frame k and answers with its estimate of the set of people in frame k. `step` scores the answer
+    and renders frame k + 1 of the scenes whose episode is running. A person keeps one row; after the person has left, a
+    later one may get the row. After `reset` and `step` the attributes describe the newest frame; copy them to keep
+    them.
 
     Args:
-        config: The world's parameters.
+        config: Parameters of the environment.
         count: Number of scenes N.
 
     Attributes:
-        observations: What agents see, as `config.observation` says: frames (N, H, W, 3) uint8, or sets of detections.
+        observations: Frames, shape (N, H, W, 3), uint8, or sets of detections, depending on `config.observation`.
     """
 
     def __init__(self, config: PedestrianConfig, count: int) -> None:
@@ -55,14 +56,14 @@ class PedestrianWorld(PeopleWorld):
         self._newest()
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
-        """Start new episodes in some rows; the others are left as they are, to the bit.
+        """Start new episodes in some rows. The other rows do not change.
 
         Args:
-            rows: Which of the N.
-            seeds: One episode seed for each, non-negative integers.
+            rows: Indices of the scenes.
+            seeds: Episode seed of each, non-negative integers.
 
         Raises:
-            ValueError: A recording with more people at a time than `max_people`.
+            ValueError: If the recording has more people at a time than `max_people`.
         """
         config = self.config
         for row, seed in zip(rows, seeds, strict=True):
@@ -77,12 +78,12 @@ class PedestrianWorld(PeopleWorld):
         self._newest()
 
     def step(self, answers: Array, running: Mask | None = None) -> None:
-        """Score every row's answer to its newest frame, and show the next frame.
+        """Score the answers to the newest frames, and advance to the next frames.
 
         Args:
-            answers: Shape (N, rows, 1 + d): existence, then boxes or centroids, px.
-            running: Which of the N have an episode under way, (N,) bool; None for all. The others wait for their reset
-                at the frame they are at.
+            answers: Existence, then boxes or centroids (px), shape (N, rows, 1 + d).
+            running: True for scenes whose episode is running, shape (N,), bool; None: all. The other scenes stay at
+                their frame until they are reset.
         """
         if running is None:
             running = np.ones(self.count, np.bool_)
@@ -96,7 +97,7 @@ class PedestrianWorld(PeopleWorld):
         self._newest()
 
     def debug_view(self, row: int = 0) -> str:
-        """One scene's state as text, for debugging."""
+        """Return the state of a scene as text, for debugging."""
         return (
             f"frame {self.steps[row]}/{self.config.horizon}  people={int(self.exists[row].sum())}  "
             f"hidden={int(((self.ids[row] > 0) & ~self.exists[row]).sum())}  "
@@ -105,7 +106,7 @@ class PedestrianWorld(PeopleWorld):
         )
 
     def _draw(self, row: int) -> None:
-        """Draw the frame that a scene is at, and take its truth in."""
+        """Render the current frame of a scene, and store its ground truth."""
         stage, movement, frame = self._stages[row], self._movements[row], int(self.steps[row])
         assert stage is not None and movement is not None
         people, rows = movement.people(frame)
@@ -119,7 +120,7 @@ class PedestrianWorld(PeopleWorld):
         if sensor is not None:
             self.observations[row] = sensor.observe(drawn.image, frame)
         elif self.count == 1:
-            # A single scene's frame needs no copy to stand in an array of one.
+            # The frame of a single scene becomes an array of one without a copy.
             self.observations = drawn.image[None]
         else:
             self.observations[row] = drawn.image
