@@ -133,7 +133,7 @@ def sparse_chain(transitions: ArrayLike | sparray | spmatrix) -> Chain:
     Raises:
         ValueError: The matrix is not square, or a row does not hold probabilities with a sum of at most 1.
     """
-    matrix = coo_array(transitions)
+    matrix = coo_array(transitions)  # type: ignore[arg-type]  # SciPy's stubs omit nested lists
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise ValueError(f"transitions must be square, got shape {matrix.shape}")
     sums = np.asarray(matrix.sum(axis=1)).ravel()

@@ -1,10 +1,10 @@
 """Passive sonar with a line array: beamforming, and tracking of bearings before detection.
 
     tracker = HMMBearings()
-    for track in tracker.track(record):  # beam powers, shape (rows, 721), one row a second
+    for track in tracker.track(record):  # beam powers, shape (rows, 721), one row per second
         print(track.label, track.first, track.last, track.bearings)
 
-or, with the answer five rows later and constant memory:
+or online, with a delay of five rows and constant memory:
 
     online = Stateful(HMMBearings(lag=5))
     for row in record:
@@ -31,6 +31,7 @@ from servotrack.estimators.sonar.bearing_model import BearingModel
 from servotrack.estimators.sonar.nulling import ViterbiNulling
 from servotrack.estimators.sonar.peaks import PeakKalmanHungarian, PeakNearestNeighbor
 from servotrack.estimators.sonar.record import BearingTrack
+from servotrack.estimators.sonar.rules import CrossingRules, JoiningRules, LikelihoodRules, SearchRules, SpanRules
 from servotrack.estimators.sonar.tracker import BearingState, HMMBearings
 
 __all__ = [
@@ -38,11 +39,16 @@ __all__ = [
     "BearingModel",
     "BearingState",
     "BearingTrack",
+    "CrossingRules",
     "HMMBearings",
+    "JoiningRules",
+    "LikelihoodRules",
     "LineArray",
     "PatternTable",
     "PeakKalmanHungarian",
     "PeakNearestNeighbor",
+    "SearchRules",
+    "SpanRules",
     "ViterbiNulling",
     "beam_correlation",
     "beam_pattern",

@@ -1,7 +1,7 @@
-"""A uniform line array under plane waves: steering, beam patterns, beamforming, and the noise of beam powers.
+"""Uniform line array under plane waves: steering, beam patterns, beamforming, and the noise of beam powers.
 
 Powers are relative to the noise of one element in one frequency bin. Shading weights have unit norm: white noise has
-beam power 1, and a source of unit power has the array's gain (48 without shading) in the beam that looks at it.
+beam power 1, and a source of unit power has the array's gain (48 without shading) in the beam towards it.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from servotrack.estimators.types import Array, ComplexArray
 
 Shading = Literal["conventional", "chebyshev"]
 
-SIDELOBES = 30.0
-"""How far Chebyshev shading keeps the sidelobes below the main lobe, dB."""
+SIDELOBE_ATTENUATION = 30.0
+"""Attenuation of the sidelobes below the main lobe with Chebyshev shading, dB."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class LineArray:
     """Omnidirectional elements on a line; bearings are measured from the line, 0 to 180 deg.
 
     Attributes:
-        elements: Number N.
-        spacing: Between neighbors, m.
-        sound_speed: Of the medium, m/s.
+        elements: Number N of elements. Larger values give narrower beams.
+        spacing: Distance between neighboring elements, m.
+        sound_speed: Speed of sound in the medium, m/s.
     """
 
     elements: int = 48
@@ -48,11 +48,11 @@ class LineArray:
 
 @dataclass(frozen=True)
 class Band:
-    """The frequency bins that a receiver sums over.
+    """Frequency bins over which a receiver sums.
 
     Attributes:
-        low: First bin, Hz.
-        high: Last bin, Hz.
+        low: Center of the first bin, Hz.
+        high: Upper limit of the centers, Hz.
         step: Width of one bin, Hz.
     """
 
@@ -75,7 +75,7 @@ class Band:
 
 
 def bearings(count: int = 721) -> Array:
-    """Look directions from 0 to 180 deg in equal steps. Shape (count,)."""
+    """Bearings of beams from 0 to 180 deg in equal steps. Shape (count,)."""
     if count < 2:
         raise ValueError(f"count must be at least 2, got {count!r}")
     return np.linspace(0.0, 180.0, count)
@@ -85,29 +85,29 @@ def shading_weights(array: LineArray, shading: Shading = "conventional") -> Arra
     """Weights of the elements, of unit norm. Shape (N,).
 
     Raises:
-        ValueError: For an unknown shading.
+        ValueError: The shading is unknown.
     """
     if shading not in get_args(Shading):
         raise ValueError(f"shading must be one of {', '.join(get_args(Shading))}, got {shading!r}")
     if shading == "conventional":
         return np.full(array.elements, 1.0 / np.sqrt(array.elements), np.float64)
     with warnings.catch_warnings():
-        # SciPy warns of windows for spectra; these are weights of elements.
+        # SciPy warns about low attenuation in spectral windows; these are weights of elements.
         warnings.simplefilter("ignore", UserWarning)
-        weights = chebwin(array.elements, SIDELOBES)
+        weights = chebwin(array.elements, SIDELOBE_ATTENUATION)
     return np.asarray(weights / np.sqrt(np.sum(weights**2)), np.float64)
 
 
 def steering(array: LineArray, frequencies: ArrayLike, bearings_deg: ArrayLike) -> ComplexArray:
-    """A plane wave's phases at the elements, exp(-2 pi j f d n cos(theta) / c).
+    """Phases of plane waves at the elements, exp(-2 pi j f d n cos(theta) / c).
 
     Args:
-        array: The receiver.
-        frequencies: Hz. Shape (F,).
-        bearings_deg: Of the sources, deg. Shape (S,).
+        array: Line array of the receiver.
+        frequencies: Frequencies, Hz. Shape (F,).
+        bearings_deg: Bearings of the sources, deg. Shape (S,).
 
     Returns:
-        Shape (F, S, N), of unit modulus.
+        Complex phases of unit modulus. Shape (F, S, N).
     """
     delay = array.spacing / array.sound_speed * np.cos(np.radians(np.asarray(bearings_deg, np.float64)))
     phase = np.asarray(frequencies, np.float64)[:, None, None] * delay[:, None] * np.arange(array.elements)
@@ -118,42 +118,42 @@ def beam_pattern(
     array: LineArray,
     frequencies: ArrayLike,
     weights: ArrayLike,
-    looks_deg: ArrayLike,
+    beam_deg: ArrayLike,
     source_deg: ArrayLike,
     shading: Shading = "conventional",
 ) -> Array:
-    """What plane waves add to the mean beam power over the band, by direct summation.
+    """Contribution of plane waves to the mean beam power over the band, by direct summation.
 
     Args:
-        array: The receiver.
-        frequencies: Of the band's bins, Hz. Shape (F,).
+        array: Line array of the receiver.
+        frequencies: Centers of the band's bins, Hz. Shape (F,).
         weights: The source's power in each bin, per element. Shape (F,).
-        looks_deg: Directions of the beams, deg. Shape (looks,).
+        beam_deg: Directions of the beams, deg. Shape (beams,).
         source_deg: Directions of the sources, deg. Shape (*sources,).
-        shading: Of the elements.
+        shading: Shading of the elements.
 
     Returns:
-        1/F sum_f weights_f |w^H a_f|^2. Shape (*sources, looks).
+        1/F sum_f weights_f |w^H a_f|^2. Shape (*sources, beams).
     """
-    offset = _cosines(source_deg)[..., None] - _cosines(looks_deg)
+    offset = _cosines(source_deg)[..., None] - _cosines(beam_deg)
     return _pattern_of_offset(array, frequencies, weights, offset, shading)
 
 
 @dataclass(frozen=True, eq=False)
 class PatternTable:
-    """A beam pattern by the difference of cosines, on which alone it depends: for many sources.
+    """Table of a beam pattern over the difference of cosines, for many sources.
 
     Attributes:
-        step: Of the difference of cosines.
-        values: Pattern at 0, step, 2 step, ... to 2. Shape (P,).
+        step: Step of the difference of cosines.
+        values: Pattern at the differences 0, step, 2 step, ... 2. Shape (P,).
     """
 
     step: float
     values: Array
 
-    def at(self, looks_deg: ArrayLike, source_deg: ArrayLike) -> Array:
-        """Pattern of sources in beams, as `beam_pattern` up to the table's step. Shape (*sources, looks)."""
-        position = np.abs(_cosines(source_deg)[..., None] - _cosines(looks_deg)) / self.step
+    def at(self, beam_deg: ArrayLike, source_deg: ArrayLike) -> Array:
+        """Pattern of sources in beams, equal to `beam_pattern` up to the table's step. Shape (*sources, beams)."""
+        position = np.abs(_cosines(source_deg)[..., None] - _cosines(beam_deg)) / self.step
         below = np.minimum(position.astype(np.int64), len(self.values) - 2)
         part = position - below
         return (1.0 - part) * self.values[below] + part * self.values[below + 1]
@@ -162,9 +162,16 @@ class PatternTable:
 def tabulate_pattern(
     array: LineArray, frequencies: ArrayLike, weights: ArrayLike, shading: Shading = "conventional", points: int = 10001
 ) -> PatternTable:
-    """`beam_pattern` of one spectrum as a table; arguments as there, `points` from 0 to 2 in the cosine.
+    """Tabulate the `beam_pattern` of one spectrum.
 
-    With the default array and points, the table is within 1e-4 of the peak.
+    With the default array and number of points, the error of the table is below 1e-4 of the peak.
+
+    Args:
+        array: Line array of the receiver.
+        frequencies: Centers of the band's bins, Hz. Shape (F,).
+        weights: The source's power in each bin, per element. Shape (F,).
+        shading: Shading of the elements.
+        points: Number of points from 0 to 2 in the difference of cosines.
     """
     offset = np.linspace(0.0, 2.0, points)
     return PatternTable(2.0 / (points - 1), _pattern_of_offset(array, frequencies, weights, offset, shading))
@@ -174,37 +181,37 @@ def beamform(
     array: LineArray,
     frequencies: ArrayLike,
     snapshots: NDArray[np.complexfloating],
-    looks_deg: ArrayLike,
+    beam_deg: ArrayLike,
     shading: Shading = "conventional",
 ) -> Array:
     """Beam powers of one record or many, averaged over frequencies and snapshots.
 
-    The power is linear in the sums of the sample covariance along its diagonals: ten times cheaper than beams of
-    every snapshot.
+    The power is computed from the sums of the sample covariance along its diagonals, about ten times faster than by
+    beams of every snapshot.
 
     Args:
-        array: The receiver.
-        frequencies: Of the band's bins, Hz. Shape (F,).
+        array: Line array of the receiver.
+        frequencies: Centers of the band's bins, Hz. Shape (F,).
         snapshots: Spectra at the elements. Shape (*records, K, F, N), complex.
-        looks_deg: Directions of the beams, deg. Shape (looks,).
-        shading: Of the elements.
+        beam_deg: Directions of the beams, deg. Shape (beams,).
+        shading: Shading of the elements.
 
     Returns:
-        1/(F K) sum_f sum_s |w^H x_fs|^2. Shape (*records, looks).
+        1/(F K) sum_f sum_s |w^H x_fs|^2. Shape (*records, beams).
 
     Raises:
-        ValueError: Where the snapshots are not of these frequencies and elements.
+        ValueError: The snapshots do not have these numbers of frequencies and elements.
     """
     x = np.asarray(snapshots)
     f = np.atleast_1d(np.asarray(frequencies, np.float64))
     N = array.elements
     if x.ndim < 3 or x.shape[-2:] != (len(f), N):
         raise ValueError(f"snapshots must have shape (*records, K, {len(f)}, {N}), got {x.shape}")
-    looks = np.atleast_1d(np.asarray(looks_deg, np.float64))
-    basis = _lag_basis(array, f.tobytes(), looks.tobytes())
+    beam_bearings = np.atleast_1d(np.asarray(beam_deg, np.float64))
+    basis = _lag_basis(array, f.tobytes(), beam_bearings.tobytes())
     w = shading_weights(array, shading)
     records = x.reshape(-1, *x.shape[-3:])
-    powers = np.empty((len(records), len(looks)))
+    powers = np.empty((len(records), len(beam_bearings)))
     for i, record in enumerate(records):
         by_bin = record.transpose(1, 2, 0) * w[:, None]
         covariance = by_bin @ by_bin.conj().swapaxes(1, 2)
@@ -215,49 +222,49 @@ def beamform(
             if distance > 0:
                 lag[:, N - 1 + distance] = total.imag
         powers[i] = lag.reshape(-1) @ basis
-    return powers.reshape(*x.shape[:-3], len(looks)) / (len(f) * x.shape[-3])
+    return powers.reshape(*x.shape[:-3], len(beam_bearings)) / (len(f) * x.shape[-3])
 
 
 def beam_correlation(
-    array: LineArray, frequencies: ArrayLike, looks_deg: ArrayLike, shading: Shading = "conventional"
+    array: LineArray, frequencies: ArrayLike, beam_deg: ArrayLike, shading: Shading = "conventional"
 ) -> Array:
-    """Correlation of the powers of two beams in white noise, mean over f of |w_f(i)^H w_f(j)|^2.
+    """Correlation of the powers of two beams in white noise: mean over f of |w_f(i)^H w_f(j)|^2.
 
-    Each beam's noise power is Gamma(M, 1/M) with M = F K averages; neighbors share most of their noise.
+    The noise power of a beam is Gamma(M, 1/M) distributed with M = F K averages. Neighbors share most of their noise.
 
     Args:
-        array: The receiver.
-        frequencies: Of the band's bins, Hz. Shape (F,).
-        looks_deg: Directions of the beams, deg. Shape (looks,).
-        shading: Of the elements.
+        array: Line array of the receiver.
+        frequencies: Centers of the band's bins, Hz. Shape (F,).
+        beam_deg: Directions of the beams, deg. Shape (beams,).
+        shading: Shading of the elements.
 
     Returns:
-        Shape (looks, looks), ones on the diagonal.
+        Correlations, shape (beams, beams), with ones on the diagonal.
     """
-    u = _cosines(looks_deg)
+    u = _cosines(beam_deg)
     w = shading_weights(array, shading)
     f = np.atleast_1d(np.asarray(frequencies, np.float64))
-    # The beams' weights are w exp(j n phase): their inner product is the pattern of the weights w^2.
+    # The weights of a beam are w exp(j n phase), so the inner product of two beams is the pattern of the weights w^2.
     offset = np.linspace(0.0, 2.0, 10001)
     table = PatternTable(2e-4, _dirichlet_power(array, f, np.ones(len(f)), offset, w**2))
     return table.at(np.degrees(np.arccos(u)), np.degrees(np.arccos(u)))
 
 
 def normalize(powers: ArrayLike, averages: int = 1110) -> Array:
-    """Beam powers over their noise level: two-pass truncated mean over bearing.
+    """Divide beam powers by their noise level, a truncated mean over bearing.
 
-    The first pass takes the median for the level; the second the mean of what lies within 2.5 standard deviations of
-    noise above and below it.
+    The first level is the median. Two passes replace it by the mean of the powers within 2.5 standard deviations of
+    the noise.
 
     Args:
-        powers: One row or many. Shape (*rows, beams).
-        averages: M = F K of one power, which sets the standard deviation of noise, 1/sqrt(M).
+        powers: Beam powers of one or more rows. Shape (*rows, beams).
+        averages: Number M = F K of averages in one power; the standard deviation of the noise is 1/sqrt(M).
 
     Returns:
         Powers with noise mean 1. Shape (*rows, beams).
 
     Raises:
-        ValueError: For powers that are NaN, infinite or negative, or a row without any power.
+        ValueError: Powers are NaN, infinite or negative, or the median of a row is 0.
     """
     z = np.asarray(powers, np.float64)
     bad = ~(np.isfinite(z) & (z >= 0.0))
@@ -300,14 +307,14 @@ def _dirichlet_power(array: LineArray, frequencies: Array, power: Array, offset:
         for value in lags[-2:0:-1]:
             here, above = twice * here - above + value, here
         total += weight * (0.5 * twice * here - above + lags[0])
-    # In a null the rounding of the sum may fall below zero; a power does not.
+    # In a null the rounded sum may be negative.
     return np.maximum(total / len(frequencies), 0.0)
 
 
 @lru_cache(maxsize=4)
-def _lag_basis(array: LineArray, frequencies: bytes, looks: bytes) -> Array:
-    """What each (bin, lag) adds to each beam. Shape (F (2N - 1), looks)."""
-    f, u = np.frombuffer(frequencies), _cosines(np.frombuffer(looks))
+def _lag_basis(array: LineArray, frequencies: bytes, beam_bearings: bytes) -> Array:
+    """Contribution of each (bin, lag) to each beam. Shape (F (2N - 1), beams)."""
+    f, u = np.frombuffer(frequencies), _cosines(np.frombuffer(beam_bearings))
     N = array.elements
     lag = np.arange(N)
     phase = 2.0 * np.pi * array.spacing / array.sound_speed * f[:, None, None] * lag[:, None] * u

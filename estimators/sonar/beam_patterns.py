@@ -1,4 +1,4 @@
-"""What targets explain of a record: their spectra as beam patterns, their powers, and how far both can be trusted."""
+"""Beam patterns of target spectra, least-squares fits of powers, and the variance of beam powers."""
 
 from __future__ import annotations
 
@@ -14,26 +14,22 @@ from scipy.optimize import nnls
 from servotrack.estimators.sonar.array import Band, LineArray, Shading, tabulate_pattern
 from servotrack.estimators.types import Array
 
-NEAR = 1.0
-"""Differences of cosines up to which a target's pattern is fitted."""
-BINS = 640
-"""Of these differences."""
-SHARED = 10.0
-"""Neighboring beams share their noise: so many of them count as one."""
-PRIOR = 3.0
-"""Weight of the flat spectrum beside the data's."""
-
 
 @dataclass(frozen=True)
 class Patterns:
     """Beam patterns of spectra that are mixtures of a flat one and of tones; each pattern's peak is 1.
 
     Attributes:
-        array: The receiver.
-        band: Its frequencies.
-        shading: Of its elements.
-        tones: Tones of the mixture, equally spaced over the band.
-        points: Of a table from 0 to 2 in the difference of cosines.
+        array: Line array of the receiver.
+        band: Frequency bins of the receiver.
+        shading: Shading of the elements.
+        tones: Number of tones of the mixture, equally spaced over the band. Larger values resolve spectra better and
+            are slower.
+        points: Number of points of a table from 0 to 2 in the difference of cosines.
+        fit_range: Difference of cosines up to which a target's pattern is fitted.
+        bins: Number of bins of the differences up to `fit_range`.
+        shared_beams: Number of neighboring beams that share their noise and count as one measurement.
+        flat_weight: Weight of the flat spectrum as prior. Larger values need more data for a colored spectrum.
     """
 
     array: LineArray
@@ -41,6 +37,10 @@ class Patterns:
     shading: Shading = "conventional"
     tones: int = 28
     points: int = 4001
+    fit_range: float = 1.0
+    bins: int = 640
+    shared_beams: float = 10.0
+    flat_weight: float = 3.0
 
     @cached_property
     def tables(self) -> Array:
@@ -54,62 +54,69 @@ class Patterns:
 
     @cached_property
     def flat(self) -> Array:
-        """The mixture that is the flat spectrum alone."""
+        """Mixture of the flat spectrum alone. Shape (1 + tones,)."""
         mixture = np.zeros(len(self.tables))
         mixture[0] = 1.0
         return mixture
 
-    def at(self, mixture: Array, cosine_looks: Array, bearings_deg: Array) -> Array:
-        """Pattern of one mixture for a source at each bearing. Shape (T, beams)."""
-        out = np.empty((len(bearings_deg), len(cosine_looks)))
-        _interpolate(mixture @ self.tables, np.cos(np.radians(bearings_deg)), cosine_looks, out)
+    def at(self, mixture: Array, beam_cosines: Array, bearings_deg: Array) -> Array:
+        """Pattern of one mixture for a source at each bearing. Shape (T, beams).
+
+        Args:
+            mixture: Mixture of spectra. Shape (1 + tones,).
+            beam_cosines: Cosines of the beams' bearings. Shape (beams,).
+            bearings_deg: Bearings of the source, deg. Shape (T,).
+        """
+        out = np.empty((len(bearings_deg), len(beam_cosines)))
+        _interpolate(mixture @ self.tables, np.cos(np.radians(bearings_deg)), beam_cosines, out)
         return out
 
     def main_lobe(self, mixture: Array) -> Array:
-        """Pattern of a mixture near its peak, a few points."""
+        """Pattern of a mixture near its peak, at 26 points."""
         return np.interp(np.linspace(0.0, 0.125, 26), np.linspace(0.0, 2.0, self.points), mixture @ self.tables)
 
-    def fit(self, excess: Array, variance: Array, cosine_looks: Array, bearings_deg: Array, power: Array) -> Array:
-        """Mixture that explains the excess around a source best, with a prior for the flat spectrum.
+    def fit(self, excess: Array, variance: Array, beam_cosines: Array, bearings_deg: Array, power: Array) -> Array:
+        """Fit the mixture of spectra to the beam powers around a source, with a prior for the flat spectrum.
 
         Args:
-            excess: Beam powers above what others explain. Shape (T, beams).
-            variance: Of the excess. Shape (T, beams).
-            cosine_looks: Shape (beams,).
-            bearings_deg: Of the source in each row. Shape (T,).
-            power: Of the source in each row, positive. Shape (T,).
+            excess: Beam powers above those explained by noise and other targets. Shape (T, beams).
+            variance: Variance of the excess. Shape (T, beams).
+            beam_cosines: Cosines of the beams' bearings. Shape (beams,).
+            bearings_deg: Bearing of the source in each row, deg. Shape (T,).
+            power: Power of the source in each row, positive. Shape (T,).
 
         Returns:
-            Not negative, sum 1. Shape (1 + tones,).
+            Mixture weights, not negative, with sum 1. Shape (1 + tones,).
         """
-        sums = np.zeros((3, BINS))
-        _bin(excess, variance, np.cos(np.radians(bearings_deg)), cosine_looks, power, sums)
+        sums = np.zeros((3, self.bins))
+        scale = self.bins / self.fit_range
+        _bin(excess, variance, np.cos(np.radians(bearings_deg)), beam_cosines, power, self.fit_range, scale, sums)
         some = sums[0] > 0.0
         total, mean, centers = sums[0, some], sums[1, some] / sums[0, some], sums[2, some] / sums[0, some]
         position = centers * ((self.points - 1) / 2.0)
         below = np.minimum(position.astype(np.int64), self.points - 2)
         low = self.tables[:, below]
         design = low + (position - below) * (self.tables[:, below + 1] - low)
-        # Least squares by normal equations: as many rows as spectra instead of as many as bins.
-        weighted = design * (total / SHARED)
+        # Normal equations have one row per spectrum instead of one per bin.
+        weighted = design * (total / self.shared_beams)
         normal = weighted @ design.T
-        normal[np.diag_indices_from(normal)] += PRIOR**2
+        normal[np.diag_indices_from(normal)] += self.flat_weight**2
         root = np.linalg.cholesky(normal)
-        mixture, _ = nnls(root.T, solve_triangular(root, weighted @ mean + PRIOR**2 * self.flat, lower=True))
+        mixture, _ = nnls(root.T, solve_triangular(root, weighted @ mean + self.flat_weight**2 * self.flat, lower=True))
         return mixture / mixture.sum() if mixture.sum() > 0.0 else self.flat
 
 
 def variance_of(explained: Array, averages: int, error: float, reach: int) -> Array:
-    """Variance of beam powers about what is explained, noise and model error.
+    """Variance of beam powers about the explained means, by noise and model error.
 
     Args:
         explained: Mean beam powers, noise 1. Shape (T, beams).
-        averages: M of one beam power.
-        error: Relative standard deviation of what targets explain.
-        reach: Beams over which a pattern may be misplaced: the error is of the largest value in reach.
+        averages: Number M of averages in one beam power. Larger values mean less noise.
+        error: Relative standard deviation of the power explained by targets.
+        reach: Number of beams by which a pattern may be misplaced: the error scales with the largest value in reach.
 
     Returns:
-        Shape (T, beams).
+        Variances. Shape (T, beams).
     """
     out = np.empty_like(explained)
     _variance(explained, averages, error, reach, out)
@@ -120,37 +127,38 @@ class PowerFit(NamedTuple):
     """Normal equations of the powers of all targets in each row.
 
     Attributes:
-        normal: Shape (T, L, L).
-        right: Shape (T, L).
+        normal: Normal matrices of L targets. Shape (T, L, L).
+        right: Right-hand sides. Shape (T, L).
     """
 
     normal: Array
     right: Array
 
     @classmethod
-    def of(cls, excess: Array, patterns: Array, presence: Array, variance: Array) -> PowerFit:
-        """Weighted least squares.
+    def of(cls, excess: Array, patterns: Array, presence: Array, variance: Array, shared_beams: float) -> PowerFit:
+        """Set up the weighted least squares.
 
         Args:
             excess: Normalized beam powers above noise and all other targets. Shape (T, beams).
-            patterns: Of each target. Shape (L, T, beams).
-            presence: Probability that the target is there. Shape (L, T).
-            variance: Of the beam powers. Shape (T, beams).
+            patterns: Beam pattern of each target. Shape (L, T, beams).
+            presence: Probability that the target exists. Shape (L, T).
+            variance: Variance of the beam powers. Shape (T, beams).
+            shared_beams: Number of neighboring beams that share their noise.
         """
         L, T = presence.shape
         fit = cls(np.empty((T, L, L)), np.empty((T, L)))
-        _normal_equations(excess, patterns, presence, SHARED * variance, fit.normal, fit.right)
+        _normal_equations(excess, patterns, presence, shared_beams * variance, fit.normal, fit.right)
         return fit
 
     def powers(self, expected: Array, spread: Array) -> Array:
-        """Powers, with a prior.
+        """Solve for the powers under a Gaussian prior.
 
         Args:
             expected: Prior mean. Shape (L, T).
             spread: Prior standard deviation. Shape (L, T).
 
         Returns:
-            Not negative. Shape (L, T).
+            Powers, not negative. Shape (L, T).
         """
         precision = (1.0 / spread**2).T
         normal, index = self.normal.copy(), np.arange(len(expected))
@@ -161,7 +169,7 @@ class PowerFit(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def add_pattern(mean, power, pattern):  # type: ignore[no-untyped-def]
-    """A target's power in each row, shape (T,), times its pattern is added to the mean, shape (T, beams)."""
+    """Add a target's power in each row, shape (T,), times its pattern to the mean, shape (T, beams)."""
     for k in range(mean.shape[0]):
         if power[k] != 0.0:
             row, shape, factor = mean[k], pattern[k], power[k]
@@ -170,26 +178,26 @@ def add_pattern(mean, power, pattern):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _interpolate(table, cosines, cosine_looks, out):  # type: ignore[no-untyped-def]
-    """The table, of differences of cosines from 0 to 2, about each cosine."""
+def _interpolate(table, cosines, beam_cosines, out):  # type: ignore[no-untyped-def]
+    """Interpolate a table over differences of cosines from 0 to 2, for a source at each cosine."""
     last = table.shape[0] - 1
     scale = last / 2.0
     for k in range(out.shape[0]):
         for i in range(out.shape[1]):
-            position = abs(cosines[k] - cosine_looks[i]) * scale
+            position = abs(cosines[k] - beam_cosines[i]) * scale
             below = min(int(position), last - 1)
             out[k, i] = table[below] + (position - below) * (table[below + 1] - table[below])
 
 
 @njit(cache=True, nogil=True)
-def _bin(excess, variance, cosines, cosine_looks, power, sums):  # type: ignore[no-untyped-def]
-    """Sums of weights, of weighted excess over power, and of weighted differences of cosines, in bins of these."""
+def _bin(excess, variance, cosines, beam_cosines, power, fit_range, scale, sums):  # type: ignore[no-untyped-def]
+    """Sum weights, weighted excess over power, and weighted differences of cosines, in bins of these differences."""
     for k in range(excess.shape[0]):
         for i in range(excess.shape[1]):
-            offset = abs(cosines[k] - cosine_looks[i])
-            if offset < NEAR:
+            offset = abs(cosines[k] - beam_cosines[i])
+            if offset < fit_range:
                 weight = power[k] / variance[k, i]
-                at = int(offset * (BINS / NEAR))
+                at = int(offset * scale)
                 sums[0, at] += weight * power[k]
                 sums[1, at] += weight * excess[k, i]
                 sums[2, at] += weight * power[k] * offset
@@ -209,7 +217,7 @@ def _variance(explained, averages, error, reach, out):  # type: ignore[no-untype
 
 @njit(cache=True, nogil=True)
 def largest_near(values, reach, out):  # type: ignore[no-untyped-def]
-    """Largest of the values within `reach` of each."""
+    """Write the largest of the values within `reach` indices of each to `out`."""
     count = values.shape[0]
     out[:] = values
     for shift in range(1, min(reach, count - 1) + 1):

@@ -11,14 +11,11 @@ import numpy as np
 from servotrack.estimators.hmm.chain import GridChain, grid_chain
 from servotrack.estimators.sonar.array import Band, LineArray, Shading, bearings
 from servotrack.estimators.sonar.beam_patterns import Patterns
+from servotrack.estimators.sonar.rules import CrossingRules, JoiningRules, LikelihoodRules, SearchRules, SpanRules
 from servotrack.estimators.sonar.scores import RowScores
 from servotrack.estimators.types import Array
 
 Likelihood = Literal["row", "cell"]
-
-
-JUMP = 2.0
-"""By how much an estimate may jump without being another target's, deg."""
 
 
 @dataclass(frozen=True)
@@ -26,30 +23,38 @@ class BearingModel:
     """Parameters of the hidden Markov bearing tracker (paper 003), and the tables computed from them on first use.
 
     Attributes:
-        likelihood: `row` compares whole rows with the array's beam patterns and subtracts what other targets explain;
-            `cell` is the paper's: each beam alone, other targets excluded.
-        array: The receiver.
-        band: The frequencies that it sums over.
-        shading: Of its elements.
-        beams: Look directions from 0 to 180 deg.
-        snapshots: Averaged in one row.
+        likelihood: `row` compares whole rows with the array's beam patterns and subtracts the power explained by other
+            targets; `cell` is the paper's method: each beam alone, cells of other targets excluded.
+        array: Line array of the receiver.
+        band: Frequency bins over which the receiver sums.
+        shading: Shading of the elements.
+        beams: Number of beams from 0 to 180 deg.
+        snapshots: Number of snapshots averaged in one row.
         period: Time between rows, s.
         rates: Bearing rates of the grid, deg/s.
-        acceleration: Standard deviation of the bearing's acceleration, deg/s^2.
-        switching: Probability that a target comes or goes from row to row.
-        bridge: Gaps of at most this long do not end a track, s.
-        evidence: Least log likelihood ratio of a track, nats.
-        evidence_of_piece: Least log likelihood ratio of each of its unbroken stretches, nats.
-        model_error: Relative standard deviation of what other targets explain (`row`).
-        misplaced: Beams by which a pattern may be misplaced (`row`).
+        acceleration: Standard deviation of the bearing's acceleration, deg/s^2. Larger values follow maneuvers faster
+            and average fewer rows.
+        switching: Probability that a target appears or disappears from row to row. Larger values react faster.
+        bridge: Longest gap that does not end a track, s.
+        evidence: Smallest log likelihood ratio of a track, nats. Larger values report fewer false and fewer weak
+            tracks.
+        evidence_of_piece: Smallest log likelihood ratio of an unbroken stretch of a track, nats.
+        model_error: Relative standard deviation of the power explained by other targets (`row`).
+        misplaced: Number of beams by which a pattern may be misplaced (`row`).
         power_spread: Relative standard deviation of a target's power from row to row (`row`).
-        weakest: Least power that is expected of a target, in standard deviations of the noise (`row`).
-        spread_beams: Beams to each side that a target holds (`cell`).
-        max_targets: Most chains.
-        sweeps: Turns of a new chain and those that it meets most, and of all in the end.
-        lag: Rows by which `step` answers later.
-        window: Rows that `step` looks at, more than `lag`.
-        memory_limit: Bytes above which `track` refuses a record.
+        weakest: Smallest expected power of a target, in standard deviations of the noise (`row`).
+        spread_beams: Number of beams to each side that a target occupies (`cell`).
+        max_targets: Largest number of chains.
+        sweeps: Number of turns of a new chain with its neighbors, and of all chains at the end.
+        lag: Delay of the estimates of `step`, rows. Larger values are more accurate.
+        window: Number of rows that `step` smooths, more than `lag`.
+        memory_limit: Largest memory of `track`, bytes; longer records are rejected.
+        jump: Change of an estimate between rows, beyond the fastest rate, that still counts as the same target, deg.
+        likelihood_rules: Parameters of the likelihood ratio of a row.
+        spans: Thresholds of location and existence.
+        search: Thresholds of the joint search.
+        crossing: Thresholds of the test for exchanged identities.
+        joining: Thresholds that join parts of a track.
     """
 
     likelihood: Likelihood = "row"
@@ -75,6 +80,12 @@ class BearingModel:
     lag: int = 5
     window: int = 20
     memory_limit: float = 4e9
+    jump: float = 2.0
+    likelihood_rules: LikelihoodRules = field(default_factory=LikelihoodRules)
+    spans: SpanRules = field(default_factory=SpanRules)
+    search: SearchRules = field(default_factory=SearchRules)
+    crossing: CrossingRules = field(default_factory=CrossingRules)
+    joining: JoiningRules = field(default_factory=JoiningRules)
 
     def __post_init__(self) -> None:
         """Check every field; raises ValueError that names it, and the spacing that fits the rates."""
@@ -83,7 +94,7 @@ class BearingModel:
         supported = self.array.elements // 2
         if not 1 <= self.max_targets <= supported:
             raise ValueError(
-                f"max_targets must lie in 1..{supported}, what a record of {self.array.elements} elements supports, "
+                f"max_targets must lie in 1..{supported} for an array of {self.array.elements} elements, "
                 f"got {self.max_targets!r}"
             )
         if not 0 <= self.lag < self.window:
@@ -91,7 +102,7 @@ class BearingModel:
         for name in ("snapshots", "sweeps", "misplaced", "spread_beams"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)!r}")
-        for name in ("model_error", "power_spread", "weakest", "memory_limit"):
+        for name in ("model_error", "power_spread", "weakest", "memory_limit", "jump"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
         if not 0.0 < self.switching < 1.0:
@@ -102,13 +113,13 @@ class BearingModel:
 
     @cached_property
     def chain(self) -> GridChain:
-        """The grid of bearings and rates."""
+        """Markov chain on the grid of bearings and rates."""
         spacing = 180.0 / (self.beams - 1)
         return grid_chain(self.beams, self.rates, spacing, self.period, self.acceleration)
 
     @cached_property
-    def looks(self) -> Array:
-        """Bearings of the beams, deg."""
+    def beam_bearings(self) -> Array:
+        """Bearings of the beams, deg. Shape (beams,)."""
         return bearings(self.beams)
 
     @cached_property
@@ -118,26 +129,31 @@ class BearingModel:
 
     @cached_property
     def scores(self) -> RowScores:
-        """The matched filter over rows."""
-        return RowScores(self.patterns, self.looks, self.averages, self.model_error, self.misplaced)
+        """Matched filter over rows."""
+        return RowScores(self.patterns, self.beam_bearings, self.averages, self.model_error, self.misplaced)
 
     @property
     def averages(self) -> int:
-        """Bins times snapshots in one beam power."""
+        """Number M of averages in one beam power: frequency bins times snapshots."""
         return len(self.band.frequencies) * self.snapshots
 
     @property
-    def bridged(self) -> int:
-        """Rows of a gap that does not end a track."""
+    def bridge_rows(self) -> int:
+        """Longest gap that does not end a track, rows."""
         return int(self.bridge / self.period + 1e-9)
 
     @property
-    def farthest(self) -> float:
-        """That an estimate moves from row to row, deg; what moves farther is another target."""
-        return float(np.abs(self.rates).max()) * self.period + JUMP
+    def max_step(self) -> float:
+        """Largest plausible change of a bearing between rows, deg; a larger one belongs to another target."""
+        return float(np.abs(self.rates).max()) * self.period + self.jump
 
     def memory(self, records: int, targets: int = 2) -> int:
-        """Bytes that `track` needs for so many rows and targets."""
+        """Memory that `track` needs, bytes.
+
+        Args:
+            records: Number of rows.
+            targets: Number of targets.
+        """
         kept = self.chain.states if self.likelihood == "cell" else 0
         per_target = 3 * self.beams + kept
         return 8 * records * (2 * self.chain.states + 10 * self.beams + targets * per_target)

@@ -1,4 +1,4 @@
-"""One chain in a record: where its target is, how strong, with which pattern, and from when to when."""
+"""Hypothesis of one target in a record: bearings, power, beam pattern and span of existence of one chain."""
 
 from __future__ import annotations
 
@@ -8,41 +8,32 @@ from itertools import pairwise
 import numpy as np
 
 from servotrack.estimators.hmm.existence import Span, presence, spans
+from servotrack.estimators.sonar.rules import SpanRules
 from servotrack.estimators.types import Array, Labels
-
-ABOUT_MODE = 2.0
-"""The estimate is the mean of the probabilities within this of their mode, deg."""
-EDGE = 8
-"""Rows before and after a span in which its target may be, for the next sweep."""
-
-BRIDGE_DISTANCE, BRIDGE_RATE = 2.0, 0.3
-"""How far beside its course a target may be after a gap, deg, and how much more per row, deg."""
-TRIM_SHARE, TRIM_MOST = 0.3, 1.0
-"""Rows at a track's ends belong to it if they say this share of what its rows say on average, or this much, nats."""
 
 
 @dataclass(eq=False)
 class TrackHypothesis:
-    """What is known of one chain's target, row by row.
+    """Estimates of one chain's target, row by row.
 
     Attributes:
-        presence: Probability that it is there. Shape (T,).
-        mixture: Its spectrum, as `Patterns` has it.
-        bearings: deg. Shape (T,).
-        rates: deg/s. Shape (T,).
-        deviations: Standard deviation of bearings, deg. Shape (T,).
-        power: Above the noise in the beam that looks at it. Shape (T,).
-        expected: Its power as the rows around tell it; None before it was fitted. Shape (T,).
-        pattern: Its beam pattern, peak 1. Shape (T, beams).
-        existence_likelihood: Lam_k. Shape (T,).
-        likelihood: Of the rows under its positions or states, in the last sweep. Shape (T, W).
-        marginal: Of the states, where others need it. Shape (T, S).
-        spans: Rows in which it is there.
-        evidence: Log likelihood ratio of each span.
-        label: Identity, 0 while it has none.
-        prior: Of the states at the first row; None: uniform. Shape (S,).
+        presence: Probability that the target exists. Shape (T,).
+        mixture: Spectrum of the target, as a mixture of `Patterns`.
+        bearings: Bearing of the target, deg. Shape (T,).
+        rates: Bearing rate, deg/s. Shape (T,).
+        deviations: Standard deviation of the bearing, deg. Shape (T,).
+        power: Power above the noise in the beam towards the target. Shape (T,).
+        expected: Power expected from the surrounding rows; None before the first fit. Shape (T,).
+        pattern: Beam pattern of the target, peak 1. Shape (T, beams).
+        existence_likelihood: Existence likelihood Lam_k of each row. Shape (T,).
+        likelihood: Likelihood ratios of the rows under the positions or states, in the last sweep. Shape (T, W).
+        marginal: Probabilities of the states, kept only where other chains need them. Shape (T, S).
+        spans: Spans of rows in which the target exists.
+        evidence: Log likelihood ratio of each span, nats.
+        label: Identity; 0 before one is assigned.
+        prior: Probabilities of the states at the first row; None: uniform. Shape (S,).
         period: Time between rows, s.
-        prior_presence: At the first row.
+        prior_presence: Probability of existence at the first row.
     """
 
     presence: Array
@@ -63,70 +54,81 @@ class TrackHypothesis:
     period: float = 1.0
     prior_presence: float = 0.5
 
-    def locate(self, marginal: Array, looks: Array, rates: Array) -> None:
-        """Bearings, rates and deviations from the probabilities of all states, shape (T, S)."""
-        cells = marginal.reshape(len(marginal), len(rates), len(looks))
+    def locate(self, marginal: Array, beam_bearings: Array, rates: Array, mode_width: float) -> None:
+        """Set bearings, rates and deviations from the probabilities of all states.
+
+        Args:
+            marginal: Probabilities of the states. Shape (T, S).
+            beam_bearings: Bearings of the beams, deg. Shape (beams,).
+            rates: Bearing rates of the grid, deg/s. Shape (R,).
+            mode_width: Half-width of the window around the mode over which is averaged, deg.
+        """
+        cells = marginal.reshape(len(marginal), len(rates), len(beam_bearings))
         positions = cells.sum(axis=1)
-        half = round(ABOUT_MODE / (looks[1] - looks[0]))
+        half = round(mode_width / (beam_bearings[1] - beam_bearings[0]))
         index = positions.argmax(axis=1)[:, None] + np.arange(-half, half + 1)
-        inside = (index >= 0) & (index < len(looks))
-        index = np.clip(index, 0, len(looks) - 1)
+        inside = (index >= 0) & (index < len(beam_bearings))
+        index = np.clip(index, 0, len(beam_bearings) - 1)
         weight = np.take_along_axis(positions, index, axis=1) * inside
         weight /= weight.sum(axis=1, keepdims=True)
-        near = looks[index]
+        near = beam_bearings[index]
         self.bearings = (weight * near).sum(axis=1)
         self.deviations = np.sqrt((weight * (near - self.bearings[:, None]) ** 2).sum(axis=1))
         self.rates = np.einsum("trp,r->t", cells, rates)
 
-    def test_existence(self, switching: float, bridge: int, piece: float, whole: float, farthest: float) -> None:
-        """The sequential test: presence, and the span of most evidence, if it has enough.
+    def test_existence(
+        self, switching: float, bridge: int, piece: float, whole: float, max_step: float, rules: SpanRules
+    ) -> None:
+        """Run the sequential test of existence: set `presence`, and the span with the most evidence if it suffices.
 
-        A path through all rows may jump from one target to a stronger one; a chain keeps to one.
+        A path through all rows may jump from one target to a stronger one; a chain keeps one target only.
 
         Args:
-            switching: Probability of coming or going from row to row.
-            bridge: Gaps of at most this many rows do not end a span.
-            piece: Least log likelihood ratio of an unbroken stretch, nats: what is less is noise.
-            whole: Least log likelihood ratio of a span, nats.
-            farthest: That a bearing moves from row to row, deg.
+            switching: Probability of appearance or disappearance from row to row.
+            bridge: Longest gap, in rows, that does not end a span.
+            piece: Smallest log likelihood ratio of an unbroken stretch, nats. Weaker stretches count as noise.
+            whole: Smallest log likelihood ratio of a span, nats.
+            max_step: Largest plausible change of bearing between rows, deg.
+            rules: Thresholds of the test.
         """
         there = presence(self.existence_likelihood, switching, self.prior_presence)
         ratio = np.log(self.existence_likelihood)
         kept = there.copy()
-        jumps = np.flatnonzero(np.abs(np.diff(self.bearings)) > farthest) + 1
+        jumps = np.flatnonzero(np.abs(np.diff(self.bearings)) > max_step) + 1
         for span in _split(spans(there, bridge=0), jumps):
             if ratio[span.first : span.last + 1].sum() < piece:
                 kept[span.first : span.last + 1] = 0.0
-        jumps = np.union1d(jumps, self._implausible(spans(kept, bridge=0), bridge))
-        candidates = [_trimmed(ratio, span) for span in _split(spans(kept, bridge=bridge), jumps)]
+        jumps = np.union1d(jumps, self._implausible(spans(kept, bridge=0), bridge, rules))
+        candidates = [_trimmed(ratio, span, rules) for span in _split(spans(kept, bridge=bridge), jumps)]
         best = max(candidates, key=lambda item: item[1], default=(Span(0, -1), -np.inf))
         self.spans, self.evidence = ([best[0]], [best[1]]) if best[1] >= whole else ([], [])
+        margin = rules.margin_rows
         may_be = np.zeros(len(there), np.bool_)
         for span in self.spans:
             before = int(jumps[jumps <= span.first].max(initial=0))
             after = int(jumps[jumps > span.last].min(initial=len(there)))
-            may_be[max(before, span.first - EDGE) : min(after, span.last + 1 + EDGE)] = True
+            may_be[max(before, span.first - margin) : min(after, span.last + 1 + margin)] = True
         self.presence = np.where(may_be, there, 0.0)
 
-    def _implausible(self, pieces: list[Span], bridge: int) -> Labels:
-        """First rows of pieces to which the one before does not lead, carried on over the gap."""
+    def _implausible(self, pieces: list[Span], bridge: int, rules: SpanRules) -> Labels:
+        """First rows of pieces that lie off the extrapolated piece before."""
         found = []
         for one, other in pairwise(pieces):
             steps = other.first - one.last
             if steps > bridge + 1:
                 continue
             rate = 0.5 * (
-                self.rates[max(one.first, one.last - 4) : one.last + 1].mean()
-                + self.rates[other.first : min(other.first + 5, other.last + 1)].mean()
+                self.rates[max(one.first, one.last + 1 - rules.rate_rows) : one.last + 1].mean()
+                + self.rates[other.first : min(other.first + rules.rate_rows, other.last + 1)].mean()
             )
             error = abs(self.bearings[one.last] + rate * steps * self.period - self.bearings[other.first])
-            if error > BRIDGE_DISTANCE + BRIDGE_RATE * steps:
+            if error > rules.bridge_distance + rules.bridge_growth * steps:
                 found.append(other.first)
         return np.array(found, np.int64)
 
 
 def _split(whole: list[Span], breaks: Labels) -> list[Span]:
-    """Spans, cut before each of some rows."""
+    """Split spans before the rows in `breaks`."""
     parts = []
     for span in whole:
         inside = breaks[(breaks > span.first) & (breaks <= span.last)].tolist()
@@ -135,13 +137,13 @@ def _split(whole: list[Span], breaks: Labels) -> list[Span]:
     return parts
 
 
-def _trimmed(ratio: Array, span: Span) -> tuple[Span, float]:
-    """A span without rows at its ends that say much less than its other rows, and its evidence.
+def _trimmed(ratio: Array, span: Span, rules: SpanRules) -> tuple[Span, float]:
+    """Cut rows with little evidence off both ends of a span; return the span and its evidence.
 
-    Where a track begins, a path through noise leads to it, whose rows say a little.
+    Before a track begins, a path through noise leads to it, whose rows have little evidence.
     """
     values = ratio[span.first : span.last + 1]
-    cost = min(TRIM_SHARE * max(float(values.mean()), 0.0), TRIM_MOST)
+    cost = min(rules.trim_share * max(float(values.mean()), 0.0), rules.trim_limit)
     total = np.concatenate([[0.0], np.cumsum(values - cost)])
     lowest = np.minimum.accumulate(total)
     last = int((total - lowest).argmax())

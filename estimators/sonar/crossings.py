@@ -1,4 +1,4 @@
-"""Who is who after a meeting: each of two chains may follow one target up to it and the other one from there on."""
+"""Identities after a crossing: detect and undo an exchange of targets between two chains."""
 
 from __future__ import annotations
 
@@ -10,109 +10,116 @@ import numpy as np
 
 from servotrack.estimators.sonar.beam_patterns import Patterns
 from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
+from servotrack.estimators.sonar.rules import CrossingRules
 from servotrack.estimators.types import Array, Labels
 
 T = TypeVar("T")
 
-NEAR = 0.08
-"""Difference of cosines below which two targets meet."""
-PAUSE = 3
-"""Rows of distance that do not end a meeting."""
-SIDE = 10
-"""Rows before and after a meeting that are compared."""
-LEAST = 3
-"""Rows from which a side is judged."""
-THERE = 0.3
-RATE, PLACE, LEVEL, SHAPE = 0.2, 1.0, 0.3, 0.15
-"""Standard deviations of one target's changes over a meeting: rate (deg/s), bearing in its middle (deg), logarithm of
-its power, and root mean square of its pattern."""
-PLAIN = 30.0
-"""By how much exchanging may be less likely before patterns are compared, nats."""
-LEAST_POWER, VARIANCE = 1e-3, 1e-3
-"""Below which a power does not count; of beam powers, where patterns are compared."""
-BETTER = 1.0
-"""By how much exchanging must be more likely, nats."""
-
 
 class _Side(NamedTuple):
-    """One target before or after a meeting: its rows, bearing carried to the middle, rate, log power."""
+    """One target before or after a meeting.
+
+    Attributes:
+        at: Rows in which the target exists. Shape (k,).
+        bearing: Bearing extrapolated to the middle of the meeting, deg.
+        rate: Bearing rate, deg per row.
+        log_power: Mean logarithm of the power.
+    """
 
     at: Labels
-    place: float
+    bearing: float
     rate: float
-    level: float
+    log_power: float
 
 
 def resolve_crossings(
-    chains: list[TrackHypothesis], patterns: Patterns, rows: Array, explained: Sequence[Array], looks: Array
+    chains: list[TrackHypothesis],
+    patterns: Patterns,
+    rows: Array,
+    explained: Sequence[Array],
+    beam_bearings: Array,
+    rules: CrossingRules,
 ) -> bool:
-    """Exchange the rest of two chains after the first meeting where that makes them more like themselves.
+    """Exchange two chains after the first meeting where each fits the other one's continuation better.
+
+    Rates, bearings and powers on both sides of a meeting are compared, and beam patterns where these do not decide.
 
     Args:
         chains: All chains of a record; two of them are changed.
-        patterns: Of spectra.
+        patterns: Beam patterns of spectra.
         rows: Normalized beam powers. Shape (T, beams).
-        explained: For each chain what the others explain. Shape (T, beams) each.
-        looks: Bearings of the beams, deg. Shape (beams,).
+        explained: Mean beam powers explained by the other chains, for each chain. Shape (T, beams) each.
+        beam_bearings: Bearings of the beams, deg. Shape (beams,).
+        rules: Thresholds of the comparison.
 
     Returns:
-        Whether there was such a meeting.
+        True if two chains were exchanged.
     """
     for i, j in combinations(range(len(chains)), 2):
         one, other = chains[i], chains[j]
-        for first, last in _meetings(one, other):
-            before = slice(max(0, first - SIDE), first)
-            after = slice(last + 1, last + 1 + SIDE)
+        for first, last in _meetings(one, other, rules):
+            before = slice(max(0, first - rules.side_rows), first)
+            after = slice(last + 1, last + 1 + rules.side_rows)
             middle = 0.5 * (first + last)
-            sides = [_side(chain, part, middle) for chain in (one, other) for part in (before, after)]
-            stay, change = _compare(sides, _cost)
-            if change < stay + PLAIN:
+            sides = [_side(chain, part, middle, rules) for chain in (one, other) for part in (before, after)]
+            stay, change = _compare(sides, lambda a, b: _cost(a, b, rules))
+            if change < stay + rules.pattern_limit:
                 shapes = [
-                    None if side is None else _shape(chains[index], side.at, patterns, rows, explained[index], looks)
+                    None
+                    if side is None
+                    else _shape(chains[index], side.at, patterns, rows, explained[index], beam_bearings, rules)
                     for index, side in zip((i, i, j, j), sides, strict=True)
                 ]
-                stay, change = np.add((stay, change), _compare(shapes, _cost_of_shape))
-            if change + BETTER < stay:
+                stay, change = np.add(
+                    (stay, change), _compare(shapes, lambda a, b: _cost_of_shape(a, b, rules.pattern_deviation))
+                )
+            if change + rules.min_gain < stay:
                 _exchange(one, other, int(middle) + 1)
                 return True
     return False
 
 
-def _meetings(one: TrackHypothesis, other: TrackHypothesis) -> list[tuple[int, int]]:
-    both = (one.presence > THERE) & (other.presence > THERE)
+def _meetings(one: TrackHypothesis, other: TrackHypothesis, rules: CrossingRules) -> list[tuple[int, int]]:
+    both = (one.presence > rules.min_presence) & (other.presence > rules.min_presence)
     apart = np.abs(np.cos(np.radians(one.bearings)) - np.cos(np.radians(other.bearings)))
-    near = np.flatnonzero(both & (apart < NEAR))
+    near = np.flatnonzero(both & (apart < rules.meeting_distance))
     if not len(near):
         return []
-    breaks = np.flatnonzero(np.diff(near) > PAUSE)
+    breaks = np.flatnonzero(np.diff(near) > rules.pause_rows)
     firsts = np.concatenate([near[:1], near[breaks + 1]])
     lasts = np.concatenate([near[breaks], near[-1:]])
     return [(int(a), int(b)) for a, b in zip(firsts, lasts, strict=True)]
 
 
-def _side(chain: TrackHypothesis, part: slice, middle: float) -> _Side | None:
+def _side(chain: TrackHypothesis, part: slice, middle: float, rules: CrossingRules) -> _Side | None:
     at = np.arange(len(chain.presence))[part]
-    at = at[chain.presence[at] > THERE]
-    if len(at) < LEAST:
+    at = at[chain.presence[at] > rules.min_presence]
+    if len(at) < rules.min_rows:
         return None
     bearings, centered = chain.bearings[at], at - at.mean()
     rate = float(centered @ bearings / (centered @ centered))
-    level = float(np.log(np.maximum(chain.power[at], LEAST_POWER)).mean())
-    return _Side(at, float(bearings.mean() + rate * (middle - at.mean())), rate, level)
+    log_power = float(np.log(np.maximum(chain.power[at], rules.min_power)).mean())
+    return _Side(at, float(bearings.mean() + rate * (middle - at.mean())), rate, log_power)
 
 
 def _shape(
-    chain: TrackHypothesis, at: Labels, patterns: Patterns, rows: Array, explained: Array, looks: Array
+    chain: TrackHypothesis,
+    at: Labels,
+    patterns: Patterns,
+    rows: Array,
+    explained: Array,
+    beam_bearings: Array,
+    rules: CrossingRules,
 ) -> Array:
-    """Pattern that fits some of a chain's rows."""
-    power = np.maximum(chain.power[at], LEAST_POWER)
-    cosines = np.cos(np.radians(looks))
-    variance = explained[at] ** 2 * VARIANCE
+    """Main lobe of the beam pattern fitted to some of a chain's rows."""
+    power = np.maximum(chain.power[at], rules.min_power)
+    cosines = np.cos(np.radians(beam_bearings))
+    variance = explained[at] ** 2 * rules.pattern_variance
     return patterns.main_lobe(patterns.fit(rows[at] - explained[at], variance, cosines, chain.bearings[at], power))
 
 
 def _compare(sides: Sequence[T | None], cost: Callable[[T, T], float]) -> tuple[float, float]:
-    """Cost of staying and of exchanging; nothing where a side is missing."""
+    """Costs of keeping and of exchanging the chains; 0 for a missing side."""
 
     def of(one: int, other: int) -> float:
         a, b = sides[one], sides[other]
@@ -121,14 +128,18 @@ def _compare(sides: Sequence[T | None], cost: Callable[[T, T], float]) -> tuple[
     return of(0, 1) + of(2, 3), of(0, 3) + of(2, 1)
 
 
-def _cost(one: _Side, other: _Side) -> float:
-    """Half the squared changes in standard deviations."""
-    changes = (one.rate - other.rate) / RATE, (one.place - other.place) / PLACE, (one.level - other.level) / LEVEL
+def _cost(one: _Side, other: _Side, rules: CrossingRules) -> float:
+    """Half the sum of the squared changes, in standard deviations."""
+    changes = (
+        (one.rate - other.rate) / rules.rate_deviation,
+        (one.bearing - other.bearing) / rules.bearing_deviation,
+        (one.log_power - other.log_power) / rules.log_power_deviation,
+    )
     return 0.5 * float(np.sum(np.square(changes)))
 
 
-def _cost_of_shape(one: Array, other: Array) -> float:
-    return 0.5 * float(np.mean((one - other) ** 2)) / SHAPE**2
+def _cost_of_shape(one: Array, other: Array, deviation: float) -> float:
+    return 0.5 * float(np.mean((one - other) ** 2)) / deviation**2
 
 
 def _exchange(one: TrackHypothesis, other: TrackHypothesis, row: int) -> None:

@@ -1,8 +1,8 @@
-"""The best path through a record, taken out of it, and again: Viterbi with nulling."""
+"""Viterbi with nulling: find the best path through a record, remove it, and repeat."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -16,16 +16,17 @@ from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.sonar.array import bearings
 from servotrack.estimators.sonar.likelihood import cell_likelihood
 from servotrack.estimators.sonar.record import BearingTrack, checked_record, checked_row
+from servotrack.estimators.sonar.rules import LikelihoodRules
 from servotrack.estimators.types import Array
 
 
 class NullingState(NamedTuple):
-    """Memory of a `ViterbiNulling`.
+    """State of a `ViterbiNulling`.
 
     Attributes:
-        rows: The newest rows. Shape (W, beams).
+        rows: Newest rows. Shape (W, beams).
         places: Identity and last estimated bearing of each track, deg.
-        next_label: The next new identity.
+        next_label: Next new identity.
     """
 
     rows: Array
@@ -35,22 +36,24 @@ class NullingState(NamedTuple):
 
 @dataclass(frozen=True)
 class ViterbiNulling:
-    """The path of most power, then the next one with the beams about the first taken out, until one does not exist.
+    """Baseline tracker: take the path of most power, null the beams about it, repeat until a path fails the test.
 
     Attributes:
-        beams: Look directions from 0 to 180 deg.
-        averages: M of one beam power.
+        beams: Number of beams from 0 to 180 deg.
+        averages: Number M of averages in one beam power.
         period: Time between rows, s.
         rates: Bearing rates of the grid, deg/s.
         acceleration: Standard deviation of the bearing's acceleration, deg/s^2.
-        switching: Probability that a target comes or goes from row to row.
-        bridge: Gaps of at most this long do not end a track, s.
-        evidence: Least log likelihood ratio of a track, nats; a best path has some in mere noise.
-        width: Beams within this of a path are taken out, deg.
-        max_targets: Most paths.
-        lag: Rows by which `step` answers later.
-        window: Rows that `step` looks at.
-        same: Farthest that a track moves between two rows of answers, deg.
+        switching: Probability that a target appears or disappears from row to row.
+        bridge: Longest gap that does not end a track, s.
+        evidence: Smallest log likelihood ratio of a track, nats. It exceeds that of the best path through noise.
+        width: Half-width of the band of beams nulled about a path, deg.
+        max_targets: Largest number of paths.
+        lag: Delay of the estimates of `step`, rows.
+        window: Number of rows that `step` uses.
+        same: Largest change of a track's bearing between two estimates, deg.
+        evidence_rows: Rows from which the full `evidence` is required; shorter records need proportionally less.
+        likelihood_rules: Parameters of the likelihood ratio of a cell.
     """
 
     beams: int = 721
@@ -66,6 +69,8 @@ class ViterbiNulling:
     lag: int = 5
     window: int = 20
     same: float = 4.0
+    evidence_rows: int = 60
+    likelihood_rules: LikelihoodRules = field(default_factory=LikelihoodRules)
 
     def __post_init__(self) -> None:
         """Check every field; raises ValueError that names it, and the spacing that fits the rates."""
@@ -73,28 +78,28 @@ class ViterbiNulling:
             raise ValueError(f"lag must lie in 0..window - 1, got lag={self.lag!r}, window={self.window!r}")
         if self.max_targets < 1:
             raise ValueError(f"max_targets must be at least 1, got {self.max_targets!r}")
-        for name in ("width", "evidence", "same"):
+        for name in ("width", "evidence", "same", "evidence_rows"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
         self.chain  # noqa: B018  the grid checks the rates
 
     @cached_property
     def chain(self) -> GridChain:
-        """The grid of bearings and rates."""
+        """Markov chain on the grid of bearings and rates."""
         return grid_chain(self.beams, self.rates, 180.0 / (self.beams - 1), self.period, self.acceleration)
 
     def track(self, record: ArrayLike, times: ArrayLike | None = None) -> list[BearingTrack]:
-        """All tracks of a record; arguments, result and errors as `HMMBearings.track`."""
+        """Track all targets of a whole record; arguments, result and errors as in `HMMBearings.track`."""
         rows = checked_record(record, self.beams, self.averages, times, self.period)
         return self._paths(rows) if len(rows) else []
 
     def initial(self, row: ArrayLike) -> NullingState:
-        """Memory before the first row; `row` is only looked at for its length."""
+        """Return the state before the first row; only the length of `row` is used."""
         checked_row(row, self.beams, self.averages)
         return NullingState(np.zeros((0, self.beams)), (), 1)
 
     def step(self, state: NullingState, row: ArrayLike) -> tuple[NullingState, SetEstimate]:
-        """Take one row in; the estimate is of the row `lag` before, none while there is none."""
+        """Update with one row; the estimate is that of the row `lag` before, empty during the first `lag` rows."""
         rows = np.vstack([state.rows, checked_row(row, self.beams, self.averages)])[-self.window :]
         at = len(rows) - 1 - self.lag
         shown = [t for t in self._paths(rows) if t.first <= at <= t.last] if at >= 0 else []
@@ -124,8 +129,8 @@ class ViterbiNulling:
         return NullingState(rows, places, next_label), estimate
 
     def _paths(self, rows: Array) -> list[BearingTrack]:
-        looks, chain = bearings(self.beams), self.chain
-        ratio = np.log(cell_likelihood(rows))
+        beam_bearings, chain = bearings(self.beams), self.chain
+        ratio = np.log(cell_likelihood(rows, self.likelihood_rules))
         tracks: list[BearingTrack] = []
         for _ in range(self.max_targets):
             path, _ = best_path(chain, ratio)
@@ -136,7 +141,7 @@ class ViterbiNulling:
             for span in spans(there, bridge=int(self.bridge / self.period + 1e-9)):
                 part = slice(span.first, span.last + 1)
                 evidence = float(along[part].sum())
-                if evidence < self.evidence * min(1.0, len(rows) / 60.0):
+                if evidence < self.evidence * min(1.0, len(rows) / self.evidence_rows):
                     continue
                 found = True
                 spread = np.zeros(span.last + 1 - span.first)
@@ -144,14 +149,14 @@ class ViterbiNulling:
                     BearingTrack(
                         len(tracks) + 1,
                         span.first,
-                        looks[cell[part]],
+                        beam_bearings[cell[part]],
                         chain.rates[rate[part]],
                         spread,
                         there[part],
                         evidence,
                     )
                 )
-                near = np.abs(looks - looks[cell[part]][:, None]) <= self.width
+                near = np.abs(beam_bearings - beam_bearings[cell[part]][:, None]) <= self.width
                 ratio[part][near] = ratio.min()
             if not found:
                 break

@@ -1,4 +1,4 @@
-"""Detect before track: peaks of every row, followed by nearest neighbors or by Kalman filters and one assignment."""
+"""Detect before track: peaks of every row, tracked by nearest neighbors or by Kalman filters with assignment."""
 
 from __future__ import annotations
 
@@ -11,46 +11,43 @@ from numpy.typing import ArrayLike
 from scipy.signal import find_peaks
 
 from servotrack.estimators.metrics.assignment import assign
-from servotrack.estimators.rfs.sets import SetEstimate
+from servotrack.estimators.rfs.sets import TENTATIVE_EXISTENCE, SetEstimate
 from servotrack.estimators.sonar.array import bearings
 from servotrack.estimators.sonar.record import BearingTrack, checked_record, checked_row
 from servotrack.estimators.types import Array, Labels
 
-TENTATIVE = 0.25
-"""Existence given for a track that is not confirmed."""
 
-
-def peaks(row: Array, looks: Array, averages: int, threshold: float) -> Array:
-    """Bearings of a normalized row's peaks, by a parabola through three beams.
+def peaks(row: Array, beam_bearings: Array, averages: int, threshold: float) -> Array:
+    """Find the bearings of the peaks of a normalized row, by a parabola through three beams.
 
     Args:
-        row: Shape (beams,).
-        looks: Of the beams, deg. Shape (beams,).
-        averages: M of one beam power.
-        threshold: Least height and prominence, standard deviations of the noise.
+        row: Normalized beam powers. Shape (beams,).
+        beam_bearings: Bearings of the beams, deg. Shape (beams,).
+        averages: Number M of averages in one beam power.
+        threshold: Smallest height and prominence of a peak, in standard deviations of the noise.
 
     Returns:
-        Highest first, deg. Shape (peaks,).
+        Bearings, highest peak first, deg. Shape (peaks,).
     """
     score = (row - 1.0) * np.sqrt(averages)
     at, _ = find_peaks(score, height=threshold, prominence=threshold)
     before, here, after = score[at - 1], score[at], score[at + 1]
     bend = before - 2.0 * here + after
     part = np.where(bend < 0.0, 0.5 * (before - after) / np.minimum(bend, -1e-12), 0.0)
-    return (looks[at] + part * (looks[1] - looks[0]))[np.argsort(-here)]
+    return (beam_bearings[at] + part * (beam_bearings[1] - beam_bearings[0]))[np.argsort(-here)]
 
 
 class PeakState(NamedTuple):
-    """Memory of a tracker of peaks.
+    """State of a tracker of peaks.
 
     Attributes:
         mean: Bearing and rate of each track, deg and deg/s. Shape (n, 2).
-        covariance: Shape (n, 2, 2).
-        label: Shape (n,).
-        hits: Rows that showed the track, up to `confirm`. Shape (n,).
-        missed: Rows since the last one. Shape (n,).
-        next_label: The next new identity.
-        answers: Estimates that are still to be given.
+        covariance: Covariance of each mean. Shape (n, 2, 2).
+        label: Identity of each track. Shape (n,).
+        hits: Number of rows with a peak of the track, up to `confirm`. Shape (n,).
+        missed: Number of rows since the last peak. Shape (n,).
+        next_label: Next new identity.
+        answers: Estimates not yet returned, oldest first.
     """
 
     mean: Array
@@ -64,16 +61,17 @@ class PeakState(NamedTuple):
 
 @dataclass(frozen=True)
 class PeakTracker(ABC):
-    """What both trackers of peaks share.
+    """Base class of the trackers of peaks.
 
     Attributes:
-        beams: Look directions from 0 to 180 deg.
-        averages: M of one beam power.
+        beams: Number of beams from 0 to 180 deg.
+        averages: Number M of averages in one beam power.
         period: Time between rows, s.
-        threshold: Least height of a peak, standard deviations of the noise.
-        confirm: Rows that confirm a track.
-        misses: Rows without a peak after which a track ends.
-        lag: Rows by which `step` answers later.
+        threshold: Smallest height of a peak, in standard deviations of the noise. Larger values give fewer false
+            tracks and miss weak targets.
+        confirm: Number of rows with a peak that confirms a track.
+        misses: Number of rows without a peak after which a track ends.
+        lag: Delay of the estimates of `step`, rows.
     """
 
     beams: int = 721
@@ -96,7 +94,7 @@ class PeakTracker(ABC):
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
 
     def track(self, record: ArrayLike, times: ArrayLike | None = None) -> list[BearingTrack]:
-        """All tracks of a record; arguments, result and errors as `HMMBearings.track`."""
+        """Track all targets of a whole record; arguments, result and errors as in `HMMBearings.track`."""
         rows = checked_record(record, self.beams, self.averages, times, self.period)
         state = self._empty()
         found: dict[int, list[tuple[int, Array, float]]] = {}
@@ -114,12 +112,12 @@ class PeakTracker(ABC):
         return tracks
 
     def initial(self, row: ArrayLike) -> PeakState:
-        """Memory before the first row; `row` is only looked at for its length."""
+        """Return the state before the first row; only the length of `row` is used."""
         checked_row(row, self.beams, self.averages)
         return self._empty()
 
     def step(self, state: PeakState, row: ArrayLike) -> tuple[PeakState, SetEstimate]:
-        """Take one row in; the estimate is of the row `lag` before, none while there is none."""
+        """Update with one row; the estimate is that of the row `lag` before, empty during the first `lag` rows."""
         after, estimate = self._advance(state, checked_row(row, self.beams, self.averages))
         answers = (*state.answers, estimate)
         due = answers[0] if len(answers) > self.lag else _nothing()
@@ -160,32 +158,32 @@ class PeakTracker(ABC):
             np.asarray(float(shown.sum())),
             after.label[~shown],
             after.mean[~shown],
-            np.full(int((~shown).sum()), TENTATIVE),
+            np.full(int((~shown).sum()), TENTATIVE_EXISTENCE),
         )
 
     @abstractmethod
     def _start(self) -> Array:
-        """Covariance of a new track."""
+        """Return the covariance of a new track. Shape (2, 2)."""
 
     @abstractmethod
     def _predict(self, state: PeakState) -> tuple[Array, Array]:
-        """Means and covariances one row later, new arrays."""
+        """Predict means and covariances one row ahead, as new arrays."""
 
     @abstractmethod
     def _associate(self, mean: Array, covariance: Array, found: Array) -> Labels:
-        """The peak of each track, -1 for none."""
+        """Return the index of each track's peak, -1 without one."""
 
     @abstractmethod
     def _correct(self, mean: Array, covariance: Array, partner: Labels, found: Array) -> None:
-        """Fold the peaks in, in place."""
+        """Update the tracks with their peaks, in place."""
 
 
 @dataclass(frozen=True)
 class PeakNearestNeighbor(PeakTracker):
-    """Every track, oldest first, takes the nearest peak that is left.
+    """Nearest-neighbor tracker: every track, oldest first, takes the nearest remaining peak.
 
     Attributes:
-        gate: Farthest peak, deg.
+        gate: Largest distance between a track and its peak, deg.
     """
 
     gate: float = 3.0
@@ -214,13 +212,13 @@ class PeakNearestNeighbor(PeakTracker):
 
 @dataclass(frozen=True)
 class PeakKalmanHungarian(PeakTracker):
-    """Kalman filters of nearly constant rate, and the cheapest assignment of peaks to them.
+    """Kalman filters of nearly constant rate, with optimal assignment of peaks to tracks.
 
     Attributes:
-        acceleration: Standard deviation of the acceleration, deg/s^2.
-        noise: Of a peak's bearing, deg.
+        acceleration: Standard deviation of the acceleration, deg/s^2. Larger values follow maneuvers faster.
+        noise: Standard deviation of a peak's bearing, deg.
         rate: Standard deviation of a new track's rate, deg/s.
-        gate: Farthest peak, standard deviations of the innovation.
+        gate: Largest innovation of an assigned peak, in standard deviations.
     """
 
     acceleration: float = 0.1
@@ -240,7 +238,7 @@ class PeakKalmanHungarian(PeakTracker):
     def _associate(self, mean: Array, covariance: Array, found: Array) -> Labels:
         tracks, count = len(mean), len(found)
         variance = covariance[:, 0, 0] + self.noise**2
-        # A column for each track stands for no peak, at the gate's price; a pair beyond the gate costs more.
+        # One extra column per track means no peak, at the cost of the gate; pairs beyond the gate cost more.
         cost = np.full((tracks, count + tracks), self.gate**2)
         distance = (mean[:, :1] - found) ** 2 / variance[:, None]
         cost[:, :count] = np.where(distance < self.gate**2, distance, 2.0 * self.gate**2)

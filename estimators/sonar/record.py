@@ -1,4 +1,4 @@
-"""Bearing-time records as they come in, and tracks as they go out."""
+"""Validation and normalization of bearing-time records, and tracks as the result of trackers."""
 
 from __future__ import annotations
 
@@ -11,35 +11,21 @@ from numpy.typing import ArrayLike
 from servotrack.estimators.hmm.existence import Span
 from servotrack.estimators.sonar.array import normalize
 from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
+from servotrack.estimators.sonar.rules import JoiningRules
 from servotrack.estimators.types import Array
-
-OVERLAP = 10
-"""Rows that two parts of one track may have in common."""
-RATE_ROWS = 5
-"""Rows whose mean rate carries a track on."""
-LONGEST = 60
-"""Rows between two parts of a track at most, whatever hides them."""
-LONG_GAP = 20
-"""Rows that may be missing where one part leads right to the other."""
-HIDDEN = 8.0
-"""Distance within which a target may be hidden by another one, deg."""
-JOIN_DISTANCE, JOIN_RATE, JOIN_STEPS = 2.0, 0.3, 15
-"""How far two parts of a track may be apart, deg, and how much more per row between them, up to a number of rows."""
-JOIN_TURN = 1.0
-"""By how much their rates may differ, deg/s."""
 
 
 class BearingTrack(NamedTuple):
-    """One target's track.
+    """Track of one target in a record.
 
     Attributes:
         label: Identity, at least 1.
-        first: Its first row in the record.
-        bearings: From that row to its last one, deg. Shape (k,).
-        rates: deg/s. Shape (k,).
+        first: Index of the first row of the track in the record.
+        bearings: Bearings from the first row to the last one, deg. Shape (k,).
+        rates: Bearing rates, deg/s. Shape (k,).
         deviations: Standard deviations of the bearings, deg. Shape (k,).
-        presence: Probability that the target is there. Shape (k,).
-        evidence: Log likelihood ratio against noise, nats; 0 where the method has none.
+        presence: Probability that the target exists. Shape (k,).
+        evidence: Log likelihood ratio against noise, nats; 0 for methods without one.
     """
 
     label: int
@@ -52,12 +38,12 @@ class BearingTrack(NamedTuple):
 
     @property
     def last(self) -> int:
-        """Its last row in the record."""
+        """Index of the last row of the track in the record."""
         return self.first + len(self.bearings) - 1
 
     @classmethod
     def cut(cls, label: int, chain: TrackHypothesis, span: Span, evidence: float) -> BearingTrack:
-        """One span of a chain."""
+        """Cut one span out of a chain."""
         rows = slice(span.first, span.last + 1)
         return cls(
             label,
@@ -70,21 +56,25 @@ class BearingTrack(NamedTuple):
         )
 
 
-def joined(tracks: Sequence[BearingTrack], gap: int, period: float = 1.0) -> list[BearingTrack]:
-    """Tracks of which one goes on where another ended, made one; labels are given anew by evidence.
+def joined(tracks: Sequence[BearingTrack], gap: int, period: float, rules: JoiningRules) -> list[BearingTrack]:
+    """Join tracks of which one continues another, and number all tracks anew by evidence.
 
     Args:
-        tracks: Any number.
-        gap: Rows that may be missing between them, besides those in which the way between them leads by another track;
-            bearings there are interpolated.
+        tracks: Tracks to join.
+        gap: Number of rows that may be missing between two parts, besides rows in which another track may hide the
+            target. Bearings in the gap are interpolated.
         period: Time between rows, s.
+        rules: Thresholds of a continuation.
+
+    Returns:
+        Joined tracks, strongest first, with labels from 1.
     """
     left = sorted(tracks, key=lambda track: track.first)
     done: list[BearingTrack] = []
     while left:
         track = left.pop(0)
-        # The next one that goes on, in order of starts: a later one that fits better may be its own continuation.
-        at = next((i for i, other in enumerate(left) if _misfit(track, other, gap, period, tracks) <= 1.0), None)
+        # The earliest continuation is taken: a later, better one may continue this continuation.
+        at = next((i for i, other in enumerate(left) if _misfit(track, other, gap, period, tracks, rules) <= 1.0), None)
         if at is None:
             done.append(track)
         else:
@@ -93,30 +83,37 @@ def joined(tracks: Sequence[BearingTrack], gap: int, period: float = 1.0) -> lis
     return [track._replace(label=label) for label, track in enumerate(done, 1)]
 
 
-def _misfit(track: BearingTrack, other: BearingTrack, gap: int, period: float, every: Sequence[BearingTrack]) -> float:
-    """Distance between a track carried on and another's start, in what is allowed."""
+def _misfit(
+    track: BearingTrack,
+    other: BearingTrack,
+    gap: int,
+    period: float,
+    every: Sequence[BearingTrack],
+    rules: JoiningRules,
+) -> float:
+    """Distance between an extrapolated track and the start of another one, relative to the allowed distance."""
     steps = other.first - track.last
-    if not 1 - OVERLAP <= steps <= LONGEST or other.last <= track.last:
+    if not 1 - rules.overlap_rows <= steps <= rules.max_gap_rows or other.last <= track.last:
         return np.inf
     inside = max(1 - steps, 0)
-    near = slice(inside, inside + RATE_ROWS)
-    rate_before, rate_after = track.rates[-RATE_ROWS:].mean(), other.rates[near].mean()
+    near = slice(inside, inside + rules.rate_rows)
+    rate_before, rate_after = track.rates[-rules.rate_rows :].mean(), other.rates[near].mean()
     ahead = steps + inside
     error = abs(track.bearings[-1] + 0.5 * (rate_before + rate_after) * ahead * period - other.bearings[inside])
-    allowed = JOIN_DISTANCE + JOIN_RATE * min(ahead, JOIN_STEPS)
-    misfit = max(float(error / allowed), float(abs(rate_after - rate_before)) / JOIN_TURN)
+    allowed = rules.distance + rules.distance_growth * min(ahead, rules.growth_rows)
+    misfit = max(float(error / allowed), float(abs(rate_after - rate_before)) / rules.rate_difference)
     if steps > gap + 1:
         way = np.linspace(track.bearings[-1], other.bearings[inside], steps + 1)[1:-1]
-        hidden = sum(_hides(every, track.last + k, way[k - 1]) for k in range(1, steps))
-        if steps - 1 - hidden > (LONG_GAP if misfit < 0.5 else gap):
+        hidden = sum(_hides(every, track.last + k, way[k - 1], rules.hiding_distance) for k in range(1, steps))
+        if steps - 1 - hidden > (rules.direct_gap_rows if misfit < rules.direct_misfit else gap):
             return np.inf
     return misfit
 
 
-def _hides(tracks: Sequence[BearingTrack], row: int, bearing: float) -> bool:
-    """Whether some track is so near to a bearing that it may hide another target."""
+def _hides(tracks: Sequence[BearingTrack], row: int, bearing: float, distance: float) -> bool:
+    """Return True if some track is near enough to a bearing to hide another target."""
     return any(
-        track.first <= row <= track.last and abs(track.bearings[row - track.first] - bearing) < HIDDEN
+        track.first <= row <= track.last and abs(track.bearings[row - track.first] - bearing) < distance
         for track in tracks
     )
 
@@ -141,20 +138,20 @@ def _chained(track: BearingTrack, other: BearingTrack) -> BearingTrack:
 
 
 def checked_record(record: ArrayLike, beams: int, averages: int, times: ArrayLike | None, period: float) -> Array:
-    """A record's normalized rows.
+    """Check a record and normalize its rows.
 
     Args:
         record: Beam powers. Shape (T, beams).
-        beams: What a row must have.
-        averages: M of one beam power.
-        times: Of the rows, s, or None. Shape (T,).
+        beams: Required number of beams in a row.
+        averages: Number M of averages in one beam power.
+        times: Times of the rows, s; None: not checked. Shape (T,).
         period: Time between rows, s.
 
     Returns:
-        Shape (T, beams), noise mean 1.
+        Normalized rows with noise mean 1. Shape (T, beams).
 
     Raises:
-        ValueError: For rows of another length, powers that are NaN or negative, or times that are not a period apart.
+        ValueError: Rows have another length, powers are NaN or negative, or times are not one period apart.
     """
     try:
         powers = np.asarray(record, np.float64)
@@ -170,7 +167,7 @@ def checked_record(record: ArrayLike, beams: int, averages: int, times: ArrayLik
 
 
 def checked_row(row: ArrayLike, beams: int, averages: int) -> Array:
-    """One normalized row; arguments and errors as `checked_record`. Shape (beams,)."""
+    """Check and normalize one row; arguments and errors as in `checked_record`. Shape (beams,)."""
     powers = np.asarray(row, np.float64)
     if powers.shape != (beams,):
         raise ValueError(f"row must have shape ({beams},), got {powers.shape}; set beams to the row's length")
@@ -186,5 +183,5 @@ def _check_times(times: Array, rows: int, period: float) -> None:
         at = int(bad[0])
         raise ValueError(
             f"times must be {period:g} s apart, got {steps[at]:g} s after row {at}: fill the gap with rows of ones, "
-            "which say nothing, or track the parts on their own"
+            "which carry no information, or track the parts separately"
         )

@@ -1,4 +1,4 @@
-"""How well a source at each bearing fits a row of the record, by a matched filter over the whole row."""
+"""Matched filter over a whole row: power of a source at each bearing, and its variance."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from servotrack.estimators.types import Array, Labels, Mask
 
 
 class Template(NamedTuple):
-    """A source's pattern about each look, whitened.
+    """Whitened pattern of a source at each beam bearing.
 
     Attributes:
-        values: Of the beams from `reach` below a look to `reach` above. Shape (beams, 2 reach + 1).
-        inflation: Variance of a matched sum over the beams, in that of independent beams. Shape (beams,).
+        values: Pattern in the beams from `reach` below a bearing to `reach` above. Shape (beams, 2 reach + 1).
+        inflation: Variance of a matched sum over the beams, relative to independent beams. Shape (beams,).
     """
 
     values: Array
@@ -31,17 +31,18 @@ class RowScores:
     """Matched filter over a whole row, whose neighboring beams share their noise.
 
     Attributes:
-        patterns: Of sources.
-        looks: Bearings of the beams, deg. Shape (beams,).
-        averages: M of one beam power.
-        model_error: Relative standard deviation of what targets explain.
-        misplaced: Beams by which a pattern may be misplaced.
-        reach: Beams of the matched filter to each side.
-        damping: Added to the eigenvalues of the noise's correlation in whitening.
+        patterns: Beam patterns of sources.
+        beam_bearings: Bearings of the beams, deg. Shape (beams,).
+        averages: Number M of averages in one beam power.
+        model_error: Relative standard deviation of the power explained by targets. Larger values trust beams near
+            other targets less.
+        misplaced: Number of beams by which a pattern may be misplaced.
+        reach: Number of beams of the matched filter to each side. Larger values use more of the pattern and are slower.
+        damping: Constant added to the eigenvalues of the noise correlation in whitening. Larger values whiten less.
     """
 
     patterns: Patterns
-    looks: Array
+    beam_bearings: Array
     averages: int
     model_error: float = 0.15
     misplaced: int = 4
@@ -51,16 +52,16 @@ class RowScores:
     @cached_property
     def _correlation(self) -> Array:
         p = self.patterns
-        return beam_correlation(p.array, p.band.frequencies, self.looks, p.shading)
+        return beam_correlation(p.array, p.band.frequencies, self.beam_bearings, p.shading)
 
     @cached_property
     def _neighbors(self) -> tuple[Labels, Mask]:
-        index = np.arange(len(self.looks))[:, None] + np.arange(-self.reach, self.reach + 1)
-        return np.clip(index, 0, len(self.looks) - 1), (index >= 0) & (index < len(self.looks))
+        index = np.arange(len(self.beam_bearings))[:, None] + np.arange(-self.reach, self.reach + 1)
+        return np.clip(index, 0, len(self.beam_bearings) - 1), (index >= 0) & (index < len(self.beam_bearings))
 
     @cached_property
     def whitening(self) -> Array:
-        """What makes the noise of neighboring beams nearly independent, cut to `reach`. Shape (beams, 2 reach + 1)."""
+        """Filter that makes the noise of neighboring beams nearly independent. Shape (beams, 2 reach + 1)."""
         values, vectors = np.linalg.eigh(self._correlation)
         whole = (vectors / np.sqrt(np.maximum(values, 0.0) + self.damping)) @ vectors.T
         index, inside = self._neighbors
@@ -68,34 +69,35 @@ class RowScores:
 
     @cached_property
     def _noise(self) -> tuple[Array, Array, Labels]:
-        """Variances of whitened noise, and its covariance about some looks: blocks (some, width, width), looks."""
+        """Variances of whitened noise, its covariance blocks (some, width, width) at some beams, and their indices."""
         index, inside = self._neighbors
         square = np.zeros_like(self._correlation)
-        rows = np.broadcast_to(np.arange(len(self.looks))[:, None], index.shape)
+        rows = np.broadcast_to(np.arange(len(self.beam_bearings))[:, None], index.shape)
         square[rows[inside], index[inside]] = self.whitening[inside]
         covariance = square @ self._correlation @ square.T
-        some = np.unique(np.linspace(0, len(self.looks) - 1, 31).astype(int))
+        some = np.unique(np.linspace(0, len(self.beam_bearings) - 1, 31).astype(int))
         blocks = np.array([covariance[np.ix_(index[i], index[i])] for i in some])
         return np.ascontiguousarray(np.diag(covariance)), blocks, some
 
     @cached_property
     def _basis(self) -> Array:
-        """Whitened pattern of each pure spectrum about every look. Shape (1 + tones, beams * (2 reach + 1))."""
+        """Whitened pattern of each pure spectrum at every beam bearing. Shape (1 + tones, beams * (2 reach + 1))."""
         index, inside = self._neighbors
-        cosines = np.cos(np.radians(self.looks))
+        cosines = np.cos(np.radians(self.beam_bearings))
         whitened = (
-            self.whiten(self.patterns.at(mixture, cosines, self.looks)) for mixture in np.eye(len(self.patterns.tables))
+            self.whiten(self.patterns.at(mixture, cosines, self.beam_bearings))
+            for mixture in np.eye(len(self.patterns.tables))
         )
         return np.array([np.where(inside, np.take_along_axis(p, index, 1), 0.0).ravel() for p in whitened])
 
     def whiten(self, rows: Array) -> Array:
-        """Rows, or what is explained of them, in which the noise of neighboring beams is nearly independent.
+        """Filter rows so that the noise of neighboring beams is nearly independent.
 
         Args:
-            rows: Shape (T, beams).
+            rows: Beam powers, or their explained means. Shape (T, beams).
 
         Returns:
-            Shape (T, beams).
+            Whitened rows. Shape (T, beams).
         """
         out = np.empty_like(rows)
         _filter(np.ascontiguousarray(rows), self._columns, out)
@@ -106,28 +108,28 @@ class RowScores:
         return np.ascontiguousarray(self.whitening.T)
 
     def template(self, mixture: Array) -> Template:
-        """The whitened pattern of a mixture of spectra."""
+        """Compute the whitened pattern of a mixture of spectra."""
         index, inside = self._neighbors
         used = np.flatnonzero(mixture > 1e-3)
         values = np.zeros(index.shape)
         _mix(self._basis, used, mixture, values.reshape(-1))
-        # How much the beams' correlation inflates a sum changes slowly with the look.
+        # The inflation by correlated beams changes slowly with bearing, so it is interpolated.
         power, blocks, some = self._noise
         few = values[some]
         noise = np.einsum("ij,ijk,ik->i", few, blocks, few)
         inflation = noise / np.einsum("ij,ij->i", few**2, power[index[some]] * inside[some])
-        return Template(values, np.interp(np.arange(len(self.looks)), some, inflation))
+        return Template(values, np.interp(np.arange(len(self.beam_bearings)), some, inflation))
 
     def evaluate(self, whitened: Array, explained: Array, template: Template) -> tuple[Array, Array]:
         """Power of a source at each bearing and the variance of that power, under noise and the model's errors.
 
         Args:
             whitened: Normalized beam powers less 1, after `whiten`. Shape (T, beams).
-            explained: Mean of the beam powers by everything else, noise 1. Shape (T, beams).
-            template: Of the source.
+            explained: Mean beam powers by noise and all other targets, noise 1. Shape (T, beams).
+            template: Whitened pattern of the source.
 
         Returns:
-            power and variance, shape (T, beams) each.
+            Power and variance. Shape (T, beams) each.
         """
         others = self.whiten(explained - 1.0)
         noise = self._noise[0] / self.averages
@@ -136,7 +138,7 @@ class RowScores:
             whitened, explained, others, noise, self.model_error, self.misplaced, *self._columns_of(template),
             power, variance,
         )  # fmt: skip
-        # Noise that is not what the model says shows in the spread of all bearings.
+        # The spread over all bearings corrects the variance for noise that deviates from the model.
         scores = np.abs(power) / np.sqrt(variance)
         spread = np.median(scores, axis=1, keepdims=True) / 0.6745
         return power, variance * np.maximum(spread, 1.0) ** 2
@@ -147,7 +149,7 @@ class RowScores:
 
 @njit(cache=True, nogil=True)
 def _mix(basis, used, mixture, out):  # type: ignore[no-untyped-def]
-    """Sum of the used rows of a basis."""
+    """Add the used rows of a basis, weighted by the mixture, to `out`."""
     for i in used:
         row, share = basis[i], mixture[i]
         for j in range(out.shape[0]):
@@ -156,10 +158,10 @@ def _mix(basis, used, mixture, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _match(whitened, explained, others, noise, error, misplaced, template, inflation, power, variance):  # type: ignore[no-untyped-def]
-    """Least-squares power of the template about every beam, and its variance; template (width, beams)."""
+    """Least-squares power of the template at every beam, and its variance; template (width, beams)."""
     width, beams = template.shape
     reach = width // 2
-    # Beyond the first and the last beam there is nothing.
+    # Zero padding beyond the first and the last beam.
     weighted, precision = np.zeros(beams + width - 1), np.zeros(beams + width - 1)
     skirts, largest = np.empty(beams), np.empty(beams)
     squares = template * template
@@ -186,7 +188,7 @@ def _match(whitened, explained, others, noise, error, misplaced, template, infla
 
 @njit(cache=True, nogil=True)
 def _filter(rows, weights, out):  # type: ignore[no-untyped-def]
-    """Weighted sums of the beams about every beam; weights (width, beams)."""
+    """Weighted sums over the neighbors of every beam; weights (width, beams)."""
     width, beams = weights.shape
     padded = np.zeros(beams + width - 1)
     for k in range(rows.shape[0]):

@@ -1,4 +1,4 @@
-"""Targets in bearing-time records by hidden Markov models: many chains, each followed before it is detected."""
+"""Bearing tracker by hidden Markov models: several chains, each tracked before it is detected."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from servotrack.estimators.types import Array
 
 
 class ChainMemory(NamedTuple):
-    """What is kept of a chain between two rows.
+    """State of one chain between two rows.
 
     Attributes:
         label: Identity.
-        prior: Of the states at the window's first row. Shape (S,).
-        prior_presence: At the window's first row.
-        presence: In the window's rows. Shape (W,).
-        mixture: Its spectrum.
-        bearings: In the window's rows, deg. Shape (W,).
-        expected: Its power in the window's rows. Shape (W,).
+        prior: Probabilities of the states at the window's first row. Shape (S,).
+        prior_presence: Probability of existence at the window's first row.
+        presence: Probability of existence in the window's rows. Shape (W,).
+        mixture: Spectrum of the target, as a mixture of `Patterns`.
+        bearings: Bearings in the window's rows, deg. Shape (W,).
+        expected: Expected powers in the window's rows. Shape (W,).
     """
 
     label: int
@@ -40,12 +40,12 @@ class ChainMemory(NamedTuple):
 
 
 class BearingState(NamedTuple):
-    """Memory of an `HMMBearings`, of constant size.
+    """State of an `HMMBearings`, of constant size.
 
     Attributes:
-        rows: The newest normalized rows, at most `window`. Shape (W, beams).
-        chains: What is followed.
-        next_label: The next new identity.
+        rows: Newest normalized rows, at most `window`. Shape (W, beams).
+        chains: States of the chains.
+        next_label: Next new identity.
         seen: Number of rows so far.
     """
 
@@ -64,18 +64,18 @@ class HMMBearings(BearingModel):
     """
 
     def track(self, record: ArrayLike, times: ArrayLike | None = None) -> list[BearingTrack]:
-        """All tracks of a record.
+        """Track all targets of a whole record.
 
         Args:
-            record: Beam powers, one row a period. Shape (T, beams).
-            times: Of the rows, s; None: no gaps. Shape (T,).
+            record: Beam powers, one row per period. Shape (T, beams).
+            times: Times of the rows, s; None: no gaps. Shape (T,).
 
         Returns:
             Tracks, strongest first, with labels from 1.
 
         Raises:
-            ValueError: For rows of another length, NaN or negative powers, a gap in time, or a record that needs more
-                memory than `memory_limit`.
+            ValueError: Rows have another length, powers are NaN or negative, there is a gap in time, or the record
+                needs more memory than `memory_limit`.
         """
         rows = checked_record(record, self.beams, self.averages, times, self.period)
         needed = self.memory(len(rows))
@@ -86,56 +86,57 @@ class HMMBearings(BearingModel):
             )
         if not len(rows):
             return []
-        together = JointSmoother(self, rows)
-        together.search(attempts=2)
-        together.conclude()
+        smoother = JointSmoother(self, rows)
+        smoother.search(attempts=2)
+        smoother.conclude()
         parts = [
             BearingTrack.cut(0, chain, span, value)
-            for chain in together.chains
+            for chain in smoother.chains
             for span, value in zip(chain.spans, chain.evidence, strict=True)
         ]
-        return joined(parts, self.bridged, self.period)
+        return joined(parts, self.bridge_rows, self.period, self.joining)
 
     def initial(self, row: ArrayLike) -> BearingState:
-        """Memory before the first row; `row` is only looked at for its length.
+        """Return the state before the first row; only the length of `row` is used.
 
         Raises:
-            ValueError: As `track`.
+            ValueError: As `track` does.
         """
         checked_row(row, self.beams, self.averages)
         return BearingState(np.zeros((0, self.beams)), (), 1, 0)
 
     def step(self, state: BearingState, row: ArrayLike) -> tuple[BearingState, SetEstimate]:
-        """Take one row in and estimate the targets `lag` rows before it.
+        """Update with one row and estimate the targets `lag` rows before it.
 
         Args:
-            state: Memory.
+            state: State after the previous row.
             row: Beam powers. Shape (beams,).
 
         Returns:
-            The new memory, and bearings (deg) and rates (deg/s) of the row `lag` before; none while there is none.
+            The new state, and bearings (deg) and rates (deg/s) at the row `lag` before; empty during the first `lag`
+            rows.
 
         Raises:
-            ValueError: As `track`.
+            ValueError: As `track` does.
         """
         rows = np.vstack([state.rows, checked_row(row, self.beams, self.averages)])
-        together = JointSmoother(self, rows, [self._recall(memory, len(rows)) for memory in state.chains])
-        for chain in together.chains:
-            together._explain(chain)
-        together.sweep(1)
-        together.search(attempts=1)
+        smoother = JointSmoother(self, rows, [self._recall(memory, len(rows)) for memory in state.chains])
+        for chain in smoother.chains:
+            smoother._explain(chain)
+        smoother.sweep(1)
+        smoother.search(attempts=1)
         next_label = state.next_label
-        for chain in together.chains:
+        for chain in smoother.chains:
             if chain.label == 0:
                 chain.label, next_label = next_label, next_label + 1
         at = len(rows) - 1 - self.lag
-        estimate = self._estimate(together.chains, at)
+        estimate = self._estimate(smoother.chains, at)
         slide = len(rows) >= self.window
-        kept = tuple(self._remember(chain, slide) for chain in together.chains)
+        kept = tuple(self._remember(chain, slide) for chain in smoother.chains)
         return BearingState(rows[1:] if slide else rows, kept, next_label, state.seen + 1), estimate
 
     def _recall(self, memory: ChainMemory, rows: int) -> TrackHypothesis:
-        """A chain in the window with its new row, for which the last row's values stand."""
+        """Rebuild a chain in the window with its new row, which starts with the values of the last row."""
         extra = rows - len(memory.presence)
         presence, bearing, expected = (
             np.concatenate([values, np.repeat(values[-1:], extra)])
@@ -169,7 +170,7 @@ class HMMBearings(BearingModel):
         )
 
     def _estimate(self, chains: list[TrackHypothesis], at: int) -> SetEstimate:
-        """What is believed of one row of the window."""
+        """Estimate of the set of targets at one row of the window."""
         chains = [] if at < 0 else chains
         inside = np.array([any(s.first <= at <= s.last for s in chain.spans) for chain in chains], np.bool_)
         states = np.array([[chain.bearings[at], chain.rates[at]] for chain in chains]).reshape(-1, 2)

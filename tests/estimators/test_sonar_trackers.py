@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 
 from servotrack.estimators.hmm import smooth
 from servotrack.estimators.sonar import HMMBearings, PeakKalmanHungarian, PeakNearestNeighbor, ViterbiNulling
-from servotrack.estimators.sonar.joint_smoothing import NEIGHBORS, JointSmoother
-from servotrack.estimators.sonar.likelihood import AMPLITUDES, known_power, unknown_power
+from servotrack.estimators.sonar.joint_smoothing import JointSmoother
+from servotrack.estimators.sonar.likelihood import known_power, unknown_power
+from servotrack.estimators.sonar.rules import LikelihoodRules, SearchRules
 from servotrack.estimators.stateful import Stateful
 
 ROW = HMMBearings(**SETTINGS)
@@ -82,9 +83,9 @@ def test_the_search_ends_though_every_new_chain_displaces_the_one_before(monkeyp
         return True
 
     monkeypatch.setattr(JointSmoother, "_settle", displace)
-    together = JointSmoother(ROW, record(40, CROSSING))
-    together.search(attempts=2)
-    assert len(together.chains) == 1
+    smoother = JointSmoother(ROW, record(40, CROSSING))
+    smoother.search(attempts=2)
+    assert len(smoother.chains) == 1
 
 
 def solves_of(targets, monkeypatch):
@@ -105,7 +106,7 @@ def test_every_further_target_costs_as_many_solves(monkeypatch):
     targets = [(5, 44, 30.0 + 24.0 * i, 0.0, 100.0 - 8.0 * i, None) for i in range(6)]
     solves = [solves_of(targets[:count], monkeypatch) for count in range(1, 7)]
     # Search, turns of the new chain and its neighbors, and the last turns of all: no more beside five than beside four.
-    assert np.diff(solves[3:]).max() <= 1 + (1 + NEIGHBORS) * ROW.sweeps + ROW.sweeps
+    assert np.diff(solves[3:]).max() <= 1 + (1 + ROW.search.neighbors) * ROW.sweeps + ROW.sweeps
 
 
 @given(order=st.permutations(range(3)))
@@ -133,15 +134,17 @@ def test_the_unit_of_power_does_not_matter(seed, scale):
 def test_likelihoods_and_existence_have_mean_one_under_noise():
     rng = np.random.default_rng(5)
     s = rng.normal(size=(400_000, 1))
-    low = np.exp(AMPLITUDES[0] * s - AMPLITUDES[0] ** 2 / 2.0)
+    rules = LikelihoodRules()
+    low = np.exp(rules.amplitude * s - rules.amplitude**2 / 2.0)
     assert low.mean() == pytest.approx(1.0, abs=0.02)
-    known = known_power(s, np.ones_like(s), np.full(len(s), 1.5), 0.3)
+    known = known_power(s, np.ones_like(s), np.full(len(s), 1.5), 0.3, rules)
     assert known.mean() == pytest.approx(1.0, abs=0.03)
     # Strong amplitudes have their mean from what noise never shows: integrate instead of drawing.
     grid = np.linspace(-9.0, 14.0, 4001)[:, None]
     density = np.exp(-(grid**2) / 2.0) / np.sqrt(2.0 * np.pi) * (grid[1] - grid[0])
-    assert (unknown_power(grid, np.ones_like(grid)) * density).sum() == pytest.approx(1.0, abs=1e-3)
-    likelihood = known_power(noise(400, 6) - 1.0, np.full((400, BEAMS), 1.0 / ROW.averages), np.full(400, 0.03), 0.3)
+    assert (unknown_power(grid, np.ones_like(grid), rules) * density).sum() == pytest.approx(1.0, abs=1e-3)
+    variance = np.full((400, BEAMS), 1.0 / ROW.averages)
+    likelihood = known_power(noise(400, 6) - 1.0, variance, np.full(400, 0.03), 0.3, rules)
     found = np.concatenate([smooth(ROW.chain, likelihood[k : k + 10]).existence_likelihood for k in range(0, 400, 10)])
     assert abs(found.mean() - 1.0) < 4.0 * found.std() / np.sqrt(len(found))
 
@@ -231,15 +234,28 @@ def test_a_gap_in_time_and_a_row_of_another_length_are_named(tracker):
     ("changed", "message"),
     [
         ({"beams": 181}, r"spacing=0\.5"),
-        ({"max_targets": 13}, r"1\.\.12, what a record of 24 elements supports"),
+        ({"max_targets": 13}, r"1\.\.12 for an array of 24 elements"),
         ({"likelihood": "pixel"}, "row, cell"),
         ({"lag": 20}, "lag"),
         ({"switching": 0.0}, "switching"),
         ({"power_spread": 0.0}, "power_spread"),
         ({"bridge": -1.0}, "bridge"),
         ({"sweeps": 0}, "sweeps"),
+        ({"jump": 0.0}, "jump"),
     ],
 )
 def test_bad_settings_are_named(changed, message):
     with pytest.raises(ValueError, match=message):
         HMMBearings(**{**SETTINGS, **changed})
+
+
+@pytest.mark.parametrize("value", [0, -1.0, float("nan"), float("inf")])
+def test_bad_rules_are_named(value):
+    with pytest.raises(ValueError, match="neighbors must be positive and finite"):
+        SearchRules(neighbors=value)
+
+
+def test_a_larger_miss_probability_weakens_a_row():
+    power, variance = np.full((1, 3), -3.0), np.ones((1, 3))
+    ratios = [unknown_power(power, variance, LikelihoodRules(miss_probability=p)).max() for p in (0.02, 0.2)]
+    assert ratios[0] < ratios[1] < 1.0
