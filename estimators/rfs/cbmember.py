@@ -21,7 +21,7 @@ from servotrack.estimators.rfs.extraction import RULES, extract_tracks
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
 from servotrack.estimators.rfs.mixture import Mixture, append_births, append_spawn, empty_mixture, scratch_mixture
 from servotrack.estimators.rfs.recursion import GaussianSetFilter, check_positive_definite
-from servotrack.estimators.rfs.reduction import Candidates, Components, Limits, Reduction, reduce_mixture
+from servotrack.estimators.rfs.reduction import Candidates, Components, Reduction, reduce_mixture
 from servotrack.estimators.rfs.sets import Extraction, Scan, empty_extraction
 from servotrack.estimators.types import Array, Labels
 
@@ -82,20 +82,24 @@ class GMCBMeMBer(GaussianSetFilter[CBMeMBerState]):
         detection = self._evaluate("detection", self.detection, components)
         new = self._empty(batch)._replace(next_label=state.next_label.copy())
         unexplained = np.zeros(scan.clutter.shape)
-        settings = _Settings(self._gate, rules.limits, self.balanced, self.largest_existence)
-        check_positive_definite(_update(model, predicted, components, scan, detection, settings, new, unexplained))
+        positive_definite = _update(
+            model,
+            predicted,
+            components,
+            scan,
+            detection,
+            self._gate,
+            rules.limits,
+            (self.balanced, float(self.largest_existence)),
+            new.next_label,
+            new.tracks,
+            new.pool,
+            unexplained,
+        )
+        check_positive_definite(positive_definite)
         extraction = empty_extraction(batch, rules.tracks, n)
         extract_tracks(n, new.tracks, new.pool, new.next_label, RULES[self.extraction], self.threshold, extraction)
         return new._replace(births=state.births), extraction, unexplained
-
-
-class _Settings(NamedTuple):
-    """Parameters of the update for the compiled kernel."""
-
-    gate: float
-    limits: Limits
-    balanced: bool
-    largest_existence: float
 
 
 @njit(cache=True, nogil=True)
@@ -128,12 +132,16 @@ def _predict(model, tracks, pool, births, spawns, survival, out_tracks, out_pool
 
 
 @njit(cache=True, nogil=True)
-def _update(model, tracks, pool, scan, detection, settings, out, unexplained):  # type: ignore[no-untyped-def]
-    """Posterior tracks of every run: legacy tracks, and one per measurement (Vo et al. 2009, eqs 12 to 19)."""
+def _update(  # type: ignore[no-untyped-def]
+    model, tracks, pool, scan, detection, gate, limits, form, next_label, out_tracks, out_pool, unexplained
+):
+    """Posterior tracks of every run: legacy tracks, and one per measurement (Vo et al. 2009, eqs 12 to 19).
+
+    `form` is the pair of `balanced` and `largest_existence`.
+    """
     m, n = model.observation.shape
     z, number, clutter = scan
-    gate, limits, balanced, largest_existence = settings
-    out_tracks, out_pool, _, next_label = out
+    balanced, largest_existence = form
     prune, cap, least = limits.prune, limits.components, limits.existence
     innovation = np.empty(m)
     positive_definite = True
