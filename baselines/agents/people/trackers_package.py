@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -27,10 +27,17 @@ PEERS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
 """Class in the package, and the arguments that differ from its defaults, by our name."""
 
 
+class _PackageTracker(Protocol):
+    """Interface of the trackers of the package `trackers`."""
+
+    def update(self, detections: Any) -> Any:
+        """Update the tracks with the detections of one frame."""
+
+
 class _Model:
     """A tracker of the package and the number of frames that it has processed."""
 
-    def __init__(self, tracker: Any) -> None:
+    def __init__(self, tracker: _PackageTracker) -> None:
         self.tracker = tracker
         self.frames = 0
 
