@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from servotrack.envs.track.pedestrians.config import PedestrianConfig
-from servotrack.envs.track.pedestrians.draw import MOST_PEOPLE, Stage
+from servotrack.envs.track.pedestrians.draw import MAX_PEOPLE_IN_FRAME, Stage
 from servotrack.envs.track.pedestrians.outfits import SKIN, draw_outfit
 from servotrack.envs.track.pedestrians.people import Drawn, People
 
@@ -181,6 +181,6 @@ def test_looks_change_the_picture_and_nothing_of_the_position(stage):
 
 
 def test_more_people_than_owners_can_name_are_refused(stage):
-    crowd = people(np.full((MOST_PEOPLE + 1, 2), 200.0))
+    crowd = people(np.full((MAX_PEOPLE_IN_FRAME + 1, 2), 200.0))
     with pytest.raises(ValueError, match="at most 255 in a frame, got 256"):
         stage.draw(crowd, 0)

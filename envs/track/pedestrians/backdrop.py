@@ -1,4 +1,4 @@
-"""The empty lobby: stone floor in perspective that mirrors the wall a little, glass doors, wood, pools of light."""
+"""Rendering of the empty lobby: wall with glass doors, wood panels and lamps, above a reflecting stone floor."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from servotrack.envs.track.pedestrians.paving import paint_floor
 from servotrack.estimators.types import Array, FloatArray, Image
 
 DOOR_WIDTH, DOOR_HEIGHT = 2.0, 2.4
-"""Of the double glass doors, m."""
+"""Size of the double glass doors, m."""
 
-_FINE = 3  # the wall is painted this much larger than it is seen
+_SUPERSAMPLING = 3  # subpixels per pixel and axis with which the wall is painted
 
 
 class _Palette(NamedTuple):
-    """Colors of a lobby, RGB."""
+    """RGB colors of a lobby."""
 
     stone: tuple[int, int, int]
     plaster: tuple[int, int, int]
@@ -41,12 +41,12 @@ def paint_backdrop(camera: Camera, height: int, rng: np.random.Generator) -> Ima
     """Paint an empty lobby.
 
     Args:
-        camera: Of the scene.
-        height: Of the image, px.
-        rng: Chooses colors, stones and pictures.
+        camera: Camera of the scene.
+        height: Height of the image, px.
+        rng: Generator of colors, stones and pictures.
 
     Returns:
-        RGB, shape (height, camera.width, 3).
+        RGB image, shape (height, camera.width, 3), uint8.
     """
     palette = _PALETTES[int(rng.integers(len(_PALETTES)))]
     width = int(camera.width)
@@ -57,21 +57,21 @@ def paint_backdrop(camera: Camera, height: int, rng: np.random.Generator) -> Ima
     image[:rows] = wall[:rows]
     paint_floor(image, wall, palette.stone, camera, foot, rng)
     backdrop = np.empty((height, width, 3), dtype=np.uint8)
-    _develop(image, backdrop)
+    _apply_vignetting(image, backdrop)
     return backdrop
 
 
 def background_colors(backdrop: Image, foot: float, rng: np.random.Generator, count: int = 64) -> Array:
-    """Colors of the floor where people stand and of the wall behind them, for clothes that are hard to tell from it.
+    """Sample colors of floor and wall, for camouflaged clothes.
 
     Args:
-        backdrop: As `paint_backdrop` makes it.
-        foot: Row of the wall's foot, px.
-        rng: Chooses places.
+        backdrop: Image made by `paint_backdrop`.
+        foot: Row of the foot of the wall, px.
+        rng: Generator of the places.
         count: Number of colors.
 
     Returns:
-        Shape (count, 3), gray levels.
+        RGB colors, shape (count, 3), gray levels.
     """
     height, width = backdrop.shape[:2]
     smooth = cv2.GaussianBlur(backdrop, (0, 0), 5.0 * height / 288)
@@ -81,23 +81,23 @@ def background_colors(backdrop: Image, foot: float, rng: np.random.Generator, co
 
 
 def _paint_wall(camera: Camera, foot: float, palette: _Palette, rng: np.random.Generator) -> FloatArray:
-    """The back wall down to its foot, as the camera sees it."""
+    """Paint the back wall, down to its foot, in the image of the camera."""
     width, rows = int(camera.width), math.ceil(foot) + 1
-    scale = camera.focal / BACK_WALL * _FINE
-    middle_column, foot_row, last_column = camera.center * _FINE, foot * _FINE, width * _FINE
+    scale = camera.focal / BACK_WALL * _SUPERSAMPLING
+    middle_column, foot_row, last_column = camera.center * _SUPERSAMPLING, foot * _SUPERSAMPLING, width * _SUPERSAMPLING
     plaster = np.array(palette.plaster, dtype=np.float32)
     places: list[tuple[int, int, int, int]] = []
     paints: list[tuple[float, ...]] = []
 
     def box(x0: float, x1: float, y0: float, y1: float, color: NDArray | tuple[float, ...], share: float = 1.0) -> None:
-        """A rectangle, m along the wall and m above the floor."""
+        """Add a rectangle, in m along the wall and m above the floor."""
         left, right = max(round(middle_column + x0 * scale), 0), max(round(middle_column + x1 * scale), 0)
         if left < min(right, last_column):
             top, bottom = max(round(foot_row - y1 * scale), 0), max(round(foot_row - y0 * scale), 0)
             places.append((left, min(right, last_column), top, bottom))
             paints.append((*color, share))
 
-    half = math.ceil(0.5 * width / scale * _FINE / BAY) + 1
+    half = math.ceil(0.5 * width / scale * _SUPERSAMPLING / BAY) + 1
     wood, accent = np.array(palette.wood, dtype=np.float64), np.array(palette.accent, dtype=np.float64)
     frame = np.array([46.0, 46.0, 48.0])
     box(-99.0, 99.0, 3.02, 3.14, plaster * 0.72)
@@ -107,9 +107,9 @@ def _paint_wall(camera: Camera, foot: float, palette: _Palette, rng: np.random.G
         middle = bay * BAY
         _door(box, middle, frame)
         _panel(box, middle + 0.5 * BAY, wood, accent, frame, rng)
-    # Lamps wash the wall from above.
-    across = (np.arange(width) + 0.5 - camera.center) * _FINE / scale
-    above = ((foot - np.arange(rows) - 0.5) * _FINE / scale)[:, None]
+    # Lamps light the wall from above.
+    across = (np.arange(width) + 0.5 - camera.center) * _SUPERSAMPLING / scale
+    above = ((foot - np.arange(rows) - 0.5) * _SUPERSAMPLING / scale)[:, None]
     beam = np.abs(across / 2.5 - np.round(across / 2.5)) * 2.5
     spread = np.maximum(0.35 + 0.42 * (3.1 - above), 0.05)
     wash = np.where(above < 3.02, np.exp(-((beam / spread) ** 2)) * np.exp(-spread / 1.1), 0.05)
@@ -122,33 +122,33 @@ def _paint_wall(camera: Camera, foot: float, palette: _Palette, rng: np.random.G
 
 @njit(cache=True, nogil=True)
 def _paint_boxes(plaster, places, paints, light, rough, wall):  # type: ignore[no-untyped-def]
-    """Paint rectangles one over the other on plaster, three rows at a time; what is seen is their mean in its light.
+    """Paint rectangles onto plaster with 3 x 3 subpixels per pixel, average them and apply the light.
 
     Args:
-        plaster: Its color.
-        places: Left, right, top, bottom of each rectangle on the fine wall. Shape (k, 4).
-        paints: Red, green, blue and how opaque. Shape (k, 4).
-        light: Factor on each pixel's brightness. Shape (rows, width).
-        rough: What the plaster's grains add. Shape (rows, width).
-        wall: Painted. Shape (rows, width, 3).
+        plaster: Color of the plaster.
+        places: Left, right, top, bottom of each rectangle in subpixels, shape (k, 4).
+        paints: Red, green, blue and opacity of each rectangle, shape (k, 4).
+        light: Factor on the brightness of each pixel, shape (rows, width).
+        rough: Offset by the grain of the plaster, shape (rows, width).
+        wall: Output image, shape (rows, width, 3).
     """
-    fine = np.empty((_FINE, wall.shape[1] * _FINE, 3), np.float32)
-    share = np.float32(1.0 / _FINE**2)
+    fine = np.empty((_SUPERSAMPLING, wall.shape[1] * _SUPERSAMPLING, 3), np.float32)
+    share = np.float32(1.0 / _SUPERSAMPLING**2)
     for i in range(wall.shape[0]):
-        for sub in range(_FINE):
+        for sub in range(_SUPERSAMPLING):
             for j in range(fine.shape[1]):
                 for c in range(3):
                     fine[sub, j, c] = plaster[c]
             for k in range(len(places)):
-                if not places[k, 2] <= _FINE * i + sub < places[k, 3]:
+                if not places[k, 2] <= _SUPERSAMPLING * i + sub < places[k, 3]:
                     continue
                 for j in range(places[k, 0], places[k, 1]):
                     for c in range(3):
                         fine[sub, j, c] += (paints[k, c] - fine[sub, j, c]) * paints[k, 3]
         for j in range(wall.shape[1]):
             for c in range(3):
-                # In the order in which OpenCV adds for INTER_AREA, so that rounding is the same.
-                x = _FINE * j
+                # Same order of additions as OpenCV's INTER_AREA, for the same rounding.
+                x = _SUPERSAMPLING * j
                 first = fine[0, x, c] + fine[0, x + 1, c] + fine[0, x + 2, c] + fine[1, x, c]
                 second = fine[1, x + 1, c] + fine[1, x + 2, c] + fine[2, x, c] + fine[2, x + 1, c]
                 lit = (first + second + fine[2, x + 2, c]) * share * light[i, j] + rough[i, j]
@@ -156,7 +156,7 @@ def _paint_boxes(plaster, places, paints, light, rough, wall):  # type: ignore[n
 
 
 def _door(box, middle: float, frame: Array) -> None:  # type: ignore[no-untyped-def]
-    """Double glass doors with a window above; outside is a gray day."""
+    """Paint double glass doors with a window above and gray daylight outside."""
     half = DOOR_WIDTH / 2.0
     box(middle - half - 0.1, middle + half + 0.1, 0.0, 2.96, frame)
     for side in (-1.0, 1.0):
@@ -174,7 +174,7 @@ def _door(box, middle: float, frame: Array) -> None:  # type: ignore[no-untyped-
 
 
 def _panel(box, middle: float, wood: Array, accent: Array, frame: Array, rng: np.random.Generator) -> None:  # type: ignore[no-untyped-def]
-    """Wooden slats between two doors, with a picture, a notice board or a bench before them."""
+    """Paint wooden slats between two doors, with a picture or notice board, and a bench."""
     left, right = middle - 1.3, middle + 1.3
     box(left - 0.05, right + 0.05, 0.16, 2.86, wood * 0.55)
     slats = 13
@@ -207,8 +207,8 @@ def _panel(box, middle: float, wood: Array, accent: Array, frame: Array, rng: np
 
 
 @njit(cache=True, nogil=True)
-def _develop(image, out):  # type: ignore[no-untyped-def]
-    """Round to gray levels, with less light towards the corners, as lenses have it."""
+def _apply_vignetting(image, out):  # type: ignore[no-untyped-def]
+    """Apply vignetting and round to gray levels."""
     height, width = image.shape[0], image.shape[1]
     for i in range(height):
         y = (i + 0.5 - 0.55 * height) / (0.5 * width)

@@ -1,9 +1,9 @@
-"""What JPEG leaves of blocks of 8 x 8 samples: discrete cosine transform, rounding of its coefficients, and back.
+"""JPEG's lossy step on blocks of 8 x 8 samples: discrete cosine transform, quantization, and inverse transform.
 
 The integer arithmetic is that of libjpeg's accurate method (Loeffler, Ligtenberg and Moschytz, "Practical fast 1-D DCT
-algorithms with 11 multiplications", ICASSP 1989), to the bit. Loops go over the columns, or over the blocks, of a
-stripe of blocks side by side, so that the compiler makes them loops of vectors. For that every intermediate is cast to
-32 bits, in which it fits, and samples and the steps of their coefficients lie in one array: nothing overlaps unseen.
+algorithms with 11 multiplications", ICASSP 1989), to the bit. Loops run over the columns, or over the blocks, of a
+stripe of adjacent blocks, so that the compiler vectorizes them. For that, every intermediate is cast to 32 bits, in
+which it fits, and samples and quantization steps share one array, which rules out aliasing.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from servotrack.estimators.types import FloatArray
 
 WIDTH = 64
-"""Columns of a stripe, eight blocks side by side."""
+"""Number of columns of a stripe: eight adjacent blocks."""
 
-_STEPS = 8 * WIDTH  # where steps begin, behind the samples
+_STEPS = 8 * WIDTH  # index of the first quantization step, after the samples
 _BITS = 13
 _ONE = 1 << _BITS
-_UP = 2  # bits by which the first of two passes is more precise
+_UP = 2  # additional bits of precision in the first of two passes
 _A, _B, _C = (round(x * _ONE) for x in (0.541196100, 0.765366865, 1.847759065))
 _ODD = round(1.175875602 * _ONE)
 _OWN = tuple(round(x * _ONE) for x in (0.298631336, 2.053119869, 3.072711026, 1.501321110))
@@ -38,15 +38,15 @@ _CHROMINANCE = (
 
 
 def workspace(quality: int, chrominance: bool) -> tuple[NDArray[np.int32], FloatArray]:
-    """What a stripe is coded with, from JPEG's tables (ITU-T T.81, annex K.1).
+    """Return the working arrays of a stripe, from JPEG's quantization tables (ITU-T T.81, annex K.1).
 
     Args:
-        quality: 1 to 100, as libjpeg scales the tables.
-        chrominance: Whether for differences of color.
+        quality: Quality from 1 to 100, with the scale of libjpeg.
+        chrominance: True for the table of chrominance, False for luminance.
 
     Returns:
-        Room for the samples and, behind it, the steps of their coefficients; and what the coefficients, which come out
-        eight times too large, are multiplied by to count those steps.
+        Array with space for the samples, followed by the quantization steps; and inverse steps, by which coefficients
+        (eight times too large) are multiplied to give quantization levels.
     """
     scale = 5000 // quality if quality < 50 else 200 - 2 * quality
     table = np.array(_CHROMINANCE if chrominance else _LUMINANCE)
@@ -76,7 +76,7 @@ def _odd_part(a, b, c, d):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def _forward(a, b, c, d, e, f, g, h, shift):  # type: ignore[no-untyped-def]
-    """Eight coefficients of eight samples, rounded to what is left after a shift."""
+    """Return the eight DCT coefficients of eight samples, rounded and shifted right."""
     half = 1 << (shift - 1)
     ah, bg, cf, de = _int(a + h), _int(b + g), _int(c + f), _int(d + e)
     outer, inner = _int(ah + de), _int(bg + cf)
@@ -96,7 +96,7 @@ def _forward(a, b, c, d, e, f, g, h, shift):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def _backward(a, b, c, d, e, f, g, h, shift):  # type: ignore[no-untyped-def]
-    """Eight samples of eight coefficients, rounded to what is left after a shift."""
+    """Return the eight samples of eight DCT coefficients, shifted right."""
     half = 1 << (shift - 1)
     low, high = _rotated(g, c)
     plus, minus = _int(_int(_int(a + e) * _ONE) + half), _int(_int(_int(a - e) * _ONE) + half)
@@ -116,24 +116,24 @@ def _backward(a, b, c, d, e, f, g, h, shift):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def _rounded(coefficient, step, inverse):  # type: ignore[no-untyped-def]
-    """A coefficient, eight times too large, as the nearest multiple of its step, halves away from zero."""
+    """Quantize a coefficient, eight times too large, to the nearest multiple of its step, halves away from zero."""
     sign = _int(coefficient >> 31)
     size = _int(_int(_int(coefficient ^ sign) - sign) + _int(step * 4))
-    # Half a unit more keeps quotients off whole numbers, so that rounding of floats cannot change the result.
+    # The added half keeps quotients away from whole numbers, so that float rounding cannot change the result.
     level = _int((np.float32(size) + np.float32(0.5)) * inverse)
     return _int(_int(_int(level * step) ^ sign) - sign)
 
 
 @njit(cache=True, nogil=True)
 def code_stripe(plane, top, left, room, inverses):  # type: ignore[no-untyped-def]
-    """Replace the samples of a row of blocks, less 128, by what coding leaves of them.
+    """Replace the samples (minus 128) of a row of blocks by their values after coding.
 
     Args:
-        plane: Samples. Shape (rows, columns), int16.
+        plane: Samples, shape (rows, columns), int16; changed in place.
         top: First row.
-        left: First column; WIDTH columns are coded.
-        room: Of `workspace`.
-        inverses: Of `workspace`.
+        left: First column; `WIDTH` columns are coded.
+        room: First array of `workspace`.
+        inverses: Second array of `workspace`.
     """
     q = room
     for i in range(8):

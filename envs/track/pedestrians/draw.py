@@ -1,4 +1,4 @@
-"""The picture of the lobby and its people, and the exact truth that comes with it."""
+"""Rendering of the lobby with its people, with exact ground truth."""
 
 from __future__ import annotations
 
@@ -29,35 +29,35 @@ from servotrack.envs.track.pedestrians.shapes import (
 from servotrack.envs.track.pedestrians.sprites import MAX_PARTS, pose_person
 from servotrack.estimators.types import Array, Labels
 
-MOST_PEOPLE = 255
-"""In one frame: owners are bytes."""
+MAX_PEOPLE_IN_FRAME = 255
+"""Maximum number of people in a frame, because `owners` has bytes."""
 
-# Streams of an episode's seed; those of the movement lie elsewhere. Never change one.
+# Child streams of an episode's seed that decide the picture. The numbers must never change.
 _BACKDROP, _BLENDING, _GRAIN, _PLANTS, _WIND, _OCCLUDERS, _SUN, _NOISE, _FLICKER, _DRIFT, _STEP = range(2000, 2011)
 
-_STEEPEST = 0.75  # largest ratio of depth to height on the image that bodies are drawn with
+_MAX_SLOPE = 0.75  # maximum foreshortening (depth relative to height in the image) with which bodies are drawn
 
 
 def occluder_places(config: PedestrianConfig, seed: int) -> tuple[tuple[float, float, float], ...]:
-    """Where an episode's occluders stand on the floor, so that nobody walks through them.
+    """Return the places of the occluders on the floor, as obstacles for the people.
 
     Args:
-        config: Of the scene.
-        seed: Of the episode, a non-negative integer.
+        config: Parameters of the environment.
+        seed: Seed of the episode, a non-negative integer.
 
     Returns:
-        x, z and radius of each, m.
+        x, z and radius of each occluder, m.
     """
     camera = lobby_camera(config.width, config.height)
     return tuple(prop.place for prop in occluders(camera, config.occluders, Streams(seed)[_OCCLUDERS]))
 
 
 class Stage:
-    """The lobby of one episode, ready to draw people into. A frame depends on nothing but seed, people and its number.
+    """Renderer of the lobby of one episode. A frame depends only on seed, people and frame number.
 
     Args:
-        config: Size and the picture's axes.
-        seed: Of the episode, a non-negative integer.
+        config: Parameters of the environment.
+        seed: Seed of the episode, a non-negative integer.
     """
 
     def __init__(self, config: PedestrianConfig, seed: int) -> None:
@@ -81,21 +81,21 @@ class Stage:
         self._pool = np.empty(1 << 16, dtype=np.float32)
 
     def draw(self, people: People, frame: int) -> Drawn:
-        """Draw one frame.
+        """Render one frame.
 
         Args:
-            people: Who is there, in any order.
+            people: People in the scene, in any order.
             frame: Number of the frame, from 0.
 
         Returns:
-            The picture, a new array, and its truth, row by row as in `people`.
+            Image, a new array, and ground truth with the rows of `people`.
 
         Raises:
-            ValueError: More people than owners can name.
+            ValueError: If there are more than `MAX_PEOPLE_IN_FRAME` people.
         """
         count = len(people.ids)
-        if count > MOST_PEOPLE:
-            raise ValueError(f"people must be at most {MOST_PEOPLE} in a frame, got {count}")
+        if count > MAX_PEOPLE_IN_FRAME:
+            raise ValueError(f"people must be at most {MAX_PEOPLE_IN_FRAME} in a frame, got {count}")
         config = self._config
         image = self._backdrop.copy()
         owners = np.zeros(image.shape[:2], dtype=np.uint8)
@@ -135,7 +135,7 @@ class Stage:
         return Drawn(image, boxes, visible / np.maximum(totals, 1.0), owners)
 
     def _pose(self, people: People) -> tuple[Array, Labels, Labels]:
-        """Parts of all bodies, their drawing orders (the number of parts last), and the extents of their patches."""
+        """Return the parts of all bodies, their drawing orders (last column: number of parts), and patch extents."""
         count = len(people.ids)
         outfits = np.empty((count, OUTFIT_NUMBERS))
         for row, seed in enumerate(people.outfit_seeds.tolist()):
@@ -163,8 +163,8 @@ class Stage:
 
 @njit(cache=True, nogil=True)
 def _slope(row, horizon, focal):  # type: ignore[no-untyped-def]
-    """How much of a depth is seen, against a height, where the floor is seen in this row."""
-    return min(max((row - horizon) / focal, 0.05), _STEEPEST)
+    """Return the foreshortening (depth relative to height in the image) at a row of the floor."""
+    return min(max((row - horizon) / focal, 0.05), _MAX_SLOPE)
 
 
 @njit(cache=True, nogil=True)
@@ -218,7 +218,7 @@ def _compose(  # type: ignore[no-untyped-def]
     totals,
     visible,
 ):
-    """Shadows on the floor, then people and things from the farthest to the nearest, and the truth about them."""
+    """Draw shadows, then people and objects from the farthest to the nearest, and compute the ground truth."""
     for n in depth:
         slope = _slope(feet[n, 1], horizon, focal)
         if shadow > 0.0:

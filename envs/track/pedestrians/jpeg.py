@@ -1,8 +1,8 @@
-"""A frame as JPEG's coder and decoder leave it, to the bit as libjpeg does, without the file between the two.
+"""JPEG artifacts: a frame after encoding and decoding, identical to libjpeg's to the bit, without entropy coding.
 
-Coding the coefficients into bits and reading them again loses nothing, and takes most of the time of a coder; here it
-is left out. The rest is libjpeg's baseline method as OpenCV uses it: colors as brightness and two differences of half
-the size, blocks of 8 x 8 (`block_transform`), and triangular interpolation of the differences on the way back.
+Entropy coding is lossless and takes most of the time of an encoder, so it is left out. The rest is libjpeg's baseline
+method as OpenCV uses it: luminance and two chrominance planes of half the size, blocks of 8 x 8 (`block_transform`),
+and triangular interpolation of the chrominance when decoding.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from servotrack.envs.track.pedestrians.block_transform import WIDTH, code_stripe
 from servotrack.estimators.types import Image
 
 _int = np.int32
-_HALF = 32768  # of the fixed-point numbers' 16 bits
-_TO_PLANES = np.array(
+_HALF = 32768  # one half in fixed-point numbers with 16 fractional bits
+_PLANE_WEIGHTS = np.array(
     [[19595, 38470, 7471, _HALF - (128 << 16)], [-11059, -21709, 32768, _HALF - 1], [32768, -27439, -5329, _HALF - 1]],
     dtype=np.int32,
 )
-"""Weights of red, green and blue in brightness less 128 and the differences (ITU-R BT.601), and what rounds them."""
-_TO_COLORS = np.array([[0, 91881], [-22554, -46802], [116130, 0]], dtype=np.int32)
-"""Weights of the differences in red, green and blue, beside brightness."""
+"""Weights of red, green and blue in luminance (minus 128) and chrominance (ITU-R BT.601), and rounding offsets."""
+_COLOR_WEIGHTS = np.array([[0, 91881], [-22554, -46802], [116130, 0]], dtype=np.int32)
+"""Weights of the chrominance planes in red, green and blue."""
 
 
 class JpegCoder:
-    """Codes frames of one size.
+    """Applies JPEG artifacts to frames of one size.
 
     Args:
-        width: px.
-        height: px.
-        quality: 1 to 100.
+        width: Width of the frames, px.
+        height: Height of the frames, px.
+        quality: JPEG quality, 1 to 100. Smaller values give stronger artifacts.
     """
 
     def __init__(self, width: int, height: int, quality: int) -> None:
@@ -39,34 +39,34 @@ class JpegCoder:
         wide, high = -(-width // 16) * 16, -(-height // 16) * 16
         self._padding = wide - width
         self._luminance, self._chrominance = workspace(quality, False), workspace(quality, True)
-        # Planes are as wide as stripes need; what lies behind the frame is coded, too, and never seen.
+        # Planes are padded to whole stripes; the padding is coded, too, but not used.
         self._brightness = np.zeros((high, -(-wide // WIDTH) * WIDTH), np.int16)
         self._differences = np.zeros((2, high // 2, -(-wide // 2 // WIDTH) * WIDTH), np.int16)
         self._rows = np.zeros((7, wide + 2), np.int32)
         self._colors = [np.zeros((height, wide), np.uint8) for _ in range(3)]
 
     def code(self, image: Image) -> Image:
-        """What is left of a frame, a new array.
+        """Return a frame after encoding and decoding, as a new array.
 
         Args:
-            image: RGB, of the coder's size.
+            image: RGB image of the coder's size.
         """
         if self._padding:
             image = np.asarray(cv2.copyMakeBorder(image, 0, 0, 0, self._padding, cv2.BORDER_REPLICATE), dtype=np.uint8)
         red, green, blue = self._colors
         cv2.split(image, self._colors)
-        _take_apart(red, green, blue, self._brightness, self._differences, _TO_PLANES, self._rows)
+        _split_planes(red, green, blue, self._brightness, self._differences, _PLANE_WEIGHTS, self._rows)
         _code_plane(self._brightness, *self._luminance)
         for plane in self._differences:
             _code_plane(plane, *self._chrominance)
-        _put_together(self._brightness, self._differences, _TO_COLORS, self._rows, self._width, red, green, blue)
+        _merge_planes(self._brightness, self._differences, _COLOR_WEIGHTS, self._rows, self._width, red, green, blue)
         coded = cv2.merge(self._colors)
         return np.ascontiguousarray(coded[:, : self._width], dtype=np.uint8)
 
 
 @njit(cache=True, nogil=True)
 def _widen(row, out):  # type: ignore[no-untyped-def]
-    """Numbers of a row in 32 bits; loops that compute find all theirs so, and become loops of vectors."""
+    """Copy a row to 32-bit numbers, which keeps later loops vectorized."""
     for j in range(len(row)):
         out[j] = row[j]
 
@@ -80,7 +80,7 @@ def _weigh(red, green, blue, weights, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _halve(upper, lower, sums, out):  # type: ignore[no-untyped-def]
-    """Means of 2 x 2; halves are rounded down and up in turn."""
+    """Average 2 x 2 samples; halves are rounded down and up in turn."""
     for j in range(2 * len(out)):
         sums[j] = upper[j] + lower[j]
     for j in range(len(out)):
@@ -88,8 +88,8 @@ def _halve(upper, lower, sums, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _take_apart(red, green, blue, brightness, differences, weights, rows):  # type: ignore[no-untyped-def]
-    """Colors to brightness and differences; below the frame its last rows go on."""
+def _split_planes(red, green, blue, brightness, differences, weights, rows):  # type: ignore[no-untyped-def]
+    """Convert colors to luminance and chrominance. Below the frame its last rows are repeated."""
     height, width = red.shape
     r, g, b = rows[0, :width], rows[1, :width], rows[2, :width]
     for i in range(0, 2 * differences.shape[1], 2):
@@ -118,7 +118,7 @@ def _code_plane(plane, room, inverses):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _enlarge(near, far, sums, out):  # type: ignore[no-untyped-def]
-    """One of the two rows that a row of differences becomes: each sample three quarters near, one quarter far."""
+    """Interpolate one of two rows from a row of chrominance, with weights 3/4 (near) and 1/4 (far)."""
     count = len(sums) - 2
     for j in range(count):
         sums[j + 1] = 3 * near[j] + far[j]
@@ -139,8 +139,8 @@ def _mix(bright, first, second, weights, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _put_together(brightness, differences, weights, rows, width, red, green, blue):  # type: ignore[no-untyped-def]
-    """Brightness and differences to colors, in columns up to `width`."""
+def _merge_planes(brightness, differences, weights, rows, width, red, green, blue):  # type: ignore[no-untyped-def]
+    """Convert luminance and chrominance to colors, in columns up to `width`."""
     height = red.shape[0]
     count, last = (width + 1) // 2, (height + 1) // 2 - 1
     for i in range(height):

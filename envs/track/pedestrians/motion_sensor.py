@@ -1,4 +1,4 @@
-"""The detector behind the observations `blobs` and `centroids`: paper 000's, which knows the empty lobby."""
+"""Motion detector of the observations `blobs` and `centroids` (Wu and Hu 2010), with a known background."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from servotrack.estimators.detect.healing import HealingRules
 from servotrack.estimators.types import Array
 
 _EMPTY_FRAMES = 5
-"""Frames of the empty lobby from which the detector has learned the background."""
-_NONE = np.zeros(0)
-_NOBODY = People(np.zeros(0, np.int64), np.zeros((0, 2)), _NONE, _NONE, _NONE, _NONE, np.zeros(0, np.int64))
+"""Number of frames of the empty lobby from which the background is learned."""
+_EMPTY = np.zeros(0)
+_NO_PEOPLE = People(np.zeros(0, np.int64), np.zeros((0, 2)), _EMPTY, _EMPTY, _EMPTY, _EMPTY, np.zeros(0, np.int64))
 _DETECTOR = MaskedBackground(
     threshold=30.0,
     least_threshold=15.0,
@@ -61,41 +61,41 @@ _DETECTOR = MaskedBackground(
     faint_rules=FaintRules(slender=0.65, seeds=12, whole=0.8),
     healing=HealingRules(reach=3, ghost_ratio=2.0, light_correlation=0.6, lag=6, light_area=0.02),
 )
-"""Every parameter is given: the world stays the same where the defaults of the detector change."""
+"""All parameters are explicit, so that changes of the detector's defaults do not change the environment."""
 
 
 class MotionSensor:
-    """Turns the frames of one episode into sets of detections, in random order.
+    """Sensor that converts the frames of one episode to sets of detections, in random order.
 
     Args:
-        config: The scene.
-        stage: Of the episode; the sensor has seen it empty.
-        rng: Decides the order of rows, frame by frame.
+        config: Parameters of the environment.
+        stage: Renderer of the episode; its empty frames give the background.
+        rng: Generator of the order of rows.
     """
 
     def __init__(self, config: PedestrianConfig, stage: Stage, rng: np.random.Generator) -> None:
         self._rows, self._boxes = config.measurement_rows, config.answers_boxes
         self._size = np.array([config.width, config.height], dtype=np.float64)
-        empty = np.stack([stage.draw(_NOBODY, frame).image for frame in range(_EMPTY_FRAMES)])
+        empty = np.stack([stage.draw(_NO_PEOPLE, frame).image for frame in range(_EMPTY_FRAMES)])
         self._state: Any = _DETECTOR.initial(empty)
         self._order = rng.random((config.horizon + 1, self._rows))
 
     def observe(self, image: NDArray[np.uint8], frame: int) -> Array:
-        """Detections in the next frame; where there are more than rows, the smallest are dropped.
+        """Return the detections in the next frame. If there are more than rows, the smallest are dropped.
 
         Args:
-            image: RGB, shape (H, W, 3).
-            frame: Its number.
+            image: RGB image, shape (H, W, 3).
+            frame: Number of the frame.
 
         Returns:
-            Shape (rows, 1 + 4) or (rows, 1 + 2): existence, then boxes or centroids, px.
+            Existence, then boxes or centroids (px), shape (rows, 1 + 4) or (rows, 1 + 2).
         """
         self._state, found = _DETECTOR.step(self._state, image)
         states = found.boxes if self._boxes else found.centroids
         kept = np.argsort(-found.areas, kind="stable")[: self._rows]
         order = np.argsort(self._order[frame, : len(kept)])
         states = states[kept[order]]
-        # Boxes have left, top and width, height: two pairs within the frame.
+        # Boxes have two pairs (left, top) and (width, height), both limited by the frame size.
         limits = np.tile(self._size, states.shape[1] // 2)
         out = np.zeros((self._rows, 1 + states.shape[1]))
         out[: len(states), 0] = 1.0

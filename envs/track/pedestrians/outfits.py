@@ -1,4 +1,4 @@
-"""What a person looks like: build, skin, hair and clothes, all decided by one seed."""
+"""Random outfits: build, skin, hair and clothes of a person as a vector of numbers, drawn from one seed."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from servotrack.envs.streams import Streams
 from servotrack.estimators.types import Array
 
 SKIN, HAIR, TOP, TOP_SECOND, SLEEVE, TROUSERS, SHOES, BAG_COLOR = range(0, 24, 3)
-"""Where a outfit's colors begin, RGB in gray levels."""
+"""First columns of the colors, RGB in gray levels."""
 BUILD, HEAD_SIZE, HAIRLINE, HAIR_LENGTH = 24, 25, 26, 27
-"""Factors on width and head, how far back the hair begins, and how far it falls, heights."""
+"""Columns: factors on body width and head size, position of the hairline, and length of the hair, body heights."""
 TOP_MATERIAL, TOP_DETAIL, COAT, SHORT_SLEEVE = 28, 29, 30, 31
-"""The top's material (`shapes`), its number, how far it falls below the hip (heights), and 1 for bare forearms."""
+"""Columns: material of the top (`shapes`), its detail, its length below the hip (body heights), 1 for bare forearms."""
 SKIRT, BAG, ARM, RELIEF_TOP, RELIEF_TROUSERS, FOLDS = 32, 33, 34, 35, 36, 37
-"""Length of a skirt (heights), kind of bag, what the right arm does, strength of shading and folds."""
+"""Columns: length of a skirt (body heights), kind of bag, pose of the right arm, strengths of shading and folds."""
 OUTFIT_NUMBERS = 38
+"""Number of columns."""
 
 NO_BAG, BACKPACK, SHOULDER_BAG, CASE = range(4)
 SWINGING, POCKET, PHONE = range(3)
 
 _SHAPE, _PAINT, _BLEND = range(3)
-"""Streams of a outfit; `_BLEND` decides which clothes are in the background's colors."""
+"""Random streams of an outfit; `_BLEND` decides which clothes have background colors."""
 
 _SKINS = ((236, 196, 168), (224, 172, 138), (198, 146, 110), (150, 104, 74), (104, 70, 50), (74, 50, 38))
 _HAIRS = (
@@ -68,15 +69,15 @@ _BAGS = ((60, 36, 24), (24, 24, 28), (140, 30, 36), (30, 60, 90), (176, 120, 60)
 
 
 def draw_outfit(seed: int, camouflage: float, background: Array) -> Array:
-    """A person's outfit.
+    """Draw an outfit from a seed.
 
     Args:
-        seed: Of the outfit.
-        camouflage: Probability of each piece of clothing to be in a background color.
-        background: Colors to choose from for that, shape (k, 3), gray levels.
+        seed: Seed of the outfit.
+        camouflage: Probability that a piece of clothing has a background color, 0 to 1.
+        background: Background colors, shape (k, 3), gray levels.
 
     Returns:
-        Shape (OUTFIT_NUMBERS,).
+        Outfit, shape (OUTFIT_NUMBERS,).
     """
     streams = Streams(seed)
     return compose_outfit(streams[_SHAPE], streams[_PAINT], streams[_BLEND], camouflage, background)
@@ -89,17 +90,17 @@ def compose_outfit(
     camouflage: float,
     background: Array,
 ) -> Array:
-    """A person's outfit from generators, which may be one and the same; otherwise as `draw_outfit`.
+    """Draw an outfit from generators, which may be the same object.
 
     Args:
-        shape: Decides build, cut and what is carried.
-        paint: Decides colors.
-        blend: Decides which clothes are in the background's colors.
-        camouflage: As in `draw_outfit`.
-        background: As in `draw_outfit`.
+        shape: Generator of build, cut and bags.
+        paint: Generator of colors.
+        blend: Generator of the choice of background colors.
+        camouflage: Probability that a piece of clothing has a background color, 0 to 1.
+        background: Background colors, shape (k, 3), gray levels.
 
     Returns:
-        Shape (OUTFIT_NUMBERS,).
+        Outfit, shape (OUTFIT_NUMBERS,).
     """
     outfit = np.zeros(OUTFIT_NUMBERS)
 

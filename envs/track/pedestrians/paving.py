@@ -1,4 +1,4 @@
-"""The lobby's floor of stone tiles in perspective: it mirrors the wall a little, and lamps and daylight fall on it."""
+"""Rendering of the stone floor in perspective, with reflections of the wall, lamps and daylight."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numba import njit
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, BAY, Camera
 from servotrack.estimators.types import FloatArray
 
-_TILE = 1.25
-_JOINT = 0.022
-_SPOT_SPACING_X, _SPOT_SPACING_Z = 3.4, 3.1
-_MIRROR = 0.17  # share of light that the polished floor mirrors at the shallowest angle
+_TILE = 1.25  # side of a stone tile, m
+_JOINT = 0.022  # width of the joints, m
+_SPOT_SPACING_X, _SPOT_SPACING_Z = 3.4, 3.1  # distances between the lamps, m
+_MIRROR = 0.17  # strength of the reflection of the wall in the polished floor
 _NOISE_SIDE = 256
 _TINTS = np.array([[0.05, 0.03], [0.01, 0.0], [-0.06, -0.03]])
-"""What lamps add to each channel, and daylight takes."""
+"""For each channel: relative increase by lamps, and decrease by daylight."""
 
 
 def paint_floor(
@@ -28,19 +28,19 @@ def paint_floor(
     foot: float,
     rng: np.random.Generator,
 ) -> None:
-    """Paint the floor's rows of an image, four samples a pixel.
+    """Paint the rows of the floor in an image, with four samples per pixel.
 
     Args:
-        image: RGB, of which the rows below the wall's foot are painted. Shape (H, W, 3).
-        wall: What the floor mirrors. Shape (rows, W, 3).
-        stone: The stone's color.
-        camera: Of the scene.
-        foot: Row of the wall's foot, px.
-        rng: Chooses stones.
+        image: RGB image, shape (H, W, 3); the rows below the foot of the wall are painted.
+        wall: Wall that the floor reflects, shape (rows, W, 3).
+        stone: Color of the stone.
+        camera: Camera of the scene.
+        foot: Row of the foot of the wall, px.
+        rng: Generator of the stones.
     """
     noise = _mottle(rng)
     tones = rng.normal(0.0, 1.0, (64, 64)).astype(np.float32)
-    # What the floor mirrors is blurred along the direction that a polished stone smears most.
+    # The reflection is blurred, mostly vertically, as by polished stone.
     blur = len(image) / 288
     mirrored = cv2.GaussianBlur(wall, (0, 0), sigmaX=1.0 * blur, sigmaY=4.0 * blur)
     channels = np.ascontiguousarray(mirrored.transpose(2, 0, 1))
@@ -50,7 +50,7 @@ def paint_floor(
 
 
 def _mottle(rng: np.random.Generator) -> FloatArray:
-    """A tile of stone: coarse clouds and fine grains, zero on average, about one in deviation."""
+    """Return a stone texture of coarse clouds and fine grain, with mean 0 and a standard deviation of about 1."""
     tile = 0.6 * rng.standard_normal((_NOISE_SIDE, _NOISE_SIDE), dtype=np.float32)
     for cells, strength in ((8, 0.5), (32, 0.6), (96, 0.7)):
         coarse = np.pad(rng.standard_normal((cells, cells), dtype=np.float32), 2, mode="wrap")
@@ -63,7 +63,7 @@ def _mottle(rng: np.random.Generator) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _stone(noise, x, z):  # type: ignore[no-untyped-def]
-    """Bilinear in the stone's tile, whose texels are 1.6 cm."""
+    """Sample the stone texture bilinearly; a texel is 1.6 cm."""
     u, v = (x + 1024.0) * 62.0, (z + 1024.0) * 62.0
     column, row = int(u), int(v)
     fx, fy = u - column, v - row
@@ -77,14 +77,14 @@ def _stone(noise, x, z):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _joint(place, half_footprint):  # type: ignore[no-untyped-def]
-    """Share of a footprint that the joint between two tiles covers; `place` is the distance from a joint, m."""
+    """Return the share of a pixel's footprint covered by a joint at the distance `place`, m."""
     reach = max(_JOINT / 2.0 + half_footprint, 1e-6)
     return min(_JOINT / (2.0 * reach), 1.0) * max(0.0, 1.0 - (place / reach) ** 2) * 1.3
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _exp(x):  # type: ignore[no-untyped-def]
-    """The exponential function of -13 to 13, to some 1e-15; unlike the library's it is computed for whole vectors."""
+    """Exponential function on -13 to 13 with an error of about 1e-15. Unlike the library's, it vectorizes."""
     y = x / 16.0
     series = 1.0
     for term in range(14, 0, -1):
@@ -97,7 +97,7 @@ def _exp(x):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _light_row(start, step, pz, joint_z, fade, reach, dark, light, level):  # type: ignore[no-untyped-def]
-    """What falls on samples of one row, whose x is (j + start) * step: the lamps' and the day's light, and both."""
+    """Compute lamp light, daylight and their sum on the samples of one row, at x = (j + start) * step."""
     lamps, day = light[0], light[1]
     for j in range(len(level)):
         x = (j + start) * step
@@ -114,7 +114,7 @@ def _light_row(start, step, pz, joint_z, fade, reach, dark, light, level):  # ty
 
 @njit(cache=True, nogil=True)
 def _stone_row(start, step, z, iz, dim, grain, noise, tones, level, speckle):  # type: ignore[no-untyped-def]
-    """What tiles and stone make of the light `level` on samples of one row, in place, and the stone's speckles."""
+    """Apply tile tones to the light `level` of one row, in place, and compute the speckles of the stone."""
     for j in range(len(level)):
         x = (j + start) * step
         ix = math.floor(x / _TILE)
@@ -127,7 +127,7 @@ def _stone_row(start, step, z, iz, dim, grain, noise, tones, level, speckle):  #
 
 @njit(cache=True, nogil=True)
 def _add_row(stone, tint, light, level, speckle, reflected, mirror, out):  # type: ignore[no-untyped-def]
-    """Add a quarter of one channel of a row of samples."""
+    """Add one sample (a quarter) to one channel of a row of pixels."""
     for j in range(len(out)):
         value = stone * (1.0 + tint[0] * light[0, j] - tint[1] * light[1, j]) * level[j] + speckle[j]
         out[j] += 0.25 * (value + mirror * (reflected[j] - 0.62 * value))
@@ -136,15 +136,15 @@ def _add_row(stone, tint, light, level, speckle, reflected, mirror, out):  # typ
 @njit(cache=True, nogil=True, error_model="numpy")
 def _paint(image, mirrored, noise, tones, stone, tints, focal, center, horizon, elevation, foot):  # type: ignore[no-untyped-def]
     height, width = image.shape[0], image.shape[1]
-    # Of one row at a time, channel by channel: what is added up over its samples, and what it mirrors.
+    # Buffers of one row, channel by channel: sums over the samples, and reflected light.
     sums, reflected = np.empty((3, width), np.float32), np.empty((3, width))
     light, level, speckle = np.empty((2, width)), np.empty(width), np.empty(width)
-    # A row whose samples all lie on the wall is the wall's.
+    # Rows whose samples all lie on the wall are skipped.
     for i in range(math.ceil(foot - 0.75), height):
         for sub_row in range(2):
             row = i + 0.25 + 0.5 * sub_row
             if sub_row == 0:
-                # A row that the wall's foot divides keeps half of the wall.
+                # A row divided by the foot of the wall keeps half of the wall.
                 for c in range(3):
                     for j in range(width):
                         sums[c, j] = 0.5 * image[i, j, c] if row < foot else 0.0
@@ -153,7 +153,7 @@ def _paint(image, mirrored, noise, tones, stone, tints, focal, center, horizon, 
             z = focal * elevation / (row - horizon)
             step_x = z / focal
             step_z = z * z / (focal * elevation)
-            # Fresnel: the flatter the view, the more of the wall is mirrored.
+            # Fresnel: a flatter view reflects more of the wall.
             steep = elevation / math.hypot(elevation, z)
             mirror = _MIRROR * (0.25 + 0.75 * (1.0 - steep) ** 2 * 1.6)
             wall_height = elevation * (BACK_WALL - z) / z
@@ -165,7 +165,7 @@ def _paint(image, mirrored, noise, tones, stone, tints, focal, center, horizon, 
             band = BACK_WALL - z
             dark_band = 0.45 < band < 0.95
             fade, reach = math.exp(-band / 2.6), 0.19 + 0.05 * band / 2.0
-            dim = 1.0 - 0.20 * math.exp(-band / 0.35)  # in the shade along the wall
+            dim = 1.0 - 0.20 * math.exp(-band / 0.35)  # shade along the wall
             if dark_band:
                 dim *= 0.80
             tz = z / _TILE

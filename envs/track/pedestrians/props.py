@@ -1,4 +1,4 @@
-"""Things that stand in the lobby: plants whose leaves sway, pillars and signs that people walk behind."""
+"""Objects in the lobby: plants with swaying leaves, and pillars and signs that occlude people."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from servotrack.estimators.types import Array
 Color = tuple[float, float, float]
 
 PLANT_DEPTH = BACK_WALL - 0.35
-"""Where the lobby's own plants stand, z in m: behind everybody."""
+"""z of the two plants at the back wall, m; they never occlude people."""
 
-_WIND_PERIOD = 61.0  # frames of the wind's slow swing
+_WIND_PERIOD = 61.0  # period of the slow component of the wind, frames
 _STRAIGHT = (1.0,) * shapes.SAMPLES
 _LEAF = (0.25, 0.75, 1.0, 0.92, 0.62, 0.06)
 _STONE: Color = (186.0, 180.0, 170.0)
@@ -27,14 +27,14 @@ _BOARDS: tuple[Color, ...] = ((38.0, 66.0, 96.0), (150.0, 48.0, 40.0), (44.0, 92
 
 @dataclass(frozen=True)
 class Prop:
-    """A thing of one place.
+    """Object with a fixed place.
 
     Attributes:
-        place: Where it stands on the floor, x and z, and the radius of its foot, m.
-        base: Row of its foot, px: people whose feet are above it are behind it.
-        parts: Shapes at rest, in drawing order. Shape (k, shapes.NUMBERS).
-        swaying: How far each part's end follows the wind, 0 to 1. Shape (k,).
-        lag: Of each part's swing behind the wind, rad. Shape (k,).
+        place: Position on the floor (x, z) and radius of the foot, m.
+        base: Row of the foot, px. People whose feet are above this row are behind the object.
+        parts: Shapes at rest, in drawing order, shape (k, shapes.NUMBERS).
+        swaying: Amplitude with which the end of each part follows the wind, 0 to 1, shape (k,).
+        lag: Phase lag of each part behind the wind, rad, shape (k,).
     """
 
     place: tuple[float, float, float]
@@ -45,13 +45,13 @@ class Prop:
 
     @property
     def sways(self) -> bool:
-        """Whether any part moves in the wind."""
+        """True if any part moves in the wind."""
         return bool(self.swaying.any())
 
 
 @njit(cache=True, nogil=True)
 def _sway(rest, swaying, lag, shift, time, parts):  # type: ignore[no-untyped-def]
-    """Write parts whose ends are bent by up to `shift` px at a time in rad of the wind's slow swing."""
+    """Write `parts` with ends displaced by the wind: amplitude `shift` px, phase `time` rad."""
     parts[:] = rest
     for k in range(len(rest)):
         gust = math.sin(time + lag[k]) + 0.5 * math.sin(2.3 * time + 1.7 * lag[k])
@@ -60,7 +60,7 @@ def _sway(rest, swaying, lag, shift, time, parts):  # type: ignore[no-untyped-de
 
 
 def plant_at(camera: Camera, x: float, z: float, size: float, rng: np.random.Generator) -> Prop:
-    """A potted plant, `size` m tall."""
+    """Return a potted plant with the height `size`, m."""
     foot, scale = camera.project(np.array([x, z])), float(camera.scale(np.array(z)))
     slope = camera.elevation / z
     pot = 0.26 * size
@@ -70,7 +70,7 @@ def plant_at(camera: Camera, x: float, z: float, size: float, rng: np.random.Gen
     swaying, lag = [0.0], [0.0]
     leaves = int(rng.integers(20, 26))
     for leaf in range(leaves):
-        # Outer leaves hang low and come first, upright ones stand before them.
+        # Outer leaves hang low and are drawn first; upright ones are in front of them.
         upright = leaf / leaves
         angle = rng.uniform(-1.0, 1.0) * (1.45 - 0.95 * upright)
         length = size * rng.uniform(0.42, 0.74) * (0.72 + 0.28 * upright)
@@ -84,7 +84,7 @@ def plant_at(camera: Camera, x: float, z: float, size: float, rng: np.random.Gen
 
 
 def pillar_at(camera: Camera, x: float, z: float, rng: np.random.Generator) -> Prop:
-    """A round pillar up to the ceiling."""
+    """Return a round pillar up to the ceiling."""
     foot, scale = camera.project(np.array([x, z])), float(camera.scale(np.array(z)))
     slope, radius = camera.elevation / z, rng.uniform(0.22, 0.3)
     shaft = _part(foot, scale, (0.0, 9.0), (0.0, 0.05), radius, _STRAIGHT, _STONE, slope)
@@ -95,7 +95,7 @@ def pillar_at(camera: Camera, x: float, z: float, rng: np.random.Generator) -> P
 
 
 def sign_at(camera: Camera, x: float, z: float, rng: np.random.Generator) -> Prop:
-    """A board on a foot, with lines of print."""
+    """Return a sign: a board with printed lines on a foot."""
     foot, scale = camera.project(np.array([x, z])), float(camera.scale(np.array(z)))
     slope, half = camera.elevation / z, rng.uniform(0.34, 0.44)
     color = _BOARDS[int(rng.integers(len(_BOARDS)))]
@@ -116,7 +116,7 @@ def sign_at(camera: Camera, x: float, z: float, rng: np.random.Generator) -> Pro
 
 
 def lobby_plants(camera: Camera, rng: np.random.Generator) -> list[Prop]:
-    """The two plants at the back wall, between doors and wooden panels, where nobody walks behind them."""
+    """Return the two plants at the back wall, between doors and wooden panels. They never occlude people."""
     reach = float(camera.half_width(PLANT_DEPTH))
     return [
         plant_at(camera, side * min(6.25, 0.83 * reach), PLANT_DEPTH, float(rng.uniform(1.7, 2.1)), rng)
@@ -125,12 +125,15 @@ def lobby_plants(camera: Camera, rng: np.random.Generator) -> list[Prop]:
 
 
 def occluders(camera: Camera, count: int, rng: np.random.Generator) -> list[Prop]:
-    """Pillars, plants and signs spread over the lobby, farthest first.
+    """Draw pillars, plants and signs spread over the lobby.
 
     Args:
-        camera: Of the scene.
-        count: How many.
-        rng: Chooses kinds and places.
+        camera: Camera of the scene.
+        count: Number of objects.
+        rng: Generator of kinds and places.
+
+    Returns:
+        Objects, farthest first.
     """
     props = []
     kinds = rng.permutation(max(count, 3))
@@ -138,7 +141,7 @@ def occluders(camera: Camera, count: int, rng: np.random.Generator) -> list[Prop
     for k in range(count):
         z = float(rng.uniform(MIN_DEPTH + 1.0, MAX_DEPTH - 2.5))
         reach = 0.84 * float(camera.half_width(z))
-        # Each has a strip of the image's width of its own, so that they hide people rather than one another.
+        # Every object has its own vertical strip of the image, so that objects do not occlude each other.
         x = reach * (2.0 * (strips[k] + rng.uniform(0.2, 0.8)) / count - 1.0)
         kind = kinds[k] % 3
         if kind == 0:
@@ -151,19 +154,19 @@ def occluders(camera: Camera, count: int, rng: np.random.Generator) -> list[Prop
 
 
 class PropPatches:
-    """The drawn things of a lobby, in one pool of numbers; those that sway are drawn anew for each frame.
+    """Rendered patches of all objects in one array. Swaying objects are drawn again for each frame.
 
     Args:
-        props: In depth order, farthest first.
-        sway: Of the leaves, px; 0: they rest.
-        wind: Phase of the wind, rad.
-        grain: The grain's tile.
+        props: Objects in depth order, farthest first.
+        sway: Amplitude of the sway of leaves, px; 0: no sway.
+        wind: Initial phase of the wind, rad.
+        grain: Tile of the cloth grain.
 
     Attributes:
         pool: All patches one after the other, float32.
-        extents: Left, top, right, bottom of each, px. Shape (k, 4).
-        starts: Where each begins in the pool. Shape (k,).
-        bases: Rows of their feet, px. Shape (k,).
+        extents: Left, top, right, bottom of each patch, px, shape (k, 4).
+        starts: Index at which each patch begins in the pool, shape (k,).
+        bases: Rows of the feet, px, shape (k,).
     """
 
     def __init__(self, props: list[Prop], sway: float, wind: float, grain: Array) -> None:
@@ -179,7 +182,7 @@ class PropPatches:
             self._draw(k, prop.parts)
 
     def at(self, frame: int) -> PropPatches:
-        """The patches with their leaves where the wind has them at a frame: this object itself, drawn into anew."""
+        """Draw the swaying objects for a frame, in place, and return this object."""
         if self._sway > 0.0:
             time = self._wind + 2.0 * math.pi * frame / _WIND_PERIOD
             for k, prop in enumerate(self._props):
@@ -207,7 +210,7 @@ def _part(
     color: Color | tuple[int, int, int],
     cap: float,
 ) -> Array:
-    """A tube between two points above a foot (m to the right, m up)."""
+    """Return a tube between two points relative to a foot (m to the right, m up)."""
     part = np.zeros(shapes.NUMBERS)
     for at, (right, up) in ((shapes.START, start), (shapes.END, end)):
         part[at], part[at + 1] = foot[0] + scale * right, foot[1] - scale * up

@@ -1,4 +1,4 @@
-"""How bodies darken the floor: the shade between their feet, and shadows that lamps cast."""
+"""Shading of the floor by bodies: contact shadows under the feet, and cast shadows of lamps."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import math
 import numpy as np
 from numba import njit
 
-_CONTACT = 0.13  # of the light that a body keeps from the floor right under it
-_CONTACT_RADIUS = 0.15  # heights
-_TOWARDS = 0.62  # length of a shadow towards the camera in heights
-_BLUR = 0.09  # growth of the penumbra along the shadow
+_CONTACT = 0.13  # share of the light blocked directly under a body
+_CONTACT_RADIUS = 0.15  # radius of the contact shadow, body heights
+_SHADOW_LENGTH = 0.62  # length of a cast shadow toward the camera, body heights
+_BLUR = 0.09  # growth of the penumbra along the shadow, px per px
 
 
 @njit(cache=True, nogil=True)
 def contact_shade(image, x, y, height, slope):  # type: ignore[no-untyped-def]
-    """Darken the floor under a body that stands at (x, y); without it people would float."""
+    """Darken the floor under a body that stands at (x, y)."""
     across, along = _CONTACT_RADIUS * height, max(_CONTACT_RADIUS * height * slope, 1.0)
     for i in range(max(int(y - along), 0), min(int(y + along) + 1, image.shape[0])):
         v = (i + 0.5 - y) / along
@@ -30,14 +30,14 @@ def contact_shade(image, x, y, height, slope):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def cast_shadow(image, patch, left, top, x, y, height, slope, sun, opacity):  # type: ignore[no-untyped-def]
-    """Darken the floor where the silhouette in a patch keeps light from it that comes over the body from behind.
+    """Darken the floor in the shadow of the silhouette in a patch, with light from behind the body.
 
-    `sun` is how far the shadow falls to the right for each height of what casts it.
+    `sun` is the shift of the shadow to the right per height of the point that casts it.
     """
     rows, columns = patch.shape[0], patch.shape[1]
-    fall = max(_TOWARDS * slope, 0.05)
+    fall = max(_SHADOW_LENGTH * slope, 0.05)
     taps = np.empty(5, np.int64)
-    tall = y - top  # the highest point that casts
+    tall = y - top  # height of the highest point
     first, last = max(int(y), 0), min(int(y + tall * fall) + 2, image.shape[0])
     for i in range(first, last):
         up = (i + 0.5 - y) / fall
@@ -49,7 +49,7 @@ def cast_shadow(image, patch, left, top, x, y, height, slope, sun, opacity):  # 
         strength = opacity * (1.0 - 0.45 * min(up / height, 1.0))
         start = max(int(left + shift - 2.0 * blur), 0)
         stop = min(int(left + columns + shift + 2.0 * blur) + 1, image.shape[1])
-        # Where the five taps of the penumbra look in the patch, against the column of the image.
+        # Offsets of the five taps of the penumbra in the patch, relative to the image column.
         for tap in range(5):
             taps[tap] = math.floor(0.5 - shift - left + (tap - 2) * 0.75 * blur)
         for j in range(start, stop):

@@ -1,7 +1,7 @@
-"""The one shape of which people, plants and pillars are made, a tube whose width changes along it, and its raster.
+"""Rasterizer of tubes of variable width, from which people, plants and pillars are made.
 
-A part is a row of `NUMBERS` numbers; the constants name them. Parts are drawn one over the other into a small
-premultiplied RGBA patch, and patches are laid over the picture in depth order.
+A part is a row of `NUMBERS` numbers; the constants name the columns. Parts are drawn into a small premultiplied RGBA
+patch, and patches are blended into the picture in depth order.
 """
 
 from __future__ import annotations
@@ -15,38 +15,38 @@ from numba import njit
 from servotrack.estimators.types import Array
 
 START, END = 0, 2
-"""Columns and rows of the axis's two ends, px."""
+"""Image column and row of the two ends of the axis, px."""
 WIDTHS = 4
-"""Half widths at SAMPLES equally spaced points of the axis, px."""
+"""Half widths at `SAMPLES` equally spaced points of the axis, px."""
 SAMPLES = 6
 CAPS = 10
-"""How far the two ends bulge beyond the axis, in half widths."""
+"""Lengths of the two end caps beyond the axis, half widths."""
 COLOR, SECOND = 12, 15
 MATERIAL, RELIEF, BRIGHTNESS = 18, 19, 20
-"""How the surface is colored, how strongly its roundness is shaded, and a factor on its brightness."""
+"""Material of the surface, strength of the shading of its roundness, and factor on its brightness."""
 FORWARD = 21
-"""Where the body faces, in the camera's axes: right, down, towards the camera."""
+"""Heading of the body in camera axes: right, down, toward the camera."""
 TILT = 24
-"""Sine of the angle at which the camera looks down at it."""
+"""Sine of the angle by which the camera looks down at the part."""
 DEPTH = 25
-"""How near to the camera; nearer parts are drawn later."""
+"""Closeness to the camera; closer parts are drawn later."""
 GRAIN, ORIGIN, DETAIL = 26, 27, 28
-"""Amplitude of the cloth's folds, where in the grain's tile it begins, and a number for the material."""
+"""Amplitude of the folds of cloth, offset in the grain tile, and detail of the material."""
 NUMBERS = 29
 
 PLAIN, HEAD, OPEN, STRIPES, CHECK = range(5)
-"""Materials: one color; hair over a face; a jacket open over a shirt; stripes across; a woven check."""
+"""Materials: one color; head with hair and face; open jacket over a shirt; stripes; checks."""
 
 GRAIN_SIDE = 64
-"""Rows and columns of the grain's tile; a power of two."""
+"""Number of rows and columns of the grain tile, a power of two."""
 
 _HALF, _ONE, _OPAQUE = np.float32(0.5), np.float32(1.0), np.float32(0.9995)
-_LIGHT = (-0.42, -0.62, 0.66)  # where light comes from, in the camera's axes: left, above, the camera's side
-_MEAN_LIGHT = 0.56  # of a tube in that light
+_LIGHT = (-0.42, -0.62, 0.66)  # direction toward the light in camera axes: left, up, toward the camera
+_MEAN_LIGHT = 0.56  # mean brightness of a tube in that light
 
 
 def fold_cloth(rng: np.random.Generator) -> Array:
-    """The grain's tile: soft folds in [-1, 1]. Shape (GRAIN_SIDE, GRAIN_SIDE)."""
+    """Return the grain tile: soft folds in [-1, 1], shape (GRAIN_SIDE, GRAIN_SIDE)."""
     margin = 8
     rough = np.pad(rng.standard_normal((GRAIN_SIDE, GRAIN_SIDE)), margin, mode="wrap")
     soft = cv2.GaussianBlur(rough, (0, 0), 1.6)[margin:-margin, margin:-margin]
@@ -55,7 +55,7 @@ def fold_cloth(rng: np.random.Generator) -> Array:
 
 @njit(cache=True, nogil=True)
 def extent(parts, count):  # type: ignore[no-untyped-def]
-    """Left, top, right and bottom that hold the first `count` parts, whole px."""
+    """Return left, top, right and bottom of the first `count` parts, whole px."""
     left, top, right, bottom = 1e9, 1e9, -1e9, -1e9
     for k in range(count):
         reach = 0.0
@@ -71,18 +71,18 @@ def extent(parts, count):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _smooth(x):  # type: ignore[no-untyped-def]
-    """0 below 0, 1 above 1, smooth between."""
+    """Smoothstep: 0 below 0, 1 above 1, smooth between."""
     x = min(max(x, 0.0), 1.0)
     return x * x * (3.0 - 2.0 * x)
 
 
 @njit(cache=True, nogil=True)
 def _second_share(part, t, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """How much of a surface point's color is the part's second one, from its place and normal."""
+    """Return the share of the second color at a surface point, from its position and normal."""
     material = int(part[MATERIAL])
     detail = part[DETAIL]
     if material == HEAD:
-        # The face is where the surface looks forward more than up; `detail` moves the hairline.
+        # The face is where the normal points forward more than up; `detail` moves the hairline.
         forward = nx * part[FORWARD] + ny * part[FORWARD + 1] + nz * part[FORWARD + 2]
         up = -ny * math.sqrt(1.0 - part[TILT] * part[TILT]) + nz * part[TILT]
         return _smooth((forward - 0.75 * up - detail) * 5.0 + 0.5)
@@ -103,7 +103,7 @@ def _second_share(part, t, nx, ny, nz):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _span(offset, slope, low, high, first, last):  # type: ignore[no-untyped-def]
-    """The part of [first, last) where offset + slope * column lies between low and high."""
+    """Return the part of [first, last) in which offset + slope * column lies between low and high."""
     if abs(slope) < 1e-4:
         return (first, last) if low <= offset <= high else (first, first)
     a, b = (low - offset) / slope, (high - offset) / slope
@@ -114,9 +114,9 @@ def _span(offset, slope, low, high, first, last):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True, fastmath=True)
 def draw_parts(parts, order, count, left, top, grain, patch):  # type: ignore[no-untyped-def]
-    """Draw parts, the last of an order foremost, into a patch whose corner is pixel (left, top) and which is zeros.
+    """Draw parts into a zero patch whose corner is pixel (left, top). The last part of `order` is in front.
 
-    The foremost are drawn first, so that pixels which they cover are shaded once.
+    Front parts are drawn first, so that covered pixels are shaded only once.
     """
     rows, columns = patch.shape[0], patch.shape[1]
     last = GRAIN_SIDE - 1
@@ -163,7 +163,7 @@ def draw_parts(parts, order, count, left, top, grain, patch):  # type: ignore[no
                 knot = min(int(place), SAMPLES - 2)
                 width = part[WIDTHS + knot] + (part[WIDTHS + knot + 1] - part[WIDTHS + knot]) * (place - knot)
                 distance2 = across * across + beyond * beyond
-                # A flat cap is a squeezed half disc: distances to its edge are those of the disc over the gradient.
+                # A flat cap is a squeezed half disc: the distance to its edge is that of the disc over the gradient.
                 edge = 0.5
                 if beyond != 0.0:
                     along_edge = beyond * steep
@@ -195,7 +195,7 @@ def draw_parts(parts, order, count, left, top, grain, patch):  # type: ignore[no
 
 @njit(cache=True, nogil=True)
 def measure_silhouette(patch, left, top, width, height, box):  # type: ignore[no-untyped-def]
-    """Extent of a patch's silhouette inside the image into `box`; returns its pixels in and outside the image."""
+    """Write the bounding box of a silhouette inside the image to `box`. Return its total number of pixels."""
     first_row, last_row, first_column, last_column = 1 << 30, -1, 1 << 30, -1
     total = 0
     for i in range(patch.shape[0]):
@@ -216,7 +216,7 @@ def measure_silhouette(patch, left, top, width, height, box):  # type: ignore[no
 
 @njit(cache=True, nogil=True)
 def lay_over(patch, left, top, owner, image, owners, visible):  # type: ignore[no-untyped-def]
-    """Lay a patch over the picture; its silhouette's pixels become `owner`'s, 0 for things that are no people."""
+    """Blend a patch into the picture and set `owners` in its silhouette to `owner`; 0 for objects."""
     height, width = owners.shape
     for i in range(max(0, -top), min(patch.shape[0], height - top)):
         for j in range(max(0, -left), min(patch.shape[1], width - left)):
@@ -242,6 +242,6 @@ def lay_over(patch, left, top, owner, image, owners, visible):  # type: ignore[n
 
 @njit(cache=True, nogil=True)
 def patch_at(pool, start, extents):  # type: ignore[no-untyped-def]
-    """The patch of given left, top, right, bottom that begins at `start` of a pool of numbers, a view."""
+    """Return a view of the patch with extents (left, top, right, bottom) that begins at `start` in the pool."""
     rows, columns = extents[3] - extents[1], extents[2] - extents[0]
     return pool[start : start + 4 * rows * columns].reshape((rows, columns, 4))

@@ -1,4 +1,4 @@
-"""A walking body: joints in space from gait, heading and outfit, then parts on the image as the camera sees them."""
+"""Model of a walking body: joints from gait, heading and outfit, projected to parts in the image."""
 
 from __future__ import annotations
 
@@ -55,13 +55,14 @@ from servotrack.envs.track.pedestrians.shapes import (
 )
 
 MAX_PARTS = 28
+"""Maximum number of parts of a body."""
 
-# Lengths of a body in its heights.
+# Lengths of the body, body heights.
 _HIP, _HIP_SIDE, _THIGH, _SHIN, _ANKLE = 0.515, 0.048, 0.245, 0.235, 0.035
 _SHOULDER, _SHOULDER_SIDE, _UPPER_ARM, _FOREARM = 0.786, 0.098, 0.160, 0.145
 _CHIN, _HEAD_LOW, _HEAD_HIGH = 0.865, 0.912, 0.945
 
-# Half widths along a part, from its upper end, in heights; torso and coat from the side and from the front.
+# Half widths along a part, from its upper end, body heights; torso from the front and from the side.
 _TORSO_FRONT = np.array([0.056, 0.112, 0.108, 0.095, 0.092, 0.100])
 _TORSO_SIDE = np.array([0.042, 0.064, 0.072, 0.068, 0.067, 0.074])
 _THIGH_WIDTHS = np.array([0.064, 0.062, 0.057, 0.052, 0.047, 0.043])
@@ -80,7 +81,7 @@ _CASE_WIDTHS = np.array([0.010, 0.070, 0.074, 0.075, 0.075, 0.074])
 
 @njit(cache=True, nogil=True)
 def _put(parts, k, view, a, b, widths, scale, color, outfit, relief, bright):  # type: ignore[no-untyped-def]
-    """Write one tube from body point `a` to `b` (forward, left, up; heights)."""
+    """Write a tube from body point `a` to `b` (forward, left, up; body heights). Return the next free part."""
     x, y, height, cosine, sine, tilt = view[0], view[1], view[2], view[3], view[4], view[5]
     part = parts[k]
     depth = 0.0
@@ -107,7 +108,7 @@ def _put(parts, k, view, a, b, widths, scale, color, outfit, relief, bright):  #
 
 @njit(cache=True, nogil=True)
 def _leg(parts, k, view, outfit, side, phase, stride, bodies, drop):  # type: ignore[no-untyped-def]
-    """Thigh, shin and shoe of one leg; `drop` is how far the hip sinks. Returns the next free part."""
+    """Write thigh, shin and shoe of one leg. `drop` lowers the hip. Return the next free part."""
     hip, knee, ankle, toe = bodies[0], bodies[1], bodies[2], bodies[3]
     swing, bend, lift = leg_angles(phase, stride)
     hip[0], hip[1], hip[2] = 0.0, side * _HIP_SIDE, _HIP - drop
@@ -118,7 +119,7 @@ def _leg(parts, k, view, outfit, side, phase, stride, bodies, drop):  # type: ig
     ankle[1] = side * _HIP_SIDE * 0.9
     ankle[2] = knee[2] - _SHIN * math.cos(swing - bend)
     relief = outfit[RELIEF_TROUSERS]
-    bright = 1.0 if -side * view[3] > 0.0 else 0.93  # the far leg is a little in the other one's shade
+    bright = 1.0 if -side * view[3] > 0.0 else 0.93  # the far leg is slightly shaded by the other one
     if outfit[SKIRT] > 0.0:
         k = _put(parts, k, view, hip, knee, _THIGH_WIDTHS, 0.86 * outfit[BUILD], SKIN, outfit, 0.6, bright)
         k = _put(parts, k, view, knee, ankle, _BARE_SHIN_WIDTHS, outfit[BUILD], SKIN, outfit, 0.6, bright)
@@ -140,7 +141,7 @@ def _leg(parts, k, view, outfit, side, phase, stride, bodies, drop):  # type: ig
 
 @njit(cache=True, nogil=True)
 def leg_angles(phase, stride):  # type: ignore[no-untyped-def]
-    """Angles of a leg in its cycle: thigh from the vertical, bend of the knee, and lift of the toes, rad."""
+    """Return thigh angle from the vertical, knee flexion and toe lift at a phase of the gait, rad."""
     swing = stride * (0.44 * math.sin(phase) + 0.06)
     forward = math.cos(phase)  # positive while the leg swings forward through the air
     bend = stride * (
@@ -154,7 +155,7 @@ def leg_angles(phase, stride):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _arm(parts, k, view, outfit, side, phase, stride, lean, drop, bodies):  # type: ignore[no-untyped-def]
-    """Upper arm, forearm, hand and what the hand carries. Returns the next free part."""
+    """Write upper arm, forearm, hand and a carried case. Return the next free part."""
     shoulder, elbow, wrist, end = bodies[0], bodies[1], bodies[2], bodies[3]
     build = outfit[BUILD]
     swing = stride * (0.38 * math.sin(phase) + 0.02)
@@ -211,12 +212,12 @@ def _below(point, distance, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def pose_person(outfit, x, y, height, heading, phase, stride, tilt, parts, order):  # type: ignore[no-untyped-def]
-    """Fill `parts` with a body standing at (x, y) and `order` with the order to draw them in; returns their number."""
+    """Write the parts of a body at (x, y), and their drawing order. Return the number of parts."""
     cosine, sine = math.cos(heading), math.sin(heading)
     view = np.array([x, y, height, cosine, sine, tilt])
     bodies = np.zeros((5, 3))
     build = outfit[BUILD]
-    # The hip hangs as high as the straighter leg holds it.
+    # The straighter leg determines the height of the hip.
     reach = 0.0
     for side in (0.0, math.pi):
         swing, bend, _ = leg_angles(phase + side, stride)
@@ -287,7 +288,7 @@ def pose_person(outfit, x, y, height, heading, phase, stride, tilt, parts, order
         upper[0], upper[1], upper[2] = lean - 0.022, 0.0, 0.945 - drop
         lower[0], lower[1], lower[2] = lean - 0.034, 0.0, 0.905 - outfit[HAIR_LENGTH] - drop
         k = _put(parts, k, view, upper, lower, _HAIR_WIDTHS, outfit[HEAD_SIZE], HAIR, outfit, 0.5, 1.0)
-        # Seen from behind it hides head and shoulders, from the front the head hides it.
+        # From behind, long hair occludes head and shoulders; from the front, the head occludes it.
         parts[k - 1, DEPTH] = torso_depth + (0.06 if sine > 0.0 else 0.01 if cosine * cosine > 0.5 else -0.02)
     for i in range(k):
         order[i] = i
