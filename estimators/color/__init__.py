@@ -1,4 +1,4 @@
-"""Trackers of one object by its color: a box in the first frame, a box in every later one.
+"""Trackers of one object by its color: given a box in the first frame, they report a box in every later frame.
 
     tracker = MonteCarloColorPlus()
     state = tracker.initial(frames[0], box)  # left, top, width, height
@@ -6,9 +6,9 @@
         state, estimate = tracker.step(state, frame)
         print(estimate.box, estimate.similarity)
 
-`MonteCarloColor` is paper 001's, `MonteCarloColorPlus` the one to start with, `KernelMeanShift` the strongest of the
-others where the light is steady and nothing passes before the object. All are frozen dataclasses; states are values but
-for those of `OpenCVTracker`.
+Start with `MonteCarloColorPlus`. `MonteCarloColor` is the tracker of paper 001; `KernelMeanShift` is the most accurate
+of the others under steady light and without occlusion. All are frozen dataclasses; all states except those of
+`OpenCVTracker` are immutable values.
 """
 
 from servotrack.estimators.color.back_projection import BackProjection

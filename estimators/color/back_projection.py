@@ -22,7 +22,7 @@ class BackProjectionState(NamedTuple):
 
     Attributes:
         window: Left, top, width and height, whole px, inside the frame.
-        histogram: Of the object's hue, its largest bin 255. Shape (bins, 1), float32.
+        histogram: Histogram of the object's hue, scaled to a largest bin of 255. Shape (bins, 1), float32.
         shape: Height and width of the frames.
     """
 
@@ -33,17 +33,17 @@ class BackProjectionState(NamedTuple):
 
 @dataclass(frozen=True)
 class BackProjection:
-    """Finds the densest window of pixels whose hue is the object's.
+    """Finds the densest window of pixels with the object's hue.
 
     Source: Bradski, "Computer vision face tracking for use in a perceptual user interface", Intel Technology Journal,
-    1998, as OpenCV has it. Another algorithm than `KernelMeanShift`: every pixel votes by its own hue.
+    1998, in OpenCV's implementation. Unlike in `KernelMeanShift`, each pixel has a weight by its own hue.
 
     Attributes:
         method: `meanshift` keeps the window's size, `camshift` adapts it.
-        bins: Of the hue.
-        saturation: Pixels of less saturation do not vote, 0 to 255.
-        darkest: Pixels of less value do not vote, 0 to 255.
-        iterations: Of one search.
+        bins: Number of bins of the hue.
+        saturation: Pixels of less saturation have weight 0, 0 to 255. Raising it ignores grayish pixels.
+        darkest: Pixels of less value have weight 0, 0 to 255. Raising it ignores darker pixels.
+        iterations: Largest number of iterations per frame.
     """
 
     method: Method = "meanshift"
@@ -62,13 +62,13 @@ class BackProjection:
                 raise ValueError(f"{name} must lie in [0, 255], got {getattr(self, name)!r}")
 
     def initial(self, frame: ArrayLike, box: ArrayLike) -> BackProjectionState:
-        """Take the object's hues; arguments and errors as in `MonteCarloColor.initial`."""
+        """Compute the object's hue histogram; arguments and errors as in `MonteCarloColor.initial`."""
         image, first, pose = start(frame, box)
         left, top, right, bottom = pixel_edges(first[None], image.shape)[0].tolist()
         hsv = np.asarray(cv2.cvtColor(image[top:bottom, left:right], cv2.COLOR_RGB2HSV), np.uint8)
         histogram = cv2.calcHist([hsv], [0], self._votes(hsv), [self.bins], [0, 180])
         if not histogram.any():
-            # An object without color: every hue then counts alike, as gray pixels have hue 0.
+            # For an object without color all pixels count; gray pixels have hue 0.
             histogram = cv2.calcHist([hsv], [0], None, [self.bins], [0, 180])
         scaled = (histogram * (255.0 / histogram.max())).astype(np.float32)
         return BackProjectionState((left, top, right - left, bottom - top), scaled, pose.shape)
@@ -86,7 +86,7 @@ class BackProjection:
             _, window = cv2.CamShift(likely, state.window, criteria)
         left, top, width, height = (int(value) for value in window)
         if width < 2 or height < 2:
-            # CamShift's window vanishes where no pixel votes: it waits where it was.
+            # CamShift's window vanishes if all pixels have weight 0; then the last window is kept.
             left, top, width, height = state.window
         votes = likely[max(top, 0) : top + height, max(left, 0) : left + width]
         similarity = float(votes.mean()) / 255.0 if votes.size else 0.0

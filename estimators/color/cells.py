@@ -1,4 +1,4 @@
-"""Features of many boxes at once: sums over a grid of cells, read off one integral image with several channels."""
+"""Features of many boxes at once: sums over a grid of cells, computed from one multi-channel integral image."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from numba import njit
 from servotrack.estimators.color.histogram import color_bin
 
 ORIENTATIONS = 6
-"""Gradient directions from 0 to pi."""
-CHANNELS = ORIENTATIONS + 4
-"""Gradient strength by direction, lightness, two opponent colors, and the chance that a pixel is the object's."""
-COLORS = slice(ORIENTATIONS, ORIENTATIONS + 3)
+"""Number of gradient directions from 0 to pi."""
 CHANCE = ORIENTATIONS + 3
+"""Index of the channel with the probability that a pixel belongs to the object."""
+CHANNELS = ORIENTATIONS + 4
+"""Channels: gradient strength by direction, lightness, two opponent colors, probability of the object."""
 
 
 _TANGENTS = tuple(np.float32(np.tan(np.radians(border))) for border in (15.0, 45.0, 75.0))
-"""Of the angles between neighboring directions, up to the upright one."""
+"""Tangents of the angles between neighboring directions, up to the upright one."""
 
 
 @njit(cache=True, nogil=True)
 def direction(dx, dy):  # type: ignore[no-untyped-def]
-    """Which of `ORIENTATIONS` a gradient is nearest to, whatever its sign: 0 along the rows, 3 along the columns."""
+    """Index of the nearest of the `ORIENTATIONS`, regardless of sign: 0 along the rows, 3 along the columns."""
     if dy < 0.0:
         dx, dy = -dx, -dy
     across = abs(dx)
@@ -35,9 +35,9 @@ def integrate_channels(region, chances, bins, integral):  # type: ignore[no-unty
 
     Args:
         region: RGB, shape (h, w, 3), uint8.
-        chances: That a pixel of each color bin is the object's, shape (bins ** 3,), float32.
-        bins: Of each color channel.
-        integral: Where to write; shape (h + 1, w + 1, CHANNELS), float32.
+        chances: Probability of each color bin to belong to the object, shape (bins ** 3,), float32.
+        bins: Number of bins of each color channel.
+        integral: Output, shape (h + 1, w + 1, CHANNELS), float32.
     """
     rows, columns = region.shape[:2]
     gray = np.empty((rows, columns), np.float32)
@@ -54,7 +54,7 @@ def integrate_channels(region, chances, bins, integral):  # type: ignore[no-unty
         for column in range(columns):
             dx = gray[row, min(column + 1, columns - 1)] - gray[row, max(column - 1, 0)]
             dy = gray[down, column] - gray[up, column]
-            # The root makes contours of weak and strong contrast more alike.
+            # The root reduces the difference between contours of weak and strong contrast.
             so_far[direction(dx, dy)] += np.sqrt(np.sqrt(dx * dx + dy * dy))
             pixel = region[row, column]
             red, green, blue = np.float32(pixel[0]), np.float32(pixel[1]), np.float32(pixel[2])
@@ -69,7 +69,7 @@ def integrate_channels(region, chances, bins, integral):  # type: ignore[no-unty
 
 @njit(cache=True, nogil=True)
 def _corner(integral, x, y, first, out):  # type: ignore[no-untyped-def]
-    """The integral's channels from `first` on at any point, bilinear; outside of the region that of its border."""
+    """Interpolate the channels from `first` on bilinearly at any point; outside the region use its border."""
     rows, columns = integral.shape[0] - 1, integral.shape[1] - 1
     x, y = min(max(x, 0.0), float(columns)), min(max(y, 0.0), float(rows))
     left, top = min(int(x), columns - 1), min(int(y), rows - 1)
@@ -85,13 +85,13 @@ def describe(integral, boxes, grid, rim, found, contrast):  # type: ignore[no-un
     """Features of boxes.
 
     Args:
-        integral: As `integrate_channels` wrote it.
-        boxes: Left, top, width and height from the region's corner. Shape (n, 4), px.
-        grid: Cells to a side.
+        integral: Integral image from `integrate_channels`.
+        boxes: Left, top, width and height relative to the region's corner. Shape (n, 4), px.
+        grid: Number of cells per side.
         rim: Width of the surroundings, as a share of the box.
-        found: Where to write, shape (n, 2, grid * grid * c), float32: the gradients of all cells, then their colors;
-            each centered (colors) and of unit length. The longer of the two decides the last axis; the rest is zeros.
-        contrast: Where to write the mean chance inside less that in the rim, shape (n,), float64.
+        found: Output, shape (n, 2, grid * grid * c), float32: gradients of all cells, then colors, centered; both of
+            unit length. The last axis has the length of the longer vector; the rest is zeros.
+        contrast: Output: mean probability inside the box minus that in the rim, shape (n,), float64.
     """
     first, second = np.empty((grid + 1, CHANNELS), np.float32), np.empty((grid + 1, CHANNELS), np.float32)
     corner = np.empty((4, CHANNELS), np.float32)

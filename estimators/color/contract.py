@@ -1,13 +1,13 @@
-"""What all trackers of one object share: the estimate, what they take for a frame and a box, and their random numbers.
+"""Contract of the trackers of one object: estimate, validation of frames, boxes and parameters, and random numbers.
 
 A tracker is a frozen dataclass with `initial(frame, box) -> state` and `step(state, frame) -> (state, BoxEstimate)`.
-States are values: a step makes a new one. `initial` looks at the first frame, every `step` at the next.
+States are values: a step returns a new one. `initial` reads the first frame, each `step` the next.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,13 +17,13 @@ from servotrack.estimators.types import Array, Image
 
 
 class BoxEstimate(NamedTuple):
-    """Where a tracker believes its object to be.
+    """Estimated box of the object.
 
     Attributes:
         box: Left, top, width and height. Shape (4,), px; pixel i spans i to i + 1.
-        similarity: With the object as it is remembered, 0 to 1, as the method measures it.
-        particles: Boxes that were tried, where the method has them. Shape (n, 4), px.
-        weights: Theirs, of sum 1. Shape (n,).
+        similarity: Similarity to the reference of the object, 0 to 1, by the method's own measure.
+        particles: Candidate boxes, for methods that have them. Shape (n, 4), px.
+        weights: Weights of the candidates, of sum 1. Shape (n,).
     """
 
     box: Array
@@ -36,8 +36,8 @@ class Pose(NamedTuple):
     """A box by its center and its scale, in frames of one size.
 
     Attributes:
-        center: Of the box, shape (2,), px.
-        scale: Of the box, 1 for the first one.
+        center: Center of the box, shape (2,), px.
+        scale: Scale of the box relative to the first one.
         size: Width and height of the first box, px.
         shape: Height and width of the frames.
     """
@@ -53,41 +53,37 @@ class Pose(NamedTuple):
         return self.boxes(self.center, np.array(self.scale))
 
     def boxes(self, centers: Array, scales: Array) -> Array:
-        """Boxes at other centers (..., 2), px, and scales (...). Shape (..., 4), px."""
+        """Boxes at the given centers (..., 2), px, and scales (...). Shape (..., 4), px."""
         size = scales[..., None] * self.size
         return np.concatenate([centers - size / 2.0, size], axis=-1)
 
     def within(self, centers: Array) -> Array:
-        """Centers no farther out than the frame's border. Shape (..., 2), px."""
+        """Centers clipped to the frame. Shape (..., 2), px."""
         return np.minimum(np.maximum(centers, 0.0), self.shape[::-1])
 
     @staticmethod
     def bounded(scales: Array) -> Array:
-        """Scales no farther from 1 than a box may shrink and grow."""
-        # On a few hundred numbers NumPy's clip takes three times as long.
+        """Scales clipped to the range in which a box may shrink and grow."""
+        # For a few hundred numbers NumPy's clip takes three times as long.
         return np.minimum(np.maximum(scales, SMALLEST_SCALE), LARGEST_SCALE)
 
 
 SMALLEST_SCALE, LARGEST_SCALE = 0.1, 10.0
-"""How far a box may shrink and grow against the first one."""
-_MOST_BINS = 16
-"""Of each color channel."""
-_FARTHEST = 1e6
-"""A box's numbers may be as large as this, px."""
+"""Limits of the scale of a box relative to the first one, for all trackers."""
 
 
 def start(frame: ArrayLike, box: ArrayLike) -> tuple[Image, Array, Pose]:
-    """What every tracker takes from the first frame.
+    """Check the first frame and box and convert them.
 
     Args:
         frame: RGB (H, W, 3) or gray (H, W), uint8.
         box: Left, top, width and height, px.
 
     Returns:
-        The frame as RGB, the box, shape (4,), px, and the same as a pose.
+        The frame as RGB, the box, shape (4,), px, and the box as a pose.
 
     Raises:
-        ValueError: No such frame, or a box without area or outside of it.
+        ValueError: The frame is invalid, or the box has no area or lies outside the frame.
     """
     image = checked_frame(frame)
     first = checked_box(box, image.shape)
@@ -95,17 +91,17 @@ def start(frame: ArrayLike, box: ArrayLike) -> tuple[Image, Array, Pose]:
 
 
 def checked_frame(frame: ArrayLike, shape: tuple[int, ...] | None = None) -> Image:
-    """A frame as RGB.
+    """Check a frame and convert it to RGB.
 
     Args:
         frame: RGB of shape (H, W, 3) or gray of shape (H, W), uint8.
-        shape: Height and width that it must have; None for any.
+        shape: Required height and width; None for any.
 
     Returns:
-        Shape (H, W, 3); gray is a color of three equal channels.
+        Shape (H, W, 3); gray becomes a color of three equal channels.
 
     Raises:
-        ValueError: Another type, shape or size than that of the first frame.
+        ValueError: The frame is invalid or has another size than the first one.
     """
     image = checked_image(frame, "frame")
     if shape is not None and image.shape[:2] != shape:
@@ -116,15 +112,16 @@ def checked_frame(frame: ArrayLike, shape: tuple[int, ...] | None = None) -> Ima
     return image if image.ndim == 3 else np.ascontiguousarray(np.broadcast_to(image[..., None], (*image.shape, 3)))
 
 
-def checked_box(box: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """A box to start from.
+def checked_box(box: ArrayLike, shape: tuple[int, ...], farthest: float = 1e6) -> Array:
+    """Check the first box and convert it to an array of shape (4,), px.
 
     Args:
         box: Left, top, width and height, px.
-        shape: Height and width of the frame first.
+        shape: Shape of the frame, beginning with height and width.
+        farthest: Largest accepted magnitude of each number, px.
 
     Raises:
-        ValueError: Not four finite numbers, too large ones, no area, or no pixel inside the frame.
+        ValueError: The box is not four finite numbers, is too large, or has no area or no pixel inside the frame.
     """
     try:
         values = np.array(box, dtype=np.float64)
@@ -132,8 +129,8 @@ def checked_box(box: ArrayLike, shape: tuple[int, ...]) -> Array:
         values = np.zeros(0)
     if values.shape != (4,) or not np.isfinite(values).all():
         raise ValueError(f"box must be four finite numbers, left, top, width, height, got {box!r}")
-    if np.abs(values).max() > _FARTHEST:
-        raise ValueError(f"box must lie within {_FARTHEST:g} px of the frame's corner, got {box!r}")
+    if np.abs(values).max() > farthest:
+        raise ValueError(f"box must lie within {farthest:g} px of the frame's corner, got {box!r}")
     left, top, width, height = values.tolist()
     if width < 1.0 or height < 1.0:
         raise ValueError(f"box must be at least 1 px wide and high, got width {width:g} and height {height:g}")
@@ -147,52 +144,53 @@ def checked_box(box: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def normals(seed: int, frame: int, shape: tuple[int, ...]) -> Array:
-    """Standard normal numbers that are a function of (seed, frame), whatever was drawn before.
+    """Standard normal numbers that depend only on (seed, frame), not on earlier draws.
 
     Args:
-        seed: Of the tracker, at least 0.
+        seed: Seed of the tracker, at least 0.
         frame: Number of the frame.
-        shape: Of the array.
+        shape: Shape of the array.
     """
     return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 0, frame])).standard_normal(shape)
 
 
 def check_fields(
-    tracker: Any, counts: Sequence[str] = (), positive: Sequence[str] = (), shares: Sequence[str] = ()
+    tracker: object, counts: Sequence[str] = (), positive: Sequence[str] = (), shares: Sequence[str] = ()
 ) -> None:
-    """Raises ValueError, naming it, where a tracker's field is not what it has to be; bins and seed where it has them.
+    """Raise ValueError if a field of a tracker is out of range, also `bins` and `seed` if it has them.
 
     Args:
-        tracker: The dataclass.
-        counts: Names of its whole numbers of at least 1.
-        positive: Names of its numbers above 0.
-        shares: Names of its numbers from 0 to 1.
+        tracker: The dataclass of the tracker.
+        counts: Names of the fields that are whole numbers of at least 1.
+        positive: Names of the fields above 0.
+        shares: Names of the fields from 0 to 1.
     """
     check_count(**{name: getattr(tracker, name) for name in counts})
     check_positive(**{name: getattr(tracker, name) for name in positive})
     check_shares(**{name: getattr(tracker, name) for name in shares})
-    for name, low, high in (("bins", 1, _MOST_BINS), ("seed", 0, 2**64 - 1)):
+    # The index of a bin, below bins ** 3, has to fit into 16 bits.
+    for name, low, high in (("bins", 1, 16), ("seed", 0, 2**64 - 1)):
         value = getattr(tracker, name, low)
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not low <= value <= high:
             raise ValueError(f"{name} must be a whole number from {low} to {high}, got {value!r}")
 
 
 def check_positive(**values: float) -> None:
-    """Raises ValueError, naming the argument, where one of them is not finite and above 0."""
+    """Raise ValueError if an argument is not finite and above 0."""
     for name, value in values.items():
         if not (np.isfinite(value) and value > 0.0):
             raise ValueError(f"{name} must be finite and above 0, got {value!r}")
 
 
 def check_shares(**values: float) -> None:
-    """Raises ValueError, naming the argument, where one of them does not lie in [0, 1]."""
+    """Raise ValueError if an argument does not lie in [0, 1]."""
     for name, value in values.items():
         if not 0.0 <= value <= 1.0:
             raise ValueError(f"{name} must lie in [0, 1], got {value!r}")
 
 
 def check_count(**values: int) -> None:
-    """Raises ValueError, naming the argument, where one of them is no whole number of at least 1."""
+    """Raise ValueError if an argument is not a whole number of at least 1."""
     for name, value in values.items():
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
             raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")

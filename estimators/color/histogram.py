@@ -1,6 +1,6 @@
-"""Color histograms of many boxes at once: an integral histogram over the bins that the reference has, which is exact.
+"""Color histograms of many boxes at once, by an integral histogram over the nonzero bins of the reference.
 
-Bins that the reference lacks add nothing to the Bhattacharyya coefficient, so that only its own have to be counted.
+The result is exact: other bins add nothing to the Bhattacharyya coefficient and need not be counted.
 """
 
 from __future__ import annotations
@@ -11,17 +11,14 @@ from numba import njit
 from servotrack.estimators.detect.appearance import box_histograms
 from servotrack.estimators.types import Array, Image, Labels
 
-_SMALL_COUNT = 2**16
-"""Counts below this are exact differences of 16-bit numbers, whatever overflows on the way."""
-
 
 def color_histogram(frame: Image, box: Array, bins: int = 8) -> Array:
     """Share of a box's pixels in each color bin (paper 001, eq. (7)).
 
     Args:
         frame: RGB, shape (H, W, 3), uint8.
-        box: Left, top, width and height, px; parts outside of the frame do not count.
-        bins: Of each channel.
+        box: Left, top, width and height, px; parts outside the frame are ignored.
+        bins: Number of bins of each channel.
 
     Returns:
         Shape (bins ** 3,); sums to 1, zeros for a box without a pixel.
@@ -38,29 +35,30 @@ def color_weights(similarity: Array, variance: float) -> Array:
     """Weights of sum 1 from Bhattacharyya coefficients (paper 001, eqs (9) and (11)).
 
     Args:
-        similarity: rho, shape (n,); the distance is the root of 1 - rho.
-        variance: By which squared distances are divided; the factor before the exponential cancels.
+        similarity: Coefficients rho, shape (n,); the distance is the square root of 1 - rho.
+        variance: Divisor of the squared distances; the factor before the exponential cancels. Raising it makes the
+            weights more equal.
 
     Returns:
         Shape (n,).
     """
     squared = np.maximum(1.0 - similarity, 0.0)
-    # The nearest candidate has exponent 0, so that not all of them vanish.
+    # The nearest candidate has exponent 0, so that not all weights underflow.
     weights = np.exp((squared.min() - squared) / variance)
     return weights / weights.sum()
 
 
 def learn(reference: Array, found: Array, rate: float, threshold: float) -> tuple[float, Array]:
-    """Update a reference by what was found, where it is like enough (paper 001, eq. (12)).
+    """Update a reference with the histogram of the estimated box if they are similar (paper 001, eq. (12)).
 
     Args:
-        reference: A histogram, shape (bins ** 3,).
-        found: The histogram of the estimated box, of the same shape.
-        rate: alpha.
+        reference: Reference histogram, shape (bins ** 3,).
+        found: Histogram of the estimated box, of the same shape.
+        rate: Weight alpha of the new histogram.
         threshold: Similarity above which the reference is updated.
 
     Returns:
-        Similarity of the two, 0 to 1, and the new reference.
+        Similarity of the two histograms, 0 to 1, and the new reference.
     """
     similarity = min(bhattacharyya(reference, found), 1.0)
     return similarity, (1.0 - rate) * reference + rate * found if similarity > threshold else reference
@@ -71,12 +69,12 @@ def similarities(frame: Image, boxes: Array, reference: Array, bins: int = 8) ->
 
     Args:
         frame: RGB, shape (H, W, 3), uint8, contiguous.
-        boxes: Left, top, width and height. Shape (n, 4), px; parts outside of the frame do not count.
-        reference: A histogram, shape (bins ** 3,).
-        bins: Of each channel.
+        boxes: Left, top, width and height. Shape (n, 4), px; parts outside the frame are ignored.
+        reference: Reference histogram, shape (bins ** 3,).
+        bins: Number of bins of each channel.
 
     Returns:
-        0 to 1, 0 for a box without a pixel. Shape (n,).
+        Coefficients from 0 to 1, 0 for a box without a pixel. Shape (n,).
     """
     edges = pixel_edges(boxes, frame.shape)
     areas = (edges[:, 2] - edges[:, 0]) * (edges[:, 3] - edges[:, 1])
@@ -89,8 +87,9 @@ def similarities(frame: Image, boxes: Array, reference: Array, bins: int = 8) ->
     left, top = edges[areas > 0, :2].min(axis=0)
     right, bottom = edges[areas > 0, 2:].max(axis=0)
     region = frame[top:bottom, left:right]
-    counting = np.uint16 if areas.max() < _SMALL_COUNT else np.uint32
-    # One column more than bins are kept: all other colors are counted there and never read.
+    # Differences of 16-bit counters are exact for counts that fit, even if the counters overflow.
+    counting = np.uint16 if areas.max() <= np.iinfo(np.uint16).max else np.uint32
+    # One more column than kept bins: all other colors are counted there and never read.
     integral = np.empty((bottom - top + 1, right - left + 1, len(kept) + 1), counting)
     _integrate(region, bins, columns, integral)
     _compare(integral, edges - np.array([left, top, left, top]), np.sqrt(reference[kept]), found)
@@ -98,7 +97,7 @@ def similarities(frame: Image, boxes: Array, reference: Array, bins: int = 8) ->
 
 
 def pixel_edges(boxes: Array, shape: tuple[int, ...]) -> Labels:
-    """First column and row, and those after the last, of the pixels whose centers lie inside. Shape (n, 4)."""
+    """First column and row, and column and row after the last, of the pixels with centers inside. Shape (n, 4)."""
     corners = np.concatenate([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]], axis=1)
     limit = np.array([shape[1], shape[0], shape[1], shape[0]], dtype=np.float64)
     edges = np.clip(np.ceil(corners - 0.5), 0.0, limit).astype(np.int64)
@@ -108,13 +107,13 @@ def pixel_edges(boxes: Array, shape: tuple[int, ...]) -> Labels:
 
 @njit(cache=True, nogil=True)
 def color_bin(pixel, bins):  # type: ignore[no-untyped-def]
-    """Bin of a pixel, as `servotrack.estimators.detect.appearance.color_bins` numbers them."""
+    """Bin of a pixel, numbered as in `servotrack.estimators.detect.appearance.color_bins`."""
     return ((pixel[0] * bins >> 8) * bins + (pixel[1] * bins >> 8)) * bins + (pixel[2] * bins >> 8)
 
 
 @njit(cache=True, nogil=True)
 def _integrate(region, bins, columns, integral):  # type: ignore[no-untyped-def]
-    """Counts of every kept bin above and left of every corner, modulo the type's range."""
+    """Count the pixels of every kept bin above and left of every corner, modulo the type's range."""
     rows, width, kept = region.shape[0], region.shape[1], integral.shape[2]
     integral[0] = 0
     integral[:, 0] = 0

@@ -1,4 +1,4 @@
-"""Kernel mean shift, which paper 001 measures itself against: Comaniciu, Ramesh and Meer's tracker with scales."""
+"""Kernel mean shift with scale adaptation (Comaniciu, Ramesh and Meer), the method that paper 001 compares with."""
 
 from __future__ import annotations
 
@@ -37,14 +37,15 @@ class KernelMeanShift:
     """Climbs the Bhattacharyya coefficient of kernel-weighted color histograms, at three scales.
 
     Source: Comaniciu, Ramesh and Meer, "Kernel-based object tracking", IEEE TPAMI 25(5), 2003, sections 3 to 4.4, with
-    the Epanechnikov kernel. The reference is never updated. The step of 10 % and the mixing of 0.1 are theirs.
+    the Epanechnikov kernel. The reference is never updated. The scale step of 10 % and the mixing of 0.1 are those of
+    the source.
 
     Attributes:
         scale_step: Each frame is also searched with a box larger and smaller by this share; 0 keeps the scale.
-        scale_mixing: gamma: share of the best scale in the new one.
-        iterations: Most steps of one climb.
-        tolerance: A step below this ends it, px.
-        bins: Of each color channel.
+        scale_mixing: Share gamma of the best scale in the new one. Raising it adapts the scale faster.
+        iterations: Largest number of steps of one search.
+        tolerance: A shorter step ends the search, px.
+        bins: Number of bins of each color channel.
     """
 
     scale_step: float = 0.1
@@ -58,12 +59,12 @@ class KernelMeanShift:
         check_fields(self, counts=("iterations",), positive=("tolerance",), shares=("scale_step", "scale_mixing"))
 
     def initial(self, frame: ArrayLike, box: ArrayLike) -> MeanShiftState:
-        """Take the object's reference; arguments and errors as in `MonteCarloColor.initial`."""
+        """Compute the object's reference; arguments and errors as in `MonteCarloColor.initial`."""
         image, first, pose = start(frame, box)
         return MeanShiftState(pose, kernel_histogram(image, pose.center, first[2:], self.bins))
 
     def step(self, state: MeanShiftState, frame: ArrayLike) -> tuple[MeanShiftState, BoxEstimate]:
-        """Climb from the last place; arguments and errors as in `MonteCarloColor.step`."""
+        """Search from the last position; arguments and errors as in `MonteCarloColor.step`."""
         last = state.pose
         image = checked_frame(frame, last.shape)
         best_center, best_scale, best = last.center, last.scale, -1.0
@@ -89,12 +90,12 @@ def kernel_histogram(frame: Image, center: Array, size: Array, bins: int = 8) ->
 
     Args:
         frame: RGB, shape (H, W, 3), uint8.
-        center: Of the box, shape (2,), px.
+        center: Center of the box, shape (2,), px.
         size: Width and height of the box, px.
-        bins: Of each channel.
+        bins: Number of bins of each channel.
 
     Returns:
-        Shape (bins ** 3,); sums to 1, zeros where no pixel lies inside.
+        Shape (bins ** 3,); sums to 1, zeros if no pixel lies inside.
     """
     out = np.zeros(bins**3)
     _fill_histogram(frame, float(center[0]), float(center[1]), float(size[0]) / 2.0, float(size[1]) / 2.0, bins, out)
@@ -103,7 +104,7 @@ def kernel_histogram(frame: Image, center: Array, size: Array, bins: int = 8) ->
 
 @njit(cache=True, nogil=True)
 def _window(middle, half, limit):  # type: ignore[no-untyped-def]
-    """First pixel and that after the last whose centers may lie within `half` of the middle."""
+    """First pixel, and pixel after the last, whose centers may lie within `half` of the middle."""
     return max(int(np.floor(middle - half)), 0), min(int(np.ceil(middle + half)) + 1, limit)
 
 
@@ -136,7 +137,7 @@ def _coefficient(p, q):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _climb(image, center, size, reference, bins, iterations, tolerance):  # type: ignore[no-untyped-def]
-    """Mean shift (eqs (10) and (13) of the source), each step halved until the coefficient does not fall."""
+    """Mean shift (eqs (10) and (13) of the source); each step is halved until the coefficient does not decrease."""
     half_width, half_height = size[0] / 2.0, size[1] / 2.0
     x, y = center[0], center[1]
     here = np.zeros(reference.shape[0])

@@ -35,21 +35,23 @@ class MonteCarloState(NamedTuple):
 
 @dataclass(frozen=True)
 class MonteCarloColor:
-    """Candidates of random place and scale, weighted by how much their colors are the object's; their mean is the box.
+    """Mean of candidate boxes of random center and scale, weighted by the similarity of their color histograms.
 
     Source: Zhang and Li, "Object tracking with Monte Carlo methods", Journal of Image and Graphics 13(5), 2008,
-    section 3. The number of samples and the bins are the paper's. It does not give the other five; they are assumed,
-    chosen on tune seeds of `ColorTracking-v0`.
+    section 3. The number of samples and of bins are the paper's. It does not give the other five values; they are
+    assumed and were chosen on tune seeds of `ColorTracking-v0`.
 
     Attributes:
-        samples: n of section 3.2.
-        center_deviation: Standard deviation of the samples' centers about the last one, px. Assumed.
-        scale_deviation: Standard deviation of their scales, as a share of the last one. Assumed.
-        distance_deviation: sigma_0 of eq. (11), whose exponent is read as printed, d^2 / sigma_0^2. Assumed.
-        update_rate: alpha of eq. (12). Assumed.
+        samples: Number of candidates per frame, n of section 3.2. Raising it costs time and reduces noise.
+        center_deviation: Standard deviation of the candidates' centers about the last one, px. Raising it follows
+            faster motion with more noise. Assumed.
+        scale_deviation: Standard deviation of the candidates' scales, as a share of the last one. Assumed.
+        distance_deviation: sigma_0 of eq. (11), with the exponent as printed, d^2 / sigma_0^2. Raising it makes the
+            weights more equal. Assumed.
+        update_rate: alpha of eq. (12). Raising it adapts the reference faster. Assumed.
         update_threshold: Similarity above which the reference is updated. Assumed.
-        bins: Of each color channel.
-        seed: The random numbers are a function of it and of the frame's number.
+        bins: Number of bins of each color channel.
+        seed: Seed; the random numbers depend only on it and on the number of the frame.
     """
 
     samples: int = 200
@@ -71,14 +73,14 @@ class MonteCarloColor:
         )
 
     def initial(self, frame: ArrayLike, box: ArrayLike) -> MonteCarloState:
-        """Take the object's reference from the first frame (steps 1 and 2 of section 3.2).
+        """Compute the object's reference from the first frame (steps 1 and 2 of section 3.2).
 
         Args:
             frame: RGB (H, W, 3) or gray (H, W), uint8.
             box: Left, top, width and height, px.
 
         Raises:
-            ValueError: No such frame, or a box without area or outside of it.
+            ValueError: The frame is invalid, or the box has no area or lies outside the frame.
         """
         image, first, pose = start(frame, box)
         return MonteCarloState(pose, color_histogram(image, first, self.bins), 1)
@@ -87,11 +89,11 @@ class MonteCarloColor:
         """Find the object in the next frame (steps 3 and 4).
 
         Args:
-            state: What `initial` or the last `step` returned.
-            frame: Of the same size.
+            state: Result of `initial` or of the last `step`.
+            frame: Frame of the same size.
 
         Raises:
-            ValueError: No such frame, or one of another size.
+            ValueError: The frame is invalid or has another size.
         """
         image = checked_frame(frame, state.pose.shape)
         centers, scales = self.draw(state)
@@ -103,7 +105,7 @@ class MonteCarloColor:
         return MonteCarloState(pose, reference, state.frame + 1), BoxEstimate(pose.box, similarity, boxes, weights)
 
     def draw(self, state: MonteCarloState) -> tuple[Array, Array]:
-        """Candidates, Gaussian about the last estimate, none outside of the frame.
+        """Draw candidates from a Gaussian about the last estimate, clipped to the frame.
 
         Returns:
             Centers (n, 2), px, and scales (n,).

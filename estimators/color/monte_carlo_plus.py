@@ -1,4 +1,4 @@
-"""Monte-Carlo tracking with more features, as paper 001's last section asks for: what to add, and why."""
+"""Monte Carlo tracking with further features, as suggested in the last section of paper 001."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class View(NamedTuple):
     """Part of a frame.
 
     Attributes:
-        integral: As `integrate_channels` writes it.
+        integral: Integral image from `integrate_channels`.
         corner: Left and top of the part, then zeros. Shape (4,), px.
     """
 
@@ -38,14 +38,14 @@ class PlusState(NamedTuple):
 
     Attributes:
         pose: The last estimate.
-        velocity: Of the center, shape (2,), px per frame.
+        velocity: Velocity of the center, shape (2,), px per frame.
         inside: Histogram of the object's colors, shape (bins ** 3,).
         outside: Histogram of the colors around it, shape (bins ** 3,).
-        first: FloatArray of the first box, shape (2, f).
-        recent: FloatArray as they are now, shape (2, f).
-        contrast: Usual contrast of the object with its surroundings.
-        lost: How sure it is that the object is out of sight, 0 to 1.
-        frame: Number of frames seen.
+        first: Features of the first box, shape (2, f).
+        recent: Running mean of the features, shape (2, f).
+        contrast: Running mean of the contrast of the object with its surroundings.
+        lost: Degree of belief that the object is hidden, 0 to 1.
+        frame: Number of frames so far.
     """
 
     pose: Pose
@@ -61,34 +61,42 @@ class PlusState(NamedTuple):
 
 @dataclass(frozen=True)
 class MonteCarloColorPlus:
-    """Monte-Carlo tracking by gradients, spatial colors, and colors weighted against the background.
+    """Monte Carlo tracking by gradients, spatial colors, and contrast with the surroundings.
 
-    What differs from `MonteCarloColor`: a candidate is described by a grid of cells, gradient directions and colors in
-    each, so that it matters where a color is; its contrast, the mean chance that a pixel is the object's and not the
-    surroundings' inside less that around it, tells its scale; candidates are drawn about where the object is bound for,
-    first widely, then closely about the best ones; memory is what the first frame and the recent ones showed, and is
-    left alone while the object seems hidden.
+    Differences from `MonteCarloColor`:
 
-    Values chosen on tune seeds of `ColorTracking-v0`.
+    * A candidate is described by gradient directions and colors in a grid of cells, so that the position of a color
+      counts.
+    * The contrast determines the scale: the mean probability that a pixel belongs to the object rather than to its
+      surroundings, inside the box minus around it.
+    * Candidates are drawn about the predicted position, first widely, then closely about the best ones.
+    * The reference combines the first frame with recent frames and is not updated while the object seems hidden.
+
+    The values were chosen on tune seeds of `ColorTracking-v0`.
 
     Attributes:
-        samples: Candidates of a frame, half of them drawn widely.
-        center_deviation: Standard deviation of wide candidates' centers, as a share of the box's size.
+        samples: Number of candidates per frame, half of them drawn widely. Raising it costs time and reduces noise.
+        center_deviation: Standard deviation of wide candidates' centers, as a share of the box's size. Raising it
+            follows faster motion with more noise.
         scale_deviation: Standard deviation of their scales, as a share of the last one.
-        narrowing: Share of these deviations with which the other half is drawn.
-        sharpness: Weights are exp(sharpness * similarity).
-        gradient_share: Of gradients in the similarity; colors have `color_share`, contrast the rest.
-        color_share: Of spatial colors.
-        inertia: Share of the last velocity that the object is expected to keep.
-        update_rate: Of the memory, where the object is in sight.
-        loyalty: Share of the first frame's features in the comparison.
-        hidden_below: Similarity below which the object counts as hidden.
-        widening: How much wider candidates are drawn, at most, while it is hidden.
-        braking: Share of its velocity that a hidden object is expected to keep.
-        grid: Cells to a side.
+        narrowing: Factor on these deviations for the other half of the candidates.
+        sharpness: Weights are exp(sharpness * similarity). Raising it concentrates them on the best candidates.
+        gradient_share: Share of gradients in the similarity; colors have `color_share`, contrast the rest.
+        color_share: Share of spatial colors in the similarity.
+        inertia: Share of the last velocity in the predicted motion.
+        update_rate: Weight of a new frame in the reference while the object is visible.
+        loyalty: Share of the first frame's features in the reference; recent frames have the rest.
+        hidden_below: Similarity below which the object counts as hidden. Raising it follows occluding objects less,
+            and coasts more often.
+        widening: Largest relative widening of the candidates' spread while the object is hidden.
+        braking: Factor on the velocity in each frame while the object is hidden.
+        grid: Number of cells per side.
         rim: Width of the surroundings, as a share of the box.
-        bins: Of each color channel.
-        seed: The random numbers are a function of it and of the frame's number.
+        bins: Number of bins of each color channel.
+        seed: Seed; the random numbers depend only on it and on the number of the frame.
+        losing: Increase of `PlusState.lost` in each hidden frame. Raising it widens the search sooner.
+        least_contrast: Lower limit of the reference contrast in the comparison of contrasts.
+        rare_color: Share added to both histograms in the ratio of colors. Raising it gives rare colors less influence.
     """
 
     samples: int = 200
@@ -108,19 +116,25 @@ class MonteCarloColorPlus:
     rim: float = 0.35
     bins: int = 16
     seed: int = 0
+    losing: float = 0.15
+    least_contrast: float = 0.05
+    rare_color: float = 1e-3
 
     def __post_init__(self) -> None:
         """Check every field; raises ValueError that names it."""
         check_fields(
             self,
             counts=("samples", "grid"),
-            positive=("center_deviation", "scale_deviation", "narrowing", "sharpness", "rim"),
+            positive=(
+                "center_deviation", "scale_deviation", "narrowing", "sharpness", "rim", "least_contrast", "rare_color",
+            ),
             shares=(
                 "gradient_share", "color_share", "inertia", "update_rate", "loyalty", "hidden_below", "braking",
+                "losing",
             ),
         )  # fmt: skip
         if self.samples < 2:
-            raise ValueError(f"samples must be at least 2, wide ones and close ones, got {self.samples!r}")
+            raise ValueError(f"samples must be at least 2, a wide and a close one, got {self.samples!r}")
         if self.gradient_share + self.color_share > 1.0:
             raise ValueError(
                 "gradient_share + color_share must be at most 1, contrast has the rest, got "
@@ -130,10 +144,10 @@ class MonteCarloColorPlus:
             raise ValueError(f"widening must be finite and at least 0, got {self.widening!r}")
 
     def initial(self, frame: ArrayLike, box: ArrayLike) -> PlusState:
-        """Take the object's features; arguments and errors as in `MonteCarloColor.initial`."""
+        """Compute the object's features; arguments and errors as in `MonteCarloColor.initial`."""
         image, first, pose = start(frame, box)
         inside, outside = self._colors(image, first)
-        view = self._view(image, first[None], _chances(inside, outside))
+        view = self._view(image, first[None], self._chances(inside, outside))
         features, contrast = self._describe(view, first[None])
         return PlusState(
             pose, np.zeros(2), inside, outside, features[0], features[0], float(contrast[0]), lost=0.0, frame=1
@@ -147,10 +161,10 @@ class MonteCarloColorPlus:
         noise = normals(self.seed, state.frame, (self.samples, 3))
         expected = last.center + self.inertia * state.velocity
         wide = self._draw(last, noise[:half], expected, last.scale, 1.0 + self.widening * state.lost)
-        # One candidate stays where it is expected, so that a still object is met exactly.
+        # One candidate is the prediction itself, so that a still object is matched exactly.
         wide[0] = (*expected, last.scale)
         boxes = last.boxes(wide[:, :2], wide[:, 2])
-        view = self._view(image, boxes, _chances(state.inside, state.outside))
+        view = self._view(image, boxes, self._chances(state.inside, state.outside))
         coarse = self._similarity(view, state, boxes)[0]
         about = _weights(coarse, self.sharpness) @ wide
         close = self._draw(last, noise[half:], about[:2], float(about[2]), self.narrowing)
@@ -161,7 +175,7 @@ class MonteCarloColorPlus:
         found = weights @ candidates
         own, features, contrast = self._similarity(view, state, last.boxes(found[None, :2], found[None, 2]))
         hidden = bool(own[0] < self.hidden_below)
-        # What is there instead must not carry the estimate away: it goes where the object was bound for.
+        # An occluding object must not attract the estimate, which follows the prediction.
         pose = (
             last._replace(center=last.within(expected))
             if hidden
@@ -184,13 +198,13 @@ class MonteCarloColorPlus:
         features, contrast = self._describe(view, boxes)
         memory = self.loyalty * state.first + (1.0 - self.loyalty) * state.recent
         gradients, colors = features[:, 0] @ memory[0], features[:, 1] @ memory[1]
-        relative = np.minimum(np.maximum(contrast / max(state.contrast, _LEAST_CONTRAST), -1.0), 1.5)
+        relative = np.minimum(np.maximum(contrast / max(state.contrast, self.least_contrast), -1.0), 1.5)
         rest = 1.0 - self.gradient_share - self.color_share
         total = self.gradient_share * gradients + self.color_share * colors + rest * relative
         return total.astype(np.float64), features, contrast
 
     def _view(self, image: Image, boxes: Array, chances: FloatArray) -> View:
-        """The part of a frame that holds boxes with their surroundings, integrated."""
+        """Integrate the part of a frame that contains boxes with their surroundings."""
         margin = self.rim * boxes[:, 2:] + 2.0
         size = np.array([image.shape[1], image.shape[0]])
         low = np.floor((boxes[:, :2] - margin).min(axis=0)).astype(np.int64)
@@ -209,6 +223,10 @@ class MonteCarloColorPlus:
         describe(view.integral, boxes - view.corner, self.grid, self.rim, found, contrast)
         return found, contrast
 
+    def _chances(self, inside: Array, outside: Array) -> FloatArray:
+        """Probability of each color to belong to the object, 0 to 1; one half for a color of neither histogram."""
+        return ((inside + self.rare_color) / (inside + outside + 2.0 * self.rare_color)).astype(np.float32)
+
     def _colors(self, image: Image, box: Array) -> tuple[Array, Array]:
         """Histograms inside a box and in its surroundings."""
         rim = self.rim * box[2:]
@@ -220,34 +238,21 @@ class MonteCarloColorPlus:
     def _remember(
         self, state: PlusState, image: Image, pose: Pose, hidden: bool, features: FloatArray, contrast: float
     ) -> PlusState:
-        """The next state: hidden objects teach nothing and keep going ever more slowly."""
+        """Next state; for a hidden object the reference stays and the velocity decreases."""
         after = state._replace(pose=pose, frame=state.frame + 1)
         if hidden:
-            return after._replace(velocity=self.braking * state.velocity, lost=min(1.0, state.lost + _LOSING))
+            return after._replace(velocity=self.braking * state.velocity, lost=min(1.0, state.lost + self.losing))
         inside, outside = self._colors(image, pose.box)
         rate = self.update_rate
         return after._replace(
             velocity=0.5 * (state.velocity + pose.center - state.pose.center),
             inside=(1.0 - rate) * state.inside + rate * inside,
-            # What is around changes as the object moves on.
+            # The surroundings change faster, as the object moves.
             outside=(1.0 - 2.0 * rate) * state.outside + 2.0 * rate * outside,
             recent=(1.0 - rate) * state.recent + np.float32(rate) * features,
             contrast=(1.0 - rate) * state.contrast + rate * contrast,
             lost=0.5 * state.lost,
         )
-
-
-def _chances(inside: Array, outside: Array) -> FloatArray:
-    """That a pixel of each color is the object's, 0 to 1; a half where neither has the color."""
-    return ((inside + _UNSEEN) / (inside + outside + 2.0 * _UNSEEN)).astype(np.float32)
-
-
-_LOSING = 0.15
-"""Each hidden frame makes it so much surer that the object is out of sight."""
-_LEAST_CONTRAST = 0.05
-"""An object of less contrast than this is judged as if it had this."""
-_UNSEEN = 1e-3
-"""Share of a color below which it tells little."""
 
 
 def _weights(similarity: Array, sharpness: float) -> Array:

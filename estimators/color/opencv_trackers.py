@@ -1,9 +1,10 @@
-"""OpenCV's own trackers of one object behind the same two functions."""
+"""OpenCV's trackers of one object with the interface of the other trackers."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import cv2
 import numpy as np
@@ -16,16 +17,26 @@ from servotrack.estimators.types import Array
 Name = Literal["MIL", "CSRT", "KCF"]
 
 
+class Tracker(Protocol):
+    """OpenCV's tracker object, which every call changes."""
+
+    def init(self, image: Any, window: Any, /) -> Any:
+        """Start with a BGR image and a window (left, top, width, height), px."""
+
+    def update(self, image: Any, /) -> Any:
+        """Return a success flag and the window in the next BGR image."""
+
+
 class OpenCVState(NamedTuple):
-    """Memory of an `OpenCVTracker`. The tracker inside is no value: it forgets what it was before a step.
+    """Memory of an `OpenCVTracker`; it is mutable, so an old state cannot be stepped from again.
 
     Attributes:
         tracker: OpenCV's object, changed by every step.
-        box: The last one, shape (4,), px.
+        box: The last box, shape (4,), px.
         shape: Height and width of the frames.
     """
 
-    tracker: Any
+    tracker: Tracker
     box: Array
     shape: tuple[int, int]
 
@@ -36,19 +47,19 @@ class OpenCVTracker:
 
     MIL (Babenko, Yang and Belongie, "Robust object tracking with online multiple instance learning", IEEE TPAMI 33(8),
     2011) is in the main wheel; CSRT and KCF only in `opencv-contrib-python-headless`. A state serves one sequence: its
-    object changes with every step, and an old state cannot be returned to.
+    object changes with every step, and an old state cannot be stepped from again.
 
     Attributes:
         name: `MIL`, `CSRT` or `KCF`.
 
     Raises:
-        ValueError: Another name, or one that this OpenCV lacks.
+        ValueError: The name is unknown, or the installed OpenCV lacks the tracker.
     """
 
     name: Name = "MIL"
 
     def __post_init__(self) -> None:
-        """Check that this OpenCV has the tracker."""
+        """Check that the installed OpenCV has the tracker."""
         if self.name not in get_args(Name):
             raise ValueError(f"name must be one of {', '.join(get_args(Name))}, got {self.name!r}")
         if self._maker() is None:
@@ -57,7 +68,7 @@ class OpenCVTracker:
                 "opencv-contrib-python-headless in place of opencv-python-headless, or choose MIL"
             )
 
-    def _maker(self) -> Any:
+    def _maker(self) -> Callable[[], Tracker] | None:
         for place in (cv2, getattr(cv2, "legacy", None)):
             maker = getattr(place, f"Tracker{self.name}_create", None)
             if maker is not None:
@@ -68,11 +79,13 @@ class OpenCVTracker:
         """Start a tracker; arguments as in `MonteCarloColor.initial`.
 
         Raises:
-            ValueError: As there, or a box that leaves OpenCV's tracker no pixels to learn from.
+            ValueError: The frame or the box is invalid, or OpenCV's tracker finds no pixels to learn from.
         """
         image, first, pose = start(frame, box)
         left, top, right, bottom = pixel_edges(first[None], image.shape)[0].tolist()
-        tracker = self._maker()()
+        maker = self._maker()
+        assert maker is not None, "the constructor checks it"
+        tracker = maker()
         try:
             tracker.init(_bgr(image), (left, top, right - left, bottom - top))
         except cv2.error as error:
@@ -83,12 +96,12 @@ class OpenCVTracker:
         return OpenCVState(tracker, first, pose.shape)
 
     def step(self, state: OpenCVState, frame: ArrayLike) -> tuple[OpenCVState, BoxEstimate]:
-        """Let the tracker look at the next frame; arguments and errors as in `MonteCarloColor.step`."""
+        """Update the tracker with the next frame; arguments and errors as in `MonteCarloColor.step`."""
         image = checked_frame(frame, state.shape)
         try:
             found, window = state.tracker.update(_bgr(image))
         except cv2.error:
-            # OpenCV gives up where no candidate is left, such as at the frame's corner: the box waits where it was.
+            # OpenCV raises if no candidate is left, such as at the frame's corner; then the last box is kept.
             found, window = False, None
         box = np.array(window, dtype=np.float64) if found else state.box
         return state._replace(box=box), BoxEstimate(box.copy(), float(bool(found)))

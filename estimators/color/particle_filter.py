@@ -1,4 +1,4 @@
-"""A bootstrap particle filter with color histograms, as paper 001's rivals have it."""
+"""Bootstrap particle filter with color histograms, one of the methods that paper 001 compares with."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class ParticleState(NamedTuple):
 
     Attributes:
         particles: Center x, y (px) and scale of each. Shape (n, 3).
-        previous: The same, one frame earlier. Shape (n, 3).
+        previous: Center and scale of each, one frame earlier. Shape (n, 3).
         pose: The last estimate.
         reference: Histogram of the object, shape (bins ** 3,).
-        frame: Number of frames seen.
+        frame: Number of frames so far.
     """
 
     particles: Array
@@ -43,19 +43,20 @@ class ColorParticleFilter:
     """Particles that move by a second-order autoregression, weighted by color, resampled in every frame.
 
     Source: Nummiaro, Koller-Meier and Van Gool, "An adaptive color-based particle filter", Image and Vision Computing
-    21(1), 2003, pp. 99-110, with paper 001's histogram in place of a kernel's. Values chosen on tune seeds of
-    `ColorTracking-v0`.
+    21(1), 2003, pp. 99-110, with paper 001's histogram in place of a kernel-weighted one. The values were chosen on
+    tune seeds of `ColorTracking-v0`.
 
     Attributes:
-        samples: Number of particles.
-        damping: Share of the last displacement that goes on: x_k = x_(k-1) + damping (x_(k-1) - x_(k-2)) + noise.
-        center_deviation: Of the noise on the center, px.
-        scale_deviation: Of the noise on the scale, as a share of it.
-        distance_deviation: sigma of the likelihood exp(-d^2 / (2 sigma^2)).
-        update_rate: Of the reference.
+        samples: Number of particles. Raising it costs time and reduces noise.
+        damping: Factor on the last displacement: x_k = x_(k-1) + damping (x_(k-1) - x_(k-2)) + noise.
+        center_deviation: Standard deviation of the noise of the center, px. Raising it follows faster motion with more
+            noise.
+        scale_deviation: Standard deviation of the noise of the scale, as a share of it.
+        distance_deviation: sigma of the likelihood exp(-d^2 / (2 sigma^2)). Raising it makes the weights more equal.
+        update_rate: Weight of a new frame in the reference.
         update_threshold: Similarity above which the reference is updated.
-        bins: Of each color channel.
-        seed: The random numbers are a function of it and of the frame's number.
+        bins: Number of bins of each color channel.
+        seed: Seed; the random numbers depend only on it and on the number of the frame.
     """
 
     samples: int = 200
@@ -78,7 +79,7 @@ class ColorParticleFilter:
         )
 
     def initial(self, frame: ArrayLike, box: ArrayLike) -> ParticleState:
-        """All particles on the box; arguments and errors as in `MonteCarloColor.initial`."""
+        """Place all particles on the box; arguments and errors as in `MonteCarloColor.initial`."""
         image, first, pose = start(frame, box)
         particles = np.tile([*pose.center, pose.scale], (self.samples, 1))
         return ParticleState(particles, particles, pose, color_histogram(image, first, self.bins), 1)
@@ -104,16 +105,16 @@ class ColorParticleFilter:
 
 
 def systematic_resampling(weights: Array, offset: float) -> Labels:
-    """Indices of n particles in proportion to their weights, by n equidistant pointers.
+    """Resample n particles in proportion to their weights by n equidistant pointers and return their indices.
 
     Args:
-        weights: Of sum 1, shape (n,).
-        offset: Of the first pointer, 0 to 1.
+        weights: Weights of sum 1, shape (n,).
+        offset: Offset of the first pointer, 0 to 1.
     """
     pointers = (np.arange(len(weights)) + offset) / len(weights)
     return np.minimum(np.searchsorted(np.cumsum(weights), pointers), len(weights) - 1)
 
 
 def _uniform(normal: float) -> float:
-    """A normal number as a uniform one: the fraction of a multiple that is far larger than 1."""
+    """Convert a normal number to a uniform one: the fractional part of a large multiple."""
     return (1e4 * abs(normal)) % 1.0

@@ -1,24 +1,25 @@
-"""Step 1 of paper 001 without a hand: the object to be tracked is what moves."""
+"""Automatic initialization of a tracker by motion (step 1 of paper 001): the largest moving object is tracked."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.estimators.color.contract import check_count, checked_frame
+from servotrack.estimators.detect.detections import Detector
 from servotrack.estimators.types import Array, Image
 
 
 class Start(NamedTuple):
-    """Where tracking may begin.
+    """First frame and box for a tracker.
 
     Attributes:
         frame: Number of the frame, from 0.
-        box: Left, top, width and height of what moved most, px.
-        image: The frame itself as RGB, which a camera or an iterator would not give again. Shape (H, W, 3), uint8.
+        box: Left, top, width and height of the largest moving object, px.
+        image: The frame as RGB, since a camera or an iterator does not return it again. Shape (H, W, 3), uint8.
     """
 
     frame: int
@@ -26,18 +27,20 @@ class Start(NamedTuple):
     image: Image
 
 
-def start_from_motion(frames: Iterable[NDArray[np.uint8]], detector: Any, background: int = 10, seen: int = 3) -> Start:
-    """Find the largest thing that moves.
+def start_from_motion(
+    frames: Iterable[NDArray[np.uint8]], detector: Detector, background: int = 10, seen: int = 3
+) -> Start:
+    """Find the largest moving object.
 
     Args:
-        frames: RGB or gray, uint8; only as many are taken as are needed.
-        detector: With `initial(frames) -> state` and `step(state, frame) -> (state, detections)`, such as
-            `servotrack.estimators.detect.background.MaskedBackground`.
-        background: First frames that show the detector the background.
-        seen: Frames in a row in which something has to move before it counts; the last one's box is taken.
+        frames: Frames, RGB or gray, uint8; no more are read than needed.
+        detector: Detector of moving objects, such as `servotrack.estimators.detect.background.MaskedBackground`.
+        background: Number of first frames from which the detector learns the background.
+        seen: Number of consecutive frames with motion that are required; the box of the last one is returned. Raising
+            it starts later and less often on noise.
 
     Raises:
-        ValueError: Too few frames, frames of unlike sizes, or nothing that moved in `seen` frames in a row.
+        ValueError: There are too few frames, frames differ in size, or no motion lasts for `seen` frames.
     """
     check_count(background=background, seen=seen)
     source = iter(frames)
@@ -55,6 +58,6 @@ def start_from_motion(frames: Iterable[NDArray[np.uint8]], detector: Any, backgr
         if in_a_row >= seen:
             return Start(number, detections.boxes[int(np.argmax(detections.areas))].copy(), image)
     raise ValueError(
-        f"frames must show something that moves in {seen} frames in a row, got none in {number + 1} frames; "
-        "give a box, or a more sensitive detector"
+        f"frames must show motion in {seen} consecutive frames, got none in {number + 1} frames; "
+        "give a box, or use a more sensitive detector"
     )

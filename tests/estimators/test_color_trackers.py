@@ -317,7 +317,7 @@ def test_tracking_can_start_from_what_moves() -> None:
     state = MonteCarloColor().initial(start.image, start.box)
     _, estimate = MonteCarloColor().step(state, next(frames))
     assert np.abs(estimate.box - box(42, 30)).max() < 6.0
-    with pytest.raises(ValueError, match="something that moves in 3 frames in a row, got none in 5 frames"):
+    with pytest.raises(ValueError, match="motion in 3 consecutive frames, got none in 5 frames"):
         start_from_motion(still, Differences(), background=4)
     with pytest.raises(ValueError, match="more than the background's 10, got 5"):
         start_from_motion(still, Differences())
