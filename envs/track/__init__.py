@@ -1,1 +1,1 @@
-"""Worlds in which the agent is an observer: it answers every scan with the set of targets it believes in."""
+"""Tracking environments: the agent answers every observation with an estimate of the set of targets."""

@@ -1,4 +1,4 @@
-"""Pictures of tracking on video: boxes, tags and trails in identity colors, numbers over time, bounded memory."""
+"""Pictures of tracking in video: boxes, tags and trails in identity colors, plots, bounded memory."""
 
 import numpy as np
 import pytest
@@ -166,7 +166,7 @@ def test_pictures_of_any_frame_have_even_sides(shape):
     assert picture.shape[1] <= 1000
 
 
-def test_the_recorder_keeps_trails_by_identity_and_tells_held_from_reported():
+def test_the_recorder_keeps_trails_by_identity_and_separates_held_from_reported():
     recorder = BoxRecorder()
     for k in range(3):
         boxes = np.array([[10.0 * k, 0.0, 5.0, 5.0], [0.0, 10.0 * k, 5.0, 5.0], [9.0, 9.0, 1.0, 1.0]])

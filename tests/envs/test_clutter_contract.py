@@ -1,4 +1,4 @@
-"""The clutter world keeps the rules of Gymnasium and Stable-Baselines3, single and vector; pictures show something."""
+"""The clutter environment passes the checkers of Gymnasium and Stable-Baselines3, single and vector; rendering."""
 
 from __future__ import annotations
 

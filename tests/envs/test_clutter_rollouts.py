@@ -1,4 +1,4 @@
-"""Short stored rollouts of the tracking world: nobody changes it by accident.
+"""Short stored rollouts of the clutter environment, which detect unintended changes of behavior.
 
 A change of behavior means a new version of the id. Where one is meant, `python tests/envs/test_clutter_rollouts.py`
 stores them anew.
@@ -23,7 +23,7 @@ SEED, STEPS = 11, 12
 
 
 def answer_to(scan: Any, env: Any) -> Any:
-    """The measurements themselves, shrunk a little so that every score has a part in it."""
+    """Return the measurements, scaled slightly so that every score is nonzero."""
     answer = np.zeros(env.action_space.shape)
     kept = min(len(answer), len(scan))
     answer[:kept] = scan[:kept]
@@ -32,7 +32,7 @@ def answer_to(scan: Any, env: Any) -> Any:
 
 
 def rollout(level: int) -> dict[str, Any]:
-    """Everything that comes back, one array for each quantity."""
+    """Return the whole rollout, one array for each quantity."""
     env = gym.make(ENV_ID, level=level, horizon=STEPS)
     scan, info = env.reset(seed=SEED)
     rows = []

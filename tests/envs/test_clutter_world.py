@@ -1,4 +1,4 @@
-"""The clutter world: what its arguments promise is measured, and what its scores say is worked out by hand."""
+"""The clutter environment: statistics follow its arguments, and scores agree with values computed by hand."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def position(states):
 
 
 def true_answer(env, info):
-    """The truth as an answer: target i in row i."""
+    """Return the ground truth as an answer, with target i in row i."""
     answer = np.zeros(env.action_space.shape)
     truth = info["truth"]
     answer[: len(truth["exists"]), 0] = truth["exists"]
@@ -53,7 +53,7 @@ def test_truth_stays_inside_and_is_drawn_anew(many):
     assert not np.array_equal(many[0].states, many[1].states)
 
 
-def test_detections_and_clutter_are_as_frequent_as_told(many):
+def test_detections_and_clutter_are_as_frequent_as_configured(many):
     targets = sum(int(episode.exists.sum()) for episode in many)
     detected = sum(int((episode.source >= 0).sum()) for episode in many)
     assert detected / targets == pytest.approx(0.98, abs=4 * np.sqrt(0.98 * 0.02 / targets))
@@ -239,7 +239,7 @@ def test_agents_do_not_influence_the_scans():
         b, *_ = second.step(rng.uniform(0, 1, second.action_space.shape))
 
 
-def test_told_is_the_truth_but_on_the_mismatched_levels():
+def test_scene_model_is_wrong_only_on_mismatched_levels():
     for level in range(5):
         config = clutter_config(level)
         scene = scene_model_of(config)

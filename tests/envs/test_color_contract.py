@@ -1,4 +1,4 @@
-"""The color world keeps the rules of Gymnasium and Stable-Baselines3, single and vector; pictures show something."""
+"""The color environment passes the checkers of Gymnasium and Stable-Baselines3, single and vector; rendering."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from servotrack.envs.wrappers import PrivilegedObservation, VectorPrivilegedObse
 ENV_ID = "ColorTracking-v0"
 SMALL = {"width": 120, "height": 96, "head_height": 24.0}
 PIXELS = ".*(symmetric and normalized|recommend using np.float32).*"
-"""What the checkers recommend for actions; ours are boxes in px, which `RescaleAction` maps to [-1, 1] for learners."""
+"""Expected warning about the action range: actions are boxes in px; `RescaleAction` maps them to [-1, 1]."""
 
 
 @pytest.mark.parametrize("level", [0, 5])

@@ -1,4 +1,4 @@
-"""Short stored rollouts of the color world: nobody changes it by accident.
+"""Short stored rollouts of the color tracking environment, which detect unintended changes of behavior.
 
 A change of behavior means a new version of the id. Where one is meant, `python tests/envs/test_color_rollouts.py`
 stores them anew. Of the frames, means over blocks of 5 x 5 px are kept.
@@ -25,7 +25,7 @@ SEED, STEPS, EVERY, BLOCK = 11, 60, 30, 5
 
 
 def rollout(level: int) -> dict[str, Any]:
-    """Everything that comes back, one array for each quantity; of the frames every thirtieth."""
+    """Return the whole rollout, one array for each quantity; only every 30th frame."""
     env = gym.make(ENV_ID, level=level, horizon=STEPS)
     observation, info = env.reset(seed=SEED)
     frames, boxes, rewards, errors = [observation["frame"]], [info["truth"]["box"]], [], []
@@ -42,13 +42,13 @@ def rollout(level: int) -> dict[str, Any]:
 
 
 def blocks(frames: np.ndarray) -> np.ndarray:
-    """Mean colors of blocks."""
+    """Return the mean colors of blocks."""
     n, height, width, _ = frames.shape
     return frames.reshape(n, height // BLOCK, BLOCK, width // BLOCK, BLOCK, 3).mean(axis=(2, 4))
 
 
 HASHED = (1, 5)
-"""Two levels, which together draw everything that can be drawn but distractors."""
+"""Two levels that together cover all drawing except distractors."""
 
 
 @pytest.mark.parametrize("level", LEVELS)

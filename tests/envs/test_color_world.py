@@ -1,4 +1,4 @@
-"""The color world: the truth is where the head is drawn, every scenario does what its name says, scores by hand."""
+"""Color tracking: true boxes enclose the drawn head, scenarios have their effects, scores are exact."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def test_episode_scores_by_hand() -> None:
     assert precision(np.array([0.0, 20.0, 20.1, 90.0])) == 0.5
 
 
-def test_an_episode_tells_its_scores_at_the_end_and_counts_the_first_frame() -> None:
+def test_an_episode_reports_its_scores_at_the_end_and_counts_the_first_frame() -> None:
     env = gym.make(ENV_ID, horizon=6)
     observation, info = env.reset(seed=2)
     assert set(info) == {"truth"}

@@ -1,4 +1,4 @@
-"""Axes of the picture: each changes what it says and nothing else; statistics lie where real video has them."""
+"""Difficulties of the picture: each changes only its own effect; statistics agree with real video."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -120,7 +120,7 @@ def test_the_step_comes_once_in_the_middle_third(step):
         assert levels[-1] == step
 
 
-def test_shadows_darken_the_floor_beside_people_and_hide_nobody():
+def test_shadows_darken_the_floor_beside_people_and_occlude_no_person():
     group = crowd(4, 3)
     plain, shaded = stage().draw(group, 0), stage(shadow=0.5).draw(group, 0)
     change = shaded.image.astype(int) - plain.image
@@ -147,7 +147,7 @@ def test_leaves_sway_by_so_much_and_everything_else_rests():
     assert moved[1] > 1.5 * moved[0]
 
 
-def test_occluders_hide_people_behind_them_and_nobody_in_front():
+def test_occluders_hide_people_behind_them_and_none_in_front():
     hidden = 0
     for seed in range(4):
         group = crowd(10, seed)

@@ -1,4 +1,4 @@
-"""People in the picture: exact boxes and visibility, depth, sub-pixel motion, bodies that walk."""
+"""Rendering of people: exact boxes and visibility, depth order, sub-pixel motion, walking bodies."""
 
 import numpy as np
 import pytest
@@ -56,7 +56,7 @@ def test_a_person_alone_is_wholly_visible_and_its_box_is_the_extent_of_its_pixel
         assert drawn.boxes[row].tolist() == extent_of(drawn.owners == row + 1)
 
 
-def test_the_box_of_someone_who_stands_is_as_tall_as_its_height_and_ends_at_the_feet(stage):
+def test_the_box_of_a_standing_person_is_as_tall_as_its_height_and_ends_at_the_feet(stage):
     for height in (45.0, 70.0, 110.0):
         left, top, width, tall = stage.draw(people([[190.5, 250.0]], height=height), 0).boxes[0]
         assert abs(tall - height) < 0.06 * height + 1.0
@@ -65,7 +65,7 @@ def test_the_box_of_someone_who_stands_is_as_tall_as_its_height_and_ends_at_the_
         assert left < 190.5 < left + width
 
 
-def test_whoever_stands_nearer_hides_those_behind_whose_boxes_stay_whole(stage):
+def test_closer_people_occlude_others_whose_boxes_stay_whole(stage):
     far, near = [200.0, 200.0], [206.0, 215.0]
     both = stage.draw(people([far, near]), 0)
     assert both.visibility[1] == 1.0
@@ -98,7 +98,7 @@ def test_the_border_cuts_boxes_and_hides_what_lies_beyond(stage):
     np.testing.assert_array_equal(drawn.visibility[2:], [0.0, 0.0])
 
 
-def test_nobody_leaves_the_lobby_as_it_is(stage):
+def test_no_people_leave_the_lobby_unchanged(stage):
     drawn = stage.draw(people(np.empty((0, 2))), 0)
     assert drawn.image.shape == (288, 384, 3)
     assert drawn.boxes.shape == (0, 4)

@@ -1,4 +1,4 @@
-"""Frames of every kind of source, and what damaged ones say."""
+"""Frames of every kind of source, and errors of damaged ones."""
 
 import struct
 from pathlib import Path
@@ -15,7 +15,7 @@ SIZE = (64, 48)
 
 
 def picture(k: int, size: tuple[int, int] = SIZE) -> np.ndarray:
-    """A frame, RGB, that tells its number by its level; the texture keeps compressed frames from being tiny."""
+    """Return an RGB frame whose gray level is its number; the texture keeps compressed frames from being tiny."""
     noise = np.random.default_rng(k).integers(-20, 21, (size[1], size[0], 1))
     return np.uint8(np.clip(noise + 30 + 6 * k + np.array([20, 0, -20]), 0, 255))
 
@@ -176,7 +176,7 @@ def test_sources_that_are_none_are_named(tmp_path):
 
 
 class Stalling:
-    """A VideoCapture that delivers nothing now and then."""
+    """VideoCapture whose reads fail now and then."""
 
     def __init__(self, pauses: dict[int, int], frames: int = 6) -> None:
         self.pauses, self.frames, self.at = dict(pauses), frames, 0
@@ -194,7 +194,7 @@ class Stalling:
         return True, picture(self.at - 1)[..., ::-1]
 
     def release(self) -> None:
-        """Nothing to release."""
+        """Do nothing."""
 
 
 def test_short_stalls_are_waited_out_and_long_ones_end_the_sequence(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""The coder of frames leaves what a JPEG file leaves: OpenCV's, written and read, is the reference."""
+"""JPEG artifacts agree with a file written and read by OpenCV."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pedestrian world keeps the rules of Gymnasium and Stable-Baselines3, single and vector; pictures show it."""
+"""The pedestrian environment passes the checkers of Gymnasium and Stable-Baselines3, single and vector; rendering."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_stable_baselines3s_checker_is_content_through_flat_sets(observation):
 
 @pytest.fixture
 def short_warm_up(monkeypatch):
-    """Scenes begin with fewer people; every reset is faster."""
+    """Start scenes with fewer people, which makes every reset faster."""
     monkeypatch.setattr(scripts, "WARM_UP", 4.0)
 
 
@@ -145,7 +145,7 @@ def test_privileged_observation_puts_the_truth_beside_the_frame():
     assert np.array_equal(observation["true_ids"], info["truth"]["ids"])
 
 
-def test_what_agents_are_told():
+def test_scene_model():
     env = gym.make(ENV_ID, observation="centroids", empty_frames=7, max_people=9)
     scene = env.unwrapped.scene_model
     assert (scene.observation, scene.width, scene.height, scene.frame_rate) == ("centroids", 384, 288, 25.0)

@@ -1,4 +1,4 @@
-"""Short stored rollouts of the pedestrian world: nobody changes it by accident.
+"""Short stored rollouts of the pedestrian environment, which detect unintended changes of behavior.
 
 A change of behavior means a new version of the id. Where one is meant, `python tests/envs/test_pedestrian_rollouts.py`
 stores them anew.
@@ -27,7 +27,7 @@ SEED, STEPS, BLOCK = 11, 8, 24
 
 
 def rollout(case: str) -> dict[str, Any]:
-    """Everything that comes back, one array for each quantity; of images the means of blocks."""
+    """Return the whole rollout, one array for each quantity; block means of images."""
     env = gym.make(ENV_ID, horizon=STEPS, **CASES[case])
     seen, info = env.reset(seed=SEED)
     rows = []

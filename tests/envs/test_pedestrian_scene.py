@@ -1,4 +1,4 @@
-"""People in the lobby: they keep the schedule, move as people on real video do, and follow recorded tracks."""
+"""Movement of people: schedules, statistics of real video, contacts, and replay of recorded tracks."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from servotrack.envs.track.pedestrians.paper_script import MERGE, NUMBERS, SPLIT
 from servotrack.envs.track.pedestrians.replay import read_recording
 
 FRAMES = 2500
-"""Of the movements whose statistics are taken: lives fit in."""
+"""Number of frames of the movements whose statistics are computed, longer than a visit."""
 
 
 def lives(movement):
-    """Frames, feet (px) and heights (px) of everybody while their feet are in the image."""
+    """Return frames, feet (px) and heights (px) of all people while their feet are in the image."""
     column = movement.feet[..., 0]
     inside = (movement.ids > 0) & (column > 0) & (column < movement.width)
     for identity in range(1, movement.ids.max() + 1):
@@ -73,7 +73,7 @@ def test_some_stand_longer_than_a_background_takes_to_learn_them(movements):
     assert longest > 150
 
 
-def test_nobody_walks_through_anybody_and_steps_are_small():
+def test_bodies_do_not_overlap_and_steps_are_small():
     config = pedestrian_config(2, horizon=800)
     camera, movement = lobby_camera(384, 288), draw_movement(config, 3)
     there = movement.ids > 0
@@ -123,7 +123,7 @@ def test_papers_sequence_keeps_its_schedule(seed):
     assert np.array_equal((movement.ids > 0).sum(axis=1), expected)
 
 
-def test_papers_two_merge_and_part_and_everybody_can_be_seen():
+def test_two_people_of_the_paper_script_merge_and_split_and_all_are_visible():
     config = pedestrian_config(script="meet_split_third_guy")
     for seed in range(2):
         movement, stage = draw_movement(config, seed), Stage(config, seed)

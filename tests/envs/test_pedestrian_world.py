@@ -1,4 +1,4 @@
-"""The pedestrian world's scores, worked out by hand; hidden people are neither missed nor false."""
+"""Scores of the pedestrian environment agree with hand values; occluded people are neither missed nor false."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ENV_ID = "PedestrianTracking-v0"
 
 
 def true_answer(env, info):
-    """The truth as an answer: a person's row is their identity; who is hidden is held silently."""
+    """Return the ground truth as an answer, one row per identity; occluded people are held without being reported."""
     truth, answer = info["truth"], np.zeros(env.action_space.shape)
     boxes, n = truth["boxes"], len(truth["ids"])
     answer[:n, 0] = np.where(truth["exists"], 1.0, np.where(truth["ids"] > 0, 0.2, 0.0))
@@ -38,7 +38,7 @@ def test_truth_scores_zero(observation, level):
     assert (info["mota"], info["idf1"], info["hota"]) == pytest.approx((1.0, 1.0, 1.0))
 
 
-def test_nobody_reported_where_nobody_is_makes_no_error():
+def test_an_empty_answer_to_an_empty_scene_has_no_error():
     env = gym.make(ENV_ID, people=0.0, horizon=3).unwrapped
     env.reset(seed=0)
     for _ in range(3):
@@ -140,7 +140,7 @@ def test_blobs_are_where_people_are():
 
 
 def test_regions_of_a_plain_detector_fall_apart_and_merge_as_on_real_video():
-    """Ranges from recordings with clothes in the background's colors and people who stand together."""
+    """Blob statistics lie in the ranges of real recordings with camouflage and groups."""
     detector = MaskedBackground(faint=0.0, blobs=BlobFinder(split=False))
     regions_of, merged = [], []
     for seed in range(4):
@@ -163,7 +163,7 @@ def test_regions_of_a_plain_detector_fall_apart_and_merge_as_on_real_video():
 
 
 def contained(points, boxes):
-    """Which points lie in which boxes, shape (points, boxes)."""
+    """Return a mask of the points inside boxes, shape (points, boxes)."""
     low, high = boxes[None, :, :2], boxes[None, :, :2] + boxes[None, :, 2:]
     return ((points[:, None] >= low) & (points[:, None] <= high)).all(axis=-1)
 
@@ -191,7 +191,7 @@ def test_hidden_members_are_neither_missed_nor_false():
     assert (one_of_two.gospa.false[0], one_of_two.cardinality_error[0]) == (20.0, 1)
 
 
-def test_who_counts_comes_first():
+def test_scored_targets_come_first():
     # One answer between somebody who counts and, nearer, somebody hidden: it locates the one who counts.
     scorer = SetScorer(1, 1, 2, horizon=1, cutoff=40.0)
     found = scored(scorer, [1], [[12.0, 0.0]], [[0.0, 0.0], [14.0, 0.0]], [True, False], [False, True])

@@ -1,4 +1,4 @@
-"""Files of truth and detections: what they hold, and that bad ones are refused by name and line, never by accident."""
+"""Readers of ground truth and detections: content, and errors that name file and line."""
 
 import random
 from pathlib import Path
@@ -195,7 +195,7 @@ READERS = {
 
 @st.composite
 def mutated(draw, valid: bytes) -> bytes:
-    """The valid file with bytes replaced, pieces cut out or doubled."""
+    """Return a valid file with bytes replaced, and pieces removed or repeated."""
     rng = random.Random(draw(st.integers(0, 2**32)))
     content = bytearray(valid)
     for _ in range(rng.randint(1, 6)):
@@ -219,7 +219,7 @@ def mutated(draw, valid: bytes) -> bytes:
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_bytes_are_read_or_refused(tmp_path, name, data):
-    """Nothing but a SequenceError, whatever the bytes, and what is read holds finite boxes."""
+    """Arbitrary bytes raise only SequenceError; otherwise the boxes are finite."""
     reader, valid = READERS[name]
     path = write(tmp_path, name, data.draw(st.one_of(st.binary(max_size=300), mutated(valid))))
     try:

@@ -1,4 +1,4 @@
-"""The sonar world keeps the rules of Gymnasium and Stable-Baselines3, single and vector; pictures show something."""
+"""The sonar environment passes the checkers of Gymnasium and Stable-Baselines3, single and vector; rendering."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from servotrack.envs.wrappers import PrivilegedObservation, VectorPrivilegedObse
 
 ENV_ID = "SonarTracking-v0"
 SMALL = {"beams": 91, "elements": 16, "bin_width": 50.0, "snapshots": 50}
-"""A receiver whose records are cheap: what is checked here does not depend on its size."""
+"""Arguments of a small receiver with fast records; these tests do not depend on its size."""
 
 
 @pytest.mark.parametrize("level", [0, 3, 5])

@@ -1,4 +1,4 @@
-"""Short stored rollouts of the sonar world: nobody changes it by accident.
+"""Short stored rollouts of the sonar environment, which detect unintended changes of behavior.
 
 A change of behavior means a new version of the id. Where one is meant, `python tests/envs/test_sonar_rollouts.py`
 stores them anew.
@@ -27,11 +27,11 @@ CASES: dict[str, dict[str, Any]] = {
 }
 SEED, HORIZON, LAG = 11, 16, 2
 BEAMS = slice(None, None, 8)
-"""Beams that are stored; neighbors hold nearly the same."""
+"""Indices of the stored beams; neighboring beams are nearly equal."""
 
 
 def answer_to(record: Any, env: Any) -> Any:
-    """The loudest beams of two halves, so that every score has a part in it."""
+    """Return the loudest beams of two halves, so that every score is nonzero."""
     answer = np.zeros(env.action_space.shape)
     middle = len(record) // 2
     bearings = np.linspace(0.0, 180.0, len(record))
@@ -41,7 +41,7 @@ def answer_to(record: Any, env: Any) -> Any:
 
 
 def rollout(case: str) -> dict[str, Any]:
-    """Everything that comes back, one array for each quantity."""
+    """Return the whole rollout, one array for each quantity."""
     env = gym.make(ENV_ID, horizon=HORIZON, lag=LAG, **CASES[case])
     record, info = env.reset(seed=SEED)
     rows = []

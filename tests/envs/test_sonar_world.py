@@ -1,4 +1,4 @@
-"""The sonar world: what its arguments promise is measured, and what its scores say is worked out by hand."""
+"""The sonar environment: statistics follow its arguments, and scores agree with values computed by hand."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_mean_power_is_the_beam_pattern():
 
 @pytest.mark.parametrize("at", [5, 27])
 def test_both_fidelities_have_the_same_moments(at):
-    """Noise alone, and two targets on their way to each other: mean, variance and correlation of beam powers."""
+    """Mean, variance and correlation of beam powers agree, for noise alone and for two approaching targets."""
     runs = 400
     config, scene = drawn(variant="cross30", **SMALL, **EXACT)
     whole = replace(config, fidelity="snapshots")
@@ -140,7 +140,7 @@ def test_drawn_targets_can_be_separated(seed):
             assert scene.power[0].sum() == pytest.approx(600.0 * 10**-0.5)
 
 
-def test_who_crosses_the_arrays_axis_comes_back():
+def test_targets_that_cross_the_array_axis_are_reflected():
     for seed in range(40):
         _, scene = drawn(variant="random", seed=seed, rate_noise=0.3)
         step = np.abs(np.diff(scene.bearings, axis=0))[scene.exists[1:] & scene.exists[:-1]]

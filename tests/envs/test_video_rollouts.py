@@ -1,4 +1,4 @@
-"""Short stored rollouts of the world of recorded sequences: nobody changes it by accident.
+"""Short stored rollouts of the video environment, which detect unintended changes of behavior.
 
 A change of behavior means a new version of the id. Where one is meant, `python tests/envs/test_video_rollouts.py`
 stores them anew. The sequence is a MOTChallenge folder of PNG files, which every decoder reads alike.
@@ -26,11 +26,11 @@ CASES: dict[str, dict[str, Any]] = {
 }
 FRAMES, WIDTH, HEIGHT = 12, 96, 72
 WALKERS = ((3, 4, 20, 5, (200, 60, 30)), (8, 70, 30, -4, (30, 40, 220)), (15, 40, 10, 1, (90, 230, 90)))
-"""Identity, left, top, speed (px per frame) and color."""
+"""Identity, left, top, speed (px per frame) and color of each box."""
 
 
 def write_sequence(folder: Path) -> None:
-    """Three boxes that walk over a shaded floor, the second hidden behind the third for a while."""
+    """Write a sequence of three boxes that move over a shaded floor; the third occludes the second for a while."""
     for name in ("img1", "gt", "det"):
         (folder / name).mkdir()
     truth, detections = [], []
@@ -53,7 +53,7 @@ def write_sequence(folder: Path) -> None:
 
 
 def rollout(case: str) -> dict[str, Any]:
-    """Everything that comes back, one array for each quantity; the answer is the truth, a little beside it."""
+    """Return the whole rollout, one array for each quantity. Answers are slightly shifted true boxes."""
     with tempfile.TemporaryDirectory() as name:
         write_sequence(Path(name))
         env = gym.make(ENV_ID, source=name, **CASES[case])

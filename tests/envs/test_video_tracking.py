@@ -1,4 +1,4 @@
-"""VideoTracking-v0: a sequence is shown as it is, scored where its truth is known, and keeps Gymnasium's rules."""
+"""VideoTracking-v0: frames are unchanged, scores need ground truth, and Gymnasium's checkers pass."""
 
 import warnings
 from pathlib import Path
@@ -35,7 +35,7 @@ def sequence(folder: Path, images: bool = True) -> str:
 
 
 def answer(env: gym.Env, info: dict) -> np.ndarray:
-    """The truth, each identity in a row of its own."""
+    """Return the ground truth as an answer, one row per identity."""
     out = np.zeros(env.action_space.shape)
     truth = info["truth"]
     for row in np.flatnonzero(truth["exists"]):

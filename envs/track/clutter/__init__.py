@@ -1,1 +1,1 @@
-"""Points in clutter: `ClutterTracking-v0`."""
+"""Multi-target tracking of points in clutter: `ClutterTracking-v0`."""

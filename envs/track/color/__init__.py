@@ -1,1 +1,1 @@
-"""The color world of paper 001: a head in a room full of colors like its own, and everything that hides it."""
+"""Single-object tracking by color: `ColorTracking-v0`."""

@@ -1,1 +1,1 @@
-"""The pedestrian scene: people who walk a lobby by a social force model, and the picture of them with its truth."""
+"""Multi-person tracking in rendered video: `PedestrianTracking-v0`."""

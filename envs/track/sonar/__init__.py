@@ -1,1 +1,1 @@
-"""Bearing-time records of a line array: the world of the sonar trackers."""
+"""Multi-target bearing tracking with a passive sonar: `SonarTracking-v0`."""

@@ -1,1 +1,1 @@
-"""Recorded sequences as an environment: `VideoTracking-v0`."""
+"""Multi-person tracking in recorded sequences: `VideoTracking-v0`."""
