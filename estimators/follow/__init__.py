@@ -1,4 +1,4 @@
-"""Following one of many: a set filter on a moving camera, and a memory of which of its tracks is the one."""
+"""Following one person among many with a moving camera: a set filter and a memory of the followed track."""
 
 from servotrack.estimators.follow.ego_motion import CameraMotion, JacobianMotion, LiftedMotion, StillCamera
 from servotrack.estimators.follow.follower import FollowState, PersonFollower, Sighting

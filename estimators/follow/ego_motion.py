@@ -1,7 +1,7 @@
-"""Where points at rest go in the image while the arm moves its camera.
+"""Ego-motion of the camera: motion of the images of points at rest while the arm moves its camera.
 
-Every class here is what an estimator of the image Jacobian knows of that, as a function of image points: called with
-points in the image of one instant it says where they appear at a later one, if they rest on the plane.
+Each class here is the knowledge of one estimator of the image Jacobian as a function of image points: from points in
+the image of one instant it predicts their positions in a later image, if they are at rest on the plane.
 """
 
 from __future__ import annotations
@@ -20,30 +20,30 @@ class EgoMotion(Protocol):
     """The interface of every camera motion here."""
 
     def __call__(self, points: Array, joints_before: Array, joints_after: Array) -> Array:
-        """Where points at rest appear later.
+        """Predict the later image positions of points at rest.
 
         Args:
-            points: Shape (B, K, 2), px.
-            joints_before: Joint angles when the points were seen, shape (B, n), rad.
-            joints_after: Joint angles later, shape (B, n), rad.
+            points: Image points. Shape (B, K, 2), px.
+            joints_before: Joint angles in the image of the points, shape (B, n), rad.
+            joints_after: Joint angles in the later image, shape (B, n), rad.
 
         Returns:
-            Shape (B, K, 2), px.
+            Image points in the later image. Shape (B, K, 2), px.
         """
 
 
 @dataclass(frozen=True)
 class StillCamera:
-    """The camera does not move, or nobody knows how."""
+    """No motion of the camera, or unknown motion."""
 
     def __call__(self, points: Array, joints_before: Array, joints_after: Array) -> Array:
-        """The same points."""
+        """Return the same points."""
         return points
 
 
 @dataclass(frozen=True, eq=False)
 class JacobianMotion:
-    """To first order, by J_theta alone: exact at the point whose Jacobian it is, blind to the turn of the rest.
+    """First-order motion by J_theta: exact at the point of the Jacobian; the image's rotation about it is ignored.
 
     Args:
         jacobian: Total image Jacobian. Shape (B, 2, n + 1), px/rad and px/s.
@@ -52,17 +52,17 @@ class JacobianMotion:
     jacobian: Array
 
     def __call__(self, points: Array, joints_before: Array, joints_after: Array) -> Array:
-        """As `EgoMotion`."""
+        """Shift all points by J_theta times the joint motion; arguments as in `EgoMotion`."""
         shift = np.einsum("bij,bj->bi", self.jacobian[..., :-1], joints_after - joints_before)
         return points + shift[:, None]
 
 
 @dataclass(frozen=True, eq=False)
 class LiftedMotion:
-    """By what a lifted Kalman filter believes of the arm: exact for all points of an image without tilt or distortion.
+    """Motion by the arm estimate of a lifted Kalman filter: exact for all points without tilt or distortion.
 
-    A point y at rest has T p = y - goal + b + d, and T p, b turn with the joints (`servotrack.estimators.jacobian.
-    lifted`); so y moves by a turn about a center of its own.
+    A point y at rest has T p = y - goal + b + d, and T p, b rotate with the joints (`servotrack.estimators.jacobian.
+    lifted`); so each point y rotates about its own center.
 
     Args:
         elbow: B of the filter, u + iv. Shape (B,), px.
@@ -76,12 +76,12 @@ class LiftedMotion:
 
     @classmethod
     def of(cls, state: LiftedState, goal: Array) -> LiftedMotion:
-        """The motion that a state with one batch axis believes in."""
+        """Create the motion from the estimate of a state with one batch axis."""
         mean = np.einsum("bm,bms->bs", state.model_weight, state.mean)
         return cls(mean[:, 3], mean[:, 4], goal)
 
     def __call__(self, points: Array, joints_before: Array, joints_after: Array) -> Array:
-        """As `EgoMotion`."""
+        """Rotate the points by the joint motion; arguments as in `EgoMotion`."""
         offset = points - self.goal[:, None]
         turn = np.exp(1j * (joints_after - joints_before).sum(axis=1))
         before = np.exp(1j * joints_before[:, 1]) * self.elbow + self.forearm
@@ -92,18 +92,18 @@ class LiftedMotion:
 
 @dataclass(frozen=True, eq=False)
 class CameraMotion:
-    """By the camera and the arm themselves, for oracles: exact for all points.
+    """Motion by the true camera and arm, for oracles: exact for all points.
 
     Args:
         camera: Packed cameras. Shape (B, CAMERA_SIZE).
-        links: Shape (B, 2), m.
+        links: Link lengths. Shape (B, 2), m.
     """
 
     camera: Array
     links: Array
 
     def __call__(self, points: Array, joints_before: Array, joints_after: Array) -> Array:
-        """As `EgoMotion`."""
+        """Project the points to the ground and back; arguments as in `EgoMotion`."""
         shape = points.shape[:2]
         camera = np.broadcast_to(self.camera[:, None], (*shape, self.camera.shape[1]))
         links = np.broadcast_to(self.links[:, None], (*shape, 2))
@@ -116,7 +116,7 @@ class CameraMotion:
         return moved
 
     def _pose(self, joints: Array) -> tuple[Array, Array, Array]:
-        """Cosine and sine of the camera's heading, (B, 1) each, and the tool, (B, 2) m."""
+        """Cosine and sine of the camera's heading, (B, 1) each, and position of the tool, (B, 2) m."""
         phi = joints.sum(axis=1)
         cosine, sine = np.cos(phi), np.sin(phi)
         c = cosine * self.camera[:, 5] - sine * self.camera[:, 6]

@@ -1,12 +1,12 @@
-"""One person among many: a Gaussian-mixture PHD filter of everybody in view, and a memory of whom to follow.
+"""Tracking of one person among many: a Gaussian-mixture PHD filter of all people in view, and a memory of the target.
 
-Everybody is tracked, so that a detection which belongs to somebody else is known to be theirs. A target's state is
-[u, u', v, v', r, g, b]: where it is in the image, how it moves by itself (the camera's own motion is taken out by what
-the Jacobian's estimator believes), and its color, the appearance that tells people apart where they cross.
+All people are tracked, so that detections of other people are assigned to their own tracks. The state of a track is
+[u, u', v, v', r, g, b]: position in the image, own motion (without the camera's motion, which the estimate of the image
+Jacobian compensates), and color, the appearance that separates people where their paths cross.
 
-A set filter forgets who is not detected within a few frames. The memory does not: the followed identity is kept in the
-mixture with a least weight, however long nobody is detected there, and spreads with the uncertainty of where the person
-went; so the filter itself takes it up again, by place, motion and color. Only after a while the color alone decides.
+A set filter drops people who are not detected for a few frames. The memory keeps the followed identity in the mixture
+with a minimum weight, for any number of frames without a detection, while its covariance grows; so the filter itself
+detects it again, by position, motion and color. After `patience` frames only the color decides.
 """
 
 from __future__ import annotations
@@ -25,23 +25,24 @@ from servotrack.estimators.stateful import select_rows
 from servotrack.estimators.types import Array, Labels, Mask
 
 COLUMNS = 8
-"""Of a detection: existence; column, row, width, height (px); red, green, blue (gray levels)."""
+"""Columns of a detection: existence; column, row, width, height (px); red, green, blue (gray levels)."""
 _SEEN = [0, 1, 2, 5, 6, 7]
+"""Columns of a detection that the filter uses: existence, column, row and color."""
 _POSITION, _VELOCITY, _COLOR = [0, 2], [1, 3], [4, 5, 6]
-_IMAGE = 480.0  # width of the image in whose pixels all numbers are, px
+"""Entries of the state."""
 
 
 class FollowState(NamedTuple):
     """State of a `PersonFollower`, B runs.
 
     Attributes:
-        crowd: The set filter's state.
-        label: Identity that is followed. Shape (B,).
-        place: Where the person is in the newest frame. Shape (B, 2), px.
-        motion: Their own motion in it. Shape (B, 2), px/s.
-        color: Shape (B, 3), gray levels.
-        unseen: Frames since the person was last detected. Shape (B,).
-        strangers: Identities below this one were there beside the person: they are others. Shape (B,).
+        crowd: State of the set filter.
+        label: Followed identity. Shape (B,).
+        place: Position of the person in the newest frame. Shape (B, 2), px.
+        motion: Own velocity of the person in the image. Shape (B, 2), px/s.
+        color: Color of the person. Shape (B, 3), gray levels.
+        unseen: Number of frames since the last detection of the person. Shape (B,).
+        strangers: Labels below this existed while the person was visible, so they belong to other people. Shape (B,).
     """
 
     crowd: PHDState
@@ -54,11 +55,11 @@ class FollowState(NamedTuple):
 
 
 class Sighting(NamedTuple):
-    """What a frame tells of the person to follow.
+    """Image position of the followed person in a frame.
 
     Attributes:
-        features: Where they were detected, or else where they are believed to be. Shape (B, 2), px.
-        visible: Whether they were detected. Shape (B,), bool.
+        features: Detected position, or the predicted one without a detection. Shape (B, 2), px.
+        visible: Mask of the runs with a detection of the person. Shape (B,), bool.
     """
 
     features: Array
@@ -70,24 +71,28 @@ class PersonFollower:
     """Follows one person by detections with colors.
 
     Args:
-        period: Between frames, s.
-        acceleration: Root spectral density of people's own acceleration in the image, px/s^1.5.
-        position_noise: Standard deviation of a detection's middle, px.
+        period: Time between frames, s.
+        acceleration: Root spectral density of people's own acceleration in the image, px/s^1.5. Raising it follows
+            turns faster and smooths less.
+        position_noise: Standard deviation of a detection's middle, px. Raising it smooths more.
         color_noise: Standard deviation of a detection's color, gray levels.
-        color_drift: The same of a person's color from frame to frame.
-        speed: Standard deviation of the velocity of who appears, px/s.
-        detection: Probability of a person in view to be detected.
-        survival: Probability to stay in view from frame to frame.
+        color_drift: Standard deviation of the change of a person's color per frame, gray levels.
+        speed: Standard deviation of a new person's velocity, px/s.
+        detection: Probability that a person in view is detected.
+        survival: Probability that a person stays in view from frame to frame.
         births: Expected number of people who appear per frame.
         clutter: Expected number of false detections per frame.
-        first_color: Standard deviation of the color that the first picture shows, gray levels.
-        least_weight: That the followed identity keeps.
-        near: Distance at which a detection is that of the person's track, and at which nobody else can be, px.
-        alike: Distance of colors at which two may be the same person, gray levels.
-        spreading: By how much that distance grows for new tracks while the person is not detected, px/s.
-        patience: Frames without a detection after which any new track of that color may be the person.
-        memory: Time over which somebody who is not detected is expected to stop or turn, s.
-        reduction: How far the filter's mixture is reduced.
+        first_color: Standard deviation of the color in the first picture, gray levels.
+        least_weight: Minimum weight of the followed identity. Raising it assigns nearby detections to it sooner.
+        near: Largest distance of a detection to the person's track, and smallest distance of two people, px.
+        alike: Largest distance of two colors of the same person, gray levels. Raising it finds the person again more
+            often, and confuses people of similar color.
+        spreading: Growth of `near` for new tracks while the person is not detected, px/s.
+        patience: Number of frames without a detection after which any new track of that color may be the person.
+        memory: Time constant in which the velocity of an undetected person falls, s.
+        reduction: Pruning, merging and capping of the filter's mixture.
+        image_width: Width of the square image in whose pixels all lengths are given, px.
+        color_rate: Weight of a new frame in the person's color.
     """
 
     period: float = 0.05
@@ -108,10 +113,12 @@ class PersonFollower:
     patience: int = 30
     memory: float = 0.4
     reduction: Reduction = field(default_factory=lambda: Reduction(components=40))
+    image_width: float = 480.0
+    color_rate: float = 0.05
 
     @cached_property
     def filter(self) -> GMPHD:
-        """The filter of everybody in view."""
+        """The filter of all people in view."""
         t, q = self.period, self.acceleration**2
         F, Q = np.eye(7), np.zeros((7, 7))
         for axis in (0, 2):
@@ -123,7 +130,7 @@ class PersonFollower:
         return GMPHD(
             model,
             MeasurementBirth(expected=self.births, hidden_deviation=self.speed),
-            clutter_intensity=self.clutter / (_IMAGE**2 * 255.0**3),
+            clutter_intensity=self.clutter / (self.image_width**2 * 255.0**3),
             survival=self.survival,
             detection=self.detection,
             reduction=self.reduction,
@@ -131,23 +138,32 @@ class PersonFollower:
 
     @cached_property
     def _spread(self) -> Array:
-        """Covariance of a person of whom nothing but a first picture is known."""
+        """Covariance of a person with a first picture only."""
         return np.diag([self.position_noise**2, self.speed**2] * 2 + [self.first_color**2] * 3)
 
     @cached_property
-    def _limits(self) -> tuple[float, ...]:
+    def _rules(self) -> _Rules:
         slowing = float(np.exp(-self.period / self.memory))
-        return self.near, self.alike, self.least_weight, slowing, self.spreading * self.period
+        return _Rules(
+            self.near,
+            self.alike,
+            self.least_weight,
+            slowing,
+            self.spreading * self.period,
+            self.patience,
+            self.color_rate,
+            self._spread,
+        )
 
     def initial(self, detections: Array, place: Array, color: Array) -> FollowState:
-        """State before the first frame is folded in.
+        """State before the update with the first frame.
 
-        A picture shows other shades than a detector: a detection at the place in question tells the color better.
+        Colors in a picture differ from those of a detector, so a detection near the given position replaces the color.
 
         Args:
-            detections: Of that frame. Shape (B, M, COLUMNS).
-            place: Middle of the person in it. Shape (B, 2), px.
-            color: Their color. Shape (B, 3), gray levels.
+            detections: Detections of that frame. Shape (B, M, COLUMNS).
+            place: Middle of the person in that frame. Shape (B, 2), px.
+            color: Color of the person. Shape (B, 3), gray levels.
         """
         crowd = self.filter.initial(checked(detections)[:, :, _SEEN])
         color = color.copy()
@@ -182,22 +198,22 @@ class PersonFollower:
         joints_before: Array,
         joints_after: Array,
     ) -> tuple[FollowState, Sighting]:
-        """Fold one frame in, of those runs that have a new one.
+        """Update with one frame, in the runs that have a new one.
 
         Args:
-            state: As returned by `initial` or `step`.
-            detections: Shape (B, M, COLUMNS).
-            fresh: Which runs have a new frame. Shape (B,), bool.
+            state: Result of `initial` or of the last `step`.
+            detections: Detections of the frame. Shape (B, M, COLUMNS).
+            fresh: Mask of the runs with a new frame. Shape (B,), bool.
             elapsed: Time since the last frame. Shape (B,), s.
-            ego_motion: Where points at rest go.
+            ego_motion: Predicted motion of points at rest in the image.
             joints_before: Joint angles at the last frame. Shape (B, n), rad.
-            joints_after: Joint angles at this one. Shape (B, n), rad.
+            joints_after: Joint angles at this frame. Shape (B, n), rad.
 
         Returns:
-            The new state, and what the frame tells of the person.
+            The new state, and the image position of the person.
 
         Raises:
-            ValueError: As the set filter does for detections of a wrong shape or not finite.
+            ValueError: Detections have a wrong shape or are not finite.
         """
         checked(detections)
         moved = self._carried(state, elapsed, ego_motion, joints_before, joints_after)
@@ -210,17 +226,16 @@ class PersonFollower:
             strangers=np.where(moved.unseen == 0, crowd.next_label, moved.strangers),
         )
         features, visible = new.place.copy(), np.zeros(len(fresh), np.bool_)
-        _decide(  # type: ignore[call-arg]  # mypy cannot count starred arguments of a compiled function
-            detections, estimate.labels, estimate.states, *crowd.intensity[:4], crowd.intensity.label, *new[1:],
-            features, visible, self._spread, self._limits, self.patience, moved.crowd.next_label,
-        )  # fmt: skip
+        newborn = moved.crowd.next_label
+        reported = estimate.labels, estimate.states
+        _decide(detections, reported, crowd.intensity, new[1:], newborn, self._rules, features, visible)
         kept = select_rows(fresh, new, state)
         return kept, Sighting(np.where(fresh[:, None], features, state.place), visible & fresh)
 
     def _carried(
         self, state: FollowState, elapsed: Array, ego_motion: EgoMotion, joints_before: Array, joints_after: Array
     ) -> FollowState:
-        """Everybody where they would be if they had not moved by themselves for the filter's own period."""
+        """Compensate the camera's motion in positions and velocities; the filter's prediction adds the own motion."""
         intensity, births = state.crowd.intensity, state.crowd.births
         mean, born = intensity.mean.copy(), births.mean.copy()
         place, motion = state.place[:, None], state.motion[:, None]
@@ -230,7 +245,7 @@ class PersonFollower:
         here = ego_motion(position, joints_before, joints_after)
         ahead = ego_motion(position + self.period * velocity, joints_before, joints_after)
         turned = (ahead - here) / self.period
-        # The filter itself goes on for one period; a lost frame leaves more.
+        # The filter itself predicts for one period; after a lost frame the rest is added here.
         here = here + (elapsed[:, None, None] - self.period) * turned
         mean[..., _POSITION], mean[..., _VELOCITY] = here[:, :known], turned[:, :known]
         born[..., _POSITION], born[..., _VELOCITY] = here[:, known:-1], turned[:, known:-1]
@@ -238,8 +253,28 @@ class PersonFollower:
         return state._replace(crowd=crowd, place=here[:, -1] + self.period * turned[:, -1], motion=turned[:, -1])
 
 
+class _Rules(NamedTuple):
+    """Parameters of a `PersonFollower` for the compiled kernels, per frame where they are rates.
+
+    Attributes:
+        near, alike, least_weight, patience, color_rate: Parameters of the same names.
+        slowing: Factor on the velocity of an undetected person.
+        spreading: Growth of `near`, px.
+        spread: Covariance of a person with a first picture only. Shape (7, 7).
+    """
+
+    near: float
+    alike: float
+    least_weight: float
+    slowing: float
+    spreading: float
+    patience: int
+    color_rate: float
+    spread: Array
+
+
 def checked(detections: Array) -> Array:
-    """The detections, if they are a table for each run; raises ValueError that says what would be."""
+    """Return the detections if they have a table for each run; raise ValueError otherwise."""
     if np.ndim(detections) != 3 or detections.shape[2] != COLUMNS:
         raise ValueError(
             f"detections must have shape (runs, rows, {COLUMNS}): existence, column, row, width, height, red, green, "
@@ -250,7 +285,7 @@ def checked(detections: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def _nearest(detections, u, v, color, reach, alike):  # type: ignore[no-untyped-def]
-    """The detection nearest to (u, v) within `reach` px, of about this color; -1 for none."""
+    """Index of the detection nearest to (u, v) within `reach` px and of similar color; -1 for none."""
     best, found = reach * reach, -1
     for k in range(detections.shape[0]):
         if detections[k, 0] < 0.5:
@@ -266,14 +301,28 @@ def _nearest(detections, u, v, color, reach, alike):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def _decide(  # type: ignore[no-untyped-def]
-    detections, labels, states, number, weight, mean, covariance, identity, label, place, motion, color, unseen,
-    strangers, features, visible, spread, limits, patience, newborn,
-):  # fmt: skip
-    """Keep the followed identity alive in every run; fill the memory, `features` and `visible`."""
-    near, alike, least, slowing, spreading = limits
+    detections, reported, intensity, memory, newborn, rules, features, visible
+):
+    """Keep the followed identity alive in every run.
+
+    Args:
+        detections: Detections of the frame. Shape (B, M, COLUMNS).
+        reported: Reported identities and states. Shapes (B, k) and (B, k, 7).
+        intensity: Mixture of the set filter; changed.
+        memory: Fields of a `FollowState` from `label` on; changed.
+        newborn: Identities from this one on are new in this frame. Shape (B,).
+        rules: A `_Rules`.
+        features: Output as in `Sighting`. Shape (B, 2).
+        visible: Output as in `Sighting`. Shape (B,).
+    """
+    labels, states = reported
+    label, place, motion, color, unseen, strangers = memory
+    number, weight, mean, covariance = intensity.number, intensity.weight, intensity.mean, intensity.covariance
+    identity = intensity.label
+    near, alike, least, slowing, spreading, patience, color_rate, spread = rules
     for b in range(label.shape[0]):
         if unseen[b] > 0:
-            # Only near, until there has been time to go anywhere.
+            # The distance is limited until the person may be anywhere.
             reach = near + spreading * unseen[b] if unseen[b] < patience else np.inf
             found = _recognized(labels[b], states[b], place[b], color[b], strangers[b], reach, alike)
             if found >= 0:
@@ -283,7 +332,7 @@ def _decide(  # type: ignore[no-untyped-def]
             if identity[b, k] == label[b] and (row < 0 or weight[b, k] > weight[b, row]):
                 row = k
         if row < 0:
-            # It was merged into somebody else's or cut off: it comes back where it is believed to be.
+            # The component was merged into another one or capped: it is restored at its predicted position.
             row = min(number[b], weight.shape[1] - 1)
             number[b] = row + 1
             identity[b, row] = label[b]
@@ -305,9 +354,9 @@ def _decide(  # type: ignore[no-untyped-def]
             unseen[b], visible[b] = 0, True
             features[b, 0], features[b, 1] = detections[b, found, 1], detections[b, found, 2]
             for channel in range(3):
-                color[b, channel] += 0.05 * (mean[b, row, 4 + channel] - color[b, channel])
+                color[b, channel] += color_rate * (mean[b, row, 4 + channel] - color[b, channel])
             for k in range(number[b]):
-                # Nobody else can stand so near: what is born here is a second track of the person.
+                # No other person can be this near: a track born here is a second track of the person.
                 away = (mean[b, k, 0] - place[b, 0]) ** 2 + (mean[b, k, 2] - place[b, 1]) ** 2
                 if identity[b, k] >= newborn[b] and away < near * near:
                     identity[b, k] = label[b]
@@ -319,7 +368,7 @@ def _decide(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _recognized(labels, states, place, color, strangers, reach, alike):  # type: ignore[no-untyped-def]
-    """The nearest reported track of the person's color that is new since they were lost; -1 for none."""
+    """Index of the nearest reported track of similar color that began after the person was lost; -1 for none."""
     best, found = reach * reach, -1
     for k in range(labels.shape[0]):
         off = 0.0

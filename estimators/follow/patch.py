@@ -1,4 +1,4 @@
-"""What the picture of a person tells a tracker that sees colors only."""
+"""Color of a person from a picture, for trackers that use colors only."""
 
 from __future__ import annotations
 
@@ -7,21 +7,20 @@ from numpy.typing import ArrayLike
 
 from servotrack.estimators.types import Array
 
-_BODY = 0.26
-"""Radius of the person in a picture, as a share of its width."""
 
-
-def patch_color(patch: ArrayLike) -> Array:
-    """Mean color of the middle of square pictures of persons.
+def patch_color(patch: ArrayLike, radius: float = 0.26) -> Array:
+    """Mean color of the middle of square pictures of people.
 
     Args:
-        patch: Shape (*batch, S, S, 3), gray levels.
+        patch: Pictures. Shape (*batch, S, S, 3), gray levels.
+        radius: Radius of the person in a picture, as a share of its width. A larger radius averages noise, but
+            includes the floor.
 
     Returns:
-        Shape (*batch, 3), gray levels.
+        Mean color. Shape (*batch, 3), gray levels.
     """
     pixels = np.asarray(patch, dtype=np.float64)
     side = pixels.shape[-2]
     offset = (np.arange(side) + 0.5) / side - 0.5
-    inside = np.hypot(offset[:, None], offset) < _BODY
+    inside = np.hypot(offset[:, None], offset) < radius
     return pixels[..., inside, :].mean(axis=-2)
