@@ -33,7 +33,7 @@ _SITES_HALF_WIDTH = 2000.0
 _SENSOR_DISTANCE = 1.5
 """Distance of the range-bearing sensor from the middle of the region, half widths. It stands on the negative x axis, so
 that all bearings of the region stay far from pi."""
-_REACH = 10.0
+_MARGIN_DEVIATIONS = 10.0
 """Margin of the spaces around the region, standard deviations of the measurement noise."""
 
 
@@ -156,15 +156,15 @@ class ClutterConfig:
         """Lowest and highest measurement, each of shape (2,): the field of view with a margin for noise."""
         low, high = self.seen
         if self.sensor == "position":
-            room = np.full(2, _REACH * self.position_noise)
+            room = np.full(2, _MARGIN_DEVIATIONS * self.position_noise)
         else:
-            room = _REACH * np.array([self.range_noise, self.bearing_noise])
+            room = _MARGIN_DEVIATIONS * np.array([self.range_noise, self.bearing_noise])
         return low - room, high + room
 
     @property
     def estimate_bound(self) -> float:
         """Largest coordinate of an estimate, m."""
-        return self.half_width + _REACH * self.position_noise
+        return self.half_width + _MARGIN_DEVIATIONS * self.position_noise
 
     @property
     def measurement_rows(self) -> int:

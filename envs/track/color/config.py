@@ -60,10 +60,10 @@ class ColorConfig:
     def __post_init__(self) -> None:
         """Check every field. A ValueError names the argument, its value and the valid values."""
         check_fields(self, _BOUNDS, _WHOLE)
-        tallest = min(_ROOM * self.height, _BREADTH * self.width)
+        tallest = min(_MAX_HEIGHT_SHARE * self.height, _MAX_WIDTH_SHARE * self.width)
         if self.head_height * self.zoom > tallest:
             raise ValueError(
-                f"head_height * zoom must be at most {_ROOM:g} of the frame's height and {_BREADTH:g} of its width = "
+                f"head_height * zoom must be at most {_MAX_HEIGHT_SHARE:g} of the frame's height and {_MAX_WIDTH_SHARE:g} of its width = "
                 f"{tallest:g} px, got {self.head_height * self.zoom:g}; the head must fit into the frame"
             )
 
@@ -90,9 +90,9 @@ _BOUNDS: tuple[tuple[str, float, float], ...] = (
     ("sensor_noise", 0.0, 30.0),
 )
 _WHOLE = frozenset({"horizon", "width", "height", "occlusions", "distractors"})
-_ROOM = 0.5
+_MAX_HEIGHT_SHARE = 0.5
 """Maximum height of a head, as a share of the frame height."""
-_BREADTH = 0.75
+_MAX_WIDTH_SHARE = 0.75
 """Maximum height of a head, as a share of the frame width. With its hair a head is slightly wider than high."""
 
 _LEVELS: tuple[dict[str, Any], ...] = (

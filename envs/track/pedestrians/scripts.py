@@ -103,7 +103,7 @@ class _Lobby:
         """Draw a desired speed, m/s."""
         return float(np.clip(1.1 + 0.33 * self.rng.standard_normal(), 0.4, 1.9))
 
-    def beside(self) -> Array:
+    def offset(self) -> Array:
         """Draw the offset between two people who stay together, m."""
         angle = self.rng.uniform(0.0, 2.0 * math.pi)
         return _SPACING * np.array([math.cos(angle), math.sin(angle)])
@@ -125,7 +125,7 @@ class _Lobby:
 def _together(lobby: _Lobby, birth: int, start: Array, stops: list[tuple[Array, float]], size: int) -> Party:
     """Return the plans of a party that stays together. Stops are places (m) and durations (frames)."""
     pace = lobby.pace()
-    offsets = [np.zeros(2)] + [lobby.beside() * (1.0 + 0.5 * (k // 2)) for k in range(size - 1)]
+    offsets = [np.zeros(2)] + [lobby.offset() * (1.0 + 0.5 * (k // 2)) for k in range(size - 1)]
     party = []
     for offset in offsets:
         legs = [leg(_inside(place + offset), pause, face=_angle(-offset)) for place, pause in stops]
@@ -171,7 +171,7 @@ def _meeting(lobby: _Lobby, birth: int) -> Party:
     """Return a visit in which two people arrive separately, meet, stay, and leave together or separately."""
     doors = [lobby.door()]
     doors.append(lobby.door(doors[0][0] if lobby.chance(0.2) else -doors[0][0]))
-    place, apart = lobby.spot(doors[0][0]), lobby.beside()
+    place, apart = lobby.spot(doors[0][0]), lobby.offset()
     starts = [lobby.outside(door) for door in doors]
     paces = [lobby.pace(), lobby.pace()]
     ways = [float(np.hypot(*(place - start))) / pace * lobby.rate for start, pace in zip(starts, paces, strict=True)]
