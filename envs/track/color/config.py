@@ -64,7 +64,8 @@ class ColorConfig:
         if self.head_height * self.zoom > tallest:
             raise ValueError(
                 f"head_height * zoom must be at most {_MAX_HEIGHT_SHARE:g} of the frame's height and "
-                f"{_MAX_WIDTH_SHARE:g} of its width = {tallest:g} px, got {self.head_height * self.zoom:g}; the head must fit into the frame"
+                f"{_MAX_WIDTH_SHARE:g} of its width = {tallest:g} px, "
+                f"got {self.head_height * self.zoom:g}; the head must fit into the frame"
             )
 
 
