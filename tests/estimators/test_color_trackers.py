@@ -246,6 +246,7 @@ def test_frames_of_a_few_pixels_are_tracked(name: str, shape: tuple[int, ...]) -
         (lambda: KernelMeanShift(bins=0), "bins must be a whole number from 1 to 16, got 0"),
         (lambda: ColorParticleFilter(seed=-1), "seed must be a whole number from 0"),
         (lambda: MonteCarloColorPlus(samples=1), "samples must be at least 2"),
+        (lambda: MonteCarloColorPlus(losing=2.0), "losing must lie in"),
         (lambda: MonteCarloColorPlus(gradient_share=0.9), "gradient_share \\+ color_share must be at most 1"),
         (lambda: MonteCarloColorPlus(widening=np.nan), "widening must be finite"),
         (lambda: OpenCVTracker("GOTURN"), "name must be one of MIL, CSRT, KCF"),

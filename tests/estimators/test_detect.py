@@ -91,7 +91,8 @@ def test_wrong_images_are_refused(images, message):
 
 
 @pytest.mark.parametrize(
-    "arguments", [{"color": (100.0, 100.0, 101.0)}, {"threshold": 0.0}, {"threshold": 1.5}, {"least_weight": 0.0}]
+    "arguments",
+    [{"color": (100.0, 100.0, 101.0)}, {"threshold": 0.0}, {"threshold": 1.5}, {"least_weight": 0.0}, {"tint": -1.0}],
 )
 def test_wrong_parameters_are_named(arguments):
     with pytest.raises(ValueError, match=next(iter(arguments))):

@@ -233,7 +233,7 @@ def test_bad_images_are_refused(images, widths, message):
         PeopleFromAbove().detect(images, widths)
 
 
-@pytest.mark.parametrize("keywords", [{"dark": 1.5}, {"chroma": 0.0}, {"bright": 0.9}, {"capacity": 0}])
+@pytest.mark.parametrize("keywords", [{"dark": 1.5}, {"chroma": 0.0}, {"bright": 0.9}, {"capacity": 0}, {"rounds": 0}])
 def test_bad_parameters_are_refused(keywords):
     (name,) = keywords
     with pytest.raises(ValueError, match=name):
