@@ -1,4 +1,4 @@
-"""Camera model on a planar two-link arm, looking down on the plane of its targets (paper 002, section 3.1).
+"""Camera model on a planar two-link arm, looking down on the plane of its targets (Zhang 2011, section 3.1).
 
 The camera is at the tool, `depth` above the plane. Its x axis is the direction of the second link rotated by the
 mounting angle psi; y and z are flipped. With phi = theta1 + theta2 + psi a ground point p appears, before tilt, at
@@ -233,7 +233,7 @@ def project_points(
 def image_jacobian(
     camera: ArrayLike, links: ArrayLike, joint_angles: ArrayLike, points: ArrayLike, velocities: ArrayLike
 ) -> Array:
-    """Analytic total image Jacobian [J_theta J_t] of moving ground points (paper 002, eqs 3 to 6).
+    """Analytic total image Jacobian [J_theta J_t] of moving ground points (Zhang 2011, eqs 3 to 6).
 
     Args:
         camera: Packed cameras. Shape (*batch, CAMERA_SIZE).

@@ -80,7 +80,7 @@ TWO_LINKS_ONLY = {"lifted-kf"}
 
 
 def paper_target(time: float) -> Array:
-    """The ellipse of paper 002, eq. (32), at rest before time 0. Shape (2,), m."""
+    """The ellipse of Zhang 2011, eq. (32), at rest before time 0. Shape (2,), m."""
     phase = max(time, 0.0)
     return np.array([0.5 + 0.3 * np.cos(phase), 0.5 + 0.2 * np.sin(phase)])
 

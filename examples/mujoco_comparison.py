@@ -95,11 +95,7 @@ def page(runs: int, jobs: int) -> str:
 
 
 def _shown(errors: Array | None) -> str:
-    return (
-        "two links only"
-        if errors is None
-        else f"{np.median(errors):.2f} ({errors.min():.2f} to {errors.max():.2f})"
-    )
+    return "two links only" if errors is None else f"{np.median(errors):.2f} ({errors.min():.2f} to {errors.max():.2f})"
 
 
 TEXT = """# A MuJoCo arm

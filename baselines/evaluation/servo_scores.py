@@ -11,7 +11,7 @@ from servotrack.baselines.evaluation.results import Row
 from servotrack.estimators.types import Array, Mask
 
 TRANSIENT_SAMPLES = 126
-"""One period of paper 002's ellipse, start-up included."""
+"""One period of Zhang 2011's ellipse, start-up included."""
 STEADY_AFTER = 3.0
 """s."""
 SUCCESS_MEAN, SUCCESS_P95 = 0.010, 0.025

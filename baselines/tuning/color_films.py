@@ -1,4 +1,4 @@
-"""Run color trackers over stored episodes of the color world, for tuning and for the reproduction of paper 001."""
+"""Run color trackers over stored episodes of the color world, for tuning and for `monte_carlo_color`."""
 
 from __future__ import annotations
 

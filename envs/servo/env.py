@@ -80,7 +80,7 @@ class UncalibServoEnv(gym.Env[Observation, FloatArray]):
 
     | level | adds |
     |---|---|
-    | 0 `paper` | paper 002, eq. 32: an ellipse, fixed start, no noise, 8 unscored warm-up steps |
+    | 0 `paper` | Zhang 2011, eq. 32: an ellipse, fixed start, no noise, 8 unscored warm-up steps |
     | 1 `noise` | 0.5 px of noise, a random ellipse |
     | 2 `geometry` | random links, focal length, height; mounting within 30 degrees; 1 px; no warm-up |
     | 3 `optics` | any mounting angle, principal point, distortion, tilt, aspect |
@@ -302,7 +302,7 @@ class UncalibServoReachEnv(UncalibServoEnv):
 
     ## Description
 
-    Same as `UncalibServo-v0`, but the target rests: at (0.6, 0.6) m at level 0 (paper 002, section 3.2), anywhere
+    Same as `UncalibServo-v0`, but the target rests: at (0.6, 0.6) m at level 0 (Zhang 2011, section 3.2), anywhere
     within reach at higher levels.
 
     ## Action Space

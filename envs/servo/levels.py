@@ -21,7 +21,7 @@ class ServoConfig:
     """Parameters of a servo world. A range (low, high) is drawn uniformly, anew for every episode.
 
     Attributes:
-        target: Motion of the target: `paper` (paper 002, eq. 32, scaled with the arm), `paper_point` (its section
+        target: Motion of the target: `paper` (Zhang 2011, eq. 32, scaled with the arm), `paper_point` (its section
             3.2, at rest), `point` (at rest anywhere in reach), `ellipse`, `two_sine` (two sines along each axis),
             `waypoints` (straight runs between random points).
         links: Length of each link, drawn separately, m.
@@ -238,7 +238,7 @@ def rung(
 def reach_config(level: int = 3, **axes: Any) -> ServoConfig:
     """Return the configuration of the positioning task: `servo_config` with a target at rest and a horizon of 5 s.
 
-    Level 0 has the paper's point (0.6, 0.6) m (paper 002, section 3.2). Higher levels draw a point within reach.
+    Level 0 has the paper's point (0.6, 0.6) m (Zhang 2011, section 3.2). Higher levels draw a point within reach.
     """
     target = "paper_point" if level == 0 else "point"
     return servo_config(level, **({"target": target, "horizon": 100} | axes))

@@ -11,9 +11,9 @@ from servotrack.envs.servo.levels import ServoConfig
 from servotrack.estimators.types import Array
 
 PERIOD = 0.05
-"""Control and sampling period (paper 002, section 3.2), s."""
+"""Control and sampling period (Zhang 2011, section 3.2), s."""
 JOINT_LOW = np.array([-math.pi / 2, 0.0])
-"""Lower joint stops (paper 002, section 3.1), rad."""
+"""Lower joint stops (Zhang 2011, section 3.1), rad."""
 JOINT_HIGH = np.array([math.pi / 2, math.pi])
 """Upper joint stops, rad."""
 START = np.array([0.0, math.pi / 2])

@@ -1,6 +1,6 @@
 """Models of one person in the image for the filters of `servotrack.estimators.rfs`, and their measurements.
 
-Time is counted in frames here, as in paper 000: velocities are px per frame.
+Time is counted in frames here, as in Wu and Hu 2010: velocities are px per frame.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Kind = Literal["centroid", "box"]
 
 
 def centroid_model(process_noise: float, measurement_noise: float, frames: float = 1.0) -> HiddenMarkovModel:
-    """Constant velocity of the centroid, state [x, vx, y, vy] (paper 000, equations 7 to 11).
+    """Constant velocity of the centroid, state [x, vx, y, vy] (Wu and Hu 2010, equations 7 to 11).
 
     Args:
         process_noise: sigma_v, so that Q = sigma_v^2 [[t^4/4, t^3/2], [t^3/2, t^2]] per axis, px per frame^2.

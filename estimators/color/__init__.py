@@ -6,8 +6,8 @@
         state, estimate = tracker.step(state, frame)
         print(estimate.box, estimate.similarity)
 
-Start with `MonteCarloColorPlus`. `MonteCarloColor` is the tracker of paper 001; `KernelMeanShift` is the most accurate
-of the others under steady light and without occlusion. All are frozen dataclasses; all states except those of
+Start with `MonteCarloColorPlus`. `MonteCarloColor` is the tracker of Zhang and Li 2008; `KernelMeanShift` is the most
+accurate of the others under steady light and without occlusion. All are frozen dataclasses; all states except those of
 `OpenCVTracker` are immutable values.
 """
 

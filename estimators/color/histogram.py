@@ -13,7 +13,7 @@ from servotrack.estimators.types import Array, Image, Labels
 
 
 def color_histogram(frame: Image, box: Array, bins: int = 8) -> Array:
-    """Share of a box's pixels in each color bin (paper 001, eq. (7)).
+    """Share of a box's pixels in each color bin (Zhang and Li 2008, eq. (7)).
 
     Args:
         frame: RGB, shape (H, W, 3), uint8.
@@ -27,12 +27,12 @@ def color_histogram(frame: Image, box: Array, bins: int = 8) -> Array:
 
 
 def bhattacharyya(p: Array, q: Array) -> float:
-    """Bhattacharyya coefficient of two histograms: the sum of sqrt(p_j q_j) (paper 001, eq. (8), with its root)."""
+    """Bhattacharyya coefficient of two histograms: sum of sqrt(p_j q_j) (Zhang and Li 2008, eq. (8), with its root)."""
     return float(np.sqrt(p * q).sum())
 
 
 def color_weights(similarity: Array, variance: float) -> Array:
-    """Weights of sum 1 from Bhattacharyya coefficients (paper 001, eqs (9) and (11)).
+    """Weights of sum 1 from Bhattacharyya coefficients (Zhang and Li 2008, eqs (9) and (11)).
 
     Args:
         similarity: Coefficients rho, shape (n,); the distance is the square root of 1 - rho.
@@ -49,7 +49,7 @@ def color_weights(similarity: Array, variance: float) -> Array:
 
 
 def learn(reference: Array, found: Array, rate: float, threshold: float) -> tuple[float, Array]:
-    """Update a reference with the histogram of the estimated box if they are similar (paper 001, eq. (12)).
+    """Update a reference with the histogram of the estimated box if they are similar (Zhang and Li 2008, eq. (12)).
 
     Args:
         reference: Reference histogram, shape (bins ** 3,).
@@ -65,7 +65,7 @@ def learn(reference: Array, found: Array, rate: float, threshold: float) -> tupl
 
 
 def similarities(frame: Image, boxes: Array, reference: Array, bins: int = 8) -> Array:
-    """Bhattacharyya coefficient of every box's histogram with a reference (paper 001, eqs (7) and (8)).
+    """Bhattacharyya coefficient of every box's histogram with a reference (Zhang and Li 2008, eqs (7) and (8)).
 
     Args:
         frame: RGB, shape (H, W, 3), uint8, contiguous.

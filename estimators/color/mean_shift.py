@@ -1,4 +1,4 @@
-"""Kernel mean shift with scale adaptation (Comaniciu, Ramesh and Meer), the method that paper 001 compares with."""
+"""Kernel mean shift with scale adaptation (Comaniciu, Ramesh and Meer), the reference method of Zhang and Li 2008."""
 
 from __future__ import annotations
 

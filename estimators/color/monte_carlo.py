@@ -1,4 +1,4 @@
-"""The Monte-Carlo color tracker of paper 001 (Zhang and Li 2008)."""
+"""The Monte-Carlo color tracker of Zhang and Li 2008."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Monte Carlo tracking with further features, as suggested in the last section of paper 001."""
+"""Monte Carlo tracking with further features, as suggested in the last section of Zhang and Li 2008."""
 
 from __future__ import annotations
 

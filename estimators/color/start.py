@@ -1,4 +1,4 @@
-"""Automatic initialization of a tracker by motion (step 1 of paper 001): the largest moving object is tracked."""
+"""Automatic initialization of a tracker by motion (Zhang and Li 2008, step 1): the largest moving object is tracked."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def color_bins(image: ArrayLike, bins: int = 8) -> NDArray[np.int16]:
 
 
 def box_histograms(image: ArrayLike, boxes: ArrayLike, bins: int = 8) -> Array:
-    """Color histograms of boxes over the pixels whose centers lie inside (paper 001, equation 6, without a kernel).
+    """Color histograms of boxes over the pixels whose centers lie inside (Zhang and Li 2008, eq. 6, no kernel).
 
     Args:
         image: RGB or gray, uint8. Shape (H, W, 3) or (H, W).

@@ -1,4 +1,4 @@
-"""Motion detection by the difference to a background that learns only outside the foreground (paper 000, section 3)."""
+"""Motion detection by the difference to a background that learns outside the foreground (Wu and Hu 2010, section 3)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class BackgroundState(NamedTuple):
 
 @dataclass(frozen=True)
 class MaskedBackground:
-    """Background subtraction whose background does not learn under foreground (paper 000, equations 5 and 6).
+    """Background subtraction whose background does not learn under foreground (Wu and Hu 2010, equations 5 and 6).
 
     P = |I - B| >= threshold and B' = (1 - a) B + a P.B + a (1 - P).I. This rule never absorbs a person who stands
     still. For the same reason it never recovers from a change of light larger than the threshold, nor from people in

@@ -1,7 +1,7 @@
 """Detection and correction of permanent errors of a masked background: ghosts and changed light.
 
-The update of paper 000, equation (6), never learns under foreground. So two kinds of foreground that are not people
-never disappear:
+The update of Wu and Hu 2010, equation (6), never learns under foreground. So two kinds of foreground that are not
+people never disappear:
 
 * *Ghosts*: a person stood in the first frame and left. The outline of the region is an edge in the background but not
   in the frame; for people, also those who stand still, it is the other way round.

@@ -24,7 +24,7 @@ class Span(NamedTuple):
 
 
 def presence(existence_likelihood: ArrayLike, switching: float = 0.02, prior: float = 0.5) -> Array:
-    """Probability that the object is present in each row given all rows (paper 003, eqs. 29 to 33).
+    """Probability that the object is present in each row given all rows (Jiang and Zhou 2016, eqs. 29 to 33).
 
     The model is a chain of two states, absent and present, with the row likelihoods 1 and Lam_k.
 

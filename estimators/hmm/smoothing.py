@@ -39,7 +39,7 @@ def smooth(
     presence: ArrayLike | None = None,
     negligible: float = 0.0,
 ) -> Smoothed:
-    """Forward-backward smoothing (paper 003, eqs. 8 to 16 and the appendix, reconstructed).
+    """Forward-backward smoothing (Jiang and Zhou 2016, eqs. 8 to 16 and the appendix, reconstructed).
 
     Args:
         chain: Markov chain of S states.

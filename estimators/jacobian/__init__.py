@@ -1,4 +1,4 @@
-"""Online estimation of the total image Jacobian (paper 002), and the control laws that use it."""
+"""Online estimation of the total image Jacobian (Zhang 2011), and the control laws that use it."""
 
 from servotrack.estimators.jacobian.alignment import Alignment
 from servotrack.estimators.jacobian.bank import HypothesisBank, Latencies, Mountings

@@ -3,7 +3,7 @@
 A camera on an arm of n joints sees a moving target as m image features (pixel coordinates of image points). Camera
 and arm are not calibrated. Between two frames the features move by
 
-    dy = J_theta dtheta + J_t dt = J ds,    J = [J_theta J_t],  ds = [dtheta; dt]        (paper 002, eqs 4 to 6)
+    dy = J_theta dtheta + J_t dt = J ds,    J = [J_theta J_t],  ds = [dtheta; dt]        (Zhang 2011, eqs 4 to 6)
 
 with J the *total image Jacobian*. Every estimator of this package is a frozen dataclass of parameters with
 

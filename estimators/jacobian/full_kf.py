@@ -1,4 +1,4 @@
-"""The Kalman filter of the total image Jacobian with one covariance over all its entries (paper 002, eq. 9)."""
+"""The Kalman filter of the total image Jacobian with one covariance over all its entries (Zhang 2011, eq. 9)."""
 
 from __future__ import annotations
 
@@ -119,6 +119,6 @@ def repeated_blocks(block: Array, times: int) -> Array:
 
 
 def observation_matrix(direction: Array, features: int) -> Array:
-    """H = blockdiag(ds', ..., ds') (paper 002, after eq. 9). Shape (*batch, m, m (n + 1))."""
+    """H = blockdiag(ds', ..., ds') (Zhang 2011, after eq. 9). Shape (*batch, m, m (n + 1))."""
     H = np.einsum("ab,...j->...abj", np.eye(features), direction)
     return H.reshape(*direction.shape[:-1], features, features * direction.shape[-1])

@@ -1,4 +1,4 @@
-"""The Kalman filter of the total image Jacobian (paper 002, eq. 9), with one covariance for all rows."""
+"""The Kalman filter of the total image Jacobian (Zhang 2011, eq. 9), with one covariance for all rows."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class KalmanState(NamedTuple):
 
 @dataclass(frozen=True)
 class KalmanJacobian:
-    """Kalman filter on x' = x + w, dy = J ds + v with isotropic v (paper 002, eq. 9).
+    """Kalman filter on x' = x + w, dy = J ds + v with isotropic v (Zhang 2011, eq. 9).
 
     Args:
         walk: Process noise of the Jacobian; larger values follow changes faster and average fewer frames.

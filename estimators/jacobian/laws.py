@@ -83,7 +83,7 @@ def _checked_tuning(gain: float, period: float, damping: float) -> None:
 
 @dataclass(frozen=True)
 class Proportional:
-    """Proportional law with feedforward of the target's motion: dtheta = J_theta^+ (-lambda e - J_t dt) (paper 002).
+    """Proportional law with feedforward of the target's motion: dtheta = J_theta^+ (-lambda e - J_t dt) (Zhang 2011).
 
     Args:
         gain: Fraction lambda of the error to remove in one period, in (0, 1]. Larger values converge faster and

@@ -203,7 +203,7 @@ class ParametricKalman:
         return _plane(error), cross, derivatives @ cross
 
     def _sigma_points(self, mean: Array, covariance: Array, joints: Array) -> tuple[Array, Array, Array]:
-        """Expected features and covariances by symmetric sigma points (paper 002, eqs 18 to 27, for this model)."""
+        """Expected features and covariances by symmetric sigma points (Zhang 2011, eqs 18 to 27, for this model)."""
         spread = STATE_SIZE + self.kappa
         try:
             root = np.swapaxes(np.linalg.cholesky(spread * covariance), -1, -2)

@@ -1,4 +1,4 @@
-"""Particle filter of the total image Jacobian (paper 002's reference method; Zhao, Chen and Zhang 2008)."""
+"""Particle filter of the total image Jacobian (Zhang 2011's reference method; Zhao, Chen and Zhang 2008)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ParticleState(NamedTuple):
 
 @dataclass(frozen=True)
 class ParticleJacobian:
-    """Bootstrap particle filter on x' = x + w, dy = J ds + v (paper 002, eq. 9), resampled systematically.
+    """Bootstrap particle filter on x' = x + w, dy = J ds + v (Zhang 2011, eq. 9), resampled systematically.
 
     With independent noise the rows of the Jacobian stay independent given the data, so each feature has its own cloud
     over n + 1 numbers: exact, with far fewer particles than one cloud over m (n + 1). Random numbers come from a table

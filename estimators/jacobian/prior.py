@@ -61,7 +61,7 @@ class JacobianPrior:
 
 @dataclass(frozen=True)
 class RandomWalk:
-    """Process noise of the Jacobian: x' = x + w (paper 002, eq. 9), independent entries.
+    """Process noise of the Jacobian: x' = x + w (Zhang 2011, eq. 9), independent entries.
 
     The variance of w grows in proportion to the time between frames, so that a dropped frame adds the right
     uncertainty.

@@ -34,7 +34,7 @@ class SharedUpdate(NamedTuple):
 
 
 def interval(increment: Increment) -> Array:
-    """The interval vector ds = [dtheta; dt] (paper 002, eq. 6). Shape (*batch, n + 1), rad and s."""
+    """The interval vector ds = [dtheta; dt] (Zhang 2011, eq. 6). Shape (*batch, n + 1), rad and s."""
     return np.concatenate([increment.joints, increment.time[..., None]], axis=-1)
 
 

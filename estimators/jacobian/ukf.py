@@ -1,4 +1,4 @@
-"""The unscented Kalman filter of the total image Jacobian, equation by equation (paper 002, eqs 18 to 31)."""
+"""The unscented Kalman filter of the total image Jacobian, equation by equation (Zhang 2011, eqs 18 to 31)."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class UnscentedJacobian:
 
 
 def sigma_points(mean: Array, covariance: Array, process: Array, noise: Array, kappa: float) -> tuple[Array, Array]:
-    """Symmetric sigma points of [x; w; v] (paper 002, eqs 20 and 21; Julier and Uhlmann 2004).
+    """Symmetric sigma points of [x; w; v] (Zhang 2011, eqs 20 and 21; Julier and Uhlmann 2004).
 
     Args:
         mean: Mean of x. Shape (*batch, D).

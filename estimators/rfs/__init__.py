@@ -6,8 +6,8 @@
         estimate = tracker.step(z)
         print(estimate.labels, estimate.states, estimate.existence)
 
-Start with `PMB`. `GMPHD` is the cheapest and the simplest filter; `GMCBMeMBer` is the filter of paper 004. Each is a
-frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state, estimate)`; a state is a
+Start with `PMB`. `GMPHD` is the cheapest and the simplest filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each is
+a frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state, estimate)`; a state is a
 NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B independent filters at once.
 """
 

@@ -185,7 +185,7 @@ def _fill(births, z, chance, mean, covariance, transition, expected, largest):  
 
 @dataclass(frozen=True, eq=False)
 class Spawn:
-    """Splitting of targets: N(d + F_beta x, Q_beta + F_beta P F_beta^T) with weight w_beta (paper 000, step 2.2).
+    """Splitting of targets: N(d + F_beta x, Q_beta + F_beta P F_beta^T) with weight w_beta (Wu and Hu 2010, step 2.2).
 
     Args:
         weight: w_beta, expected number of targets split off per target and step, in (0, 1].

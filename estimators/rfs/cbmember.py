@@ -1,4 +1,4 @@
-"""Gaussian-mixture CBMeMBer filter (Vo, Vo and Cantoni 2009), also under pairwise Markov models (paper 004)."""
+"""Gaussian-mixture CBMeMBer filter (Vo, Vo and Cantoni 2009), also under pairwise Markov models (Zhang et al. 2017)."""
 
 from __future__ import annotations
 

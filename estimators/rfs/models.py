@@ -5,8 +5,8 @@ The pairwise Markov model (PMM) makes the pair of state and measurement a Markov
     (x_k, y_k) = B (x_{k-1}, y_{k-1}) + w_k,   w_k ~ N(0, Sigma)                    (Pieczynski and Desbouvries 2003)
 
 and the hidden Markov model (HMM) is the case whose B has zero y columns. `PairwiseMarkovModel.from_hidden_markov`
-makes the PMM that keeps an HMM's p(x_k | x_{k-1}) and p(y_k | x_k) for free F2 and H2 (paper 004, section 3.1; Petetin
-and Desbouvries 2013); `STRUCTURES` names the readings S1 to S6 of the paper's letters a, b, c, d.
+makes the PMM that keeps an HMM's p(x_k | x_{k-1}) and p(y_k | x_k) for free F2 and H2 (Zhang et al. 2017, section 3.1;
+Petetin and Desbouvries 2013); `STRUCTURES` names the readings S1 to S6 of the paper's letters a, b, c, d.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from servotrack.estimators.types import Array
 Structure = Literal["S1", "S2", "S3", "S4", "S5", "S6"]
 
 STRUCTURES: tuple[Structure, ...] = ("S1", "S2", "S3", "S4", "S5", "S6")
-"""Interpretations of the letters a, b, c, d in paper 004; `pairwise_structure` defines each."""
+"""Interpretations of the letters a, b, c, d in Zhang et al. 2017; `pairwise_structure` defines each."""
 
 
 class TargetModel(Protocol):
@@ -139,7 +139,7 @@ class PairwiseMarkovModel:
 
     @classmethod
     def from_hidden_markov(cls, model: HiddenMarkovModel, F2: ArrayLike, H2: ArrayLike) -> PairwiseMarkovModel:
-        """The PMM that keeps the HMM's p(x_k | x_{k-1}) and p(y_k | x_k) (paper 004, section 3.1).
+        """The PMM that keeps the HMM's p(x_k | x_{k-1}) and p(y_k | x_k) (Zhang et al. 2017, section 3.1).
 
         F1 = F - F2 H, H1 = H F - H2 H, Sigma = Sigma_HMM - G R G^T with G = [F2; H2].
 
@@ -271,7 +271,7 @@ def pairwise_structure(
     structure: Structure = "S1",
     letters: tuple[float, float, float, float] = (0.7, 0.7, 0.1, 0.1),
 ) -> PairwiseMarkovModel:
-    """Build the PMM of a planar constant-velocity HMM for one interpretation of paper 004's letters a, b, c, d.
+    """Build the PMM of a planar constant-velocity HMM for one interpretation of Zhang et al. 2017's letters a, b, c, d.
 
     S1: F2 has a, b on the positions, H2 = diag(c, d). S2: F2 has a on positions and b on velocities, H2 = diag(c, d).
     S3: F2 has a, b on positions and c, d on velocities, H2 = 0. S4: S1 with (c, d) and (a, b) swapped. S5: S2 with

@@ -81,7 +81,7 @@ class GMPHD(GaussianSetFilter[PHDState]):
 
 @njit(cache=True, nogil=True)
 def _predict_intensity(model, intensity, births, spawns, survival, out):  # type: ignore[no-untyped-def]
-    """Predicted intensity: survivors, births, and targets split off those of the last step (paper 000, eq. 3)."""
+    """Predicted intensity: survivors, births, and targets split off those of the last step (Wu and Hu 2010, eq. 3)."""
     m, n = model.observation.shape
     work = np.empty((n + m, n + m))
     for b in range(intensity.weight.shape[0]):
@@ -101,7 +101,7 @@ def _predict_intensity(model, intensity, births, spawns, survival, out):  # type
 def _update_intensity(  # type: ignore[no-untyped-def]
     model, predicted, scan, detection, gate, limits, next_label, out, unexplained
 ):
-    """Posterior intensity of every run: components missed, and corrected by each measurement (paper 000, eq. 4)."""
+    """Posterior intensity of every run: components missed, and corrected by measurements (Wu and Hu 2010, eq. 4)."""
     m, n = model.observation.shape
     z, number, clutter = scan
     innovation = np.empty(m)

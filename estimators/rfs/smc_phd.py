@@ -1,6 +1,7 @@
 """Particle (sequential Monte Carlo) PHD filter (Vo, Singh and Doucet 2005) with extraction by clustering.
 
-It serves to check paper 000's remark that the particle form costs more than the Gaussian one and extracts unreliably.
+It serves to check Wu and Hu 2010's remark that the particle form costs more than the Gaussian one and extracts
+unreliably.
 """
 
 from __future__ import annotations

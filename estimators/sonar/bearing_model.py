@@ -20,7 +20,7 @@ Likelihood = Literal["row", "cell"]
 
 @dataclass(frozen=True)
 class BearingModel:
-    """Parameters of the hidden Markov bearing tracker (paper 003), and the tables computed from them on first use.
+    """Parameters of the hidden Markov bearing tracker (Jiang and Zhou 2016), and tables computed on first use.
 
     Attributes:
         likelihood: `row` compares whole rows with the array's beam patterns and subtracts the power explained by other

@@ -15,7 +15,7 @@ NEGLIGIBLE_LOG_RATIO = -40.0
 
 
 def cell_likelihood(rows: Array, rules: LikelihoodRules) -> Array:
-    """Likelihood ratio of single cells (paper 003): exp(A s - A^2 / 2) of each beam, s in robust standard deviations.
+    """Likelihood ratio of single cells (Jiang and Zhou 2016): exp(A s - A^2 / 2) per beam, s in robust deviations.
 
     Args:
         rows: Normalized beam powers. Shape (T, beams).

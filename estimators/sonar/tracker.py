@@ -57,7 +57,7 @@ class BearingState(NamedTuple):
 
 @dataclass(frozen=True)
 class HMMBearings(BearingModel):
-    """Bearing tracker by hidden Markov chains over a bearing-time record (paper 003).
+    """Bearing tracker by hidden Markov chains over a bearing-time record (Jiang and Zhou 2016).
 
     `track` takes a whole record. `initial` and `step` take one row after the other and answer `lag` rows later. The
     parameters are those of `BearingModel`.

@@ -20,9 +20,9 @@ import servotrack  # noqa: F401
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.bench import Cell, run_suite, suite_of
 from servotrack.baselines.evaluation.episodes import EpisodeRecorder
-from servotrack.baselines.evaluation.servo_scores import servo_errors
 from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.results import ResultsFolder
+from servotrack.baselines.evaluation.servo_scores import servo_errors
 
 SERVO = "UncalibServo-v0"
 TUNE = seeds.take("tune", 6)

@@ -89,6 +89,7 @@ def test_identities_keep_their_rows() -> None:
 
 def test_a_servo_is_refused() -> None:
     with pytest.raises(
-        ValueError, match="needs an environment whose `unwrapped.scene_model` is a SceneModel; UncalibServo-v0 has none"
+        ValueError,
+        match=r"needs an environment whose `unwrapped\.scene_model` is a SceneModel; UncalibServo-v0 has none",
     ):
         create_agent("gm-phd", gym.make("UncalibServo-v0"))

@@ -1,4 +1,4 @@
-"""Detectors and trackers by name; the preset of paper 000 against its equations written out."""
+"""Detectors and trackers by name; the preset of Wu and Hu 2010 against its equations written out."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ HALF_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 def paper_target(time: Array) -> Array:
-    """The ellipse of paper 002, eq. (32)."""
+    """The ellipse of Zhang 2011, eq. (32)."""
     return np.stack([0.5 + 0.3 * np.cos(time), 0.5 + 0.2 * np.sin(time)], axis=-1)
 
 

@@ -1,4 +1,4 @@
-"""The detector of paper 000: its update rule, its deadlock and ghosts with and without healing, and bad frames."""
+"""The detector of Wu and Hu 2010: its update rule, its deadlock and ghosts with and without healing, and bad frames."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def _color(name: str, summary: str, information: Information = "model-free", **f
 
 
 CARDS = (
-    _color("monte-carlo-color", "random boxes weighted by their color histograms (paper 001)"),
+    _color("monte-carlo-color", "random boxes weighted by their color histograms (Zhang and Li 2008)"),
     _color("monte-carlo-color-plus", "the same idea with gradients, spatial colors, background weights and inertia"),
     _color("color-particle-filter", "bootstrap particle filter on color histograms, second-order motion"),
     _color("kernel-mean-shift", "Comaniciu's mean shift with scales"),

@@ -21,7 +21,7 @@ def _video(name: str, summary: str, information: Information = "structure", **fi
 
 CARDS = (
     _video("kalman-hungarian", "Kalman tracks of boxes, matched by overlap (SORT)"),
-    _video("gm-phd-paper", "Gaussian-mixture PHD filter with paper 000's Table 1"),
+    _video("gm-phd-paper", "Gaussian-mixture PHD filter with Wu and Hu 2010's Table 1"),
     _video("sort", "SORT of the package trackers", in_default_suite=False),
     _video("bytetrack", "ByteTrack of the package trackers", in_default_suite=False),
     _video("oc-sort", "OC-SORT of the package trackers", in_default_suite=False),

@@ -49,7 +49,7 @@ REFERENCE_HEIGHT = 288.0
 """Frame height that lengths in the set filters' presets refer to, px."""
 
 REFERENCE_AREA = 380.0 * 280.0
-"""Area of paper 000's frames, px^2."""
+"""Area of Wu and Hu 2010's frames, px^2."""
 
 BODY_WIDTH = 14.0
 """Width of a person in frames of the reference height, px."""
@@ -99,7 +99,7 @@ def create_detector(name: str, **parameters: Any) -> Detector:
 
 
 def phd_as_printed(spawn: bool = True) -> GMPHD:
-    """Create the GM-PHD filter of centroids with paper 000's Table 1; births and spawning are assumed.
+    """Create the GM-PHD filter of centroids with Wu and Hu 2010's Table 1; births and spawning are assumed.
 
     Args:
         spawn: True lets targets split (step 2.2): one term of weight 0.02 and the width of a body.

@@ -29,7 +29,7 @@ CARDS = (
     _servo("broyden", "model-free", "Broyden's rank-one update"),
     _servo("rls", "model-free", "recursive least squares with forgetting"),
     _servo("kf", "model-free", "Kalman filter of the total Jacobian"),
-    _servo("ukf", "model-free", "unscented Kalman filter (paper 002, noise blocks as its text defines them)"),
+    _servo("ukf", "model-free", "unscented Kalman filter (Zhang 2011, noise blocks as its text defines them)"),
     _servo("ukf-as-printed", "model-free", "unscented Kalman filter with the noise blocks as eq. (21) prints them"),
     _servo("pf", "model-free", "particle filter"),
     _servo("level-kf", "model-free", "Kalman filter that measures the features themselves, not their differences"),

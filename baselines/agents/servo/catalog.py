@@ -38,7 +38,7 @@ from servotrack.estimators.jacobian.parametric import ParametricKalman
 
 
 def unscented_as_printed() -> UnscentedJacobian:
-    """Create the UKF with the noise blocks of paper 002, eq. (21), as printed, at the variances of our reproduction."""
+    """Create the UKF with the noise blocks of Zhang 2011, eq. (21), as printed, at our reproduction's variances."""
     process = math.sqrt(31.6)
     return UnscentedJacobian(walk=RandomWalk(process, process), measurement_noise=10.0, as_printed=True)
 

@@ -88,4 +88,4 @@ BORROWED: Mapping[str, str] = {
 """Agents that also use the values of another agent; the steps of that search count for both."""
 
 UNTUNED = frozenset({"random", "oracle", "ukf-as-printed"})
-"""Agents without tunable values; `ukf-as-printed` has the noise that the reproduction of paper 002 assumes."""
+"""Agents without tunable values; `ukf-as-printed` has the noise that the reproduction of Zhang 2011 assumes."""

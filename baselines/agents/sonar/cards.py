@@ -21,7 +21,7 @@ def _sonar(name: str, summary: str, information: Information = "calibrated", **f
 
 CARDS = (
     _sonar("hmm-row", "HMM track-before-detect, likelihood of the whole row with what other targets explain"),
-    _sonar("hmm-cell", "HMM track-before-detect, likelihood of one cell (paper 003)"),
+    _sonar("hmm-cell", "HMM track-before-detect, likelihood of one cell (Jiang and Zhou 2016)"),
     _sonar("viterbi", "path of most integrated power, one target after the other, each taken out of the record"),
     _sonar("peak-nearest-neighbor", "peaks of each record, joined to the nearest track"),
     _sonar("peak-kalman-hungarian", "peaks of each record, Kalman tracks, one assignment per record"),
