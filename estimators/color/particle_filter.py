@@ -43,8 +43,8 @@ class ColorParticleFilter:
     """Particles that move by a second-order autoregression, weighted by color, resampled in every frame.
 
     Source: Nummiaro, Koller-Meier and Van Gool, "An adaptive color-based particle filter", Image and Vision Computing
-    21(1), 2003, pp. 99-110, with the histogram of Zhang and Li 2008 in place of a kernel-weighted one. The values were chosen
-    on tune seeds of `ColorTracking-v0`.
+    21(1), 2003, pp. 99-110, with the histogram of Zhang and Li 2008 in place of a kernel-weighted one. The values were
+    chosen on tune seeds of `ColorTracking-v0`.
 
     Attributes:
         samples: Number of particles. Raising it costs time and reduces noise.

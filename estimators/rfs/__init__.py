@@ -6,9 +6,9 @@
         estimate = tracker.step(z)
         print(estimate.labels, estimate.states, estimate.existence)
 
-Start with `PMB`. `GMPHD` is the cheapest and the simplest filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each is
-a frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state, estimate)`; a state is a
-NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B independent filters at once.
+Start with `PMB`. `GMPHD` is the cheapest and the simplest filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each
+is a frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state, estimate)`; a state
+is a NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B independent filters at once.
 """
 
 from servotrack.estimators.rfs.birth import Birth, MeasurementBirth, Spawn
