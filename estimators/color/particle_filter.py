@@ -1,4 +1,4 @@
-"""Bootstrap particle filter with color histograms, one of the methods that Zhang and Li 2008 compares with."""
+"""Bootstrap particle filter with color histograms, one of the methods compared in Zhang and Li 2008."""
 
 from __future__ import annotations
 
