@@ -94,7 +94,7 @@ class PeerTracker:
         model = state.model
         if model.frames != state.frames:
             raise ValueError(
-                f"state is of frame {state.frames}, but its tracker has gone on to frame {model.frames}; "
+                f"state is of frame {state.frames}, but its tracker is at frame {model.frames}; "
                 "step from the last state"
             )
         boxes, count = np.array(detections.boxes, dtype=np.float64), len(detections.boxes)
