@@ -127,7 +127,7 @@ class PlanarArm:
         joints: 2 or 3.
         rendered: Find the target in rendered images; else project its position.
         pixel_noise: Standard deviation of noise added to the features, px.
-        seed: Of that noise.
+        seed: Seed of that noise.
 
     Raises:
         ValueError: Another number of joints, or negative noise.
@@ -224,7 +224,7 @@ def make_renderer(model: Any) -> Any:
 
 
 def can_render() -> bool:
-    """Whether rendered features are available here."""
+    """Return True if rendered features are available here."""
     return os.environ.get("MUJOCO_GL") != "disable"
 
 

@@ -19,7 +19,7 @@ NOT_PINNED = {"torch"}
 def lowest_bounds(pyproject: Path) -> list[str]:
     """One `name==version` for each dependency, core or extra, that has a lower bound and applies to this Python.
 
-    The tools of the extra dev are left out: what they are is nobody's business but the checkout's.
+    The tools of the extra dev are left out: they only matter in a checkout.
     """
     project = tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"]
     extras = [lines for name, lines in project["optional-dependencies"].items() if name != "dev"]
