@@ -1,4 +1,4 @@
-"""Docstrings, argument entries and messages are plain English: rules 1 and 2 of CONTRIBUTING's house style.
+"""Docstrings, argument entries and messages are plain English, as in CONTRIBUTING's house style.
 
 `python tests/test_prose.py FILE...` prints the violations of single files.
 """
