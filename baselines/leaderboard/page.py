@@ -20,7 +20,8 @@ table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabula
 th { text-align: right; font-weight: 600; color: #48566a; border-bottom: 1px solid #9aa5b1; padding: 6px 12px 6px 0; }
 td { text-align: right; padding: 4px 12px 4px 0; border-bottom: 1px solid #e6e8e3; }
 th:nth-child(-n+2), td:nth-child(-n+2) { text-align: left; }
-td:first-child { font-weight: 600; } tr:hover td { background: #f1f3ec; }
+td:first-child { font-weight: 600; white-space: normal; min-width: 150px; max-width: 230px; }
+tr:hover td { background: #f1f3ec; }
 img, video { max-width: 100%; display: block; margin: 16px 0; }
 """.strip()
 
