@@ -14,7 +14,7 @@ from servotrack.envs.servo.episode import LEAD
 from servotrack.envs.servo.targets import PERIOD, reachable_place, solvable
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.movement import gait
-from servotrack.envs.track.pedestrians.social_force import LEG_NUMBERS, drive
+from servotrack.envs.track.pedestrians.social_force import LEG_NUMBERS, Plans, Progress, drive
 from servotrack.estimators.types import Array
 
 STATURE = 1.7
@@ -269,9 +269,14 @@ def _simulate(  # type: ignore[no-untyped-def]
     people = starts.shape[0]
     active = np.arange(people)
     position, velocity = starts.copy(), np.zeros((people, 2))
-    leg, since = np.zeros(people, np.int64), np.zeros(people, np.int64)
-    arrived, over = np.full(people, -1), np.zeros(people, np.bool_)
-    facing = np.full(people, math.nan)
+    plans = Plans(legs, number, pace, wander, party)
+    progress = Progress(
+        np.zeros(people, np.int64),
+        np.zeros(people, np.int64),
+        np.full(people, -1),
+        np.full(people, math.nan),
+        np.zeros(people, np.bool_),
+    )
     walls, nothing = np.array([-1e3, 1e3]), np.zeros((0, 3))
     for i in range(people):
         dx, dy = legs[i, 0, 0] - starts[i, 0], legs[i, 0, 1] - starts[i, 1]
@@ -282,10 +287,7 @@ def _simulate(  # type: ignore[no-untyped-def]
             paths[sample, i, 0], paths[sample, i, 1] = position[i, 0], position[i, 1]
         if not solvable(paths[max(sample - 1, first) : sample + 1, 0], links[0], links[1], max_joint_rate):
             return
-        drive(
-            active, position, velocity, legs, number, leg, since, arrived, facing, over, pace, wander, party, walls,
-            nothing, sample, dt,
-        )  # fmt: skip
+        drive(active, position, velocity, plans, progress, walls, nothing, sample, dt)
         for i in range(people):
             position[i, 0] += dt * velocity[i, 0]
             position[i, 1] += dt * velocity[i, 1]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -14,6 +16,7 @@ from servotrack.envs.servo.world import capture
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.counts import poisson_quantile
 from servotrack.estimators.camera import project_ground
+from servotrack.estimators.types import Array, FloatArray, Labels, Mask
 
 COLUMNS = 8
 """Columns of a detection: existence; column and row of the center, width, height (px); red, green, blue."""
@@ -30,6 +33,34 @@ _AROUND = np.array([(np.cos(angle), np.sin(angle)) for angle in 0.25 * np.pi * n
 def capacity(config: FollowConfig) -> int:
     """Rows of an observation: all people, and the number of false detections exceeded once in 1e9 frames."""
     return config.people + poisson_quantile(config.clutter)
+
+
+class DetectorTables(NamedTuple):
+    """Tables of N crowds of P people over K samples that decide what the detector reports. Written at reset.
+
+    Attributes:
+        people: Positions and velocities, (N, K, P, 4) m, m/s.
+        hidden: Mask of the people under a lampshade or another person's umbrella, (N, K, P).
+        sizes: Diameters of the people without noise, (N, P) m.
+        colors: Mean colors of the people without noise, (N, P, 3), gray levels.
+        noise_scales: Standard deviations of column and row (px), width and height (fractions) and the color, (7,).
+        noise: Standard normal noise, (N, K, P, 7).
+        missed: Mask of the people that the detector misses, (N, K, P).
+        first_false: Index of each frame's first false detection; the last entry is their number, (N, K + 1).
+        clutter: Uniform numbers in [0, 1) for the false detections of all frames, one after the other, (N, C, 7).
+        shuffle: Uniform numbers in [0, 1) for the order of the rows, (N, K, M).
+    """
+
+    people: Array
+    hidden: Mask
+    sizes: Array
+    colors: Array
+    noise_scales: Array
+    noise: FloatArray
+    missed: Mask
+    first_false: Labels
+    clutter: FloatArray
+    shuffle: FloatArray
 
 
 class DetectionSensor:
@@ -55,6 +86,7 @@ class DetectionSensor:
         self.truth = np.zeros((count, config.people, COLUMNS))
         self.target_box = np.zeros((count, 4))
         self._arrivals = Arrivals(world)
+        self._detector = float(config.camera_size), float(config.rolling_shutter), float(config.merge_distance)
         self.frame_time = self._arrivals.frame_time
         self._sizes, self._colors = np.zeros((count, config.people)), np.zeros((count, config.people, 3))
         size_noise = _SIZE_NOISE if config.pixel_noise else 0.0
@@ -65,6 +97,11 @@ class DetectionSensor:
         self._first_false = np.zeros((count, length + 1), np.int64)
         self._clutter = np.zeros((count, length * (rows - config.people), _NUMBERS), np.float32)
         self._shuffle = np.zeros((count, length, rows), np.float32)
+        # These arrays are never replaced, so the record is built once.
+        self._tables = DetectorTables(
+            world.people, world.hidden, self._sizes, self._colors, self._noise_scales, self._noise, self._missed,
+            self._first_false, self._clutter, self._shuffle,
+        )  # fmt: skip
 
     def update(self) -> list[int]:
         """Process the frames that have arrived since the last call.
@@ -72,15 +109,13 @@ class DetectionSensor:
         Returns:
             Rows whose episode began since then.
         """
-        world, config = self._world, self._world.config
+        world = self._world
         fresh = self._arrivals.update()
         for row in fresh:
             self._begin(row)
         _detect(
-            self._arrivals.rows, world.captured, float(config.camera_size), float(config.rolling_shutter),
-            float(config.merge_distance), world.cameras, world.links, world.history, world.people, world.hidden,
-            self._sizes, self._colors, self._noise_scales, self._noise, self._missed, self._first_false,
-            self._clutter, self._shuffle, self.truth, self.detections,
+            self._arrivals.rows, world.captured, *self._detector, world.cameras, world.links, world.history,
+            self._tables, self.truth, self.detections,
         )  # fmt: skip
         for row in fresh:
             middle, extent = self.truth[row, 0, 1:3], self.truth[row, 0, 3:5]
@@ -130,10 +165,26 @@ def _between(bounds, share):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _detect(  # type: ignore[no-untyped-def]
-    rows, frames, size, shutter, merge, cameras, links, history, people, hidden, sizes, colors, noise_scales, noise,
-    missed, first_false, clutter, shuffle, truth, detections,
-):  # fmt: skip
-    """Fill the tables of every chosen row from its newest frame."""
+    rows, frames, size, shutter, merge, cameras, links, history, tables, truth, detections
+):
+    """Fill the outputs of every chosen row from its newest frame.
+
+    Args:
+        rows: Mask of the rows, (N,) bool.
+        frames: Index of each row's newest frame in the episode's tables, (N,) int.
+        size: Width and height of the camera's image, px.
+        shutter: Duration of the rolling shutter's readout, s; 0 is a global shutter.
+        merge: People closer than this are reported as one detection, m.
+        cameras: Packed cameras, (N, CAMERA_SIZE).
+        links: Link lengths, (N, 2) m.
+        history: True joint angles of the last samples, a ring buffer, (N, RING, 2) rad.
+        tables: People, noise, misses and clutter of all samples, `DetectorTables`.
+        truth: True detections, overwritten, (N, P, COLUMNS).
+        detections: Detections, overwritten, (N, M, COLUMNS).
+    """
+    people, hidden, missed, first_false = tables.people, tables.hidden, tables.missed, tables.first_false
+    sizes, colors, noise_scales, noise = tables.sizes, tables.colors, tables.noise_scales, tables.noise
+    clutter, shuffle = tables.clutter, tables.shuffle
     count = people.shape[2]
     heading, tool, rough = np.empty(2), np.empty(2), np.empty(_NUMBERS)
     group, free = np.empty(count, np.int64), np.empty(shuffle.shape[2], np.int64)

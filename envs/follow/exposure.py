@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from servotrack.envs.follow.figures import POSE_NUMBERS, pose
-from servotrack.envs.follow.painting import find_boxes, paint_crowd, paint_shadows
-from servotrack.envs.servo.exposure import NOISE_SIDE, look_down, row_view
+from servotrack.envs.follow.painting import CrowdTables, find_boxes, paint_crowd, paint_shadows
+from servotrack.envs.servo.exposure import NOISE_SIDE, Floors, Rays, SensorNoise, look_down, row_view
 from servotrack.envs.servo.world import interpolate_path
+from servotrack.estimators.types import FloatArray
+
+
+class _Scratch(NamedTuple):
+    """Arrays that are overwritten by every image.
+
+    Attributes:
+        boxes: Bounding boxes in the image of shadows and of objects, (2, 2 P + L, 4).
+        shade: Share of the light that reaches each pixel's point, (S, S) float32.
+        canvas: Image without light falloff and noise, (S, S, 3) float32.
+    """
+
+    boxes: NDArray[np.int64]
+    shade: FloatArray
+    canvas: FloatArray
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -23,60 +41,91 @@ def _develop(canvas, light, noise, image):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _expose_one(  # type: ignore[no-untyped-def]
-    frame, views, places, step, strength, camera, walk, outfits, umbrella, umbrella_color, lamps, ground, light, spread,
-    detail, texels, starts, floor_pose, floor_color, noise, first_row, first_column, boxes, shade, canvas, image,
-):  # fmt: skip
-    """Render one image: floor, shadows, people, umbrellas and lampshades, light and noise."""
-    size = image.shape[0]
-    people = len(umbrella)
+    views, places, step, strength, camera, crowd, rays, floor, noise, scratch, image
+):
+    """Render one image: floor, shadows, people, umbrellas and lampshades, light and noise.
+
+    Args:
+        views: Cos and sin of the camera's heading and the point below it, per image row or for all rows. (R, 4).
+        places: Positions of all objects at those instants, (R, 2 P + L, 2) m.
+        step: Camera pixels per image pixel.
+        strength: Darkness of shadows, 0 to 1.
+        camera: Packed camera.
+        crowd: Gait and appearance at the frame, `CrowdTables` of one crowd.
+        rays: Rays of the camera, `Rays` without the leading axis.
+        floor: Floor, `Floors` with one pose (4,) and one color (3,).
+        noise: Noise of the pixels, `SensorNoise` with the offset of the frame, (2,).
+        scratch: Arrays to overwrite, `_Scratch`.
+        image: RGB image, written in place, (S, S, 3) uint8.
+    """
+    size, people = image.shape[0], len(crowd.umbrella)
+    ground, spread, umbrella, lamps = rays.ground, rays.spread, crowd.umbrella, crowd.lamps
+    boxes, shade, canvas = scratch.boxes, scratch.shade, scratch.canvas
     poses = np.empty((people, POSE_NUMBERS))
     for k in range(people):
-        pose(outfits[k], walk[frame, k, 0], walk[frame, k, 1], walk[frame, k, 2], poses[k])
+        pose(crowd.outfits[k], crowd.walk[k, 0], crowd.walk[k, 1], crowd.walk[k, 2], poses[k])
     find_boxes(camera, step, size, size, views, places, poses, umbrella, lamps, boxes)
     shade[:] = np.float32(1.0)
     if strength > 0.0:
         paint_shadows(shade, ground, spread, strength, views, places, umbrella, lamps, boxes)
-    red, green, blue = np.float32(floor_color[0]), np.float32(floor_color[1]), np.float32(floor_color[2])
+    red, green, blue = np.float32(floor.color[0]), np.float32(floor.color[1]), np.float32(floor.color[2])
     bright = np.empty(size, np.float32)
     for i in range(size):
-        look_down(views[i % len(views)], ground[i], detail[i], texels, starts, floor_pose, bright)
+        look_down(views[i % len(views)], ground[i], rays.detail[i], floor.texels, floor.starts, floor.pose, bright)
         for j in range(size):
             value = bright[j] * shade[i, j]
             canvas[i, j, 0], canvas[i, j, 1], canvas[i, j, 2] = value * red, value * green, value * blue
-    paint_crowd(
-        canvas, ground, spread, 1.0, views, places, walk[frame, :, 0], outfits, poses, umbrella, umbrella_color, lamps,
-        boxes,
-    )  # fmt: skip
+    paint_crowd(canvas, ground, spread, 1.0, views, places, crowd, poses, boxes)
+    first_row, first_column = noise.offset
     for i in range(size):
-        grain = noise[(i + first_row) & (NOISE_SIDE - 1), first_column : first_column + size]
-        _develop(canvas[i], light[i], grain, image[i])
+        grain = noise.tile[(i + first_row) & (NOISE_SIDE - 1), first_column : first_column + size]
+        _develop(canvas[i], rays.light[i], grain, image[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def expose_crowd(  # type: ignore[no-untyped-def]
-    rows, frames, shutter, step, strength, cameras, links, history, paths, walk, outfits, umbrella, umbrella_color,
-    lamps, ground, light, spread, detail, texels, starts, floor_pose, floor_color, noise, noise_offset, images,
-):  # fmt: skip
-    """Render the given frames of the chosen rows. A rolling shutter exposes every image row at its own instant."""
-    size, people = images.shape[1], paths.shape[2]
+    rows, frames, shutter, step, strength, arms, paths, crowds, rays, floors, noise, images
+):
+    """Render the given frames of the chosen rows. A rolling shutter exposes every image row at its own instant.
+
+    Args:
+        rows: Mask of the rows, (N,) bool.
+        frames: Index of each row's frame in the episode's tables, (N,) int.
+        shutter: Duration of the rolling shutter's readout, s; 0 is a global shutter.
+        step: Camera pixels per image pixel.
+        strength: Darkness of shadows, 0 to 1.
+        arms: Cameras and poses, `Arms`.
+        paths: Positions and velocities of all people at all samples, (N, K, P, 4) m, m/s.
+        crowds: Gait at all samples, and appearance, `CrowdTables` with a leading axis of N.
+        rays: Rays of the cameras, `Rays`.
+        floors: Floors, `Floors`.
+        noise: Noise of the pixels, `SensorNoise`.
+        images: RGB images, written in place, (N, S, S, 3) uint8.
+    """
+    size, people, lamps = images.shape[1], paths.shape[2], crowds.lamps
     instants = size if shutter > 0.0 else 1
     views, places = np.empty((instants, 4)), np.empty((instants, 2 * people + lamps.shape[1], 2))
-    boxes = np.empty((2, 2 * people + lamps.shape[1], 4), np.int64)
-    shade, canvas = np.empty((size, size), np.float32), np.empty((size, size, 3), np.float32)
+    scratch = _Scratch(
+        np.empty((2, 2 * people + lamps.shape[1], 4), np.int64),
+        np.empty((size, size), np.float32),
+        np.empty((size, size, 3), np.float32),
+    )
     for n in range(rows.shape[0]):
         if not rows[n]:
             continue
-        frame = frames[n]
+        frame, camera = frames[n], arms.cameras[n]
         for i in range(instants):
-            before, f = row_view((i + 0.5) / size, shutter, cameras[n], links[n], history[n], frame, views[i])
+            before, f = row_view((i + 0.5) / size, shutter, camera, arms.links[n], arms.history[n], frame, views[i])
             for k in range(people):
                 x, y = interpolate_path(paths[n, before, k], paths[n, frame, k], f)
                 places[i, k, 0], places[i, k, 1] = x, y
                 places[i, people + k, 0], places[i, people + k, 1] = x, y
             for k in range(lamps.shape[1]):
                 places[i, 2 * people + k, 0], places[i, 2 * people + k, 1] = lamps[n, k, 0], lamps[n, k, 1]
-        _expose_one(
-            frame, views, places, step, strength, cameras[n], walk[n], outfits[n], umbrella[n], umbrella_color[n],
-            lamps[n], ground[n], light[n], spread[n], detail[n], texels, starts, floor_pose[n], floor_color[n], noise,
-            noise_offset[n, frame, 0], noise_offset[n, frame, 1], boxes, shade, canvas, images[n],
-        )  # fmt: skip
+        crowd = CrowdTables(
+            crowds.walk[n, frame], crowds.outfits[n], crowds.umbrella[n], crowds.umbrella_color[n], lamps[n]
+        )
+        own = Rays(rays.ground[n], rays.light[n], rays.spread[n], rays.detail[n])
+        floor = Floors(floors.texels, floors.starts, floors.pose[n], floors.color[n])
+        grain = SensorNoise(noise.tile, noise.offset[n, frame])
+        _expose_one(views, places, step, strength, camera, crowd, own, floor, grain, scratch, images[n])

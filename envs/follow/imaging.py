@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from servotrack.envs.follow.episode import FollowEpisode
 from servotrack.envs.follow.exposure import expose_crowd
+from servotrack.envs.follow.painting import CrowdTables
 from servotrack.envs.follow.world import FollowWorld
 from servotrack.envs.servo.episode import LEAD, Episode, samples
-from servotrack.envs.servo.exposure import trace_rays
+from servotrack.envs.servo.exposure import Arms, Floors, SensorNoise, trace_rays
 from servotrack.envs.servo.floor import floor_texture
 from servotrack.envs.servo.imaging import FloorCamera, floor_of, no_rays, noise_offsets, noise_tile
 from servotrack.envs.servo.targets import START
@@ -58,11 +59,12 @@ class CrowdCamera(FloorCamera):
         self._crowd.put(row, self._world.episode(row))
 
     def _expose(self, rows: Mask) -> None:
-        world, texture, config = self._world, floor_texture(), self._world.config
+        world, config = self._world, self._world.config
         expose_crowd(
             rows, world.captured, float(config.rolling_shutter), 1.0 / self._scale, float(config.shadows),
-            world.cameras, world.links, world.history, world.people, *self._crowd.tables, *self._rays, texture.texels,
-            texture.starts, self._floor_pose, self._floor_color, self._noise, self._noise_offset, self.images,
+            Arms(world.cameras, world.links, world.history), world.people, self._crowd.tables, self._rays,
+            Floors(*floor_texture(), self._floor_pose, self._floor_color),
+            SensorNoise(self._noise, self._noise_offset), self.images,
         )  # fmt: skip
 
 
@@ -99,13 +101,13 @@ class CloseUp:
             trace_rays(episode.camera, self._step, *(table[0] for table in self._rays))
             _enlarge(self._rays.detail)
             self._crowd.put(0, episode)
-        texture, images = floor_texture(), np.zeros((*self._rays.light.shape, 3), np.uint8)
+        images = np.zeros((*self._rays.light.shape, 3), np.uint8)
         pose, color = self._floor
         expose_crowd(
             np.ones(1, np.bool_), np.full(1, frame), float(config.rolling_shutter), self._step, float(config.shadows),
-            world.cameras[one], world.links[one], history[None], world.people[one], *self._crowd.tables, *self._rays,
-            texture.texels, texture.starts, pose[None], color[None], self._noise,
-            np.zeros((1, samples(config), 2), np.int64), images,
+            Arms(world.cameras[one], world.links[one], history[None]), world.people[one], self._crowd.tables,
+            self._rays, Floors(*floor_texture(), pose[None], color[None]),
+            SensorNoise(self._noise, np.zeros((1, samples(config), 2), np.int64)), images,
         )  # fmt: skip
         return images[0]
 
@@ -120,9 +122,9 @@ class _Crowds:
         self.lamps = np.zeros((count, lamps, 3))
 
     @property
-    def tables(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Gait (heading, phase, stride); outfits; radii and colors of umbrellas; lampshades."""
-        return self.walk, self.outfits, self.umbrella, self.umbrella_color, self.lamps
+    def tables(self) -> CrowdTables:
+        """Tables of all crowds, with a leading axis of N."""
+        return CrowdTables(self.walk, self.outfits, self.umbrella, self.umbrella_color, self.lamps)
 
     def put(self, row: int, episode: FollowEpisode, frames: slice = slice(None)) -> None:
         """Store an episode's crowd; lampshades only as far as the table has rows."""
@@ -149,7 +151,7 @@ def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) 
     """
     chosen = list(rows)
     pictures = np.zeros((len(chosen), PATCH_SIZE, PATCH_SIZE, 3), np.uint8)
-    texture, rays, one = floor_texture(), no_rays(1, PATCH_SIZE), np.ones(1, np.bool_)
+    rays, one = no_rays(1, PATCH_SIZE), np.ones(1, np.bool_)
     noise = noise_tile(image_noise, PATCH_SIZE)
     history = np.broadcast_to(START, (1, RING, 2)).copy()
     for picture, row in zip(pictures, chosen, strict=True):
@@ -164,9 +166,10 @@ def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) 
         crowd.umbrella[:] = 0.0
         offset = noise_offsets(episode, frame + 1)[None, frame:]
         expose_crowd(
-            one, np.zeros(1, np.int64), 0.0, step, float(world.config.shadows), camera[None], episode.links[None],
-            history, episode.crowd.paths[None, frame : frame + 1], *crowd.tables, *rays, texture.texels,
-            texture.starts, pose[None], color[None], noise, offset, picture[None],
+            one, np.zeros(1, np.int64), 0.0, step, float(world.config.shadows),
+            Arms(camera[None], episode.links[None], history), episode.crowd.paths[None, frame : frame + 1],
+            crowd.tables, rays, Floors(*floor_texture(), pose[None], color[None]), SensorNoise(noise, offset),
+            picture[None],
         )  # fmt: skip
     return pictures
 

@@ -7,6 +7,7 @@ one umbrella per person (radius 0 without one), then lampshades.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -23,6 +24,7 @@ from servotrack.envs.follow.covers import (
 )
 from servotrack.envs.follow.figures import HALF_WIDTH, POSE_NUMBERS, REACH, SUN, person_at, pose
 from servotrack.estimators.camera import project_ground
+from servotrack.estimators.types import Array
 
 WIDEST_PIXEL = 0.35
 """Largest width of the plane that a pixel may see and still show people, m. In wider pixels they would be invisible."""
@@ -33,6 +35,24 @@ _ONE_SAMPLE_WIDTH, _FOUR_SAMPLES_WIDTH = (
     0.17,
 )  # widest pixel with one sample (edges are soft), and with 2 x 2 samples; others 3 x 3, m
 _PERSON, _UMBRELLA, _LAMP = range(3)
+
+
+class CrowdTables(NamedTuple):
+    """Gait and appearance of a crowd of P people under L lampshades. Tables of N crowds have a leading axis of N.
+
+    Attributes:
+        walk: Heading (rad), phase of the gait (rad) and amplitude of the gait, (P, 3); (K, P, 3) for K samples.
+        outfits: Appearance vectors, (P, OUTFIT_NUMBERS).
+        umbrella: Radii of the umbrellas, (P,) m; 0 for people without one.
+        umbrella_color: Colors of the umbrellas, (P, 3), gray levels.
+        lamps: Positions and radii of the lampshades, (L, 3) m.
+    """
+
+    walk: Array
+    outfits: Array
+    umbrella: Array
+    umbrella_color: Array
+    lamps: Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -119,11 +139,22 @@ def paint_shadows(shade, ground, spread, strength, views, places, umbrella, lamp
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def paint_crowd(  # type: ignore[no-untyped-def]
-    canvas, ground, spread, opacity, views, places, headings, outfits, poses, umbrella, umbrella_color, lamps, boxes
-):
-    """Paint people on the canvas, then umbrellas and lampshades with this opacity."""
-    people = len(umbrella)
+def paint_crowd(canvas, ground, spread, opacity, views, places, crowd, poses, boxes):  # type: ignore[no-untyped-def]
+    """Paint people on the canvas, then umbrellas and lampshades with this opacity.
+
+    Args:
+        canvas: RGB image, painted in place, (H, W, 3) float32.
+        ground: Point of the plane that each pixel sees, in the camera's frame, (H, W, 2) m.
+        spread: Distance on the plane between neighboring pixels, (H, W) m.
+        opacity: Opacity of umbrellas and lampshades, 0 to 1.
+        views: Cos and sin of the camera's heading and the point below it, per image row or for all rows. (R, 4).
+        places: Positions of all objects at those instants, (R, 2 P + L, 2) m.
+        crowd: Gait and appearance at this instant, `CrowdTables`.
+        poses: Poses of all people, (P, POSE_NUMBERS).
+        boxes: Bounding boxes in the image, as `find_boxes` fills them, (2, 2 P + L, 4).
+    """
+    people, headings = len(crowd.umbrella), crowd.walk[:, 0]
+    outfits, umbrella, umbrella_color, lamps = crowd.outfits, crowd.umbrella, crowd.umbrella_color, crowd.lamps
     for k in range(boxes.shape[1]):
         if boxes[1, k, 0] >= boxes[1, k, 1]:
             continue
@@ -202,9 +233,7 @@ def _paint(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def paint_panel(  # type: ignore[no-untyped-def]
-    panel, camera, view, ground, spread, strength, opacity, people, walk, outfits, umbrella, umbrella_color, lamps
-):
+def paint_panel(panel, camera, view, ground, spread, strength, opacity, people, crowd):  # type: ignore[no-untyped-def]
     """Paint a crowd on a finished panel, umbrellas and lampshades with this opacity.
 
     Args:
@@ -216,13 +245,10 @@ def paint_panel(  # type: ignore[no-untyped-def]
         strength: Darkness of shadows, 0 to 1.
         opacity: Opacity of umbrellas and lampshades, 0 to 1.
         people: Positions, (P, >= 2) m.
-        walk: Heading, phase and stride, (P, 3).
-        outfits: Appearance vectors, (P, OUTFIT_NUMBERS).
-        umbrella: Radii of the umbrellas, (P,) m.
-        umbrella_color: Colors of the umbrellas, (P, 3).
-        lamps: Positions and radii of the lampshades, (L, 3) m.
+        crowd: Gait and appearance, `CrowdTables`.
     """
     height, width = spread.shape
+    walk, outfits, umbrella, lamps = crowd.walk, crowd.outfits, crowd.umbrella, crowd.lamps
     count, things = len(people), 2 * len(people) + len(lamps)
     poses, places = np.empty((count, POSE_NUMBERS)), np.empty((1, things, 2))
     for k in range(count):
@@ -239,21 +265,7 @@ def paint_panel(  # type: ignore[no-untyped-def]
         for j in range(width):
             for channel in range(3):
                 canvas[i, j, channel] = panel[i, j, channel] * shade[i, j]
-    paint_crowd(
-        canvas,
-        ground,
-        spread,
-        opacity,
-        view,
-        places,
-        walk[:, 0],
-        outfits,
-        poses,
-        umbrella,
-        umbrella_color,
-        lamps,
-        boxes,
-    )
+    paint_crowd(canvas, ground, spread, opacity, view, places, crowd, poses, boxes)
     for i in range(height):
         for j in range(width):
             for channel in range(3):

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from servotrack.envs.drawing.glyphs import put_text
 from servotrack.envs.drawing.palette import FLOOR, INK, PAPER, SOFT_INK, Color, fixed_point, mix
 from servotrack.envs.follow.outfits import Outfits
-from servotrack.envs.follow.painting import paint_panel
+from servotrack.envs.follow.painting import CrowdTables, paint_panel
 from servotrack.envs.servo import backdrop
-from servotrack.envs.servo.exposure import trace_rays
-from servotrack.envs.servo.imaging import Rays, no_rays
+from servotrack.envs.servo.exposure import Rays, trace_rays
+from servotrack.envs.servo.imaging import no_rays
 from servotrack.envs.servo.render import crosshair, draw_arm, light_footprint, round_corners, trail
 from servotrack.estimators.camera import pack_camera
 from servotrack.estimators.types import Array, Image, Mask
@@ -117,8 +117,8 @@ def _draw_floor(panel: Image, scene: FollowScene, lit_floor: Image) -> None:
     crowd = np.ascontiguousarray(panel)
     outfits = scene.outfits
     paint_panel(
-        crowd, camera, view, rays.ground[0], rays.spread[0], _SHADOW_STRENGTH, _COVER_OPACITY, scene.people, scene.walk,
-        outfits.people, outfits.umbrella, outfits.umbrella_color, outfits.lamps,
+        crowd, camera, view, rays.ground[0], rays.spread[0], _SHADOW_STRENGTH, _COVER_OPACITY, scene.people,
+        CrowdTables(scene.walk, outfits.people, outfits.umbrella, outfits.umbrella_color, outfits.lamps),
     )  # fmt: skip
     panel[:] = crowd
     # The arm is translucent, because a tool on target would hide the person.

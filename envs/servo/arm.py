@@ -139,7 +139,7 @@ class ArmSpace:
         if len(self._bodies) <= _FEW_BODIES:
             for row, (upper, lower) in enumerate(zip(self._bodies[::2], self._bodies[1::2], strict=True)):
                 first = upper.angle
-                self.angles[row] = first, lower.angle - first
+                self.angles[row, 0], self.angles[row, 1] = first, lower.angle - first
         else:
             angles = self._all_angles()
             self.angles[:, 0] = angles[:, 0]

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from servotrack.envs.servo.floor import SIDE, TILE
 from servotrack.envs.servo.targets import PERIOD
 from servotrack.envs.servo.world import interpolate_path
 from servotrack.estimators.camera import ground_point, project_ground
+from servotrack.estimators.types import Array, FloatArray, Labels
 
 DISC_RADIUS = 0.025
 """Radius of a marker's colored disc, m."""
@@ -26,6 +29,64 @@ _VIGNETTING = 0.30  # loss of light at one half width from the principal point
 _WIDEST_MARKER_PIXEL = 0.2  # width of the floor in a pixel beyond which markers are invisible and left out, m
 _SHIFT = 64.0  # added to texture coordinates so that they are positive, tiles
 _SAMPLES = 4  # samples per axis in a pixel at a marker's edge
+
+
+class Arms(NamedTuple):
+    """Cameras and poses of N arms.
+
+    Attributes:
+        cameras: Packed cameras, (N, CAMERA_SIZE).
+        links: Link lengths, (N, 2) m.
+        history: True joint angles of the last samples, a ring buffer indexed by sample modulo RING, (N, RING, 2) rad.
+    """
+
+    cameras: Array
+    links: Array
+    history: Array
+
+
+class Rays(NamedTuple):
+    """Rays of the pixels of N cameras, constant during an episode.
+
+    Attributes:
+        ground: Floor points at the pixels' centers in the cameras' untilted frames, (N, S, S, 2) m.
+        light: Share of the light that arrives, 0 for pixels that show no floor, (N, S, S).
+        spread: Distance on the floor between neighboring pixels, (N, S, S) m.
+        detail: Level of detail of the floor's texture for that distance, (N, S, S).
+    """
+
+    ground: FloatArray
+    light: FloatArray
+    spread: FloatArray
+    detail: NDArray[np.uint8]
+
+
+class Floors(NamedTuple):
+    """Floors below N cameras: one texture, placed and colored by the episode.
+
+    Attributes:
+        texels: All levels of detail of the texture, one after the other, brightness about 1, float32.
+        starts: Index in `texels` of the first texel of each level.
+        pose: Rotation (cos, sin) and shift (x, y) of the texture, (N, 4), shift in tiles.
+        color: Color at brightness 1, (N, 3), gray levels.
+    """
+
+    texels: FloatArray
+    starts: NDArray[np.uint64]
+    pose: Array
+    color: Array
+
+
+class SensorNoise(NamedTuple):
+    """Noise of the pixels of N cameras, read from one tile.
+
+    Attributes:
+        tile: Noise, periodic in rows and columns, (NOISE_SIDE, NOISE_SIDE + S, 3), gray levels.
+        offset: First row and column in the tile of each of K frames, (N, K, 2).
+    """
+
+    tile: FloatArray
+    offset: Labels
 
 
 @njit(cache=True, nogil=True)
@@ -186,38 +247,54 @@ def _marker_box(camera, gx0, gy0, gx1, gy1, step, spread):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True)
 def expose(  # type: ignore[no-untyped-def]
-    rows, frames, shutter, step, cameras, links, history, paths, distractors, ground, light, spread, detail, texels,
-    starts, floor_pose, floor_color, noise, noise_offset, images,
-):  # fmt: skip
-    """Render the given frames of the chosen rows. A rolling shutter exposes every image row at its own instant."""
+    rows, frames, shutter, step, arms, paths, distractors, rays, floors, noise, images
+):
+    """Render the given frames of the chosen rows. A rolling shutter exposes every image row at its own instant.
+
+    Args:
+        rows: Mask of the rows, (N,) bool.
+        frames: Index of each row's frame in the episode's tables, (N,) int.
+        shutter: Duration of the rolling shutter's readout, s; 0 is a global shutter.
+        step: Camera pixels per image pixel.
+        arms: Cameras and poses, `Arms`.
+        paths: Positions and velocities of the targets at all samples, (N, K, 4) m, m/s.
+        distractors: Positions and velocities of the distractors, (N, K, 4) m, m/s.
+        rays: Rays of the cameras, `Rays`.
+        floors: Floors, `Floors`.
+        noise: Noise of the pixels, `SensorNoise`.
+        images: RGB images, written in place, (N, S, S, 3) uint8.
+    """
+    cameras, links, history = arms.cameras, arms.links, arms.history
+    ground, light, spread, detail = rays.ground, rays.light, rays.spread, rays.detail
+    tile, offset = noise.tile, noise.offset
     size = images.shape[1]
     views, bright, paint = np.empty((size, 8)), np.empty((size, size), np.float32), np.empty(3)
     for n in range(rows.shape[0]):
         if not rows[n]:
             continue
         frame = frames[n]
-        first_row, first_column = noise_offset[n, frame, 0], noise_offset[n, frame, 1]
+        first_row, first_column = offset[n, frame, 0], offset[n, frame, 1]
         for i in range(size):
             if i == 0 or shutter > 0.0:
                 y = (i + 0.5) / size
                 _marker_view(y, shutter, cameras[n], links[n], history[n], paths[n], distractors[n], frame, views[i])
             else:
                 views[i] = views[0]
-            grain = noise[(i + first_row) & (NOISE_SIDE - 1), first_column : first_column + size]
-            look_down(views[i], ground[n, i], detail[n, i], texels, starts, floor_pose[n], bright[i])
-            _develop(bright[i], light[n, i], floor_color[n], grain, images[n, i])
+            grain = tile[(i + first_row) & (NOISE_SIDE - 1), first_column : first_column + size]
+            look_down(views[i], ground[n, i], detail[n, i], floors.texels, floors.starts, floors.pose[n], bright[i])
+            _develop(bright[i], light[n, i], floors.color[n], grain, images[n, i])
         for marker in range(2):
             k = 4 + 2 * marker
             top, bottom, left, right = _marker_box(
                 cameras[n], views[0, k], views[0, k + 1], views[size - 1, k], views[size - 1, k + 1], step, spread[n]
             )
             for i in range(top, bottom):
-                grain = noise[(i + first_row) & (NOISE_SIDE - 1)]
+                grain = tile[(i + first_row) & (NOISE_SIDE - 1)]
                 for j in range(left, right):
                     if spread[n, i, j] > _WIDEST_MARKER_PIXEL or light[n, i, j] == 0.0:
                         continue
                     for channel in range(3):
-                        paint[channel] = floor_color[n, channel] * bright[i, j]
+                        paint[channel] = floors.color[n, channel] * bright[i, j]
                     # Both markers at every pixel, the target last, on top of the distractor.
                     look, width = ground[n], spread[n]
                     covered = _paint_marker(look, width, i, j, views[i, 6], views[i, 7], DISTRACTOR_COLOR, paint)

@@ -8,33 +8,15 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.envs.servo.arrivals import Arrivals
 from servotrack.envs.servo.episode import LEAD, Episode, Stream, Streams, sample_times, samples
-from servotrack.envs.servo.exposure import NOISE_SIDE, expose, trace_rays
+from servotrack.envs.servo.exposure import NOISE_SIDE, Arms, Floors, Rays, SensorNoise, expose, trace_rays
 from servotrack.envs.servo.floor import floor_texture
 from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.types import Array, FloatArray, Labels, Mask
-
-
-class Rays(NamedTuple):
-    """Rays of the pixels of N cameras, constant during an episode.
-
-    Attributes:
-        ground: Floor points at the pixels' centers in the cameras' untilted frames, (N, S, S, 2) m.
-        light: Share of the light that arrives, 0 for pixels that show no floor, (N, S, S).
-        spread: Distance on the floor between neighboring pixels, (N, S, S) m.
-        detail: Level of detail of the floor's texture for that distance, (N, S, S).
-    """
-
-    ground: FloatArray
-    light: FloatArray
-    spread: FloatArray
-    detail: NDArray[np.uint8]
 
 
 class FloorCamera:
@@ -99,11 +81,12 @@ class ImageSensor(FloorCamera):
         self._distractors[row] = _distractor_path(episode, sample_times(self._world.config))
 
     def _expose(self, rows: Mask) -> None:
-        world, texture = self._world, floor_texture()
+        world = self._world
         expose(
-            rows, world.captured, world.config.rolling_shutter, 1.0 / self._scale, world.cameras, world.links,
-            world.history, world.paths, self._distractors, *self._rays, texture.texels, texture.starts,
-            self._floor_pose, self._floor_color, self._noise, self._noise_offset, self.images,
+            rows, world.captured, world.config.rolling_shutter, 1.0 / self._scale,
+            Arms(world.cameras, world.links, world.history), world.paths, self._distractors, self._rays,
+            Floors(*floor_texture(), self._floor_pose, self._floor_color),
+            SensorNoise(self._noise, self._noise_offset), self.images,
         )  # fmt: skip
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -14,7 +14,7 @@ from servotrack.envs.servo.episode import LEAD, Episode, draw_episode, samples
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
 from servotrack.estimators.camera import CAMERA_SIZE, image_jacobian, project
-from servotrack.estimators.types import Array, Mask
+from servotrack.estimators.types import Array, Labels, Mask
 
 LOST_SAMPLES = 20
 """An episode ends after this many consecutive samples with the target out of view."""
@@ -31,6 +31,88 @@ def tracking_reward(distance):  # type: ignore[no-untyped-def]
     """Reward for a distance (m) between tool and target: 1 at 0, 0 from 2 m on, logarithmic in between."""
     near = 1.0 - math.log1p(distance / _REWARD_SCALE) / math.log1p(_REWARD_RANGE / _REWARD_SCALE)
     return min(max(near, 0.0), 1.0)
+
+
+class SenseSettings(NamedTuple):
+    """Parameters of a world that its sensors and scores depend on.
+
+    Attributes:
+        warmup: Number of unscored steps at the start of an episode.
+        horizon: Number of scored steps; the episode is truncated after them.
+        lost_after: Number of consecutive samples out of view that ends an episode.
+        camera_size: Width and height of the camera's image, px.
+        shutter: Duration of the rolling shutter's readout, s; 0 is a global shutter.
+        stamped: True if frames carry the time when they were taken, False if they carry the time of their arrival.
+        quantized: True if features are rounded to the centers of pixels.
+    """
+
+    warmup: int
+    horizon: int
+    lost_after: int
+    camera_size: float
+    shutter: float
+    stamped: bool
+    quantized: bool
+
+
+class EpisodeTables(NamedTuple):
+    """Draws of the episodes of N arms, with K samples each. Written at reset. A table with 0 samples is unused.
+
+    Attributes:
+        links: Link lengths, (N, 2) m.
+        cameras: Packed cameras, (N, CAMERA_SIZE).
+        goal: Goal features, (N, 2) px.
+        latency: Age of a frame when it arrives, (N,) samples, int.
+        paths: The target's positions and velocities, (N, K, 4) m, m/s.
+        feature_noise: Noise of the features, (N, K or 0, 2) px.
+        encoder_noise: Noise of the encoders, (N, K or 0, 2) rad.
+        dropped: Mask of the lost frames, (N, K or 0).
+    """
+
+    links: Array
+    cameras: Array
+    goal: Array
+    latency: Labels
+    paths: Array
+    feature_noise: Array
+    encoder_noise: Array
+    dropped: Mask
+
+
+class Sample(NamedTuple):
+    """Newest sample of N arms: truth, scores and sensor readings. Written at every step.
+
+    Attributes:
+        time: Current time, (N,) s; scoring starts at 0.
+        tool: True tool position, (N, 2) m.
+        target: True target position and velocity, (N, 4) m, m/s.
+        tracking_error: Distance between tool and target in the plane, (N,) m.
+        feature_error: Distance between the true current features and the goal, (N,) px.
+        out_of_view: Number of samples since the target was last in view, (N,) int.
+        reward: Reward, (N,).
+        terminated: The target was out of view for `lost_after` samples, (N,) bool.
+        truncated: The horizon was reached, (N,) bool.
+        joint_angles: Encoder readings, (N, 2) rad.
+        captured: Index into the episode's tables of the newest frame that arrived with an image, (N,) int.
+        features: Features of the newest frame, (N, 2) px.
+        visible: 1.0 if a new frame that shows the target arrived, else 0.0, (N,).
+        frame_time: Time stamp of that frame, (N,) s.
+    """
+
+    time: Array
+    tool: Array
+    target: Array
+    tracking_error: Array
+    feature_error: Array
+    out_of_view: Labels
+    reward: Array
+    terminated: Mask
+    truncated: Mask
+    joint_angles: Array
+    captured: Labels
+    features: Array
+    visible: Array
+    frame_time: Array
 
 
 class ServoWorld:
@@ -66,7 +148,6 @@ class ServoWorld:
     def __init__(self, config: ServoConfig, count: int, lost_after: int = LOST_SAMPLES) -> None:
         self.config = config
         self.count = count
-        self._lost_after = lost_after
         length = samples(config)
         self.arms = ArmSpace(config, count)
         self.joints = self.arms.angles
@@ -91,6 +172,20 @@ class ServoWorld:
         self.captured = np.zeros(count, np.int64)
         self._rates = np.zeros((count, 2))
         self._all_rows = np.ones(count, np.bool_)
+        # The kernels write into these arrays. They are never replaced, so the records are built once.
+        self._sense_settings = SenseSettings(
+            config.warmup, config.horizon, lost_after, float(config.camera_size), float(config.rolling_shutter),
+            bool(config.stamped), config.noise_kind == "quantized",
+        )  # fmt: skip
+        self._episode_tables = EpisodeTables(
+            self.links, self.cameras, self.goal, self.latency, self.paths, self._feature_noise, self._encoder_noise,
+            self._dropped,
+        )  # fmt: skip
+        self._sample = Sample(
+            self.time, self.tool, self.target, self.tracking_error, self.feature_error, self._out_of_view, self.reward,
+            self.terminated, self.truncated, self.joint_angles, self.captured, self.features, self.visible,
+            self.frame_time,
+        )  # fmt: skip
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
         """Start new episodes in some rows. The other rows are not changed.
@@ -143,22 +238,15 @@ class ServoWorld:
         if rows is None:
             rows = self._all_rows
         _command(
-            actions, self.steps, self.joints, JOINT_LOW, JOINT_HIGH, self.config.max_joint_rate,
-            PERIOD / self.config.substeps, self.gain, self._rate_noise, self._rates,
+            rows, actions, self.steps, self.joints, self.config.max_joint_rate, PERIOD / self.config.substeps,
+            self.gain, self._rate_noise, self._rates,
         )  # fmt: skip
         self.arms.step(self._rates)
-        self.steps += rows
         self._observe(rows)
 
     def _observe(self, rows: Mask) -> None:
-        config = self.config
         _sense(
-            rows, self.steps, config.warmup, config.horizon, self._lost_after, float(config.camera_size),
-            config.rolling_shutter, config.stamped, config.noise_kind == "quantized", self.links, self.cameras,
-            self.goal, self.latency, self.paths, self._feature_noise, self._encoder_noise, self._dropped, self.joints,
-            self.history, self._out_of_view, self.joint_angles, self.features, self.visible, self.frame_time, self.time,
-            self.reward, self.terminated, self.truncated, self.tracking_error, self.feature_error, self.tool,
-            self.target, self.captured,
+            rows, self.steps, self.joints, self.history, self._sense_settings, self._episode_tables, self._sample
         )  # fmt: skip
 
     def privileged(self) -> dict[str, Array]:
@@ -220,11 +308,11 @@ def _finite(values):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _command(  # type: ignore[no-untyped-def]
-    actions, steps, joints, low, high, max_joint_rate, substep, gain, rate_noise, rates
+    rows, actions, steps, joints, max_joint_rate, substep, gain, rate_noise, rates
 ):
     """Compute the motors' joint rates: clipped, with gain error and noise, limited so that joints stop at their stops.
 
-    `rates` holds the last period's rates and is overwritten.
+    `rates` holds the last period's rates and is overwritten. The steps of the chosen rows are counted.
     """
     for i in range(actions.shape[0]):
         for j in range(2):
@@ -234,7 +322,9 @@ def _command(  # type: ignore[no-untyped-def]
             # With the stops alone a joint overshoots by more than a degree. A motor reacts one substep late, so the
             # angle that the joint coasts until then is subtracted from the angle that is left.
             coasted = joints[i, j] + substep * rates[i, j]
-            rates[i, j] = min(max(rate, (low[j] - coasted) / PERIOD), (high[j] - coasted) / PERIOD)
+            rates[i, j] = min(max(rate, (JOINT_LOW[j] - coasted) / PERIOD), (JOINT_HIGH[j] - coasted) / PERIOD)
+        if rows[i]:
+            steps[i] += 1
 
 
 @njit(cache=True, nogil=True)
@@ -270,12 +360,24 @@ def capture(camera, links, before, after, history, frame, size, shutter):  # typ
 
 
 @njit(cache=True, nogil=True)
-def _sense(  # type: ignore[no-untyped-def]
-    rows, steps, warmup, horizon, lost_after, size, shutter, stamped, quantized, links, cameras, goal, latency, path,
-    feature_noise, encoder_noise, dropped, joints, history, out_of_view, joint_angles, features, visible, frame_time,
-    time, reward, terminated, truncated, tracking_error, feature_error, tool, target, captured,
-):  # fmt: skip
-    """Compute the newest sample of every chosen row: truth, score and sensor readings."""
+def _sense(rows, steps, joints, history, settings, episodes, sample):  # type: ignore[no-untyped-def]
+    """Compute the newest sample of every chosen row: truth, score and sensor readings.
+
+    Args:
+        rows: Mask of the rows, (N,) bool.
+        steps: Number of steps since reset, (N,) int.
+        joints: True joint angles, (N, 2) rad.
+        history: Ring buffer of the last joint angles; the present ones are written into it, (N, RING, 2) rad.
+        settings: Parameters of the world, `SenseSettings`.
+        episodes: Draws of the episodes, `EpisodeTables`.
+        sample: Newest sample, overwritten, `Sample`.
+    """
+    warmup, horizon, lost_after, size, shutter, stamped, quantized = settings
+    links, cameras, goal, latency, path, feature_noise, encoder_noise, dropped = episodes
+    time, tool, target, out_of_view = sample.time, sample.tool, sample.target, sample.out_of_view
+    tracking_error, feature_error, reward = sample.tracking_error, sample.feature_error, sample.reward
+    terminated, truncated, joint_angles = sample.terminated, sample.truncated, sample.joint_angles
+    captured, features, visible, frame_time = sample.captured, sample.features, sample.visible, sample.frame_time
     for i in range(rows.shape[0]):
         if not rows[i]:
             continue

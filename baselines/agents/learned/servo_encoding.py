@@ -128,7 +128,7 @@ class ServoEncoding(PlainAnswers):
         memory = ServoMemory._make(part.copy() for part in memory)
         rows = np.empty((len(memory.times), self.size), np.float32)
         _encode(
-            *memory, observation["joint_angles"], observation["features"], observation["goal"],
+            memory, observation["joint_angles"], observation["features"], observation["goal"],
             observation["visible"], observation["frame_time"], observation["time"], action,
             self.lags, self.ages, rows,
         )  # fmt: skip
@@ -137,10 +137,24 @@ class ServoEncoding(PlainAnswers):
 
 @njit(cache=True, nogil=True)
 def _encode(  # type: ignore[no-untyped-def]
-    times, angles, frames, turns, last, seen, joint_angles, features, goal, visible, frame_time, time, action, lags,
-    ages, rows,
-):  # fmt: skip
-    """Update the memory with an observation and write one row per environment."""
+    memory, joint_angles, features, goal, visible, frame_time, time, action, lags, ages, rows
+):
+    """Update the memory with an observation and write one row per environment.
+
+    Args:
+        memory: Memory of the encoding, changed in place, `ServoMemory`.
+        joint_angles: Encoder readings, (N, 2) rad.
+        features: Features of the newest frame, (N, 2) px.
+        goal: Goal features, (N, 2) px.
+        visible: 1.0 if a new frame that shows the target arrived, else 0.0, (N, 1).
+        frame_time: Time stamp of that frame, (N, 1) s.
+        time: Current time, (N, 1) s.
+        action: Action before the observation, (N, 2).
+        lags: Distances of the earlier observations from the newest, in observations.
+        ages: Candidates for the age of a frame beyond its time stamp, control periods.
+        rows: Encoded rows, overwritten, (N, size) float32.
+    """
+    times, angles, frames, turns, last, seen = memory
     for i in range(len(times)):
         if time[i, 0] > times[i, -1]:
             times[i, :-1] = times[i, 1:]

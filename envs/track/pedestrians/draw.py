@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.backdrop import background_colors, paint_backdrop
@@ -27,7 +29,7 @@ from servotrack.envs.track.pedestrians.shapes import (
     patch_at,
 )
 from servotrack.envs.track.pedestrians.sprites import MAX_PARTS, pose_person
-from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.types import Array, FloatArray, Labels
 
 MAX_PEOPLE_IN_FRAME = 255
 """Maximum number of people in a frame, because `owners` has bytes."""
@@ -105,34 +107,18 @@ class Stage:
         if starts[-1] > len(self._pool):
             self._pool = np.empty(2 * int(starts[-1]), dtype=np.float32)
         _draw_bodies(parts, orders, extents, starts, self._grain, self._pool)
-        boxes, totals, visible = np.zeros((count, 4)), np.zeros(count), np.zeros(count)
+        truth = _Truth(np.zeros((count, 4)), np.zeros(count), np.zeros(count), owners)
         things = self._prop_patches.at(frame)
         depth = np.lexsort((people.ids, people.feet[:, 1]))
         _compose(
-            image,
-            owners,
-            depth,
-            people.feet,
-            people.height,
-            extents,
-            starts,
-            self._pool,
-            self._horizon,
-            self._focal,
-            config.shadow,
-            self._sun,
-            things.pool,
-            things.extents,
-            things.starts,
-            things.bases,
-            boxes,
-            totals,
-            visible,
-        )
+            image, depth, people.feet, people.height, _Patches(self._pool, extents, starts),
+            _Patches(things.pool, things.extents, things.starts), things.bases, self._horizon, self._focal,
+            config.shadow, self._sun, truth,
+        )  # fmt: skip
         self._sensor.expose(image, frame, self._light.offset(frame))
         if self._coder is not None:
             image = self._coder.code(image)
-        return Drawn(image, boxes, visible / np.maximum(totals, 1.0), owners)
+        return Drawn(image, truth.boxes, truth.visible / np.maximum(truth.totals, 1.0), owners)
 
     def _pose(self, people: People) -> tuple[Array, Labels, Labels]:
         """Return the parts of all bodies, their drawing orders (last column: number of parts), and patch extents."""
@@ -159,6 +145,36 @@ class Stage:
             extents,
         )
         return parts, orders, extents
+
+
+class _Patches(NamedTuple):
+    """Drawn bodies or objects, in one pool of numbers.
+
+    Attributes:
+        pool: All patches one after the other, float32.
+        extents: Left, top, right, bottom of each patch, (k, 4) px.
+        starts: Index of each patch's first number in the pool; further entries are ignored, (>= k,).
+    """
+
+    pool: FloatArray
+    extents: Labels
+    starts: Labels
+
+
+class _Truth(NamedTuple):
+    """Ground truth of the n people of a frame.
+
+    Attributes:
+        boxes: Left, top, width, height of the silhouettes, (n, 4) px.
+        totals: Pixels of the whole silhouettes, hidden parts included, (n,).
+        visible: Pixels of the visible parts, (n,).
+        owners: Index of the person that a pixel shows + 1, 0 for the background, (H, W) uint8.
+    """
+
+    boxes: Array
+    totals: Array
+    visible: Array
+    owners: NDArray[np.uint8]
 
 
 @njit(cache=True, nogil=True)
@@ -198,27 +214,27 @@ def _draw_bodies(parts, orders, extents, starts, grain, pool):  # type: ignore[n
 
 @njit(cache=True, nogil=True)
 def _compose(  # type: ignore[no-untyped-def]
-    image,
-    owners,
-    depth,
-    feet,
-    heights,
-    extents,
-    starts,
-    pool,
-    horizon,
-    focal,
-    shadow,
-    sun,
-    prop_pool,
-    prop_extents,
-    prop_starts,
-    prop_bases,
-    boxes,
-    totals,
-    visible,
+    image, depth, feet, heights, bodies, props, prop_bases, horizon, focal, shadow, sun, truth
 ):
-    """Draw shadows, then people and objects from the farthest to the nearest, and compute the ground truth."""
+    """Draw shadows, then people and objects from the farthest to the nearest, and compute the ground truth.
+
+    Args:
+        image: RGB image, painted in place, (H, W, 3) uint8.
+        depth: Indices of the people, the farthest first, (n,).
+        feet: Column and row of the middle between the feet, (n, 2) px.
+        heights: Body heights, (n,) px.
+        bodies: Drawn bodies, `_Patches`.
+        props: Drawn objects of the lobby, the farthest first, `_Patches`.
+        prop_bases: Rows of the feet of these objects, (k,) px.
+        horizon: Row of the horizon, px.
+        focal: Focal length, px.
+        shadow: Opacity of the cast shadows, 0 to 1.
+        sun: Distance that shadows fall to the right, as a fraction of the height of the body part.
+        truth: Ground truth of the people, overwritten, `_Truth`.
+    """
+    pool, extents, starts = bodies.pool, bodies.extents, bodies.starts
+    prop_pool, prop_extents, prop_starts = props.pool, props.extents, props.starts
+    boxes, totals, visible, owners = truth.boxes, truth.totals, truth.visible, truth.owners
     for n in depth:
         slope = _slope(feet[n, 1], horizon, focal)
         if shadow > 0.0:

@@ -13,7 +13,7 @@ import pymunk
 import pymunk.batch
 
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, MIN_DEPTH
-from servotrack.envs.track.pedestrians.social_force import LEG_NUMBERS, drive
+from servotrack.envs.track.pedestrians.social_force import LEG_NUMBERS, Plans, Progress, drive
 from servotrack.estimators.types import Array, Labels
 
 BODY_RADIUS = 0.2
@@ -133,21 +133,28 @@ class _Simulation:
         self._dt = dt
         sizes = [len(party) for party in parties]
         self._first = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-        self._party = np.repeat(np.arange(len(parties)), sizes)
         count = len(self.plans)
         longest = max((len(plan.legs) for plan in self.plans), default=1)
-        self._legs = np.zeros((count, longest, LEG_NUMBERS))
+        legs = np.zeros((count, longest, LEG_NUMBERS))
         for row, plan in enumerate(self.plans):
-            self._legs[row, : len(plan.legs)] = plan.legs
+            legs[row, : len(plan.legs)] = plan.legs
         self._obstacles = np.array(obstacles, dtype=np.float64).reshape(-1, 3)
-        _avoid_obstacles(self._legs, self._obstacles)
-        self._leg_count = np.array([len(plan.legs) for plan in self.plans], dtype=np.int64)
-        self._leg, self._since = np.zeros(count, np.int64), np.zeros(count, np.int64)
-        self._arrived = np.full(count, -1, dtype=np.int64)
-        self._facing, self._over = np.full(count, math.nan), np.zeros(count, np.bool_)
+        _avoid_obstacles(legs, self._obstacles)
+        self._drive_plans = Plans(
+            legs,
+            leg_count=np.array([len(plan.legs) for plan in self.plans], dtype=np.int64),
+            pace=np.array([plan.pace for plan in self.plans], dtype=np.float64),
+            wander=np.array([plan.wander for plan in self.plans], dtype=np.float64).reshape(count, 3),
+            party=np.repeat(np.arange(len(parties)), sizes),
+        )
+        self._progress = Progress(
+            leg=np.zeros(count, np.int64),
+            since=np.zeros(count, np.int64),
+            arrived=np.full(count, -1, dtype=np.int64),
+            facing=np.full(count, math.nan),
+            over=np.zeros(count, np.bool_),
+        )
         self._deaths = np.array([_NO_DEATH if p.death is None else p.death for p in self.plans], dtype=np.int64)
-        self._pace = np.array([plan.pace for plan in self.plans], dtype=np.float64)
-        self._wander = np.array([plan.wander for plan in self.plans], dtype=np.float64).reshape(count, 3)
         self._position, self._velocity = np.zeros((count + 1, 2)), np.zeros((count + 1, 2))
         self._walls = np.array([BACK_WALL, _FRONT])
         self._space = pymunk.Space()
@@ -185,10 +192,10 @@ class _Simulation:
         shape = pymunk.Circle(body, BODY_RADIUS)
         self._space.add(body, shape)
         self._bodies[index] = (body, shape)
-        goal = self._legs[index, 0, :2] - np.array(plan.start)
+        goal = self._drive_plans.legs[index, 0, :2] - np.array(plan.start)
         self._position[index] = plan.start
         self._velocity[index] = plan.pace * goal / max(float(np.hypot(*goal)), 1e-9)
-        self._since[index] = frame
+        self._progress.since[index] = frame
         self._entered[index] = frame
         self._note_active()
 
@@ -196,18 +203,17 @@ class _Simulation:
         """Remove people whose time is over, and store the positions of the others."""
         if self._any_over or frame >= self._next_death:
             active = self._active
-            for index in active[self._over[active] | (self._deaths[active] <= frame)].tolist():
+            for index in active[self._progress.over[active] | (self._deaths[active] <= frame)].tolist():
                 self._leave(index)
         active = self._active
-        self._history.append((active, self._position[active], self._facing[active]))
+        self._history.append((active, self._position[active], self._progress.facing[active]))
 
     def advance(self, frame: int) -> None:
         """Advance one frame: forces give velocities; bodies move and collide."""
         if not len(self._active):
             return
         self._any_over = drive(
-            self._active, self._position, self._velocity, self._legs, self._leg_count, self._leg, self._since,
-            self._arrived, self._facing, self._over, self._pace, self._wander, self._party, self._walls,
+            self._active, self._position, self._velocity, self._drive_plans, self._progress, self._walls,
             self._obstacles, frame, self._dt,
         )  # fmt: skip
         self._given[:] = self._velocity[self._order]

@@ -7,9 +7,12 @@ refer to it. Contacts between bodies are handled elsewhere.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+
+from servotrack.estimators.types import Array, Labels, Mask
 
 X, Z, PAUSE, UNTIL, DUE, FACE = range(6)
 """Columns of a leg: goal (m), minimum stay (frames), frame until which to stay, frame of arrival (below 0: at the
@@ -47,42 +50,52 @@ _LEG_TIMEOUT = 40.0
 """Time after which a leg is aborted, s."""
 
 
+class Plans(NamedTuple):
+    """Plans of n people, constant during a simulation.
+
+    Attributes:
+        legs: Legs of each person, with the columns above, shape (n, max legs, LEG_NUMBERS).
+        leg_count: Number of legs, shape (n,).
+        pace: Desired speed, shape (n,), m/s.
+        wander: Amplitude (rad), rate (rad per frame) and phase (rad) of small changes of direction, shape (n, 3).
+        party: Index of the party, shape (n,).
+    """
+
+    legs: Array
+    leg_count: Labels
+    pace: Array
+    wander: Array
+    party: Labels
+
+
+class Progress(NamedTuple):
+    """Progress of n people in their plans, changed in place by `drive`.
+
+    Attributes:
+        leg: Index of the current leg, shape (n,). It is `leg_count` when all legs are finished.
+        since: Frame at which the current leg began, shape (n,).
+        arrived: Frame of arrival at the end of the current leg, -1 before, shape (n,).
+        facing: Heading of standing people, shape (n,), rad; NaN while walking and if unspecified.
+        over: True for people who have finished all legs, shape (n,), bool.
+    """
+
+    leg: Labels
+    since: Labels
+    arrived: Labels
+    facing: Array
+    over: Mask
+
+
 @njit(cache=True, nogil=True)
-def drive(  # type: ignore[no-untyped-def]
-    active,
-    position,
-    velocity,
-    legs,
-    leg_count,
-    leg,
-    since,
-    arrived,
-    facing,
-    over,
-    pace,
-    wander,
-    party,
-    walls,
-    obstacles,
-    frame,
-    dt,
-):
+def drive(active, position, velocity, plans, progress, walls, obstacles, frame, dt):  # type: ignore[no-untyped-def]
     """Update the velocities of all active people, and advance finished legs.
 
     Args:
         active: Indices of the people in the scene, shape (a,).
         position: Positions, shape (n, 2), m.
         velocity: Velocities, shape (n, 2), m/s; replaced by the new ones.
-        legs: Legs of each person, shape (n, max legs, 6).
-        leg_count: Number of legs, shape (n,).
-        leg: Index of the current leg, shape (n,); advanced in place. It is `leg_count` when all legs are finished.
-        since: Frame at which the current leg began, shape (n,); changed in place.
-        arrived: Frame of arrival at the end of the current leg, -1 before, shape (n,); changed in place.
-        facing: Heading of standing people, shape (n,), rad; NaN while walking and if unspecified; replaced.
-        over: True for people who have finished all legs, shape (n,), bool; changed in place.
-        pace: Desired speed, shape (n,), m/s.
-        wander: Amplitude (rad), rate (rad per frame) and phase (rad) of small changes of direction, shape (n, 3).
-        party: Index of the party, shape (n,).
+        plans: Plans of all people, `Plans`.
+        progress: Progress of all people in their plans, `Progress`; changed in place.
         walls: z of the back wall and of the front border, m.
         obstacles: x, z and radius of each obstacle, shape (o, 3), m.
         frame: Number of the frame.
@@ -91,6 +104,9 @@ def drive(  # type: ignore[no-untyped-def]
     Returns:
         True if any person has finished all legs.
     """
+    legs, leg_count, pace, wander, party = plans.legs, plans.leg_count, plans.pace, plans.wander, plans.party
+    leg, since, arrived = progress.leg, progress.since, progress.arrived
+    facing, over = progress.facing, progress.over
     count = len(active)
     any_over = False
     wanted = np.zeros((count, 2))
