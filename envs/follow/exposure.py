@@ -59,11 +59,13 @@ def _expose_one(  # type: ignore[no-untyped-def]
         image: RGB image, written in place, (S, S, 3) uint8.
     """
     size, people = image.shape[0], len(crowd.umbrella)
-    ground, spread, umbrella, lamps = rays.ground, rays.spread, crowd.umbrella, crowd.lamps
+    ground, light, spread, detail = rays.ground, rays.light, rays.spread, rays.detail
+    walk, outfits, umbrella, lamps = crowd.walk, crowd.outfits, crowd.umbrella, crowd.lamps
+    texels, starts, floor_pose, tile = floor.texels, floor.starts, floor.pose, noise.tile
     boxes, shade, canvas = scratch.boxes, scratch.shade, scratch.canvas
     poses = np.empty((people, POSE_NUMBERS))
     for k in range(people):
-        pose(crowd.outfits[k], crowd.walk[k, 0], crowd.walk[k, 1], crowd.walk[k, 2], poses[k])
+        pose(outfits[k], walk[k, 0], walk[k, 1], walk[k, 2], poses[k])
     find_boxes(camera, step, size, size, views, places, poses, umbrella, lamps, boxes)
     shade[:] = np.float32(1.0)
     if strength > 0.0:
@@ -71,15 +73,15 @@ def _expose_one(  # type: ignore[no-untyped-def]
     red, green, blue = np.float32(floor.color[0]), np.float32(floor.color[1]), np.float32(floor.color[2])
     bright = np.empty(size, np.float32)
     for i in range(size):
-        look_down(views[i % len(views)], ground[i], rays.detail[i], floor.texels, floor.starts, floor.pose, bright)
+        look_down(views[i % len(views)], ground[i], detail[i], texels, starts, floor_pose, bright)
         for j in range(size):
             value = bright[j] * shade[i, j]
             canvas[i, j, 0], canvas[i, j, 1], canvas[i, j, 2] = value * red, value * green, value * blue
     paint_crowd(canvas, ground, spread, 1.0, views, places, crowd, poses, boxes)
     first_row, first_column = noise.offset
     for i in range(size):
-        grain = noise.tile[(i + first_row) & (NOISE_SIDE - 1), first_column : first_column + size]
-        _develop(canvas[i], rays.light[i], grain, image[i])
+        grain = tile[(i + first_row) & (NOISE_SIDE - 1), first_column : first_column + size]
+        _develop(canvas[i], light[i], grain, image[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -103,6 +105,7 @@ def expose_crowd(  # type: ignore[no-untyped-def]
         images: RGB images, written in place, (N, S, S, 3) uint8.
     """
     size, people, lamps = images.shape[1], paths.shape[2], crowds.lamps
+    cameras, links, history = arms.cameras, arms.links, arms.history
     instants = size if shutter > 0.0 else 1
     views, places = np.empty((instants, 4)), np.empty((instants, 2 * people + lamps.shape[1], 2))
     scratch = _Scratch(
@@ -113,9 +116,9 @@ def expose_crowd(  # type: ignore[no-untyped-def]
     for n in range(rows.shape[0]):
         if not rows[n]:
             continue
-        frame, camera = frames[n], arms.cameras[n]
+        frame, camera = frames[n], cameras[n]
         for i in range(instants):
-            before, f = row_view((i + 0.5) / size, shutter, camera, arms.links[n], arms.history[n], frame, views[i])
+            before, f = row_view((i + 0.5) / size, shutter, camera, links[n], history[n], frame, views[i])
             for k in range(people):
                 x, y = interpolate_path(paths[n, before, k], paths[n, frame, k], f)
                 places[i, k, 0], places[i, k, 1] = x, y

@@ -50,21 +50,20 @@ class CrowdCamera(FloorCamera):
     def __init__(self, world: FollowWorld, image_size: int, image_noise: float) -> None:
         super().__init__(world, image_size, image_noise)
         config = world.config
-        self._crowd = _Crowds(world.count, samples(config), config.people, config.lamps)
+        self._crowds = _no_crowds(world.count, samples(config), config.people, config.lamps)
 
     def _begin(self, row: int, episode: Episode) -> None:
         super()._begin(row, episode)
         self._floor_pose[row], self._floor_color[row] = _floor(episode)
         _enlarge(self._rays.detail[row])
-        self._crowd.put(row, self._world.episode(row))
+        _put(self._crowds, row, self._world.episode(row))
 
     def _expose(self, rows: Mask) -> None:
         world, config = self._world, self._world.config
         expose_crowd(
-            rows, world.captured, float(config.rolling_shutter), 1.0 / self._scale, float(config.shadows),
-            Arms(world.cameras, world.links, world.history), world.people, self._crowd.tables, self._rays,
-            Floors(*floor_texture(), self._floor_pose, self._floor_color),
-            SensorNoise(self._noise, self._noise_offset), self.images,
+            rows, world.captured, float(config.rolling_shutter), 1.0 / self._scale, float(config.shadows), self._arms,
+            world.people, self._crowds, self._rays, Floors(*floor_texture(), self._floor_pose, self._floor_color),
+            self._noise, self.images,
         )  # fmt: skip
 
 
@@ -82,7 +81,7 @@ class CloseUp:
         self._episode: FollowEpisode | None = None
         self._floor = np.zeros(4), np.zeros(3)
         self._rays, self._noise = no_rays(1, image_size), noise_tile(0.0, image_size)
-        self._crowd = _Crowds(1, samples(world.config), world.config.people, world.config.lamps)
+        self._crowd = _no_crowds(1, samples(world.config), world.config.people, world.config.lamps)
 
     def picture(self, frame: int, history: Array) -> NDArray[np.uint8]:
         """Render a frame of the current episode.
@@ -100,39 +99,36 @@ class CloseUp:
             self._episode, self._floor = episode, _floor(episode)
             trace_rays(episode.camera, self._step, *(table[0] for table in self._rays))
             _enlarge(self._rays.detail)
-            self._crowd.put(0, episode)
+            _put(self._crowd, 0, episode)
         images = np.zeros((*self._rays.light.shape, 3), np.uint8)
         pose, color = self._floor
         expose_crowd(
             np.ones(1, np.bool_), np.full(1, frame), float(config.rolling_shutter), self._step, float(config.shadows),
-            Arms(world.cameras[one], world.links[one], history[None]), world.people[one], self._crowd.tables,
+            Arms(world.cameras[one], world.links[one], history[None]), world.people[one], self._crowd,
             self._rays, Floors(*floor_texture(), pose[None], color[None]),
             SensorNoise(self._noise, np.zeros((1, samples(config), 2), np.int64)), images,
         )  # fmt: skip
         return images[0]
 
 
-class _Crowds:
-    """Gait and appearance of N crowds, in the tables that the kernels read."""
+def _no_crowds(count: int, length: int, people: int, lamps: int) -> CrowdTables:
+    """Empty tables of N crowds at a number of samples, with a leading axis of N."""
+    return CrowdTables(
+        walk=np.zeros((count, length, people, 3)),
+        outfits=np.zeros((count, people, OUTFIT_NUMBERS)),
+        umbrella=np.zeros((count, people)),
+        umbrella_color=np.zeros((count, people, 3)),
+        lamps=np.zeros((count, lamps, 3)),
+    )
 
-    def __init__(self, count: int, length: int, people: int, lamps: int) -> None:
-        self.walk = np.zeros((count, length, people, 3))
-        self.outfits = np.zeros((count, people, OUTFIT_NUMBERS))
-        self.umbrella, self.umbrella_color = np.zeros((count, people)), np.zeros((count, people, 3))
-        self.lamps = np.zeros((count, lamps, 3))
 
-    @property
-    def tables(self) -> CrowdTables:
-        """Tables of all crowds, with a leading axis of N."""
-        return CrowdTables(self.walk, self.outfits, self.umbrella, self.umbrella_color, self.lamps)
-
-    def put(self, row: int, episode: FollowEpisode, frames: slice = slice(None)) -> None:
-        """Store an episode's crowd; lampshades only as far as the table has rows."""
-        crowd, outfits = episode.crowd, episode.outfits
-        for column, table in enumerate((crowd.heading, crowd.phase, crowd.stride)):
-            self.walk[row, ..., column] = table[frames]
-        self.outfits[row], self.lamps[row] = outfits.people, outfits.lamps[: self.lamps.shape[1]]
-        self.umbrella[row], self.umbrella_color[row] = outfits.umbrella, outfits.umbrella_color
+def _put(crowds: CrowdTables, row: int, episode: FollowEpisode, frames: slice = slice(None)) -> None:
+    """Store an episode's crowd in a row of the tables; lampshades only as far as the table has rows."""
+    crowd, outfits = episode.crowd, episode.outfits
+    for column, table in enumerate((crowd.heading, crowd.phase, crowd.stride)):
+        crowds.walk[row, ..., column] = table[frames]
+    crowds.outfits[row], crowds.lamps[row] = outfits.people, outfits.lamps[: crowds.lamps.shape[1]]
+    crowds.umbrella[row], crowds.umbrella_color[row] = outfits.umbrella, outfits.umbrella_color
 
 
 def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) -> NDArray[np.uint8]:
@@ -161,14 +157,14 @@ def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) 
         pose, color = _floor(episode)
         trace_rays(camera, step, *(table[0] for table in rays))
         _enlarge(rays.detail)
-        crowd = _Crowds(1, 1, len(episode.outfits.people), 0)
-        crowd.put(0, episode, slice(frame, frame + 1))
+        crowd = _no_crowds(1, 1, len(episode.outfits.people), 0)
+        _put(crowd, 0, episode, slice(frame, frame + 1))
         crowd.umbrella[:] = 0.0
         offset = noise_offsets(episode, frame + 1)[None, frame:]
         expose_crowd(
             one, np.zeros(1, np.int64), 0.0, step, float(world.config.shadows),
             Arms(camera[None], episode.links[None], history), episode.crowd.paths[None, frame : frame + 1],
-            crowd.tables, rays, Floors(*floor_texture(), pose[None], color[None]), SensorNoise(noise, offset),
+            crowd, rays, Floors(*floor_texture(), pose[None], color[None]), SensorNoise(noise, offset),
             picture[None],
         )  # fmt: skip
     return pictures

@@ -266,6 +266,7 @@ def expose(  # type: ignore[no-untyped-def]
     """
     cameras, links, history = arms.cameras, arms.links, arms.history
     ground, light, spread, detail = rays.ground, rays.light, rays.spread, rays.detail
+    texels, starts, pose, color = floors.texels, floors.starts, floors.pose, floors.color
     tile, offset = noise.tile, noise.offset
     size = images.shape[1]
     views, bright, paint = np.empty((size, 8)), np.empty((size, size), np.float32), np.empty(3)
@@ -281,8 +282,8 @@ def expose(  # type: ignore[no-untyped-def]
             else:
                 views[i] = views[0]
             grain = tile[(i + first_row) & (NOISE_SIDE - 1), first_column : first_column + size]
-            look_down(views[i], ground[n, i], detail[n, i], floors.texels, floors.starts, floors.pose[n], bright[i])
-            _develop(bright[i], light[n, i], floors.color[n], grain, images[n, i])
+            look_down(views[i], ground[n, i], detail[n, i], texels, starts, pose[n], bright[i])
+            _develop(bright[i], light[n, i], color[n], grain, images[n, i])
         for marker in range(2):
             k = 4 + 2 * marker
             top, bottom, left, right = _marker_box(
@@ -294,7 +295,7 @@ def expose(  # type: ignore[no-untyped-def]
                     if spread[n, i, j] > _WIDEST_MARKER_PIXEL or light[n, i, j] == 0.0:
                         continue
                     for channel in range(3):
-                        paint[channel] = floors.color[n, channel] * bright[i, j]
+                        paint[channel] = color[n, channel] * bright[i, j]
                     # Both markers at every pixel, the target last, on top of the distractor.
                     look, width = ground[n], spread[n]
                     covered = _paint_marker(look, width, i, j, views[i, 6], views[i, 7], DISTRACTOR_COLOR, paint)

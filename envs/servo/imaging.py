@@ -41,9 +41,12 @@ class FloorCamera:
         self._arrivals = Arrivals(world)
         self.frame_time, self.goal = self._arrivals.frame_time, np.zeros((count, 2))
         self._rays = no_rays(count, image_size)
-        self._noise_offset = np.zeros((count, samples(world.config), 2), np.int64)
         self._floor_pose, self._floor_color = np.zeros((count, 4)), np.zeros((count, 3))
-        self._noise = noise_tile(image_noise, image_size)
+        # The arrays of world and camera are never replaced, so the records are built once.
+        self._arms = Arms(world.cameras, world.links, world.history)
+        self._noise = SensorNoise(
+            noise_tile(image_noise, image_size), np.zeros((count, samples(world.config), 2), np.int64)
+        )
 
     def update(self) -> None:
         """Render the frames that have arrived since the last call."""
@@ -56,7 +59,7 @@ class FloorCamera:
     def _begin(self, row: int, episode: Episode) -> None:
         """Load a row's new episode."""
         self.goal[row] = episode.goal * self._scale
-        self._noise_offset[row] = noise_offsets(episode, self._noise_offset.shape[1])
+        self._noise.offset[row] = noise_offsets(episode, self._noise.offset.shape[1])
         self._floor_pose[row], self._floor_color[row] = floor_of(episode)
         trace_rays(episode.camera, 1.0 / self._scale, *(table[row] for table in self._rays))
 
@@ -83,10 +86,9 @@ class ImageSensor(FloorCamera):
     def _expose(self, rows: Mask) -> None:
         world = self._world
         expose(
-            rows, world.captured, world.config.rolling_shutter, 1.0 / self._scale,
-            Arms(world.cameras, world.links, world.history), world.paths, self._distractors, self._rays,
-            Floors(*floor_texture(), self._floor_pose, self._floor_color),
-            SensorNoise(self._noise, self._noise_offset), self.images,
+            rows, world.captured, world.config.rolling_shutter, 1.0 / self._scale, self._arms, world.paths,
+            self._distractors, self._rays, Floors(*floor_texture(), self._floor_pose, self._floor_color), self._noise,
+            self.images,
         )  # fmt: skip
 
 
