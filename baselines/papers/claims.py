@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 import yaml
 
 from servotrack.baselines.evaluation.statistics import PairedDifference
-from servotrack.baselines.reporting.files import ResultsError, atomic_path
+from servotrack.baselines.reporting.files import ResultsError, atomic_path, read_strict_yaml
 from servotrack.baselines.reporting.grid import Grid
 
 Verdict = Literal["holds", "does not hold", "no difference", "open"]
@@ -52,12 +52,11 @@ def read_claims(path: Path = SHIPPED) -> list[Claim]:
         ResultsError: The file is missing or invalid.
     """
     try:
-        rows = yaml.safe_load(path.read_text(encoding="utf-8"))
-        claims = [Claim(**row) for row in rows]
-    except OSError as error:
-        raise ResultsError(f"{path} cannot be read ({error.strerror}); give the path of a claims file") from error
-    except (yaml.YAMLError, TypeError) as error:
+        claims = [Claim(**row) for row in read_strict_yaml(path)]
+    except TypeError as error:
         raise ResultsError(f"{path} is not a valid claims file ({error}); restore it") from error
+    if not all(isinstance(claim.id, str) for claim in claims):
+        raise ResultsError(f"{path} is not a valid claims file (every id must be a text); restore it")
     wrong = [claim.id for claim in claims if claim.verdict not in get_args(Verdict)]
     if wrong:
         raise ResultsError(f"{path}: verdict of {', '.join(wrong)} must be one of {', '.join(get_args(Verdict))}")

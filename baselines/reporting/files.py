@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+from servotrack.baselines.reporting.strict import parse_json, parse_yaml
+
+LARGEST_DOCUMENT = 64_000_000
+"""Largest accepted size of a JSON document of this package, bytes: results of some 200,000 episodes."""
+LARGEST_YAML = 500_000
+"""Largest accepted size of a YAML file, bytes."""
 
 
 class ResultsError(Exception):
@@ -49,7 +56,69 @@ def atomic_path(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def read_document(path: Path, kind: str, version: int, otherwise: str, remedy: str) -> dict[str, Any]:
+def read_bounded(path: Path, limit: int) -> bytes:
+    """Read a regular file of at most `limit` bytes. Links are followed; pipes and devices are refused without waiting.
+
+    Raises:
+        ResultsError: The file is missing, unreadable, not a regular file, or too large. The message begins with the
+            path.
+    """
+    try:
+        # Without O_NONBLOCK, opening a named pipe waits for its writer.
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        with os.fdopen(handle, "rb") as file:
+            if not stat.S_ISREG(os.fstat(handle).st_mode):
+                raise ResultsError(f"{path} is not a regular file; give the path of a file")
+            content = file.read(limit + 1)
+    except (OSError, ValueError) as error:
+        # ValueError: a path with a null character.
+        reason = getattr(error, "strerror", None) or error
+        raise ResultsError(f"{path} cannot be read ({reason}); check the path and its permissions") from error
+    if len(content) > limit:
+        raise ResultsError(f"{path} has more than {limit} bytes, the most that is read of such a file")
+    return content
+
+
+def read_strict_json(path: Path, limit: int) -> Any:
+    """Read a JSON file of unknown origin.
+
+    Args:
+        path: The file. Links are followed.
+        limit: Largest accepted size, bytes. The parsed document takes up to 25 times as much memory.
+
+    Returns:
+        The document; see `servotrack.baselines.reporting.strict.parse_json`.
+
+    Raises:
+        ResultsError: A file that cannot be read (see `read_bounded`) or parsed. The message begins with the path.
+    """
+    try:
+        return parse_json(read_bounded(path, limit))
+    except ValueError as error:
+        raise ResultsError(f"{path} is corrupt ({error})") from error
+
+
+def read_strict_yaml(path: Path) -> Any:
+    """Read a YAML file of unknown origin, of at most 500 kB.
+
+    Args:
+        path: The file. Links are followed.
+
+    Returns:
+        The document; see `servotrack.baselines.reporting.strict.parse_yaml`.
+
+    Raises:
+        ResultsError: A file that cannot be read (see `read_bounded`) or parsed. The message begins with the path.
+    """
+    try:
+        return parse_yaml(read_bounded(path, LARGEST_YAML))
+    except ValueError as error:
+        raise ResultsError(f"{path} is not valid YAML ({error})") from error
+
+
+def read_document(
+    path: Path, kind: str, version: int, otherwise: str, remedy: str, limit: int = LARGEST_DOCUMENT
+) -> dict[str, Any]:
     """Read a JSON file that says of itself what it is.
 
     Args:
@@ -58,21 +127,20 @@ def read_document(path: Path, kind: str, version: int, otherwise: str, remedy: s
         version: Required value of `format_version`.
         otherwise: Description of a file of another format, for the error message.
         remedy: Remedy for an unusable file, for the error message.
+        limit: Largest accepted size, bytes.
 
     Raises:
         ResultsError: The file is unreadable, corrupt, foreign or of another format version.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ResultsError(f"{path} cannot be read ({error.strerror}); check its permissions") from error
+        document = parse_json(read_bounded(path, limit))
     except ValueError as error:
         raise ResultsError(f"{path} is corrupt ({error}); {remedy}") from error
     if not isinstance(document, dict) or document.get("format") != kind:
         raise ResultsError(f"{path} is {otherwise}; {remedy}")
-    if document.get("format_version") != version:
+    if type(document.get("format_version")) is not int or document["format_version"] != version:
         raise ResultsError(
-            f"{path} has format version {document.get('format_version')}, this servotrack reads {version}; "
+            f"{path} has format version {document.get('format_version')!r}, this servotrack reads {version}; "
             f"use the servotrack that wrote it, or {remedy}"
         )
     return document

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
+from servotrack.baselines.reporting.files import ResultsError, read_strict_yaml
 
 FOLDER = Path(__file__).parent / "hyper_parameters"
 SUPERVISED = ("student", "jacobian", "set", "eyes")
@@ -100,14 +100,10 @@ def load_settings(env_id: str, recipe: str, level: int | None = None, path: Path
     """
     file = path or FOLDER / f"{env_id}.yml"
     try:
-        document = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except OSError as error:
+        document = read_strict_yaml(file)
+    except ResultsError as error:
         known = ", ".join(sorted(found.stem for found in FOLDER.glob("*.yml")))
-        raise ValueError(
-            f"{file.name} cannot be read ({error.strerror}); give --settings FILE, there are files for {known}"
-        ) from error
-    except yaml.YAMLError as error:
-        raise ValueError(f"{file} is not valid YAML: {error}") from error
+        raise ValueError(f"{error}; give --settings FILE, or name one of the worlds with a file: {known}") from error
     if not isinstance(document, dict):
         raise ValueError(f"{file} must map algorithms to hyper-parameters, got {type(document).__name__}")
     names = [recipe] if level is None else [f"{recipe} level={level}", recipe]
