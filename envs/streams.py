@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
+
+from servotrack.estimators.compilation import njit
 
 
 class Streams:

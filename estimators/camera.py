@@ -17,9 +17,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Mask
 
 CAMERA_SIZE = 18

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from servotrack.envs.follow.figures import SUN, inside, lay
+from servotrack.estimators.compilation import njit
 
 SHADOW_LENGTH = 0.55
 """Distance from a person's feet to the shadow of their head, m."""

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.streams import FollowStream
@@ -15,6 +14,7 @@ from servotrack.envs.servo.targets import PERIOD, reachable_place, solvable
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.movement import gait
 from servotrack.envs.track.pedestrians.social_force import LEG_NUMBERS, Plans, Progress, drive
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
 
 STATURE = 1.7

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.streams import FollowStream
@@ -16,6 +15,7 @@ from servotrack.envs.servo.world import capture
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.counts import poisson_quantile
 from servotrack.estimators.camera import project_ground
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, FloatArray, Labels, Mask
 
 COLUMNS = 8

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from servotrack.envs.track.pedestrians.outfits import (
     ARM,
     BACKPACK,
@@ -36,6 +34,7 @@ from servotrack.envs.track.pedestrians.outfits import (
     TROUSERS,
 )
 from servotrack.envs.track.pedestrians.shapes import CHECK, OPEN, STRIPES
+from servotrack.estimators.compilation import njit
 
 SUN = (-0.5812, 0.8137)
 """Direction on the plane from which the light comes."""

@@ -10,7 +10,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from servotrack.envs.follow.covers import (
     COVER_SHADOW,
@@ -24,6 +23,7 @@ from servotrack.envs.follow.covers import (
 )
 from servotrack.envs.follow.figures import HALF_WIDTH, POSE_NUMBERS, REACH, SUN, person_at, pose
 from servotrack.estimators.camera import project_ground
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
 
 WIDEST_PIXEL = 0.35

@@ -6,12 +6,12 @@ import math
 from typing import cast
 
 import numpy as np
-from numba import njit
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.episode import FollowEpisode, draw_follow_episode
 from servotrack.envs.servo.episode import LEAD, samples
 from servotrack.envs.servo.world import ServoWorld
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Labels, Mask
 
 LOST_SAMPLES = 60

@@ -5,11 +5,11 @@ from __future__ import annotations
 from operator import is_not
 
 import numpy as np
-from numba import njit
 
 from servotrack.envs.servo.episode import LEAD, Episode
 from servotrack.envs.servo.targets import PERIOD
 from servotrack.envs.servo.world import ServoWorld
+from servotrack.estimators.compilation import njit
 
 
 class Arrivals:

@@ -6,9 +6,9 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
 from servotrack.estimators.camera import ground_point, project
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
 
 GRID_SPACING = 0.2

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from servotrack.envs.servo.arm import ArmSpace
 from servotrack.envs.servo.episode import LEAD, Episode, draw_episode, samples
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
 from servotrack.estimators.camera import CAMERA_SIZE, image_jacobian, project
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Labels, Mask
 
 LOST_SAMPLES = 20

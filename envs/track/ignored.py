@@ -6,8 +6,8 @@ MOTChallenge treats its ignore regions in the same way.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.types import Array, Mask
 

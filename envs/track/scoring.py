@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numba import njit
 
 from servotrack.envs.track.ignored import ignored_answers
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.metrics import (
     SetScores,
     Track,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from servotrack.estimators.boxes.overlap import covered_boxes
+from servotrack.estimators.compilation import njit
 
 
 @njit(cache=True, nogil=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from servotrack.estimators.boxes.overlap import covered_boxes, covered_by
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.types import Array
 

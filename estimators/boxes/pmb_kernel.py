@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.rfs.association import association_marginals
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from servotrack.estimators.boxes.model import Kind, measurements
 from servotrack.estimators.boxes.report import check_detections
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.sets import SetEstimate

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from servotrack.estimators.color.histogram import color_bin
+from servotrack.estimators.compilation import njit
 
 ORIENTATIONS = 6
 """Number of gradient directions from 0 to pi."""

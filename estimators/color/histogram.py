@@ -6,8 +6,8 @@ The result is exact: other bins add nothing to the Bhattacharyya coefficient and
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.detect.appearance import box_histograms
 from servotrack.estimators.types import Array, Image, Labels
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from servotrack.estimators.color.contract import (
@@ -17,6 +16,7 @@ from servotrack.estimators.color.contract import (
     start,
 )
 from servotrack.estimators.color.histogram import color_bin
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Image
 
 

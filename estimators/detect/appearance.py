@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.detect.images import checked_image
 from servotrack.estimators.types import Array
 

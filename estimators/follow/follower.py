@@ -16,8 +16,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.follow.ego_motion import EgoMotion
 from servotrack.estimators.rfs import GMPHD, HiddenMarkovModel, MeasurementBirth, Reduction
 from servotrack.estimators.rfs.phd import PHDState

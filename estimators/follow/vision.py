@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.follow.follower import COLUMNS
 from servotrack.estimators.types import Array, Labels
 

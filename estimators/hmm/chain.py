@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array, sparray, spmatrix
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Labels
 
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.jacobian.contract import Increment, LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.measurement import checked, first_bad
 from servotrack.estimators.types import Array, Mask
@@ -157,7 +157,7 @@ def present_estimate(
     return LinearEstimate(now, jacobian, log_likelihood, nis)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _align(  # type: ignore[no-untyped-def]
     history_time, history_angles, seen, frame_time, frame_joints, frame_features, angles, features, visible, stamp, time
 ):

@@ -14,8 +14,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, ComplexArray
 
 STATE_SIZE = 5

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.jacobian.contract import Increment
 from servotrack.estimators.types import Array, Mask
 
@@ -73,7 +73,7 @@ def shared_update(
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _shared_update(mean, covariance, direction, measured, variance, used):  # type: ignore[no-untyped-def]
     rows, m, d = mean.shape
     new_mean = mean.copy()

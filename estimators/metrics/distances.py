@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
 
 

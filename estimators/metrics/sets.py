@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import point_distances
 from servotrack.estimators.types import Array, Labels

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.types import Array
 

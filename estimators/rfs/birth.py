@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.models import RangeBearingModel, TargetModel, checked_covariance
 from servotrack.estimators.types import Array
 

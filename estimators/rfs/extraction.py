@@ -11,8 +11,8 @@ import math
 from typing import Literal
 
 import numpy as np
-from numba import njit
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.reduction import Candidates, Components, Limits, reduce_mixture
 from servotrack.estimators.rfs.sets import HELD
 

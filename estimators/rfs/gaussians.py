@@ -17,8 +17,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.range_bearing import linearized_range_bearing, unscented_range_bearing
 from servotrack.estimators.types import Array, Mask
 

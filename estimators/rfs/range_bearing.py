@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from servotrack.estimators.compilation import njit
 
 SMALLEST_RANGE = 1e-6
 """Lower limit of the range in the derivatives, m: at the sensor itself they are undefined."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Labels, Mask
 
 

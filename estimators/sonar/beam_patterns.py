@@ -7,10 +7,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.sonar.array import Band, LineArray, Shading, tabulate_pattern
 from servotrack.estimators.types import Array
 

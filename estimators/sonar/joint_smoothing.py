@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.hmm.exclusion import exclude, occupancy
 from servotrack.estimators.hmm.smoothing import smooth
 from servotrack.estimators.sonar.beam_patterns import PowerFit, add_pattern, variance_of

@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.sonar.array import beam_correlation
 from servotrack.estimators.sonar.beam_patterns import Patterns, largest_near
 from servotrack.estimators.types import Array, Labels, Mask

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from servotrack.envs.wrappers import OBSERVATION_KEY
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.birth import state_from_measurement
 from servotrack.estimators.rfs.gaussians import condition_gaussian, detected_mean, predict_gaussian
 from servotrack.estimators.rfs.models import TargetModel

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
-from numba import njit
 from numpy.typing import NDArray
 
 from servotrack.baselines.agents.learned.contract import PlainAnswers
 from servotrack.baselines.agents.servo.jacobian_servo import OBSERVATION_KEYS
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, FloatArray, Labels
 
 READINGS = 8

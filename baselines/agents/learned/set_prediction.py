@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.optimize import linear_sum_assignment
 
 from servotrack.baselines.agents.memory import remembered
@@ -15,6 +14,7 @@ from servotrack.baselines.agents.row_reservation import RESERVED_SCANS, Reserved
 from servotrack.baselines.agents.set_observer import POSITION
 from servotrack.envs.track.clutter.scene_model import SceneModel
 from servotrack.envs.wrappers import OBSERVATION_KEY
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs import RangeBearingModel, RowAllocation, SetEstimate
 from servotrack.estimators.rfs.sets import read_measurements
 from servotrack.estimators.types import Array, FloatArray, Labels, Mask

@@ -7,11 +7,11 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.clutter.config import ClutterConfig
 from servotrack.envs.track.counts import poisson_quantile
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Labels, Mask
 
 _CANDIDATES = 16

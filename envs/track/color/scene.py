@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
@@ -25,6 +24,7 @@ from servotrack.envs.track.color.figures import (
 )
 from servotrack.envs.track.color.layers import Canvas, Layer, Placement, put
 from servotrack.envs.track.color.scripts import SCENE_ROOM, Motion, Script, Stream, draw_script
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Image, Labels
 
 _NOISE_MARGIN = 32

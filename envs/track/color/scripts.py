@@ -6,10 +6,10 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.color.config import ColorConfig
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
 
 

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, BAY, Camera
 from servotrack.envs.track.pedestrians.paving import paint_floor
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, FloatArray, Image
 
 DOOR_WIDTH, DOOR_HEIGHT = 2.0, 2.4

@@ -9,9 +9,9 @@ which it fits, and samples and quantization steps share one array, which rules o
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import FloatArray
 
 WIDTH = 64

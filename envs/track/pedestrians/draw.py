@@ -6,7 +6,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from servotrack.envs.streams import Streams
@@ -29,6 +28,7 @@ from servotrack.envs.track.pedestrians.shapes import (
     patch_at,
 )
 from servotrack.envs.track.pedestrians.sprites import MAX_PARTS, pose_person
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, FloatArray, Labels
 
 MAX_PEOPLE_IN_FRAME = 255

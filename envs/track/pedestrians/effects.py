@@ -6,10 +6,10 @@ import math
 
 import cv2
 import numpy as np
-from numba import njit
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.config import PedestrianConfig
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Image, Labels
 
 _NOISE_PERIOD = 4096

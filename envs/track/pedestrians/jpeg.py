@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 
 from servotrack.envs.track.pedestrians.block_transform import WIDTH, code_stripe, workspace
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Image
 
 _int = np.int32

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from servotrack.envs.track.pedestrians.people import People
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Labels
 
 _MARGIN = 0.7

@@ -6,9 +6,9 @@ import math
 
 import cv2
 import numpy as np
-from numba import njit
 
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, BAY, Camera
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import FloatArray
 
 _TILE = 1.25  # side of a stone tile, m

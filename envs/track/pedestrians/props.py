@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from servotrack.envs.track.pedestrians import shapes
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, MAX_DEPTH, MIN_DEPTH, Camera
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
 
 Color = tuple[float, float, float]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from servotrack.estimators.compilation import njit
 
 _CONTACT = 0.13  # share of the light blocked directly under a body
 _CONTACT_RADIUS = 0.15  # radius of the contact shadow, body heights

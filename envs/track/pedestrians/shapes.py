@@ -10,8 +10,8 @@ import math
 
 import cv2
 import numpy as np
-from numba import njit
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
 
 START, END = 0, 2

@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Labels, Mask
 
 X, Z, PAUSE, UNTIL, DUE, FACE = range(6)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from servotrack.envs.track.pedestrians.outfits import (
     ARM,
@@ -53,6 +52,7 @@ from servotrack.envs.track.pedestrians.shapes import (
     TILT,
     WIDTHS,
 )
+from servotrack.estimators.compilation import njit
 
 MAX_PARTS = 28
 """Maximum number of parts of a body."""

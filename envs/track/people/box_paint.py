@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from servotrack.envs.drawing.glyphs import put_text, text_width
 from servotrack.envs.drawing.palette import INK, IVORY, Color, mix
 from servotrack.envs.drawing.plots import TRAIL_LENGTH, identity_color
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Image
 
 _HELD_OPACITY = 0.38

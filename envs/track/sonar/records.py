@@ -6,11 +6,11 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.sonar.config import SonarConfig
 from servotrack.envs.track.sonar.scene import SonarScene, Stream
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.sonar.array import (
     Band,
     LineArray,
