@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Annotated
 
 import typer
@@ -45,19 +44,35 @@ def _options(
 
 
 def main() -> None:
-    """Run the command line. Errors that the user can fix are printed as one line, without a traceback."""
+    """Run the command line. Errors that the user can fix are printed as one line, without a traceback.
+
+    Exit codes: 0 for success, 1 if the run failed, 2 for a mistake in the arguments or files, and 128 plus the signal's
+    number if a signal stopped the command.
+    """
+    from servotrack.baselines.running.stopping import Stopped, stoppable
+
+    try:
+        with stoppable():
+            _run()
+    except Stopped as stop:
+        typer.secho(f"servotrack: {stop}", fg="yellow", err=True)
+        raise SystemExit(128 + stop.number) from None
+
+
+def _run() -> None:
     import gymnasium as gym
 
-    import servotrack  # noqa: F401
     from servotrack.baselines.reporting.files import ResultsError
+    from servotrack.baselines.running.stopping import WorkerLostError
 
-    # Agents of the user's own ("module:callable") lie in the working directory.
-    sys.path.insert(0, "")
     try:
         app()
     except (ResultsError, ValueError, TypeError, gym.error.Error, ImportError) as error:
         typer.secho(f"servotrack: {error}", fg="red", err=True)
         raise SystemExit(2) from error
+    except WorkerLostError as error:
+        typer.secho(f"servotrack: {error}", fg="red", err=True)
+        raise SystemExit(1) from error
 
 
 if __name__ == "__main__":

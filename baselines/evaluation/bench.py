@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-from joblib import Parallel, delayed
+from joblib import delayed
 from rich.progress import Progress
 
 from servotrack.baselines.agents.registry import AGENTS, agent_card
@@ -19,6 +19,8 @@ from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.results import CellResults, ResultsFolder
+from servotrack.baselines.running.stopping import GO_ON, keeping
+from servotrack.baselines.running.workers import in_workers
 from servotrack.baselines.worlds import describe_environment, kind_of_id
 
 DEFAULT_LEVELS = (0, 1, 2, 3, 4, 5)
@@ -173,13 +175,13 @@ def run_suite(
     folder.check_writable()
     record = provenance()
     # A damaged or foreign file has to be refused before hours of work, not in the middle of them.
-    done = sum(_is_complete(folder.load(cell.env_id, cell.env_kwargs, cell.agent), chosen) for cell in cells)
-    bar = progress.add_task("evaluating", total=len(cells), completed=done) if progress else None
-    todo = [cell for cell in cells if not _is_complete(folder.load(cell.env_id, cell.env_kwargs, cell.agent), chosen)]
-    for _ in _evaluated(todo, folder, chosen, jobs, record):
-        if progress and bar is not None:
-            progress.advance(bar)
-    _measure_times(cells, folder, chosen, progress)
+    todo = _unfinished(cells, folder, chosen)
+    bar = progress.add_task("evaluating", total=len(cells), completed=len(cells) - len(todo)) if progress else None
+    with keeping(lambda: _kept(cells, folder, chosen)):
+        for _ in _evaluated(todo, folder, chosen, jobs, record):
+            if progress and bar is not None:
+                progress.advance(bar)
+        _measure_times(cells, folder, chosen, progress)
     loaded = [folder.load(cell.env_id, cell.env_kwargs, cell.agent) for cell in cells]
     return [result for result in loaded if result is not None]
 
@@ -195,9 +197,7 @@ def _evaluated(
             _evaluate_cell(cell, folder, seeds, record)
             yield
         return
-    yield from Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)(
-        delayed(_evaluate_cell)(cell, folder, seeds, record) for cell in cells
-    )
+    yield from in_workers((delayed(_evaluate_cell)(cell, folder, seeds, record) for cell in cells), workers)
 
 
 def _evaluate_cell(cell: Cell, folder: ResultsFolder, seeds: list[int], record: dict[str, Any]) -> None:
@@ -218,6 +218,15 @@ def _measure_times(cells: Sequence[Cell], folder: ResultsFolder, seeds: list[int
         evaluate(cell.env_id, cell.agent, seeds, cell.env_kwargs, folder=folder, timing=True)
         if progress and bar is not None:
             progress.advance(bar)
+
+
+def _unfinished(cells: Sequence[Cell], folder: ResultsFolder, seeds: Sequence[int]) -> list[Cell]:
+    return [cell for cell in cells if not _is_complete(folder.load(cell.env_id, cell.env_kwargs, cell.agent), seeds)]
+
+
+def _kept(cells: Sequence[Cell], folder: ResultsFolder, seeds: Sequence[int]) -> str:
+    finished = len(cells) - len(_unfinished(cells, folder, seeds))
+    return f"{finished} of {len(cells)} cells finished; {GO_ON}"
 
 
 def _is_complete(result: CellResults | None, seeds: Sequence[int]) -> bool:

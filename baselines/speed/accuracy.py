@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import joblib
 import numpy as np
+from joblib import delayed
 
 from servotrack.baselines.evaluation import seeds, statistics
 from servotrack.baselines.evaluation.bench import default_agents
 from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.results import CellResults
+from servotrack.baselines.running.workers import in_workers
 from servotrack.estimators.types import Array
 
 ENV_ID = "UncalibServo-v0"
@@ -69,10 +70,8 @@ def run(count: int, jobs: int, on_cell: Callable[[], None]) -> Cells:
         Results, keyed by names of task and agent.
     """
     episodes = seeds.take("test", count)
-    parallel = joblib.Parallel(n_jobs=jobs, return_as="generator")
-    results = parallel(
-        joblib.delayed(evaluate)(ENV_ID, agent, episodes, dict(task.setting), timing=False) for task, agent in cells()
-    )
+    calls = (delayed(evaluate)(ENV_ID, agent, episodes, dict(task.setting), timing=False) for task, agent in cells())
+    results = in_workers(calls, jobs, ordered=True)
     found = {}
     for (task, agent), result in zip(cells(), results, strict=True):
         found[task.name, agent] = result

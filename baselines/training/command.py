@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from joblib import Parallel, delayed
+from joblib import delayed
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -15,6 +15,7 @@ from servotrack.baselines.agents.learned.card import LearnedCard, digest, load_c
 from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.files import atomic_path
+from servotrack.baselines.running.workers import in_workers
 from servotrack.baselines.training.curves import draw_curves
 from servotrack.baselines.training.dispatch import train
 from servotrack.baselines.training.export import write_card
@@ -79,9 +80,7 @@ def run_training(request: TrainingRequest, console: Console) -> Path:
         curves = [_shown(request.task(seed), evaluation, console) for seed in request.seeds]
     else:
         curves = []
-        runs = Parallel(n_jobs=request.jobs, return_as="generator")(
-            delayed(_alone)(request, seed) for seed in request.seeds
-        )
+        runs = in_workers((delayed(_alone)(request, seed) for seed in request.seeds), request.jobs, ordered=True)
         for seed, curve in zip(request.seeds, runs, strict=True):
             console.print(f"seed {seed}: {_text(curve.entries[-1])} after {curve.entries[-1]['seconds']:.0f} s")
             curves.append(curve)

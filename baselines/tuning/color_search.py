@@ -15,11 +15,12 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
+from joblib import delayed
 
 from servotrack.baselines.agents.color.catalog import color_tracker
 from servotrack.baselines.agents.color.tuning_grid import EPISODES, GRIDS
 from servotrack.baselines.evaluation import seeds
+from servotrack.baselines.running.workers import in_workers
 from servotrack.baselines.tuning.color_films import Film, film, track
 from servotrack.envs.track.color.config import LEVEL_NAMES
 
@@ -37,7 +38,7 @@ def mean_auc(name: str, settings: Sequence[Mapping[str, Any]], episodes: int, jo
         Shape (settings, 6).
     """
     tasks = [(level, seed) for level in range(len(LEVEL_NAMES)) for seed in seeds.take("tune", episodes)]
-    found = Parallel(n_jobs=jobs)(delayed(_on_film)(name, settings, *task) for task in tasks)
+    found = list(in_workers((delayed(_on_film)(name, settings, *task) for task in tasks), jobs, ordered=True))
     return np.array(found).reshape(len(LEVEL_NAMES), episodes, len(settings)).mean(axis=1).T
 
 

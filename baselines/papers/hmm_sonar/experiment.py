@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
+from joblib import delayed
 from rich.progress import Progress
 
 from servotrack.baselines.agents.sonar.catalog import BearingTracker, sonar_tracker
@@ -18,6 +18,7 @@ from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.papers.hmm_sonar.scores import RecordScores, score_tracks
 from servotrack.baselines.reporting.files import ResultsError, atomic_path
+from servotrack.baselines.running.workers import in_workers
 from servotrack.envs.track.sonar.array_model import SonarModel, scene_model_of
 from servotrack.envs.track.sonar.config import SonarConfig, sonar_config
 from servotrack.envs.track.sonar.records import draw_record
@@ -174,7 +175,7 @@ def run_all(
     bar = progress.add_task("records", total=len(conditions), completed=len(conditions) - len(todo))
     # The longest first, so that no long one runs alone at the end.
     todo.sort(key=lambda entry: -entry[0].runs * entry[0].config.horizon)
-    for _ in Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(_run)(c, path) for c, path in todo):
+    for _ in in_workers((delayed(_run)(c, path) for c, path in todo), jobs):
         progress.advance(bar)
     return {c.name: _read(path, c) for c, path in zip(conditions, paths, strict=True)}
 

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
+from joblib import delayed
 from rich.progress import Progress
 
 from servotrack.baselines.agents.color.catalog import color_tracker
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.reporting.files import ResultsError, atomic_path
+from servotrack.baselines.running.workers import in_workers
 from servotrack.baselines.tuning.color_films import film, track
 from servotrack.envs.track.color.config import LEVEL_NAMES
 from servotrack.estimators.types import Array
@@ -125,7 +126,7 @@ def run_all(
     todo = [(entry, path) for entry, path in zip(films, paths, strict=True) if not path.exists()]
     bar = progress.add_task("films", total=len(films), completed=len(films) - len(todo))
     tasks = (delayed(_run)(*entry, world, path) for entry, path in todo)
-    for _ in Parallel(n_jobs=jobs, return_as="generator_unordered")(tasks):
+    for _ in in_workers(tasks, jobs):
         progress.advance(bar)
     found: dict[str, dict[str, list[Measures]]] = {}
     for entry, path in zip(films, paths, strict=True):

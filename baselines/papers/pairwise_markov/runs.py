@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
+from joblib import delayed
 from rich.progress import Progress
 
 from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.papers.pairwise_markov.experiment import METHODS, Condition, Measures, run_condition
 from servotrack.baselines.reporting.files import ResultsError, atomic_path
+from servotrack.baselines.running.workers import in_workers
 
 CHUNK = 25
 """Number of runs that are filtered as one batch and stored in one file."""
@@ -55,7 +56,7 @@ def run_all(
         else:
             missing.append((condition, seeds, path))
     tasks = (delayed(_run_chunk)(condition, seeds, path) for condition, seeds, path in missing)
-    for count in Parallel(n_jobs=jobs, return_as="generator_unordered")(tasks):
+    for count in in_workers(tasks, jobs):
         progress.advance(bar, count)
     found: dict[str, dict[str, list[Measures]]] = {}
     for (condition, seeds), path in zip(chunks, paths, strict=True):
