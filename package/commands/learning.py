@@ -17,6 +17,7 @@ from servotrack.commands.terms import (
     TableFormat,
     console,
     env_kwargs,
+    find_user_modules,
     levels_of,
 )
 
@@ -54,6 +55,7 @@ def train(
 
     from servotrack.baselines.training.settings import load_settings
 
+    find_user_modules(env)
     try:
         from servotrack.baselines.training.command import TrainingRequest, run_training
     except ModuleNotFoundError as error:
@@ -104,14 +106,17 @@ def compare(
     from servotrack.baselines.evaluation.results import ResultsFolder
     from servotrack.baselines.reporting.embed import embed
     from servotrack.baselines.reporting.terminal import command_line, print_tables, progress_bars
+    from servotrack.baselines.running.stopping import GO_ON, keeping
     from servotrack.baselines.training.comparison import compare as run
 
     screen = console(table_format)
+    find_user_modules(against)
     with progress_bars() as progress:
         bar = progress.add_task("agents", total=None)
-        found = run(
-            runs, recipe, against, ResultsFolder(results), episodes, split, lambda: progress.update(bar, advance=1)
-        )
+        with keeping(lambda: f"{progress.tasks[bar].completed:.0f} evaluations finished; {GO_ON}"):
+            found = run(
+                runs, recipe, against, ResultsFolder(results), episodes, split, lambda: progress.update(bar, advance=1)
+            )
     text = "\n".join(comparison.markdown() for comparison in found)
     if screen.table_format == "table":
         screen.print(text, soft_wrap=True)

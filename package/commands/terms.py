@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from servotrack._import_path import append_working_directory
+
 if TYPE_CHECKING:
     from servotrack.baselines.reporting.terminal import Screen
 
@@ -63,6 +65,16 @@ def levels_of(text: str) -> list[int]:
             raise ValueError(f"levels must look like 0-5 or 0,3, got {text!r}")
         levels.extend(range(int(first), int(last or first) + 1))
     return levels
+
+
+def find_user_modules(*names: str | None) -> None:
+    """Let `module:callable` be found in the working directory; without such a name nothing there is imported.
+
+    Args:
+        *names: Agents and environment ids as the user typed them.
+    """
+    if any(name is not None and ":" in name for name in names):
+        append_working_directory()
 
 
 def env_kwargs(level: int | None, settings: list[str] | None) -> dict[str, Any]:

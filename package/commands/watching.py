@@ -13,6 +13,7 @@ from servotrack.commands.terms import (
     TableFormat,
     console,
     env_kwargs,
+    find_user_modules,
 )
 
 
@@ -127,6 +128,7 @@ def play(
     """Watch an agent, or drive the arm with the arrow keys (escape ends)."""
     from servotrack.baselines.evaluation.watch import drive, watch
 
+    find_user_modules(env, agent)
     kwargs = env_kwargs(level, settings)
     if video is not None:
         from servotrack.baselines.evaluation.watch import film_episode
