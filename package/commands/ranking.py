@@ -19,6 +19,7 @@ from servotrack.commands.terms import (
     TableFormat,
     console,
     env_kwargs,
+    find_user_modules,
     levels_of,
     words,
 )
@@ -48,9 +49,11 @@ def evaluate(
     from servotrack.baselines.leaderboard.summary import summarize
     from servotrack.baselines.leaderboard.table import missing_agents, task_grid
     from servotrack.baselines.reporting.terminal import print_tables, progress_bars
+    from servotrack.baselines.running.stopping import GO_ON, keeping
     from servotrack.baselines.worlds import describe_environment
 
     screen = console(table_format)
+    find_user_modules(env, agent)
     kwargs = env_kwargs(level, settings)
     chosen = seeds.take(split, episodes)
     check_cell(env, agent, kwargs)
@@ -58,7 +61,8 @@ def evaluate(
     folder.check_writable()
     with progress_bars() as progress:
         bar = progress.add_task(agent, total=episodes)
-        run(env, agent, chosen, kwargs, folder=folder, on_episodes=lambda count: progress.advance(bar, count))
+        with keeping(lambda: f"{progress.tasks[bar].completed:.0f} of {episodes} episodes finished; {GO_ON}"):
+            run(env, agent, chosen, kwargs, folder=folder, on_episodes=lambda count: progress.advance(bar, count))
     name = describe_environment(env, kwargs)
     tasks = [task for task in summarize(folder.load_all()) if task.environment == name]
     print_tables(screen, {task.environment: task_grid(task) for task in tasks})
@@ -110,6 +114,7 @@ def bench(
     from servotrack.baselines.reporting.terminal import progress_bars
 
     screen = console(table_format)
+    find_user_modules(env, *words(agents))
     suite = suite_of(env, words(agents), levels_of(levels) if levels else None, env_kwargs(None, settings))
     output = results or DEFAULT_RESULTS / "bench" / env.rpartition(":")[2].replace("/", "-")
     folder = ResultsFolder(output)
@@ -177,6 +182,7 @@ def tune(
     from servotrack.baselines.evaluation import seeds
     from servotrack.baselines.reporting.embed import embed
     from servotrack.baselines.reporting.terminal import print_tables, progress_bars
+    from servotrack.baselines.running.stopping import GO_ON, keeping
     from servotrack.baselines.tuning.search import FIRST_SEED, default_protocol
     from servotrack.baselines.tuning.search import tune as run
     from servotrack.baselines.tuning.table import markdown_tuning, tuning_grid
@@ -186,13 +192,13 @@ def tune(
     protocol = default_protocol(names, seeds.take("tune", episodes, FIRST_SEED))
     with progress_bars() as progress:
         bars: list[Any] = []
-        record = run(
-            names,
-            output,
-            protocol,
-            on_agent=lambda name, settings: bars.append(progress.add_task(name, total=settings)) if settings else None,
-            on_candidate=lambda: progress.advance(bars[-1]),
-        )
+
+        def on_agent(name: str, candidates: int) -> None:
+            bars.append(progress.add_task(name, total=candidates, visible=candidates > 0))
+
+        # The newest bar is that of the agent whose search was interrupted.
+        with keeping(lambda: f"{max(len(bars) - 1, 0)} of {len(names)} agents searched; {GO_ON}"):
+            record = run(names, output, protocol, on_agent=on_agent, on_candidate=lambda: progress.advance(bars[-1]))
     print_tables(screen, {str(output): tuning_grid(record)})
     if into is not None:
         embed(markdown_tuning(record), into, "tuning")
