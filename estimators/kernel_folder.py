@@ -112,13 +112,18 @@ def _places() -> list[Path]:
     cache = Path(AppDirs(appname="servotrack", appauthor=False).user_cache_dir)
     # An account without an entry in the user database has no home, and its "~" stays as it is.
     user = [cache] if os.path.isdir(home) and cache.is_absolute() else []
-    return [*named, PACKAGE_FOLDER, *user, temporary_folder()]
+    temporary = temporary_folder()
+    return [*named, PACKAGE_FOLDER, *user, *([] if temporary is None else [temporary])]
 
 
-def temporary_folder() -> Path:
+def temporary_folder() -> Path | None:
     """Return the user's own folder of compiled kernels among the temporary files; it need not exist."""
     owner = os.geteuid() if hasattr(os, "geteuid") else "user"
-    return Path(tempfile.gettempdir()) / f"servotrack-kernels-{owner}"
+    try:
+        return Path(tempfile.gettempdir()) / f"servotrack-kernels-{owner}"
+    except FileNotFoundError:
+        # No folder for temporary files is writable either.
+        return None
 
 
 def _reason_against(place: Path) -> str | None:

@@ -64,7 +64,8 @@ def test_example_does_what_the_text_says(number: int, tmp_path: Path) -> None:
     script.write_text(EXAMPLES[number], encoding="utf-8")
     run = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
-    assert not run.stderr
+    # On a machine where no test has run yet, kernels are compiled.
+    assert not [line for line in run.stderr.splitlines() if "compiling kernels" not in line]
     assert RESULTS[number](run.stdout), run.stdout
 
 
