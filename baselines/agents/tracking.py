@@ -29,14 +29,14 @@ def create_observer(
             a name that `create_video_observer` takes.
         hidden_markov: True ignores the dependence between motion and measurement noise (points in clutter only).
         extraction: Rule that extracts targets from the posterior: "threshold", "sum" or "map" (points in clutter only).
-        values: Numbers of the estimator that differ from its defaults, by path (points in clutter only).
+        values: Numbers of the estimator that differ from its defaults, by path.
 
     Raises:
         ValueError: An environment without a `SceneModel` or `VideoModel`, or an unknown estimator.
     """
     scene = public_attribute(env, "scene_model")
     if isinstance(scene, VideoModel):
-        return create_video_observer(env, estimator)
+        return create_video_observer(env, estimator, values=values)
     if not isinstance(scene, SceneModel):
         name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
         raise ValueError(

@@ -11,7 +11,10 @@ from typing import Any
 
 from servotrack.baselines.agents.clutter import tuning_grid as clutter_grid
 from servotrack.baselines.agents.color import tuning_grid as color_grid
+from servotrack.baselines.agents.follow import tuning_grid as follow_grid
+from servotrack.baselines.agents.people import tuning_grid as people_grid
 from servotrack.baselines.agents.servo import tuning_grid as servo_grid
+from servotrack.baselines.agents.sonar import tuning_grid as sonar_grid
 from servotrack.baselines.reporting.files import ResultsError, atomic_path, read_document
 
 FORMAT = "servotrack-tuning"
@@ -20,9 +23,17 @@ SHIPPED = Path(__file__).with_name("tuning.json")
 
 Values = dict[str, float]
 
-TUNED = frozenset({*servo_grid.GRIDS, *clutter_grid.GRIDS, *color_grid.GRIDS})
+_GRIDS = (
+    servo_grid.GRIDS,
+    clutter_grid.GRIDS,
+    color_grid.GRIDS,
+    sonar_grid.GRIDS,
+    people_grid.GRIDS,
+    follow_grid.GRIDS,
+)
+TUNED = frozenset().union(*_GRIDS)
 """Agents that have a grid."""
-BORROWED = {**servo_grid.BORROWED, **clutter_grid.BORROWED}
+BORROWED = {**servo_grid.BORROWED, **clutter_grid.BORROWED, **follow_grid.BORROWED}
 """Agents that use the values of another agent, besides their own."""
 
 

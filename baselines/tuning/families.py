@@ -13,14 +13,22 @@ from servotrack.baselines.agents.clutter import tuning_grid as clutter_grid
 from servotrack.baselines.agents.clutter.catalog import track_filter
 from servotrack.baselines.agents.color import tuning_grid as color_grid
 from servotrack.baselines.agents.color.catalog import color_tracker
+from servotrack.baselines.agents.follow import tuning_grid as follow_grid
 from servotrack.baselines.agents.hyper_parameters import value_at
+from servotrack.baselines.agents.people import tuning_grid as people_grid
+from servotrack.baselines.agents.people.catalog import create_tracker
 from servotrack.baselines.agents.protocol import AgentCard
 from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.agents.servo import tuning_grid as servo_grid
 from servotrack.baselines.agents.servo.catalog import ESTIMATORS
+from servotrack.baselines.agents.sonar import tuning_grid as sonar_grid
+from servotrack.baselines.agents.sonar.catalog import sonar_tracker
 from servotrack.baselines.agents.tuning_record import Values
 from servotrack.envs.track.clutter.config import clutter_config
 from servotrack.envs.track.clutter.scene_model import scene_model_of
+from servotrack.envs.track.sonar import array_model
+from servotrack.envs.track.sonar.config import sonar_config
+from servotrack.estimators.follow import PersonFollower
 
 Grid = Mapping[str, Sequence[Any]]
 
@@ -81,35 +89,66 @@ FAMILIES = (
         clutter_grid.BORROWED,
     ),
     TuningFamily("ColorTracking-v0", (0, 1, 2, 3, 4, 5), color_grid.GRIDS, color_tracker, _as_keywords),
+    TuningFamily(
+        "SonarTracking-v0",
+        (0, 1, 2, 3, 4, 5),
+        sonar_grid.GRIDS,
+        lambda agent: sonar_tracker(agent, array_model.scene_model_of(sonar_config(0))),
+        _as_mapping,
+    ),
+    TuningFamily("PedestrianTracking-v0", (0, 1, 2, 3, 4, 5), people_grid.GRIDS, create_tracker, _as_mapping),
+    TuningFamily(
+        "PedestrianServo-v0",
+        (0, 1, 2, 3, 4, 5, 6),
+        follow_grid.GRIDS,
+        lambda agent: PersonFollower(),
+        _as_mapping,
+        follow_grid.BORROWED,
+    ),
 )
+"""All families. Where two of them hold an agent of the same name, the first is the default."""
 
 
-def family_of(agent: str) -> TuningFamily:
+def family_of(agent: str, env_id: str | None = None) -> TuningFamily:
     """Return the family whose grids hold an agent.
 
+    Args:
+        agent: Name of the agent.
+        env_id: Environment of the family; None for the first family that holds the agent.
+
     Raises:
-        ValueError: An unknown agent, or one without a grid.
+        ValueError: An unknown agent, one without a grid, or an environment in which it is not tuned.
     """
     agent_card(agent)
-    for family in FAMILIES:
-        if agent in family.grids:
-            return family
+    holding = [family for family in FAMILIES if agent in family.grids]
+    if found := next((family for family in holding if env_id in (None, family.env_id)), None):
+        return found
+    if holding:
+        raise ValueError(
+            f"env_id must be {' or '.join(family.env_id for family in holding)} for agent {agent!r}, got {env_id!r}"
+        )
     lenders = [family.borrowed[agent] for family in FAMILIES if agent in family.borrowed]
     reason = f"it uses the values of {lenders[0]}" if lenders else "nothing of it can be tuned"
-    known = ", ".join(name for family in FAMILIES for name in family.grids)
+    known = ", ".join(dict.fromkeys(name for family in FAMILIES for name in family.grids))
     raise ValueError(f"agent {agent!r} has no values of its own to tune ({reason}); choose of {known}")
 
 
-def common_family(agents: Sequence[str]) -> TuningFamily:
+def common_family(agents: Sequence[str], env_id: str | None = None) -> TuningFamily:
     """Return the family of several agents.
+
+    Args:
+        agents: Names of the agents.
+        env_id: Environment of the family; None for the first family that holds all the agents.
 
     Raises:
         ValueError: An unknown agent, one without a grid, or agents of different families.
     """
-    families = {family.env_id: family for family in map(family_of, agents)}
-    if len(families) != 1:
-        raise ValueError(
-            f"agents must be at least one, all tuned in the same environment, got {', '.join(agents) or 'none'} "
-            f"({', '.join(families) or 'no environment'}); run `servotrack tune` once for each environment"
-        )
-    return next(iter(families.values()))
+    first = {agent: family_of(agent, env_id) for agent in agents}
+    for family in FAMILIES:
+        if agents and all(agent in family.grids for agent in agents) and env_id in (None, family.env_id):
+            return family
+    found = dict.fromkeys(family.env_id for family in first.values())
+    raise ValueError(
+        f"agents must be at least one, all tuned in the same environment, got {', '.join(agents) or 'none'} "
+        f"({', '.join(found) or 'no environment'}); run `servotrack tune` once for each environment"
+    )

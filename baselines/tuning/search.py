@@ -99,7 +99,7 @@ class TuningProtocol:
 
 def measure(agent: str, values: Values, protocol: TuningProtocol) -> Measured:
     """Run an agent's episodes with other values than its defaults, as the evaluator runs them."""
-    card = family_of(agent).insert(agent_card(agent), values)
+    card = family_of(agent, protocol.env_id).insert(agent_card(agent), values)
     metric = world_of_id(protocol.env_id).headline
     costs, steps = [], 0
     for level in protocol.levels:
@@ -178,22 +178,27 @@ def candidate_count(grid: Grid) -> int:
     return 1 + sum(len(choices) - 1 for choices in grid.values())
 
 
-def default_values(agent: str) -> Values:
-    """Return the estimator's defaults of an agent's searched hyper-parameters.
+def default_values(agent: str, env_id: str | None = None) -> Values:
+    """Return the estimator's defaults of an agent's searched hyper-parameters; arguments as in `family_of`.
 
     Raises:
         ValueError: An unknown agent, or one without a grid.
     """
-    return family_of(agent).default_values(agent)
+    return family_of(agent, env_id).default_values(agent)
 
 
-def default_protocol(agents: Sequence[str], seeds: Sequence[int]) -> TuningProtocol:
+def default_protocol(agents: Sequence[str], seeds: Sequence[int], env_id: str | None = None) -> TuningProtocol:
     """Return the protocol of the agents' family: its environment and levels, with the given seeds.
+
+    Args:
+        agents: Names of the agents.
+        seeds: Seeds of the tune range.
+        env_id: Environment of the family; None for the first family that holds all the agents.
 
     Raises:
         ValueError: Agents of different families, or seeds outside the tune range.
     """
-    family = common_family(agents)
+    family = common_family(agents, env_id)
     return TuningProtocol(family.env_id, family.levels, tuple(seeds))
 
 
@@ -218,9 +223,8 @@ def tune(
         ValueError: An unknown agent, one without a grid, or one that is tuned in another environment.
         ResultsError: An invalid file, or one that holds a search over another grid.
     """
-    if (family := common_family(agents)).env_id != protocol.env_id:
-        raise ValueError(f"env_id must be {family.env_id} for {', '.join(agents)}, got {protocol.env_id}")
-    starts = {name: default_values(name) for name in agents}
+    family = common_family(agents, protocol.env_id)
+    starts = {name: family.default_values(name) for name in agents}
     record = resume_record(path, protocol.as_record())
     for name in agents:
         done = record.agents.get(name)

@@ -94,10 +94,10 @@ class BoxPMB:
         position_noise: Standard deviation of a detection's center, heights. Raising it smooths more.
         size_noise: Standard deviation of a detection's width and height, heights.
         detection: Probability that a person in full view is detected, in (0, 1). Raising it ends missed tracks sooner.
-        patience: Half-life of the probability that a missed person stays undetected, s. Raising it keeps missed tracks
-            longer.
-        surprise: Log of the ratio of the density of detections at a person's exact prediction to that of false and new
-            ones. Raising it assigns more distant detections to tracks.
+        miss_half_life: Half-life of the probability that a missed person stays undetected, s. Raising it keeps missed
+            tracks longer.
+        association_log_ratio: Log of the ratio of the density of detections at a person's exact prediction to that of
+            false and new ones. Raising it assigns more distant detections to tracks.
         birth: Probability that an unexplained detection is a person, in (0, 1). Raising it reports people sooner, also
             false ones.
         overlap: The birth probability of a detection is multiplied by (1 - s)**overlap, with s the fraction covered by
@@ -136,8 +136,8 @@ class BoxPMB:
     position_noise: float = 0.07
     size_noise: float = 0.18
     detection: float = 0.87
-    patience: float = 0.055
-    surprise: float = 10.0
+    miss_half_life: float = 0.055
+    association_log_ratio: float = 10.0
     birth: float = 0.03
     overlap: float = 8.0
     doubt: float = 1.6
@@ -232,11 +232,11 @@ class BoxPMB:
         mean, variance, r = tracks.mean.copy(), tracks.variance.copy(), tracks.existence
         boxes = np.ascontiguousarray(detections.boxes, dtype=np.float64)
         noise = self.position_noise, self.size_noise
-        again = 1.0 - 0.5 ** (1.0 / (self.frame_rate * self.patience))
+        again = 1.0 - 0.5 ** (1.0 / (self.frame_rate * self.miss_half_life))
         detectable = np.where(tracks.missed > 0, again, self.detection) * np.clip(visible, self.least_visible, 1.0)
         absence = 1.0 - r * detectable
         distance, thinness = pair_distances(mean, variance, boxes, noise, self._gate)
-        log_weight = np.log(r * detectable / absence)[:, None] + self.surprise + thinness - 0.5 * distance
+        log_weight = np.log(r * detectable / absence)[:, None] + self.association_log_ratio + thinness - 0.5 * distance
         if tracks.appearance.shape[1] and len(boxes):
             similar = tracks.appearance @ detections.features.T
             ratio = np.clip(self.appearance * (similar - self.typical_similarity), *self.appearance_limits)
@@ -317,7 +317,7 @@ _POSITIVE = (
     "drift",
     "position_noise",
     "size_noise",
-    "patience",
+    "miss_half_life",
     "lifetime",
     "velocity_memory",
     "memory",

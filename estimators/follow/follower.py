@@ -6,7 +6,7 @@ Jacobian compensates), and color, the appearance that separates people where the
 
 A set filter drops people who are not detected for a few frames. The memory keeps the followed identity in the mixture
 with a minimum weight, for any number of frames without a detection, while its covariance grows; so the filter itself
-detects it again, by position, motion and color. After `patience` frames only the color decides.
+detects it again, by position, motion and color. After `search_after` frames only the color decides.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class PersonFollower:
         alike: Largest distance of two colors of the same person, gray levels. Raising it finds the person again more
             often, and confuses people of similar color.
         spreading: Growth of `near` for new tracks while the person is not detected, px/s.
-        patience: Number of frames without a detection after which any new track of that color may be the person.
+        search_after: Number of frames without a detection after which any new track of that color may be the person.
         memory: Time constant in which the velocity of an undetected person falls, s.
         reduction: Pruning, merging and capping of the filter's mixture.
         image_width: Width of the square image in whose pixels all lengths are given, px.
@@ -110,7 +110,7 @@ class PersonFollower:
     near: float = 25.0
     alike: float = 25.0
     spreading: float = 60.0
-    patience: int = 30
+    search_after: int = 30
     memory: float = 0.4
     reduction: Reduction = field(default_factory=lambda: Reduction(components=40))
     image_width: float = 480.0
@@ -150,7 +150,7 @@ class PersonFollower:
             self.least_weight,
             slowing,
             self.spreading * self.period,
-            self.patience,
+            self.search_after,
             self.color_rate,
             self._spread,
         )
@@ -257,7 +257,7 @@ class _Rules(NamedTuple):
     """Parameters of a `PersonFollower` for the compiled kernels, per frame where they are rates.
 
     Attributes:
-        near, alike, least_weight, patience, color_rate: Parameters of the same names.
+        near, alike, least_weight, search_after, color_rate: Parameters of the same names.
         slowing: Factor on the velocity of an undetected person.
         spreading: Growth of `near`, px.
         spread: Covariance of a person with a first picture only. Shape (7, 7).
@@ -268,7 +268,7 @@ class _Rules(NamedTuple):
     least_weight: float
     slowing: float
     spreading: float
-    patience: int
+    search_after: int
     color_rate: float
     spread: Array
 
@@ -319,11 +319,11 @@ def _decide(  # type: ignore[no-untyped-def]
     label, place, motion, color, unseen, strangers = memory
     number, weight, mean, covariance = intensity.number, intensity.weight, intensity.mean, intensity.covariance
     identity = intensity.label
-    near, alike, least, slowing, spreading, patience, color_rate, spread = rules
+    near, alike, least, slowing, spreading, search_after, color_rate, spread = rules
     for b in range(label.shape[0]):
         if unseen[b] > 0:
             # The distance is limited until the person may be anywhere.
-            reach = near + spreading * unseen[b] if unseen[b] < patience else np.inf
+            reach = near + spreading * unseen[b] if unseen[b] < search_after else np.inf
             found = _recognized(labels[b], states[b], place[b], color[b], strangers[b], reach, alike)
             if found >= 0:
                 label[b] = labels[b, found]

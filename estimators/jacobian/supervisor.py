@@ -16,7 +16,7 @@ class SupervisorState(NamedTuple):
     """State of a `Supervisor`.
 
     Attributes:
-        symptoms: Number of steps with a symptom minus those without, from 0 to `patience`. Shape (*batch,), int.
+        symptoms: Number of steps with a symptom minus those without, from 0 to `symptom_limit`. Shape (*batch,), int.
         error_norm: Norm of the estimated error at the last frame. Shape (*batch,), px.
         nis: Running mean of the estimator's normalized innovation squared, divided by m. Shape (*batch,).
         joint_angles: Joint angles at the last step. Shape (*batch, n), rad.
@@ -48,14 +48,14 @@ class Verdict(NamedTuple):
 
 @dataclass(frozen=True)
 class Supervisor:
-    """Detector of a wrong estimate: requests exploration when bad steps outnumber good ones by `patience`.
+    """Detector of a wrong estimate: requests exploration when bad steps outnumber good ones by `symptom_limit`.
 
     A step is bad if one of these holds: the mean NIS is too large; J_theta is nearly singular; the error is large and
     does not shrink; the error is large and a joint does not follow its command. The last one means that the joint is
     at its stop, where no motion corrects the Jacobian.
 
     Args:
-        patience: Number by which bad steps must outnumber good ones. Larger values explore later and less often.
+        symptom_limit: Number by which bad steps must outnumber good ones. Larger values explore later and less often.
         nis_limit: Largest running mean of the NIS divided by m, which is 1 for a consistent filter. Larger values
             tolerate a worse estimate.
         nis_memory: Share of the old mean kept at every frame, in [0, 1). Larger values average more frames.
@@ -69,7 +69,7 @@ class Supervisor:
         unseen_limit: Steps without the target after which it counts as lost.
     """
 
-    patience: int = 10
+    symptom_limit: int = 10
     nis_limit: float = 12.0
     nis_memory: float = 0.8
     condition_limit: float = 300.0
@@ -82,7 +82,7 @@ class Supervisor:
 
     def __post_init__(self) -> None:
         for name, count in (
-            ("patience", self.patience),
+            ("symptom_limit", self.symptom_limit),
             ("blocked_limit", self.blocked_limit),
             ("unseen_limit", self.unseen_limit),
         ):
@@ -142,7 +142,7 @@ class Supervisor:
         bad |= large & (blocked >= self.blocked_limit).any(axis=-1)
         change = np.where(bad, 1, -1)
         # A step without a frame carries no new evidence.
-        symptoms = np.where(visible, np.clip(state.symptoms + change, 0, self.patience), state.symptoms)
+        symptoms = np.where(visible, np.clip(state.symptoms + change, 0, self.symptom_limit), state.symptoms)
         new_state = SupervisorState(
             symptoms=symptoms,
             error_norm=error_norm,
@@ -152,7 +152,7 @@ class Supervisor:
             unseen=unseen,
             last_seen_joints=np.where(visible[..., None], joint_angles, state.last_seen_joints),
         )
-        return new_state, Verdict(visible & (symptoms >= self.patience), unseen >= self.unseen_limit)
+        return new_state, Verdict(visible & (symptoms >= self.symptom_limit), unseen >= self.unseen_limit)
 
     def _ill_conditioned(self, estimate: ServoEstimate) -> Mask:
         values = np.linalg.svd(finite_or_zero(estimate.jacobian[..., :-1]), compute_uv=False)

@@ -167,6 +167,10 @@ def tune(
     agents: Annotated[
         list[str] | None, typer.Argument(help="Agents of one world. Default: all servo agents with tunable parameters.")
     ] = None,
+    env: Annotated[
+        str | None,
+        typer.Option(help="World to tune in. Default: the first in which all agents are tuned; pmb has two."),
+    ] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Record to write. Agents that an earlier record holds are skipped.")
     ] = DEFAULT_RESULTS / "tuning.json",
@@ -189,7 +193,7 @@ def tune(
 
     screen = console(table_format)
     names = agents or list(GRIDS)
-    protocol = default_protocol(names, seeds.take("tune", episodes, FIRST_SEED))
+    protocol = default_protocol(names, seeds.take("tune", episodes, FIRST_SEED), env)
     with progress_bars() as progress:
         bars: list[Any] = []
 

@@ -8,11 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
-from servotrack.baselines.agents.clutter import tuning_grid as clutter_grid
-from servotrack.baselines.agents.color import tuning_grid as color_grid
 from servotrack.baselines.agents.hyper_parameters import value_at, with_values
 from servotrack.baselines.agents.registry import AGENTS, agent_card
 from servotrack.baselines.agents.servo.catalog import ESTIMATORS
@@ -22,7 +21,7 @@ from servotrack.baselines.evaluation.evaluate import run_episodes
 from servotrack.baselines.evaluation.seeds import TUNE
 from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.tuning import search as tuning
-from servotrack.baselines.tuning.families import family_of
+from servotrack.baselines.tuning.families import FAMILIES, TuningFamily, family_of
 from servotrack.baselines.tuning.search import (
     Measured,
     TuningProtocol,
@@ -33,6 +32,7 @@ from servotrack.baselines.tuning.search import (
     tune,
 )
 from servotrack.baselines.tuning.table import markdown_tuning
+from servotrack.baselines.worlds import WORLDS, kind_of_id
 
 TOY = {"x": (0.0, 1.0, 2.0, 3.0), "y": (-1.0, 0.0, 1.0)}
 SHORT = TuningProtocol(levels=(0, 1), seeds=(100_500, 100_501))
@@ -195,8 +195,10 @@ def test_a_record_of_another_kind_is_refused_by_name(quick: list[str], tmp_path:
         (["kff"], "did you mean 'kf'"),
         (["ukf"], "it uses the values of kf"),
         (["oracle"], "nothing of it can be tuned"),
-        (["hmm-row"], "nothing of it can be tuned"),
+        (["smc-phd"], "nothing of it can be tuned"),
         (["pmb-hmm"], "it uses the values of pmb"),
+        (["phd-servo-told-jacobian"], "it uses the values of phd-servo"),
+        (["pmb", "--env", "UncalibServo-v0"], "must be ClutterTracking-v0 or PedestrianTracking-v0 for agent 'pmb'"),
         (["kf", "pmb"], "run `servotrack tune` once for each environment"),
         (["kf", "--output", "bad.json"], "bad.json is corrupt"),
         (["kf", "-n", "99999"], "first + count at most"),
@@ -249,14 +251,45 @@ def test_every_grid_fits_its_estimator_and_holds_the_default(agent: str) -> None
             assert value_at(with_values(ESTIMATORS[agent](), {path: choice}), path) == choice
 
 
-@pytest.mark.parametrize("agent", [*clutter_grid.GRIDS, *color_grid.GRIDS])
-def test_grids_of_other_worlds_hold_the_defaults_and_reach_the_estimator(agent: str) -> None:
-    family = family_of(agent)
-    for path, default in default_values(agent).items():
+@pytest.mark.parametrize(
+    ("family", "agent"), [(f, name) for f in FAMILIES[1:] for name in f.grids], ids=lambda v: getattr(v, "env_id", v)
+)
+def test_grids_of_other_worlds_hold_the_defaults_and_reach_the_estimator(family: TuningFamily, agent: str) -> None:
+    assert agent_card(agent).name == agent and kind_of_id(family.env_id) in agent_card(agent).worlds
+    for path, default in default_values(agent, family.env_id).items():
         choices = family.grids[agent][path]
         assert default in choices and len(choices) == len(set(choices)) > 1
         for choice in choices:
             assert value_at(with_values(family.create(agent), {path: choice}), path) == choice
+
+
+def test_every_kind_of_world_has_a_family_with_all_its_levels() -> None:
+    assert {kind_of_id(family.env_id) for family in FAMILIES} == set(WORLDS) - {"other"}
+    for family in FAMILIES[1:]:
+        with pytest.raises(ValueError, match=f"from 0 to {family.levels[-1]}, got"):
+            gym.make(family.env_id, level=family.levels[-1] + 1)
+
+
+CHANGED = (
+    ("hmm-cell", "SonarTracking-v0", {"likelihood_rules.cell_amplitude": 2.0, "evidence": 5.0}, {"horizon": 30}),
+    ("kalman-hungarian", "PedestrianTracking-v0", {"confirm": 1, "misses": 30}, {"horizon": 60, "empty_frames": 0}),
+    ("pmb", "PedestrianTracking-v0", {"birth": 0.1, "memory": 4.0}, {"horizon": 60, "empty_frames": 0}),
+    ("phd-servo", "PedestrianServo-v0", {"alike": 12.0, "position_noise": 2.5}, {"horizon": 40}),
+)
+
+
+@pytest.mark.parametrize(("agent", "env_id", "values", "axes"), CHANGED, ids=lambda v: v if isinstance(v, str) else "")
+def test_values_reach_the_observers_of_other_worlds(
+    agent: str, env_id: str, values: dict[str, float], axes: dict[str, Any]
+) -> None:
+    family = family_of(agent, env_id)
+    default, card = family.default_values(agent), agent_card(agent)
+    kwargs = {"level": 2, **axes}
+    plain, same, changed = (
+        run_episodes(env_id, use, [150_000], kwargs)[0][0]["return"]
+        for use in (card, family.insert(card, default), family.insert(card, {**default, **values}))
+    )
+    assert plain == same != changed
 
 
 def test_clutter_observers_are_tuned_by_the_same_search(tmp_path: Path) -> None:
@@ -285,7 +318,8 @@ def test_a_color_tracker_is_measured_by_its_metric() -> None:
 
 
 def test_agents_of_another_environment_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="env_id must be ClutterTracking-v0 for pmb, got UncalibServo-v0"):
+    remedy = "env_id must be ClutterTracking-v0 or PedestrianTracking-v0 for agent 'pmb', got 'UncalibServo-v0'"
+    with pytest.raises(ValueError, match=remedy):
         tune(["pmb"], tmp_path / "tuning.json", SHORT)
 
 

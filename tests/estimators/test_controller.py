@@ -225,7 +225,7 @@ def test_a_good_loop_is_left_alone():
         (lambda: ServoController(KalmanJacobian(), max_joint_rate=0.0), "max_joint_rate"),
         (lambda: Excitation(steps=-1), "steps"),
         (lambda: Excitation(amplitude=0.0), "amplitude"),
-        (lambda: Supervisor(patience=0), "patience"),
+        (lambda: Supervisor(symptom_limit=0), "symptom_limit"),
         (lambda: Supervisor(nis_memory=1.0), "nis_memory"),
     ],
 )

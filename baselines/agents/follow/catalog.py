@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 from servotrack.baselines.agents.follow.follow_servo import KEYS, FollowServo
+from servotrack.baselines.agents.hyper_parameters import with_values
 from servotrack.baselines.agents.servo.catalog import servo_controller
 from servotrack.baselines.worlds import public_attribute
 from servotrack.estimators.follow import PersonFollower
@@ -14,16 +16,22 @@ UNSEEN_LIMIT = 60
 """Steps without the person after which the servo returns from the predicted to the last seen position."""
 
 
-def create_follow_agent(env: Any, oracles: tuple[str, ...] = (), identity: str = "tracked") -> FollowServo:
+def create_follow_agent(
+    env: Any,
+    oracles: tuple[str, ...] = (),
+    identity: str = "tracked",
+    values: Mapping[str, float] | None = None,
+) -> FollowServo:
     """Create an agent for `PedestrianServo-v0`; only `max_joint_rate` and the observation space are read.
 
     Args:
         env: The environment or vector environment.
         oracles: Parts that come from an oracle: any of "identity", "jacobian", "detections".
         identity: "tracked", or "nearest" for the nearest detection and a Kalman filter of the Jacobian.
+        values: Numbers of the `PersonFollower` that differ from its defaults, by path; see `with_values`.
 
     Raises:
-        ValueError: Another environment, or one that observes the right person's features.
+        ValueError: Another environment, one that observes the right person's features, or values that do not fit.
     """
     space = getattr(env, "single_observation_space", env.observation_space)
     max_joint_rate = public_attribute(env, "max_joint_rate")
@@ -44,7 +52,7 @@ def create_follow_agent(env: Any, oracles: tuple[str, ...] = (), identity: str =
         controller = replace(controller, supervisor=replace(controller.supervisor, unseen_limit=UNSEEN_LIMIT))
     return FollowServo(
         controller,
-        PersonFollower(),
+        with_values(PersonFollower(), values or {}),
         "oracle" if "identity" in oracles else "nearest" if nearest else "tracked",
         "oracle" if "detections" in oracles else "observed",
         "jacobian" in oracles,

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from servotrack.baselines.agents.hyper_parameters import with_values
 from servotrack.baselines.agents.people.catalog import BoxTracker, centroid_filter, create_detector, create_tracker
 from servotrack.baselines.agents.row_reservation import (
     ReservedRows,
@@ -168,7 +169,7 @@ class VideoObserver:
 
 
 def create_video_observer(
-    env: Any, estimator: str, detector: str = "masked"
+    env: Any, estimator: str, detector: str = "masked", values: Mapping[str, float] | None = None
 ) -> VideoObserver | SetObserver | RawObserver:
     """Create an observer of people on video; only the environment's spaces and its `scene_model` are read.
 
@@ -176,9 +177,10 @@ def create_video_observer(
         env: An environment or vector environment whose `scene_model` is a `VideoModel`.
         estimator: A name from `agents.people.catalog.TRACKERS`, "raw-measurements" or "people-oracle".
         detector: A name from `agents.people.catalog.DETECTORS`, used where the observation is an image.
+        values: Numbers of the tracker that differ from its defaults, by path; see `with_values`.
 
     Raises:
-        ValueError: An environment without a `VideoModel`, or an unknown name.
+        ValueError: An environment without a `VideoModel`, an unknown name, or values that do not fit the tracker.
     """
     scene = public_attribute(env, "scene_model")
     if not isinstance(scene, VideoModel):
@@ -192,11 +194,11 @@ def create_video_observer(
         return VideoObserver(TruePeople(), space, whole=True, centers=not scene.answers_boxes)
     name = TRACKER_NAMES.get(estimator, estimator)
     if not scene.answers_boxes:
-        found = centroid_filter(name, (scene.width, scene.height), scene.frame_rate)
+        found = with_values(centroid_filter(name, (scene.width, scene.height), scene.frame_rate), values or {})
         if isinstance(found, RawMeasurements):
             return RawObserver(found, space.low, space.high)
         return SetObserver(found, space.shape[0], space.low, space.high)
-    tracker = create_tracker(name, (scene.width, scene.height), scene.frame_rate)
+    tracker = with_values(create_tracker(name, (scene.width, scene.height), scene.frame_rate), values or {})
     made: Estimator[Any, Any, SetEstimate] = DetectionRows(tracker)
     if scene.observation == "pixels":
         made = DetectThenTrack(create_detector(detector), tracker)

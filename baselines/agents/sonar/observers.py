@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from servotrack.baselines.agents.hyper_parameters import with_values
 from servotrack.baselines.agents.row_reservation import (
     ReservedRows,
     allocate_rows,
@@ -119,15 +120,18 @@ class BearingOracle:
         return answer, None
 
 
-def create_sonar_observer(env: Any, tracker: str) -> SonarObserver | BearingOracle:
+def create_sonar_observer(
+    env: Any, tracker: str, values: Mapping[str, float] | None = None
+) -> SonarObserver | BearingOracle:
     """Create an observer of bearings; only the environment's spaces and its `scene_model` are read.
 
     Args:
         env: An environment or vector environment whose `scene_model` is a `SonarModel`.
         tracker: A name of `agents.sonar.catalog.TRACKERS`, or "bearing-oracle".
+        values: Numbers of the tracker that differ from its defaults, by path; see `with_values`.
 
     Raises:
-        ValueError: An environment without a `SonarModel`, or an unknown tracker.
+        ValueError: An environment without a `SonarModel`, an unknown tracker, or values that do not fit it.
     """
     scene = public_attribute(env, "scene_model")
     if not isinstance(scene, SonarModel):
@@ -139,7 +143,7 @@ def create_sonar_observer(env: Any, tracker: str) -> SonarObserver | BearingOrac
     space = getattr(env, "single_action_space", env.action_space)
     if tracker == "bearing-oracle":
         return BearingOracle(space.shape[0])
-    return SonarObserver(sonar_tracker(tracker, scene), space.low, space.high)
+    return SonarObserver(with_values(sonar_tracker(tracker, scene), values or {}), space.low, space.high)
 
 
 def _of_one(estimate: SetEstimate) -> SetEstimate:

@@ -1,0 +1,40 @@
+"""Values that `servotrack tune` tries for the trackers of people.
+
+Every grid holds the tracker's default. Quantities that follow from frame size and frame rate, and the detectors, are
+not searched; the paper's setting and trackers of other packages keep their authors' values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+Grid = Mapping[str, tuple[float, ...]]
+
+_IDENTITIES: Grid = {"similarity": (0.5, 0.6, 0.7, 0.8), "reach": (0.15, 0.3, 0.6)}
+_MIXTURE: Grid = {
+    "tracker.filter.threshold": (0.3, 0.4, 0.5, 0.6, 0.7),
+    "tracker.filter.reduction.merge": (2.0, 4.0, 8.0),
+}
+
+GRIDS: Mapping[str, Grid] = {
+    "pmb": {
+        "detection": (0.8, 0.87, 0.93),
+        "miss_half_life": (0.03, 0.055, 0.1),
+        "association_log_ratio": (8.0, 10.0, 12.0),
+        "birth": (0.01, 0.03, 0.1),
+        "memory": (1.2, 2.3, 4.0),
+        "acceleration": (0.1, 0.2, 0.4),
+        "position_noise": (0.05, 0.07, 0.1),
+        "appearance": (3.0, 6.0, 12.0),
+    },
+    "gm-phd": {**_IDENTITIES, **_MIXTURE, "tracker.filter.reduction.prune": (1e-4, 1e-3, 1e-2)},
+    "gm-cbmember": {**_IDENTITIES, **_MIXTURE, "tracker.filter.reduction.existence": (1e-3, 1e-2, 1e-1)},
+    "kalman-hungarian": {
+        "overlap": (0.05, 0.1, 0.2, 0.3),
+        "confirm": (1, 2, 3, 5),
+        "misses": (4, 8, 16, 30),
+        "acceleration": (0.15, 0.3, 0.6),
+        "position_noise": (0.04, 0.08, 0.16),
+    },
+}
+"""Values tried, by agent and path into its tracker."""
