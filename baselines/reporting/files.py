@@ -56,16 +56,24 @@ def atomic_path(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def read_bounded(path: Path, limit: int) -> bytes:
-    """Read a regular file of at most `limit` bytes. Links are followed; pipes and devices are refused without waiting.
+def read_bounded(path: Path, limit: int, follow: bool = True) -> bytes:
+    """Read a regular file of at most `limit` bytes. Pipes and devices are refused without waiting.
+
+    Args:
+        path: The file.
+        limit: Largest accepted size, bytes.
+        follow: False refuses a path that is a symbolic link itself; its folders may be links.
 
     Raises:
         ResultsError: The file is missing, unreadable, not a regular file, or too large. The message begins with the
             path.
     """
+    # Without O_NONBLOCK, opening a named pipe waits for its writer. Windows has neither flag, but O_BINARY.
+    flags = ("O_NONBLOCK", "O_BINARY", *([] if follow else ["O_NOFOLLOW"]))
     try:
-        # Without O_NONBLOCK, opening a named pipe waits for its writer.
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        if not follow and path.is_symlink():
+            raise ResultsError(f"{path} is a symbolic link; give the path of the file itself")
+        handle = os.open(path, sum((getattr(os, flag, 0) for flag in flags), os.O_RDONLY))
         with os.fdopen(handle, "rb") as file:
             if not stat.S_ISREG(os.fstat(handle).st_mode):
                 raise ResultsError(f"{path} is not a regular file; give the path of a file")
