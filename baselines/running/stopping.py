@@ -97,6 +97,20 @@ class Interruption:
 
 
 @contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """Context for a few steps that belong together, such as two renames: a signal takes effect after them."""
+    with Interruption() as interruption:
+        yield
+    number = interruption.signal
+    if number:
+        handler = signal.getsignal(number)
+        if callable(handler):
+            handler(number, None)
+        else:
+            signal.raise_signal(number)
+
+
+@contextlib.contextmanager
 def stoppable() -> Iterator[None]:
     """Context of a command: the first signal ends the workers, then raises `Stopped` in the main thread.
 
@@ -160,6 +174,7 @@ class _Stop:
     def _watch(self) -> None:
         received = self._received(None)
         if not received:
+            self._reader.close()
             return
         self.number = self.number or received[0]
         begin = time.monotonic()

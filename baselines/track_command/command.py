@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +16,8 @@ from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.files import atomic_path
 from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.reporting.terminal import print_tables
+from servotrack.baselines.running.stopping import Stopped
+from servotrack.baselines.track_command.claim import claim_folder
 from servotrack.baselines.track_command.inputs import FileInput, Input, PixelInput
 from servotrack.baselines.track_command.offline import OFFLINE_TRACKS, write_offline
 from servotrack.baselines.track_command.painter import BoxPainter
@@ -31,6 +32,8 @@ FILE_DETECTOR = "file"
 """Detector name that stands for the detections of a MOTChallenge sequence."""
 SCORES = "scores"
 """Name of the score files without .json and .md."""
+OUTPUTS = (TRACKS, OFFLINE_TRACKS, FILM, SCORES + ".json", SCORES + ".md")
+"""Names of all files that a run may write."""
 _FORMAT, _FORMAT_VERSION = "servotrack-track-scores", 1
 
 
@@ -86,7 +89,7 @@ def run_command(request: TrackRequest, console: Console) -> int:
 
     Raises:
         ValueError: Unknown name, number out of range, or a source or truth that cannot be used.
-        ResultsError: The folder cannot be written.
+        ResultsError: The folder cannot be written, or holds files of these names that are not of an earlier run.
     """
     if request.match not in MATCH_RULES:
         raise ValueError(f"match must be one of {', '.join(MATCH_RULES)}, got {request.match!r}")
@@ -97,6 +100,7 @@ def run_command(request: TrackRequest, console: Console) -> int:
     tracker = create_tracker(request.tracker, working, source.frame_rate)
     out = request.out or Path("results") / "track" / (Path(request.source).stem or source.name)
     ResultsFolder(out).check_writable()
+    claim_folder(out, OUTPUTS, {"source": request.source, "detector": detector, "tracker": request.tracker})
     painter = None
     if request.video and source.source_size is not None:
         painter = BoxPainter(source.source_size, truth, request.show_truth)
@@ -104,6 +108,10 @@ def run_command(request: TrackRequest, console: Console) -> int:
         bar = progress.add_task(f"{detector} + {request.tracker}", total=source.length)
         run = track(source, tracker, out, painter, on_frame=lambda: progress.advance(bar))
         progress.update(bar, total=len(run.frames), completed=len(run.frames))
+    for name in OUTPUTS:
+        # Files of an earlier run would be mistaken for this one's.
+        if out / name not in run.files:
+            (out / name).unlink(missing_ok=True)
     # Free memory: scoring an hour of tracks takes a lot of it.
     frame_rate = source.frame_rate
     del painter, tracker, source
@@ -115,10 +123,6 @@ def run_command(request: TrackRequest, console: Console) -> int:
         if not len(truth.ids):
             run.warnings.append("the truth holds no boxes: every reported box counts as false")
         _score(request, detector, truth, run, found, out, console)
-    for name in (OFFLINE_TRACKS, FILM, SCORES + ".json", SCORES + ".md"):
-        # Files of an earlier run would be mistaken for this one's.
-        if out / name not in run.files:
-            (out / name).unlink(missing_ok=True)
     return _report(run, console)
 
 
@@ -236,7 +240,7 @@ def _report(run: TrackRun, console: Console) -> int:
         return 0
     kept = f"{len(run.frames)} frames are kept, up to frame {run.frames[-1]}"
     if run.signal:
-        console.print(f"{signal.Signals(run.signal).name}: {kept}", style="yellow")
+        console.print(f"{Stopped(run.signal)}; {kept}", style="yellow")
         return 128 + run.signal
     console.print(f"stopped: {run.stopped}; {kept}", style="red", soft_wrap=True)
     return 1

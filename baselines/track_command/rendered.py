@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import secrets
 import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ import numpy as np
 
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.files import ResultsError
+from servotrack.baselines.running import unfinished
+from servotrack.baselines.running.stopping import undisturbed
 from servotrack.envs.track.files.mot_files import SequenceInfo, truth_row, write_seqinfo
 
 ENVIRONMENT = "PedestrianTracking-v0"
@@ -49,9 +52,10 @@ def render_sequence(
     scene: Any = env.get_wrapper_attr("scene_model")
     horizon = int(env.get_wrapper_attr("config").horizon)
     ResultsFolder(folder.parent).check_writable()
-    growing = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    growing = folder.parent / f".{folder.name}-{os.getpid()}-{secrets.token_hex(4)}"
+    unfinished.begin(growing)
     try:
-        growing.chmod(0o755)
+        growing.mkdir()
         (growing / "img1").mkdir()
         (growing / "gt").mkdir()
         silent = np.zeros(env.action_space.shape or (), np.float64)
@@ -78,15 +82,26 @@ def render_sequence(
             growing / "seqinfo.ini",
             SequenceInfo(folder.name, "img1", scene.frame_rate, horizon, scene.width, scene.height),
         )
-        if folder.exists():
-            shutil.rmtree(folder)
-        growing.replace(folder)
+        _put_in_place(growing, folder)
     except OSError as error:
         raise ResultsError(f"{folder} cannot be written ({error}); choose another folder") from error
     finally:
         shutil.rmtree(growing, ignore_errors=True)
+        unfinished.end(growing)
         env.close()
     return horizon
+
+
+def _put_in_place(growing: Path, folder: Path) -> None:
+    """Rename a complete folder. An earlier one is removed only after that."""
+    earlier = growing.with_name(f"{growing.name}-earlier")
+    unfinished.begin(earlier)
+    with undisturbed():
+        if folder.exists():
+            folder.replace(earlier)
+        growing.replace(folder)
+    shutil.rmtree(earlier, ignore_errors=True)
+    unfinished.end(earlier)
 
 
 def _write_image(path: Path, image: Any) -> None:

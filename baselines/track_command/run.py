@@ -15,8 +15,9 @@ import numpy as np
 from servotrack.baselines.agents.people.catalog import BoxTracker
 from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.reporting.film import Film, FilmError
+from servotrack.baselines.running.stopping import Interruption
+from servotrack.baselines.track_command.disk_space import SpaceGuard
 from servotrack.baselines.track_command.inputs import Input, Step
-from servotrack.baselines.track_command.stopping import Interruption, SpaceGuard
 from servotrack.baselines.track_command.tracks_file import TracksFile
 from servotrack.envs.track.files.recorded import SequenceError
 from servotrack.estimators.rfs.sets import SetEstimate

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from servotrack.baselines.evaluation.results import ResultsFolder
+from servotrack.baselines.running import unfinished
 from servotrack.envs.track.files.mot_files import mot_row
 from servotrack.estimators.rfs.sets import SetEstimate
 
@@ -34,6 +35,8 @@ class TracksFile:
         self.rows = 0
         self._growing = path.with_name(path.name + UNFINISHED)
         self._good = 0
+        # Valid after every frame, so a command that ends by force keeps it.
+        unfinished.begin(self._growing, keep_as=path)
         # Unbuffered, so that a failed write is raised at once, in the frame that it belongs to.
         self._file = self._growing.open("wb", buffering=0)
 
@@ -50,6 +53,7 @@ class TracksFile:
             self._growing.unlink()
         else:
             self._growing.replace(self.path)
+        unfinished.end(self._growing)
 
     def write(self, frame: int, estimate: SetEstimate) -> None:
         """Append one frame's tracks.

@@ -17,7 +17,9 @@ import numpy as np
 import pytest
 
 from servotrack.baselines.reporting.files import ResultsError
-from servotrack.baselines.track_command import stopping
+from servotrack.baselines.track_command import disk_space
+from servotrack.baselines.track_command.claim import claim_folder
+from servotrack.baselines.track_command.command import OUTPUTS
 from servotrack.baselines.track_command.inputs import FileInput, PixelInput
 from servotrack.baselines.track_command.painter import BoxPainter
 from servotrack.baselines.track_command.run import track
@@ -188,8 +190,8 @@ def test_full_disk_keeps_whole_frames(tmp_path, monkeypatch):
 
 def test_run_ends_before_the_disk_is_full(tmp_path, monkeypatch):
     free = [1 << 30, 1 << 30, 1 << 20]
-    usage = stopping.shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(stopping.shutil, "disk_usage", lambda _: usage._replace(free=free.pop(0)))
+    usage = disk_space.shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(disk_space.shutil, "disk_usage", lambda _: usage._replace(free=free.pop(0)))
     source = PixelInput(write_video(tmp_path / "v.avi", 40), Brightness())
     run = track(source, Following(), tmp_path / "out", BoxPainter(SIZE))
     assert len(run.frames) == 16 and "No space left on device (1024 KiB free)" in run.stopped
@@ -280,7 +282,7 @@ def test_command_writes_tracks_film_and_scores(sequence, tmp_path):
     text, _ = process.communicate(timeout=120)
     assert process.returncode == 0, text
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names == {"tracks.txt", "tracks.mp4", "tracks_offline.txt", "scores.json", "scores.md"}
+    assert names == {"track.json", "tracks.txt", "tracks.mp4", "tracks_offline.txt", "scores.json", "scores.md"}
     record = json.loads((tmp_path / "out" / "scores.json").read_text())
     assert set(record["scores"]) == {"pmb", "pmb, offline"} and record["match"] == "centroid"
     assert record["scores"]["pmb"]["frames"] == FRAMES
@@ -301,8 +303,29 @@ def test_interrupt_in_the_middle_keeps_valid_files_and_says_so(tmp_path):
     found = read_tracks(tmp_path / "out" / "tracks.txt")
     kept = film_frames(tmp_path / "out" / "tracks.mp4")
     assert 20 < found.length <= kept < 2000
-    assert f"SIGINT: {kept} frames are kept, up to frame {kept - 1}" in text
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["tracks.mp4", "tracks.txt"]
+    assert f"stopped by SIGINT; {kept} frames are kept, up to frame {kept - 1}" in text
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["track.json", "tracks.mp4", "tracks.txt"]
+
+
+def test_files_of_others_are_neither_replaced_nor_removed(sequence, tmp_path):
+    theirs = {"scores.json": '{"piano": 3}', "tracks.txt": "a list of songs"}
+    for name, text in theirs.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / name).write_text(text)
+        process = servotrack(str(sequence / "walk.avi"), "--out", str(folder), "--no-video", cwd=tmp_path)
+        output, _ = process.communicate(timeout=60)
+        assert process.returncode == 2 and f"holds {name}, which no `servotrack track` wrote" in output, output
+        assert [path.name for path in folder.iterdir()] == [name] and (folder / name).read_text() == text
+
+
+def test_a_marked_folder_is_used_again(tmp_path):
+    claim_folder(tmp_path, OUTPUTS, {"source": "a.avi"})
+    claim_folder(tmp_path, OUTPUTS, {"source": "b.avi"})
+    assert json.loads((tmp_path / "track.json").read_text())["source"] == "b.avi"
+    (tmp_path / "track.json").write_text("{}")
+    with pytest.raises(ResultsError, match="track.json is not of `servotrack track`; choose another --out"):
+        claim_folder(tmp_path, OUTPUTS, {})
 
 
 @pytest.mark.parametrize(
