@@ -7,8 +7,9 @@ environments. Nothing else in the package compares ids or looks for keys in `inf
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any
 
@@ -82,6 +83,7 @@ class World:
         cards: "module:attribute" of the kind's agent cards.
         metrics: Metrics shown before the headline.
         anchors: Agents that scale errors to scores; None where the world has no score.
+        ranges: Lowest and highest possible value of columns in the rows of results; results outside are refused.
     """
 
     kind: str
@@ -93,6 +95,7 @@ class World:
     cards: str | None = None
     metrics: tuple[RankingMetric, ...] = ()
     anchors: ScoreAnchors | None = None
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def shown(self) -> tuple[RankingMetric, ...]:
@@ -107,6 +110,12 @@ class World:
 _RECORDERS = "servotrack.baselines.evaluation"
 _AGENTS = "servotrack.baselines.agents"
 _RIGHT_COUNT = RankingMetric("count_right", "count right", "%", 100.0, 0, True)
+_SHARE, _SIZE = (0.0, 1.0), (0.0, math.inf)
+_SET_RANGES = {
+    **dict.fromkeys(("ospa", "gospa", "ospa2", "count_error"), _SIZE),
+    **dict.fromkeys(("count_right", "idf1", "hota"), _SHARE),
+    "mota": (-math.inf, 1.0),
+}
 
 WORLDS: Mapping[str, World] = {
     world.kind: world
@@ -120,6 +129,7 @@ WORLDS: Mapping[str, World] = {
             f"{_RECORDERS}.servo_scores:ServoScoreRecorder",
             f"{_AGENTS}.servo.cards:CARDS",
             anchors=ScoreAnchors("steady", "random", "oracle", "informed-bound"),
+            ranges=dict.fromkeys(("transient", "steady", "p95", "feature_error"), _SIZE),
         ),
         World(
             "clutter",
@@ -130,6 +140,7 @@ WORLDS: Mapping[str, World] = {
             f"{_RECORDERS}.set_scores:SetScoreRecorder",
             f"{_AGENTS}.clutter.cards:CARDS",
             (RankingMetric("ospa", "OSPA", "m"),),
+            ranges=_SET_RANGES,
         ),
         World(
             "people",
@@ -146,6 +157,7 @@ WORLDS: Mapping[str, World] = {
                 RankingMetric("hota", "HOTA", high_is_good=True),
                 RankingMetric("ospa", "OSPA", digits=3),
             ),
+            ranges=_SET_RANGES,
         ),
         World(
             "color",
@@ -159,6 +171,7 @@ WORLDS: Mapping[str, World] = {
                 RankingMetric("precision", "within 20 px", "%", 100.0, 0, True),
                 RankingMetric("failures", "times lost", digits=1),
             ),
+            ranges={**dict.fromkeys(("iou", "auc", "precision"), _SHARE), "failures": _SIZE},
         ),
         World(
             "sonar",
@@ -169,6 +182,7 @@ WORLDS: Mapping[str, World] = {
             f"{_RECORDERS}.set_scores:SetScoreRecorder",
             f"{_AGENTS}.sonar.cards:CARDS",
             (_RIGHT_COUNT, RankingMetric("ospa", "OSPA", "deg")),
+            ranges=_SET_RANGES,
         ),
         World(
             "follow",
@@ -183,6 +197,10 @@ WORLDS: Mapping[str, World] = {
                 RankingMetric("losses", "times lost", digits=2),
                 RankingMetric("reacquisitions", "times found again", digits=2, high_is_good=True),
             ),
+            ranges={
+                **dict.fromkeys(("time_on_target", "identity_error"), _SHARE),
+                **dict.fromkeys(("losses", "reacquisitions"), _SIZE),
+            },
         ),
         World(
             OTHER,

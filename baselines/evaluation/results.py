@@ -1,26 +1,24 @@
 """Results on disk: one JSON file per (environment with its arguments, agent), with provenance, and never an aggregate.
 
-A file is written under a temporary name in the same folder and then renamed, so that a reader or a killed writer never
-leaves half a file. Rows are episodes. Aggregates are never stored;
+A file is written under a temporary name in the same folder and then renamed, so that a killed writer never leaves half
+a file. Several processes may save into one folder. Rows are episodes. Aggregates are never stored;
 `servotrack.baselines.evaluation.statistics` computes them.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from servotrack.baselines.evaluation.provenance import code_version
-from servotrack.baselines.reporting.files import ResultsError, atomic_path, read_document, temporary_in
+from servotrack.baselines.evaluation.results_format import FIELDS, read_fields, sealed
+from servotrack.baselines.reporting.files import ResultsError, atomic_path, locked_folder, temporary_in
+from servotrack.baselines.reporting.temporary import PREFIX, remove_abandoned
 from servotrack.baselines.worlds import WORLDS, describe_environment, kind_of_id, plain
-
-FORMAT = "servotrack-results"
-FORMAT_VERSION = 1
 
 Row = dict[str, Any]
 
@@ -39,6 +37,7 @@ class CellResults:
         step_seconds: Durations of single `predict` calls from a pass of its own, unbatched; empty if not measured.
         provenance: Versions, machine, command, creation time (UTC).
         kind: Kind of world, a key of `servotrack.baselines.worlds.WORLDS`; "" for that of the id.
+        has_digests: False for a cell from a file of servotrack 0.1.0, in which later changes cannot be seen.
     """
 
     env_id: str
@@ -50,6 +49,7 @@ class CellResults:
     step_seconds: list[float] = field(default_factory=list)
     provenance: dict[str, Any] = field(default_factory=dict)
     kind: str = ""
+    has_digests: bool = field(default=True, compare=False)
 
     def __post_init__(self) -> None:
         self.kind = self.kind or kind_of_id(self.env_id)
@@ -95,37 +95,64 @@ class ResultsFolder:
             raise ResultsError(f"{self.path} is a file, not a results folder; choose another path")
 
     def check_writable(self) -> None:
-        """Make the folder and try a write, before hours of work depend on it.
+        """Make the folder and try a write, before hours of work depend on it; remove what killed writers left there.
 
         Raises:
-            ResultsError: The folder cannot be made or written.
+            ResultsError: The folder's name is that of a file.
+            StorageError: The folder cannot be made or written.
         """
-        temporary_in(self.path, "").unlink()
+        with temporary_in(self.path, ""):
+            pass
+        for folder in {path.parent for path in self.path.glob(f"*/{PREFIX}*")}:
+            remove_abandoned(folder)
 
     def file_of(self, env_id: str, env_kwargs: Mapping[str, Any], agent: str) -> Path:
         """Return the path of a cell's file."""
         return self.path / _file_name(describe_environment(env_id, env_kwargs)) / f"{_file_name(agent)}.json"
 
     def save(self, cell: CellResults) -> Path:
-        """Write a cell; an earlier file is replaced only once the new one is complete."""
+        """Write a cell together with the rows that its file holds; the file is replaced once the new one is complete.
+
+        Several processes may save into one folder: each holds the folder's lock while it reads, merges by seed and
+        replaces. The newest step times win. Provenance stays that of the process that made the file.
+
+        Args:
+            cell: The cell. Afterwards it holds the rows of the file, too, by seed.
+
+        Returns:
+            Path of the file.
+
+        Raises:
+            ResultsError: The file holds another row for one of the seeds, or was written by another version or for
+                another agent of this name; a value of `cell` cannot be stored.
+            StorageError: The folder cannot be written or locked.
+        """
         path = self.file_of(cell.env_id, cell.env_kwargs, cell.agent)
-        document = {"format": FORMAT, "format_version": FORMAT_VERSION, **asdict(cell)}
-        with atomic_path(path) as temporary:
-            temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        with locked_folder(self.path):
+            stored = self.load(cell.env_id, cell.env_kwargs, cell.agent)
+            if stored is not None:
+                _merge(path, cell, stored)
+            cell.rows.sort(key=lambda row: row["seed"])
+            try:
+                text = sealed({name: getattr(cell, name) for name in FIELDS})
+            except (ValueError, TypeError) as error:
+                raise ResultsError(f"{path} cannot hold these results ({error}); nothing was written") from error
+            with atomic_path(path) as temporary:
+                temporary.write_text(text, encoding="ascii")
         return path
 
     def load(self, env_id: str, env_kwargs: Mapping[str, Any], agent: str) -> CellResults | None:
         """The stored cell, or None if there is none yet.
 
         Raises:
-            ResultsError: The file is corrupt, foreign, of another format, package version, environment or agent.
+            ResultsError: The file is corrupt, changed, foreign, of another format, package version, environment or
+                agent.
         """
         path = self.file_of(env_id, env_kwargs, agent)
         if not path.exists():
             return None
-        cell = read_cell(path)
-        wanted = (env_id, plain(env_kwargs), agent)
-        if (cell.env_id, cell.env_kwargs, cell.agent) != wanted:
+        cell = self._read(path)
+        if (cell.env_id, cell.env_kwargs) != (env_id, plain(env_kwargs)) or cell.agent != agent:
             raise ResultsError(
                 f"{path} holds {cell.agent!r} in {cell.environment}, not {agent!r} in {env_id}; move it away"
             )
@@ -136,21 +163,64 @@ class ResultsFolder:
         """Every cell of the folder, in the order of their paths.
 
         Raises:
-            ResultsError: The folder does not exist or is empty, or a file in it is no result.
+            ResultsError: The folder does not exist or is empty, or a file in it is no result, or that of another
+                environment or agent than its name says.
         """
         paths = sorted(p for p in self.path.glob("*/*.json") if not p.name.startswith("."))
         if not paths:
             raise ResultsError(f"{self.path} holds no results; run `servotrack bench` or `servotrack evaluate` first")
-        cells = [read_cell(path) for path in paths]
-        versions = {
-            cell.provenance["versions"].get("servotrack"): path for cell, path in zip(cells, paths, strict=True)
-        }
+        cells = [self._read(path) for path in paths]
+        versions = {cell.provenance["versions"]["servotrack"]: path for cell, path in zip(cells, paths, strict=True)}
         if len(versions) > 1:
             found = ", ".join(f"{version} ({path})" for version, path in versions.items())
             raise ResultsError(
                 f"{self.path} mixes results of several servotrack versions: {found}; keep one per folder"
             )
         return cells
+
+    def _read(self, path: Path) -> CellResults:
+        """Read a file and hold its name against its content: a renamed or copied file would pass for another agent's.
+
+        Raises:
+            ResultsError: See `read_cell`, or another name.
+        """
+        cell = read_cell(path)
+        own = self.file_of(cell.env_id, cell.env_kwargs, cell.agent)
+        if path.parts[-2:] != own.parts[-2:]:
+            raise ResultsError(
+                f"{path} holds {cell.agent!r} in {cell.environment}, whose file is {own}; move it there or away"
+            )
+        return cell
+
+
+def _merge(path: Path, cell: CellResults, stored: CellResults) -> None:
+    """Add the stored rows to a cell.
+
+    Raises:
+        ResultsError: The cells contradict each other.
+    """
+    for name in ("kind", "max_steps", "card"):
+        old, new = getattr(stored, name), getattr(cell, name)
+        if old != new:
+            raise ResultsError(
+                f"{path}: {name} is {old!r} there and {new!r} in the new results; results of another agent or world "
+                "of this name need another folder"
+            )
+    rows = {row["seed"]: row for row in cell.rows}
+    for old_row in stored.rows:
+        new_row = rows.setdefault(old_row["seed"], old_row)
+        # A key that one of them lacks counts as a difference, too.
+        differing = [name for name in {**old_row, **new_row} if old_row.get(name) != new_row.get(name)]
+        if differing:
+            name = differing[0]
+            raise ResultsError(
+                f"{path}: seed {old_row['seed']} has {name} {old_row.get(name)} there and {new_row.get(name)} in the "
+                "new results of the same version; the computation does not repeat, or two machines differ: choose "
+                "another folder"
+            )
+    cell.rows[:] = rows.values()
+    cell.step_seconds = cell.step_seconds or stored.step_seconds
+    cell.provenance = stored.provenance
 
 
 def check_version(path: Path, cell: CellResults) -> None:
@@ -159,7 +229,7 @@ def check_version(path: Path, cell: CellResults) -> None:
     Raises:
         ResultsError: The versions differ.
     """
-    written, present = cell.provenance["versions"].get("servotrack"), code_version()
+    written, present = cell.provenance["versions"]["servotrack"], code_version()
     if written != present:
         raise ResultsError(
             f"{path} was written by servotrack {written}, this is {present} (after the + a digest of the sources); "
@@ -171,20 +241,7 @@ def read_cell(path: Path) -> CellResults:
     """Read one file.
 
     Raises:
-        ResultsError: The file is unreadable, corrupt, foreign or of another format version.
+        ResultsError: The file is unreadable, corrupt, changed, foreign or of another format version.
     """
-    remedy = "move it away or restore it; it has been left as it is"
-    document = read_document(path, FORMAT, FORMAT_VERSION, "not a servotrack result", remedy)
-    names = ("env_id", "env_kwargs", "agent", "card", "max_steps", "rows", "step_seconds", "provenance")
-    missing = [name for name in names if name not in document]
-    if missing:
-        raise ResultsError(f"{path} is corrupt (no {', '.join(missing)}); {remedy}")
-    try:
-        # Files of version 0.1.0 name no kind: theirs follows from the id.
-        cell = CellResults(**{name: document[name] for name in names}, kind=document.get("kind", ""))
-    except ValueError as error:
-        raise ResultsError(f"{path} cannot be used ({error}); {remedy}") from error
-    seeds = [row.get("seed") if isinstance(row, dict) else None for row in cell.rows]
-    if None in seeds or len(set(seeds)) != len(seeds) or "versions" not in cell.provenance:
-        raise ResultsError(f"{path} is corrupt (rows without a seed of their own, or no versions); {remedy}")
-    return cell
+    fields, has_digests = read_fields(path)
+    return CellResults(**fields, has_digests=has_digests)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import stat
-import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from servotrack.baselines.reporting.strict import parse_json, parse_yaml
+from servotrack.baselines.reporting.temporary import unfinished_file
 
 LARGEST_DOCUMENT = 64_000_000
 """Largest accepted size of a JSON document of this package, bytes: results of some 200,000 episodes."""
@@ -18,23 +19,56 @@ LARGEST_YAML = 500_000
 """Largest accepted size of a YAML file, bytes."""
 
 
+_MACHINE_TROUBLE = frozenset(
+    getattr(errno, name)
+    for name in ("ENOSPC", "EDQUOT", "EROFS", "EIO", "EFBIG", "ESTALE", "ENODEV", "ENXIO", "EMFILE", "ENFILE", "ENOLCK")
+    if hasattr(errno, name)
+)
+_LOCK = ".lock"
+_LONGEST_WAIT = 120.0
+"""Time that a process waits for the lock of a folder, s. It is held for one save, a second for 100,000 episodes."""
+
+
 class ResultsError(Exception):
     """A results folder or file that cannot be used; the message names the path and the remedy."""
 
 
-def temporary_in(folder: Path, suffix: str) -> Path:
-    """A new empty file in `folder`, which is made where it is missing; ResultsError when that cannot be."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=".unfinished-", suffix=suffix, dir=folder)
-    except (FileExistsError, NotADirectoryError) as error:
-        raise ResultsError(f"{folder} cannot be a folder: a file has that name; choose another folder") from error
-    except OSError as error:
-        raise ResultsError(
-            f"{folder} is not writable ({error.strerror}); change its permissions or choose another folder"
-        ) from error
-    os.close(handle)
-    return Path(name)
+class StorageError(ResultsError):
+    """Trouble of the machine: a full disk, a quota, a folder that is read-only or vanished. Commands exit with 1."""
+
+
+def storage_error(path: Path, error: OSError) -> StorageError:
+    """Return the error to raise when `path` could not be written."""
+    return StorageError(
+        f"{path} cannot be written ({error.strerror or error}); free space, mend the folder or choose another one, and "
+        "run the command again: files that were complete are as they were"
+    )
+
+
+def is_machine_trouble(error: OSError) -> bool:
+    """Return True for a full disk, an exceeded quota, a read-only or failing file system."""
+    return error.errno in _MACHINE_TROUBLE
+
+
+@contextlib.contextmanager
+def temporary_in(folder: Path, suffix: str) -> Iterator[Path]:
+    """A new empty file in `folder`, which is made where it is missing. The file is removed at the end of the block.
+
+    Raises:
+        ResultsError: The folder's name is that of a file.
+        StorageError: The folder cannot be made or written.
+    """
+    with contextlib.ExitStack() as stack:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            path = stack.enter_context(unfinished_file(folder, suffix))
+        except (FileExistsError, NotADirectoryError) as error:
+            raise ResultsError(f"{folder} cannot be a folder: a file has that name; choose another folder") from error
+        except OSError as error:
+            raise StorageError(
+                f"{folder} is not writable ({error.strerror}); change its permissions or choose another folder"
+            ) from error
+        yield path
 
 
 @contextlib.contextmanager
@@ -42,18 +76,66 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that takes its place when the block succeeds and vanishes when it fails.
 
     Raises:
-        ResultsError: The folder is a file, read-only, or otherwise not writable.
+        ResultsError: The folder's name is that of a file.
+        StorageError: The folder is read-only or vanished, the disk is full, or a quota is exceeded. An earlier file is
+            as it was.
     """
-    temporary = temporary_in(path.parent, path.suffix)
     try:
-        yield temporary
-        umask = os.umask(0)
-        os.umask(umask)
-        # mkstemp makes files that only their owner can read.
-        temporary.chmod(0o666 & ~umask)
-        temporary.replace(path)
+        with temporary_in(path.parent, path.suffix) as temporary:
+            yield temporary
+            # Temporary files can be read by their owner only.
+            temporary.chmod(0o666 & ~_umask())
+            temporary.replace(path)
+    except OSError as error:
+        own = error.filename is not None and Path(os.fsdecode(error.filename)).parent == path.parent
+        if own or is_machine_trouble(error):
+            raise storage_error(path, error) from error
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+@contextlib.contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder, in which one process at a time reads, merges and replaces files.
+
+    The lock is the hidden file `.lock`. The kernel releases it when a process ends, however it ends; a file system
+    without locks gets a file that says who holds it.
+
+    Args:
+        folder: Made where it is missing.
+
+    Raises:
+        ResultsError: The folder's name is that of a file.
+        StorageError: The folder cannot be written, supports no locks, or another process keeps the lock for minutes.
+    """
+    from filelock import FileLock, Timeout
+
+    path = folder / _LOCK
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(path, timeout=_LONGEST_WAIT, mode=0o666 & ~_umask())
+        lock.acquire(poll_interval=0.01)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise ResultsError(f"{folder} cannot be a folder: a file has that name; choose another folder") from error
+    except Timeout as error:
+        raise StorageError(
+            f"{path} has been held by another process for {_LONGEST_WAIT:.0f} s; end that process, or remove the file "
+            "if no process uses the folder"
+        ) from error
+    except (OSError, NotImplementedError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise StorageError(
+            f"{path} cannot be locked ({reason}); make the folder writable, or choose one on a file system with locks"
+        ) from error
+    try:
+        yield
     finally:
-        temporary.unlink(missing_ok=True)
+        lock.release()
 
 
 def read_bounded(path: Path, limit: int, follow: bool = True) -> bytes:
@@ -125,30 +207,31 @@ def read_strict_yaml(path: Path) -> Any:
 
 
 def read_document(
-    path: Path, kind: str, version: int, otherwise: str, remedy: str, limit: int = LARGEST_DOCUMENT
+    path: Path, kind: str, version: int, otherwise: str, remedy: str, older: Sequence[int] = ()
 ) -> dict[str, Any]:
     """Read a JSON file that says of itself what it is.
 
     Args:
         path: The file.
         kind: Required value of `format`.
-        version: Required value of `format_version`.
+        version: Value of `format_version` in new files.
         otherwise: Description of a file of another format, for the error message.
         remedy: Remedy for an unusable file, for the error message.
-        limit: Largest accepted size, bytes.
+        older: Format versions that are read, too.
 
     Raises:
-        ResultsError: The file is unreadable, corrupt, foreign or of another format version.
+        ResultsError: The file is unreadable, larger than 64 MB, corrupt, foreign or of another format version.
     """
     try:
-        document = parse_json(read_bounded(path, limit))
+        document = parse_json(read_bounded(path, LARGEST_DOCUMENT))
     except ValueError as error:
         raise ResultsError(f"{path} is corrupt ({error}); {remedy}") from error
     if not isinstance(document, dict) or document.get("format") != kind:
         raise ResultsError(f"{path} is {otherwise}; {remedy}")
-    if type(document.get("format_version")) is not int or document["format_version"] != version:
+    found, accepted = document.get("format_version"), (version, *older)
+    if type(found) is not int or found not in accepted:
         raise ResultsError(
-            f"{path} has format version {document.get('format_version')!r}, this servotrack reads {version}; "
+            f"{path} has format version {str(found)[:40]}, this servotrack reads {' and '.join(map(str, accepted))}; "
             f"use the servotrack that wrote it, or {remedy}"
         )
     return document

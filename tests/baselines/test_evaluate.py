@@ -141,10 +141,11 @@ def test_an_evaluation_resumes_and_repeats_nothing(tmp_path: Path) -> None:
     folder = ResultsFolder(tmp_path)
     whole = evaluate(SERVO, "kf", TUNE, SHORT, chunk=2, timing=False)
     evaluate(SERVO, "kf", TUNE[:2], SHORT, folder=folder, timing=False)
-    path = folder.file_of(SERVO, SHORT, "kf")
-    document = json.loads(path.read_text())
-    document["rows"][0]["return"] = -1.0
-    path.write_text(json.dumps(document))
+    stored = folder.load(SERVO, SHORT, "kf")
+    assert stored is not None
+    stored.rows[0]["return"] = -1.0
+    folder.file_of(SERVO, SHORT, "kf").unlink()
+    folder.save(stored)
     counted: list[int] = []
     resumed = evaluate(SERVO, "kf", TUNE, SHORT, folder=folder, chunk=2, timing=False, on_episodes=counted.append)
     assert counted == [2, 2, 2]

@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -65,38 +68,251 @@ def damage(path: Path, **changes: Any) -> None:
     path.write_text(json.dumps(document))
 
 
+def unsealed(path: Path, **changes: Any) -> None:
+    """Write the file as servotrack 0.1.0 did: format version 1, without digests."""
+    document = json.loads(path.read_text()) | {"format_version": 1}
+    del document["sha256"]
+    for row in document["rows"]:
+        del row["sha256"]
+    path.write_text(json.dumps(document | changes))
+
+
 @pytest.mark.parametrize(
     ("break_file", "message"),
     [
         (lambda path: path.write_text(path.read_text()[:100]), "is corrupt"),
         (lambda path: path.write_bytes(b"\xff\xfe\x00"), "is corrupt"),
         (lambda path: path.write_text('{"name": "somebody else"}'), "is not a servotrack result"),
-        (lambda path: damage(path, format_version=99), "has format version 99, this servotrack reads 1"),
-        (lambda path: damage(path, rows=[{"return": 1.0}]), "rows without a seed"),
-        (lambda path: damage(path, agent="pf"), "holds 'pf'"),
-        (lambda path: damage(path, env_kwargs={"level": 4}), "level=4"),
-        (lambda path: damage(path, provenance={"versions": {"servotrack": "0.0.1"}}), "written by servotrack 0.0.1"),
+        (lambda path: damage(path, format_version=99), "has format version 99, this servotrack reads 2 and 1"),
+        (lambda path: damage(path, format_version=1), "unknown field 'sha256'"),
+        (lambda path: unsealed(path, rows=[{"return": 1.0}]), r"rows\[0\]\.seed must be an integer"),
+        (lambda path: unsealed(path, agent="pf"), r"holds 'pf' in .*, whose file is .*pf\.json"),
+        (lambda path: unsealed(path, env_kwargs={"level": 4}), r"holds 'kf' in UncalibServo-v0,level=4"),
+        (lambda path: unsealed(path, env_kwargs={"level": "3"}), "holds 'kf' in UncalibServo-v0,level=3, not"),
+        (
+            lambda path: unsealed(path, provenance={"versions": {"servotrack": "0.0.1"}}),
+            r"written by servotrack 0\.0\.1",
+        ),
+        (lambda path: path.write_text('{"rows": ' + "[" * 10_000), "deeper than 32 levels"),
+        (lambda path: path.write_text(path.read_text().replace('"rows"', '"agent": "kf", "rows"')), "appears twice"),
+        (lambda path: path.write_text(path.read_text().replace("252", "1" + "0" * 400)), "too large"),
+        (lambda path: unsealed(path, provenance={"versions": None}), "provenance must name the version"),
+        (lambda path: unsealed(path, card=[]), "card must be an object"),
+        (lambda path: unsealed(path, kind="nothing"), "kind must be one of"),
     ],
-    ids=["cut off", "binary", "foreign", "other format", "bad rows", "other agent", "other arguments", "other version"],
+    ids=range(16),
 )
 def test_a_file_that_cannot_be_trusted_is_named_and_left_alone(tmp_path: Path, break_file: Any, message: str) -> None:
     folder = ResultsFolder(tmp_path)
     path = folder.save(make_cell())
     break_file(path)
     before = path.read_bytes()
+    for use in (lambda: folder.load(ENV, KWARGS, AGENT), lambda: folder.save(make_cell((7,)))):
+        with pytest.raises(ResultsError, match=message) as caught:
+            use()
+        assert str(path) in str(caught.value)
+    assert path.read_bytes() == before
+
+
+def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Paths of all values in a document, those of lists and objects included."""
+    if path:
+        yield path
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in items:
+        yield from leaves(inner, (*path, key))
+
+
+def parent_of(document: Any, path: tuple[Any, ...]) -> Any:
+    for key in path[:-1]:
+        document = document[key]
+    return document
+
+
+REPLACEMENTS: list[Any] = [None, True, 0, -1, 3, 1.5, 1e300, "", "x", [], [1], {}, {"a": 1}]
+
+
+def test_every_edit_is_detected_and_named(tmp_path: Path) -> None:
+    path = ResultsFolder(tmp_path).save(make_cell((1, 2, 5), step_seconds=[1e-3, 2e-3]))
+    good = path.read_text()
+    edits = 0
+
+    def refused(document: Any, field: str) -> None:
+        nonlocal edits
+        edits += 1
+        path.write_text(json.dumps(document))
+        with pytest.raises(ResultsError) as caught:
+            read_cell(path)
+        assert str(caught.value).startswith(str(path)) and len(str(caught.value)) < 500 + len(str(path))
+        # Of a file of another format no field is named.
+        shown = {"format": "not a servotrack result", "format_version": "format version"}.get(field, field)
+        assert shown in str(caught.value), (field, str(caught.value))
+
+    paths = list(leaves(json.loads(good)))
+    assert len(paths) > 50
+    for where in paths:
+        # A row is named by its number or by its seed, a digest by its field.
+        field = where[-1] if where[0] == "sha256" else "row" if where[0] == "rows" else where[0]
+        for value in REPLACEMENTS:
+            document = json.loads(good)
+            parent = parent_of(document, where)
+            if json.dumps(parent[where[-1]]) != json.dumps(value):
+                parent[where[-1]] = value
+                refused(document, field)
+        document = json.loads(good)
+        del parent_of(document, where)[where[-1]]
+        # Without one digest or with one more, the digests themselves are what is wrong.
+        whole = "sha256" if where[0] == "sha256" else field
+        refused(document, whole)
+        parent = parent_of(document := json.loads(good), where)
+        if isinstance(parent, dict):
+            parent["an unknown name"] = 1
+            refused(document, whole if len(where) > 1 else "an unknown name")
+    for change in (lambda rows: rows.reverse(), lambda rows: rows.append(rows[0]), lambda rows: rows.clear()):
+        document = json.loads(good)
+        change(document["rows"])
+        refused(document, "rows")
+    assert edits > 700
+    path.write_text(json.dumps(json.loads(good), indent=4))
+    assert read_cell(path).seeds == [1, 2, 5], "layout is no content"
+
+
+def test_a_row_of_another_agent_is_refused_although_its_own_digest_fits(tmp_path: Path) -> None:
+    folder = ResultsFolder(tmp_path)
+    documents = []
+    for agent in (AGENT, "pf"):
+        cell = make_cell()
+        cell.agent = agent
+        cell.rows[0]["return"] = float(len(documents))
+        documents.append(json.loads(folder.save(cell).read_text()))
+    documents[0]["rows"][0] = documents[1]["rows"][0]
+    path = folder.file_of(ENV, KWARGS, AGENT)
+    path.write_text(json.dumps(documents[0]))
+    with pytest.raises(ResultsError, match="the row of seed 1 or its digest was changed"):
+        read_cell(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"steady": -1e-3}, r"rows\[0\]\.steady must lie in 0 to inf \(seed 1\), got -0.001"),
+        ({"success": 1}, r"rows\[0\]\.success must be true or false"),
+        ({"length": 0}, r"rows\[0\]\.length must lie in 1 to inf"),
+        ({"return": float("nan")}, r"rows\[0\]\.return must be a finite number \(seed 1\), got nan"),
+        ({"seed": -1}, r"rows\[0\]\.seed must be an integer >= 0"),
+        ({"seed": True}, r"rows\[0\]\.seed must be an integer >= 0"),
+    ],
+)
+def test_what_could_not_be_read_again_is_not_written(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+    folder = ResultsFolder(tmp_path)
+    cell = make_cell()
+    cell.rows[0] |= change
+    with pytest.raises(ResultsError, match=message):
+        folder.save(cell)
+    assert not list(tmp_path.glob("*/*"))
+
+
+def test_results_of_version_0_1_0_are_read_and_said_to_have_no_digests(tmp_path: Path) -> None:
+    folder = ResultsFolder(tmp_path)
+    path = folder.save(make_cell())
+    sealed_cell = read_cell(path)
+    unsealed(path)
+    found = read_cell(path)
+    assert found == sealed_cell and (sealed_cell.has_digests, found.has_digests) == (True, False)
+    document = json.loads(path.read_text())
+    del document["kind"]
+    path.write_text(json.dumps(document))
+    assert read_cell(path).kind == "servo"
+
+
+def test_a_file_does_not_import_what_it_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "evil_world.py").write_text("raise SystemExit('imported')")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    path = ResultsFolder(tmp_path).save(make_cell())
+    unsealed(path, env_id="evil_world:Evil-v0", kind="")
+    assert read_cell(path).kind == "other"
+
+
+def test_a_copied_file_does_not_pass_for_another_agent_s(tmp_path: Path) -> None:
+    folder = ResultsFolder(tmp_path)
+    path = folder.save(make_cell())
+    shutil.copy(path, path.with_name("oracle.json"))
+    with pytest.raises(ResultsError, match=r"oracle\.json holds 'kf' in .*, whose file is .*kf\.json"):
+        folder.load_all()
+    with pytest.raises(ResultsError, match="holds 'kf'"):
+        folder.load(ENV, KWARGS, "oracle")
+
+
+def test_saving_merges_by_seed(tmp_path: Path) -> None:
+    folder = ResultsFolder(tmp_path)
+    first, second = make_cell((3, 1), step_seconds=[1e-3]), make_cell((2, 3))
+    first.provenance = {**first.provenance, "command": "the first"}
+    folder.save(first)
+    folder.save(second)
+    stored = folder.load(ENV, KWARGS, AGENT)
+    assert stored is not None
+    assert stored == second
+    assert stored.seeds == [1, 2, 3]
+    assert stored.step_seconds == [1e-3] and stored.provenance["command"] == "the first"
+    second.step_seconds = [5e-3]
+    folder.save(second)
+    newest = folder.load(ENV, KWARGS, AGENT)
+    assert newest is not None and newest.step_seconds == [5e-3]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda cell: cell.rows[0].update({"return": 1.5 + 2e-16}),
+            "seed 1 has return 1.5 there and 1.5000000000000002",
+        ),
+        (lambda cell: cell.rows[1].update({"steady": 0.1}), "seed 2 has steady None there and 0.1"),
+        (lambda cell: cell.card.update({"summary": "another filter"}), "card is .* another agent"),
+        (lambda cell: setattr(cell, "max_steps", 100), "max_steps is 252 there and 100"),
+    ],
+)
+def test_contradictions_are_named_and_the_file_stays(tmp_path: Path, change: Any, message: str) -> None:
+    folder = ResultsFolder(tmp_path)
+    path = folder.save(make_cell())
+    before = path.read_bytes()
+    cell = make_cell((1, 2, 3))
+    change(cell)
     with pytest.raises(ResultsError, match=message) as caught:
-        folder.load(ENV, KWARGS, AGENT)
+        folder.save(cell)
     assert str(path) in str(caught.value)
     assert path.read_bytes() == before
 
 
-def test_a_field_that_is_missing_is_named(tmp_path: Path) -> None:
-    path = ResultsFolder(tmp_path).save(make_cell())
-    document = json.loads(path.read_text())
-    del document["rows"]
-    path.write_text(json.dumps(document))
-    with pytest.raises(ResultsError, match=r"is corrupt \(no rows\)"):
-        read_cell(path)
+def test_results_of_another_version_are_not_extended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = ResultsFolder(tmp_path)
+    folder.save(make_cell())
+    monkeypatch.setattr("servotrack.baselines.evaluation.results.code_version", lambda: "9.9.9")
+    with pytest.raises(ResultsError, match=r"was written by servotrack .*, this is 9\.9\.9"):
+        folder.save(make_cell((5,)))
+
+
+def test_unfinished_files_are_removed_once_their_writer_is_gone(tmp_path: Path) -> None:
+    code = (
+        "import sys, time; from pathlib import Path\n"
+        "from servotrack.baselines.reporting.files import atomic_path\n"
+        "with atomic_path(Path(sys.argv[1])) as temporary:\n"
+        "    temporary.write_text('half'); print('begun', flush=True); time.sleep(60)\n"
+    )
+    cell_folder = tmp_path / "world"
+    writer = subprocess.Popen(
+        [sys.executable, "-c", code, str(cell_folder / "a.json")], stdout=subprocess.PIPE, text=True
+    )
+    assert writer.stdout is not None and writer.stdout.readline() == "begun\n"
+    (cell_folder / ".unfinished-0badcafe-1.json").write_text("of another machine")
+    folder = ResultsFolder(tmp_path)
+    folder.check_writable()
+    assert len(list(cell_folder.iterdir())) == 2, "a file was removed under its writer"
+    writer.kill()
+    writer.wait()
+    writer.stdout.close()
+    folder.check_writable()
+    assert [path.name for path in cell_folder.iterdir()] == [".unfinished-0badcafe-1.json"]
 
 
 def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
@@ -134,7 +350,7 @@ def test_versions_are_not_mixed_on_one_leaderboard(tmp_path: Path) -> None:
     other.agent = "pf"
     path = folder.save(other)
     assert len(folder.load_all()) == 2
-    damage(path, provenance={"versions": {"servotrack": "0.0.1"}})
+    unsealed(path, provenance={"versions": {"servotrack": "0.0.1"}})
     with pytest.raises(ResultsError, match="mixes results of several servotrack versions"):
         folder.load_all()
 
