@@ -15,6 +15,7 @@ from pathlib import Path
 from rich.console import Console
 
 from servotrack.baselines.papers.request import Paper, Recording, Request
+from servotrack.baselines.running.stopping import GO_ON, keeping
 
 _ROOM = "servotrack.baselines.papers"
 PAPERS: dict[str, Paper] = {
@@ -128,8 +129,8 @@ def reproduce_paper(
         raise ValueError(f"--source goes with {takers}, got it with {paper.name!r}; leave it out")
     module, _, function = paper.run.partition(":")
     run: Callable[[Request], None] = getattr(importlib.import_module(module), function)
-    run(
-        Request(
-            paper, output, paper.default_runs if runs is None else runs, console, claims_path, tuple(recordings), into
-        )
+    request = Request(
+        paper, output, paper.default_runs if runs is None else runs, console, claims_path, tuple(recordings), into
     )
+    with keeping(lambda: f"{sum(1 for _ in output.rglob('*.npz'))} finished parts are in {output}; {GO_ON}"):
+        run(request)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
+from servotrack.baselines.papers.parts import setting_of
 from servotrack.baselines.papers.request import Recording
 from servotrack.envs.track.files.frames import open_frames
 from servotrack.envs.track.files.read import read_tracks
@@ -109,6 +112,18 @@ def recorded(recording: Recording) -> Sequence:
 
     made.frames = run()
     return made
+
+
+def part_name(recording: Recording) -> str:
+    """Return the name of the file that keeps the results of a recording."""
+    return f"recording-{hashlib.sha256(str(recording).encode()).hexdigest()[:12]}.npz"
+
+
+def setting_of_recording(recording: Recording, **values: Any) -> str:
+    """Return the settings that the results of a recording depend on: its files as they are now, and `values`."""
+    files = [Path(name) for name in (recording.source, recording.truth) if name is not None]
+    states = [(found.stat().st_size, found.stat().st_mtime_ns) if found.exists() else None for found in files]
+    return setting_of(recording=list(recording), states=states, **values)
 
 
 def _until(track: Track, frames: int) -> Track:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import spearmanr
@@ -12,6 +14,7 @@ from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.statistics import RESAMPLES, RESAMPLING_SEED
 from servotrack.baselines.papers import sequences
 from servotrack.baselines.papers.gm_phd_video.experiment import Method, run_methods, scores
+from servotrack.baselines.papers.parts import part, setting_of
 from servotrack.baselines.papers.request import Request
 from servotrack.baselines.reporting.embed import embed
 from servotrack.baselines.reporting.files import atomic_path
@@ -40,19 +43,23 @@ def reproduce(request: Request) -> None:
         request: Request; `runs` is the number of episodes per scene.
     """
     output, console = request.output, request.console
+    folder = output / "transfer"
     ranked: dict[str, Array] = {}
     with progress_bars() as progress:
         bar = progress.add_task("sequences", total=len(SCENES) * request.runs + len(request.recordings))
         for name, axes in SCENES.items():
             found = []
             for seed in seeds.take("test", request.runs):
-                sequence = sequences.rendered(seed, horizon=FRAMES, **axes)
-                found.append(_mota(sequence))
+                found.append(_stored_mota(folder / name / f"{seed}.npz", {"horizon": FRAMES, **axes}, seed))
                 progress.advance(bar)
             ranked[f"rendered: {name}"] = np.mean(found, axis=0)
         for recording in request.recordings:
-            sequence = sequences.recorded(recording)
-            ranked[f"yours: {sequence.name}"] = _mota(sequence)
+            stored = part(
+                folder / sequences.part_name(recording),
+                sequences.setting_of_recording(recording, configurations=CONFIGURATIONS),
+                lambda recording=recording: {"mota": _mota(sequences.recorded(recording))},  # type: ignore[misc]
+            )
+            ranked[f"yours: {recording.source}"] = stored["mota"]
             progress.advance(bar)
     tables = {"Rank correlation of MOTA": _correlations(ranked), "MOTA of all configurations": _ranking(ranked)}
     print_tables(console, tables)
@@ -72,6 +79,13 @@ def reproduce(request: Request) -> None:
 def _document(tables: Mapping[str, Grid], runs: int, heading: str) -> str:
     """Return all tables as Markdown, with the command that wrote them. `heading` precedes each title."""
     return f"Written by `{command_line()}`, {runs} runs per scene. {NOTE}\n\n{as_sections(tables, heading)}"
+
+
+def _stored_mota(path: Path, axes: Mapping[str, Any], seed: int) -> Array:
+    """Return `_mota` of a rendered scene, from its file if there is one."""
+    setting = setting_of(axes=axes, seed=seed, configurations=CONFIGURATIONS)
+    mota: Array = part(path, setting, lambda: {"mota": _mota(sequences.rendered(seed, **axes))})["mota"]
+    return mota
 
 
 def _mota(sequence: sequences.Sequence) -> Array:

@@ -74,7 +74,7 @@ def test_ranks_that_agree_correlate() -> None:
 
 
 def test_counts_are_drawn_one_panel_per_method() -> None:
-    figure = draw_counts(np.array([0, 1, 1]), {"a": outcome([0, 1, 2]), "b": outcome([0, 0, 0])}, 25.0)
+    figure = draw_counts(np.array([0, 1, 1]), {"a": np.array([0, 1, 2]), "b": np.array([0, 0, 0])}, 25.0)
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["a", "b"]
 
 

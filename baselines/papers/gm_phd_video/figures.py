@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.baselines.papers.gm_phd_video.experiment import Outcome
 from servotrack.baselines.reporting.figure import STYLE
 from servotrack.estimators.types import Image, Labels
 
@@ -20,27 +19,27 @@ _GRID = {"color": "#e9e9e6", "lw": 0.5}
 _FILTERED, _UNFILTERED = "#b5121b", "#2f7ebc"
 
 
-def draw_counts(numbers: Labels, outcomes: Mapping[str, Outcome], frame_rate: float) -> Figure:
+def draw_counts(numbers: Labels, counts: Mapping[str, Labels], frame_rate: float) -> Figure:
     """Draw figure 3: the true and the estimated number of people over time, one panel per method.
 
     Args:
         numbers: True number of people in each frame, shape (T,).
-        outcomes: Results, keyed by method.
+        counts: Reported number in each frame, keyed by method. Shape (T,).
         frame_rate: Frames per second.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 0.55 + 0.95 * len(outcomes)), layout="constrained")
-        panels: NDArray[np.object_] = figure.subplots(len(outcomes), 1, sharex=True, squeeze=False)[:, 0]
+        figure = Figure(figsize=(7.2, 0.55 + 0.95 * len(counts)), layout="constrained")
+        panels: NDArray[np.object_] = figure.subplots(len(counts), 1, sharex=True, squeeze=False)[:, 0]
         time = np.arange(len(numbers)) / frame_rate
-        top = max([int(numbers.max(initial=0)), *(int(o.counts.max(initial=0)) for o in outcomes.values())]) + 0.6
-        for axes, (name, outcome) in zip(panels.tolist(), outcomes.items(), strict=True):
+        top = max([int(numbers.max(initial=0)), *(int(reported.max(initial=0)) for reported in counts.values())]) + 0.6
+        for axes, (name, reported) in zip(panels.tolist(), counts.items(), strict=True):
             axes.grid(**_GRID)
             axes.set_axisbelow(True)
             color = _UNFILTERED if name.startswith("no filter") else _FILTERED
-            axes.step(time, outcome.counts, where="post", color=color, lw=0.9, label="estimated")
+            axes.step(time, reported, where="post", color=color, lw=0.9, label="estimated")
             axes.step(time, numbers, where="post", color="#222222", lw=1.1, ls=(0, (4, 2)), label="real")
             axes.set(ylim=(-0.3, top), xlim=(0.0, float(time[-1]) if len(time) else 1.0), ylabel="people")
             axes.set_title(name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,13 +14,13 @@ from servotrack.baselines.papers.claims import SHIPPED, Claim, Verdict, claims_g
 from servotrack.baselines.papers.gm_phd_video.experiment import (
     COUNTED_FRAMES,
     METHODS,
-    Outcome,
     count_right,
     run_methods,
     scores,
 )
 from servotrack.baselines.papers.gm_phd_video.figures import draw_counts, draw_frames
 from servotrack.baselines.papers.gm_phd_video.pictures import paper_pictures
+from servotrack.baselines.papers.parts import Arrays, part, setting_of
 from servotrack.baselines.papers.publish import publish
 from servotrack.baselines.papers.request import Request
 from servotrack.baselines.reporting.grid import Grid
@@ -73,46 +73,62 @@ def reproduce(request: Request) -> None:
     """
     with progress_bars() as progress:
         bar = progress.add_task("rendered sequences", total=request.runs)
-        outcomes: list[dict[str, Outcome]] = []
-        played: list[sequences.Sequence] = []
+        folder = request.output / PAPER_NAME
+        played = []
         for seed in seeds.take("test", request.runs):
-            sequence = sequences.rendered(seed, script=sequences.SCRIPT)
-            outcomes.append(run_methods(sequence.frames, sequence.size, sequence.frame_rate))
-            played.append(sequence)
+            played.append(
+                part(folder / f"{seed}.npz", setting_of(seed=seed, methods=METHODS), lambda seed=seed: _played(seed))  # type: ignore[misc]
+            )
             progress.advance(bar)
-        measured = measure(outcomes, played)
+        measured = _gathered(played)
         tables = {"The paper's sequence, rendered": quality_grid(measured), "Speed": speed_grid(measured)}
         if request.recordings:
             bar = progress.add_task("your sequences", total=len(request.recordings))
             for recording in request.recordings:
-                own = sequences.recorded(recording)
-                found = run_methods(own.frames, own.size, own.frame_rate, METHODS, own.background)
-                tables[f"Your sequence {own.name}"] = quality_grid(measure([found], [own]))
+                own = part(
+                    folder / sequences.part_name(recording),
+                    sequences.setting_of_recording(recording, methods=METHODS),
+                    lambda recording=recording: _measured(sequences.recorded(recording)),  # type: ignore[misc]
+                )
+                tables[f"Your sequence {recording.source}"] = quality_grid(_gathered([own]))
                 progress.advance(bar)
         pictures = paper_pictures(seeds.take("test", 1)[0], METHODS[PAPER])
     claims = fill(read_claims(request.claims or SHIPPED), findings(measured))
     tables["Claims"] = claims_grid([claim for claim in claims if claim.command == COMMAND])
-    shown = {name: outcomes[0][name] for name in SHOWN_COUNTS}
+    first = played[0]
+    shown = {name: first[f"{name}/counts"] for name in SHOWN_COUNTS}
     figures = {
         "figure2": draw_frames(pictures),
-        "figure3": draw_counts(played[0].numbers, shown, played[0].frame_rate),
+        "figure3": draw_counts(first["numbers"], shown, float(first["frame_rate"])),
     }
     publish(request, tables, claims, f", {request.runs} sequences", NOTE, figures)
 
 
-def measure(outcomes: Sequence[Mapping[str, Outcome]], played: Sequence[sequences.Sequence]) -> dict[str, Measured]:
+def _played(seed: int) -> Arrays:
+    return _measured(sequences.rendered(seed, script=sequences.SCRIPT))
+
+
+def _measured(sequence: sequences.Sequence) -> Arrays:
+    """Run all methods over a sequence; return the entries of `Measured` and the counts of each, and the true counts."""
+    outcomes = run_methods(sequence.frames, sequence.size, sequence.frame_rate, METHODS, sequence.background)
+    arrays: dict[str, Any] = {"numbers": sequence.numbers, "frame_rate": sequence.frame_rate}
+    for name, outcome in outcomes.items():
+        score = scores(outcome, sequence.truth)
+        row = (
+            count_right(outcome, sequence.numbers), score.mota, score.idf1, score.hota, score.identity_switches,
+            outcome.detection_seconds, outcome.filter_seconds,
+        )  # fmt: skip
+        arrays |= {f"{name}/{field}": value for field, value in zip(Measured._fields, row, strict=True)}
+        arrays[f"{name}/counts"] = outcome.counts
+    return arrays
+
+
+def _gathered(played: Sequence[Arrays]) -> dict[str, Measured]:
     """Return the measurements of every method, one entry per sequence."""
-    found = {}
-    for name in outcomes[0]:
-        rows = []
-        for outcome, sequence in zip((o[name] for o in outcomes), played, strict=True):
-            score = scores(outcome, sequence.truth)
-            rows.append([
-                count_right(outcome, sequence.numbers), score.mota, score.idf1, score.hota, score.identity_switches,
-                outcome.detection_seconds, outcome.filter_seconds,
-            ])  # fmt: skip
-        found[name] = Measured(*np.array(rows, dtype=np.float64).T)
-    return found
+    return {
+        name: Measured(*(np.array([one[f"{name}/{field}"] for one in played], float) for field in Measured._fields))
+        for name in METHODS
+    }
 
 
 def quality_grid(measured: Mapping[str, Measured]) -> Grid:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,9 +14,8 @@ from rich.progress import Progress
 
 from servotrack.baselines.agents.sonar.catalog import BearingTracker, sonar_tracker
 from servotrack.baselines.evaluation import seeds
-from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.papers.hmm_sonar.scores import RecordScores, score_tracks
-from servotrack.baselines.reporting.files import ResultsError, atomic_path
+from servotrack.baselines.papers.parts import read_part, setting_of, write_part
 from servotrack.baselines.running.workers import in_workers
 from servotrack.envs.track.sonar.array_model import SonarModel, scene_model_of
 from servotrack.envs.track.sonar.config import SonarConfig, sonar_config
@@ -216,25 +214,17 @@ def _run(condition: Condition, path: Path) -> None:
         for name, measures in measure(condition).items()
         for field, values in measures._asdict().items()
     }
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, setting=np.array(_setting(condition)), **arrays)
+    write_part(path, _setting(condition), arrays)
 
 
 def _read(path: Path, condition: Condition) -> dict[str, Measures]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            stored: Mapping[str, Any] = {name: file[name] for name in file.files}
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"{path} cannot be read ({error}); delete it to compute it again") from error
-    if str(stored.get("setting")) != _setting(condition):
-        raise ResultsError(f"{path} holds runs of another setting or version; choose another --output, or delete it")
+    stored = read_part(path, _setting(condition))
     return {name: Measures(*(stored[f"{name}/{field}"] for field in Measures._fields)) for name in METHODS}
 
 
 def _setting(condition: Condition) -> str:
     """Settings that a condition's results depend on, in one line."""
-    setting = {"version": code_version(), "world": asdict(condition.config), "runs": condition.runs, "methods": METHODS}
-    return json.dumps(setting, sort_keys=True)
+    return setting_of(world=asdict(condition.config), runs=condition.runs, methods=METHODS)
 
 
 def growth_of_cost(

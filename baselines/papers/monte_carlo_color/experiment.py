@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,8 +12,7 @@ from rich.progress import Progress
 
 from servotrack.baselines.agents.color.catalog import color_tracker
 from servotrack.baselines.evaluation import seeds
-from servotrack.baselines.evaluation.provenance import code_version
-from servotrack.baselines.reporting.files import ResultsError, atomic_path
+from servotrack.baselines.papers.parts import read_part, setting_of, write_part
 from servotrack.baselines.running.workers import in_workers
 from servotrack.baselines.tuning.color_films import film, track
 from servotrack.envs.track.color.config import LEVEL_NAMES
@@ -182,24 +180,15 @@ def _run(level: int, seed: int, methods: Sequence[str], world: Mapping[str, Any]
         done = track(color_tracker(tracker, **parameters), seen)
         size = np.sqrt(done.boxes[:, 2] * done.boxes[:, 3] / (seen.boxes[:, 2] * seen.boxes[:, 3]))
         arrays[name] = np.stack([done.iou, done.center_error, size])
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        arrays["setting"] = np.array(_setting(level, seed, methods, world))
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    write_part(path, _setting(level, seed, methods, world), arrays)
 
 
 def _read(path: Path, level: int, seed: int, methods: Sequence[str], world: Mapping[str, Any]) -> dict[str, Measures]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            stored = {name: file[name] for name in file.files}
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"{path} cannot be read ({error}); delete it to compute it again") from error
-    if str(stored.get("setting")) != _setting(level, seed, methods, world):
-        raise ResultsError(f"{path} holds runs of another setting or version; choose another --output, or delete it")
+    stored = read_part(path, _setting(level, seed, methods, world))
     return {name: Measures(*stored[name]) for name in methods}
 
 
 def _setting(level: int, seed: int, methods: Sequence[str], world: Mapping[str, Any]) -> str:
     """Settings that a film's results depend on, in one line."""
     chosen = {name: METHODS[name] for name in methods}
-    setting = {"version": code_version(), "level": level, "seed": seed, "world": dict(world), "methods": chosen}
-    return json.dumps(setting, sort_keys=True)
+    return setting_of(level=level, seed=seed, world=dict(world), methods=chosen)

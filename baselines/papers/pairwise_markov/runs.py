@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,9 +11,8 @@ import numpy as np
 from joblib import delayed
 from rich.progress import Progress
 
-from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.papers.pairwise_markov.experiment import METHODS, Condition, Measures, run_condition
-from servotrack.baselines.reporting.files import ResultsError, atomic_path
+from servotrack.baselines.papers.parts import read_part, setting_of, write_part
 from servotrack.baselines.running.workers import in_workers
 
 CHUNK = 25
@@ -75,30 +73,18 @@ def _path(folder: Path, condition: Condition, seeds: Sequence[int]) -> Path:
 def _run_chunk(condition: Condition, seeds: list[int], path: Path) -> int:
     measures = run_condition(condition, seeds)
     arrays = {f"{method}/{key}": values for method, m in measures.items() for key, values in m._asdict().items()}
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, setting=np.array(_setting(condition, seeds)), **arrays)
+    write_part(path, _setting(condition, seeds), arrays)
     return len(seeds)
 
 
 def _read(path: Path, condition: Condition, seeds: list[int]) -> dict[str, Measures]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            stored = {name: file[name] for name in file.files}
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"{path} cannot be read ({error}); delete it to compute it again") from error
-    if str(stored.get("setting")) != _setting(condition, seeds):
-        raise ResultsError(f"{path} holds runs of another setting or version; choose another --output, or delete it")
+    stored = read_part(path, _setting(condition, seeds))
     return {method: Measures(*(stored[f"{method}/{key}"] for key in Measures._fields)) for method in condition.methods}
 
 
 def _setting(condition: Condition, seeds: Sequence[int]) -> str:
     """Settings that a chunk's results depend on, in one line."""
     methods: dict[str, Any] = {name: [METHODS[name][0], asdict(METHODS[name][1])] for name in condition.methods}
-    setting = {
-        "version": code_version(),
-        "world": asdict(condition.config),
-        "methods": methods,
-        "trajectories": condition.trajectories,
-        "seeds": list(seeds),
-    }
-    return json.dumps(setting, sort_keys=True)
+    return setting_of(
+        world=asdict(condition.config), methods=methods, trajectories=condition.trajectories, seeds=list(seeds)
+    )

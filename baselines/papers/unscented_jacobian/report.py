@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.progress import Progress
@@ -11,6 +13,7 @@ from rich.progress import Progress
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.statistics import PairedDifference, paired_difference
 from servotrack.baselines.papers.claims import SHIPPED, Claim, claims_grid, fill, judge_smaller, read_claims
+from servotrack.baselines.papers.parts import Arrays, part, setting_of
 from servotrack.baselines.papers.publish import publish
 from servotrack.baselines.papers.request import Request
 from servotrack.baselines.papers.unscented_jacobian import experiment
@@ -35,6 +38,18 @@ ASSUMED = (
 )
 
 
+class ScaledRun(NamedTuple):
+    """Errors of one run with another process variance.
+
+    Attributes:
+        transient: Mean error of the first 126 samples, m.
+        steady: Mean error for t > 3 s, m.
+    """
+
+    transient: float
+    steady: float
+
+
 def reproduce(request: Request) -> None:
     """Reproduce Zhang 2011; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`.
 
@@ -43,17 +58,14 @@ def reproduce(request: Request) -> None:
     """
     runs = request.runs
     seed = seeds.TEST[0]
+    folder = request.output / PAPER_NAME
     with progress_bars() as progress:
-        tracking = _runs(TRACKING, runs, seed, progress)
-        positioning = _runs(POSITIONING, runs, seed, progress)
-        scaled = {
-            (name, scale): experiment.run(TRACKING, experiment.estimator(name, scale), seed)
-            for name in ("KF", "PF")
-            for scale in SCALES
-        }
-        open_loop = experiment.open_loop_difference(KAPPAS, seed)
-        closed_loop = experiment.closed_loop_difference(seed)
-        audited = _audit_runs(progress)
+        tracking = _runs(TRACKING, runs, seed, folder, progress)
+        positioning = _runs(POSITIONING, runs, seed, folder, progress)
+        scaled = {(name, scale): _scaled_run(name, scale, seed, folder) for name in ("KF", "PF") for scale in SCALES}
+        open_loop = _open_loop(seed, folder)
+        closed_loop = _closed_loop(seed, folder)
+        audited = _audit_runs(folder, progress)
     tables = {
         "Table 1: positioning": _positioning_grid(positioning),
         "Table 2: tracking": _tracking_grid(tracking),
@@ -74,32 +86,84 @@ def reproduce(request: Request) -> None:
     publish(request, tables, claims, "", ASSUMED, figures)
 
 
-def _runs(env_id: str, runs: int, seed: int, progress: Progress) -> dict[str, list[Run]]:
-    bar = progress.add_task(env_id, total=runs * len(ALGORITHMS))
+def _setting(**values: Any) -> str:
+    """Settings that a part's results depend on, in one line."""
+    assumed = (experiment.PROCESS_VARIANCE, experiment.MEASUREMENT_VARIANCE, experiment.INITIAL_VARIANCE)
+    return setting_of(assumed=assumed, gain=experiment.GAIN, probe=experiment.PROBE, **{"world": dict(WORLD), **values})
+
+
+def _runs(env_id: str, runs: int, seed: int, folder: Path, progress: Progress) -> dict[str, list[Run]]:
+    bar = progress.add_task(env_id, total=runs)
     found: dict[str, list[Run]] = {name: [] for name in ALGORITHMS}
-    for name in ALGORITHMS:
-        # The first run compiles and fills caches, so it is not timed.
-        experiment.run(env_id, experiment.estimator(name), seed)
-    # All algorithms in turn, so that other load on the machine affects them alike.
-    for number in range(runs):
+
+    def run_once(number: int) -> Arrays:
+        arrays: dict[str, Any] = {}
+        # All algorithms in turn, so that other load on the machine affects them alike.
+        for name in ALGORITHMS:
+            done = experiment.run(env_id, experiment.estimator(name, seed=number), seed)
+            arrays |= {f"{name}/{field}": value for field, value in vars(done).items()}
+        return arrays
+
+    paths = [folder / env_id / f"run-{number}.npz" for number in range(runs)]
+    if not all(path.exists() for path in paths):
+        for name in ALGORITHMS:
+            # The first run compiles and fills caches, so it is not timed.
+            experiment.run(env_id, experiment.estimator(name), seed)
+    for number, path in enumerate(paths):
+        setting = _setting(env=env_id, number=number, seed=seed)
+        stored = part(path, setting, lambda number=number: run_once(number))  # type: ignore[misc]
         for name, done in found.items():
-            done.append(experiment.run(env_id, experiment.estimator(name, seed=number), seed))
-            progress.advance(bar)
+            columns: dict[str, Any] = {field.name: stored[f"{name}/{field.name}"] for field in fields(Run)}
+            done.append(Run(**{key: value if value.ndim else float(value) for key, value in columns.items()}))
+        progress.advance(bar)
     return found
 
 
-def _audit_runs(progress: Progress) -> dict[str, list[float]]:
+def _scaled_run(name: str, scale: float, seed: int, folder: Path) -> ScaledRun:
+    def compute() -> Arrays:
+        run = experiment.run(TRACKING, experiment.estimator(name, scale), seed)
+        return {"transient": run.transient, "steady": run.steady}
+
+    stored = part(folder / "scales" / f"{name}-{scale:g}.npz", _setting(name=name, scale=scale, seed=seed), compute)
+    return ScaledRun(float(stored["transient"]), float(stored["steady"]))
+
+
+def _open_loop(seed: int, folder: Path) -> dict[float, float]:
+    stored = part(
+        folder / "open-loop.npz",
+        _setting(kappas=KAPPAS, seed=seed),
+        lambda: {"differences": list(experiment.open_loop_difference(KAPPAS, seed).values())},
+    )
+    return dict(zip(KAPPAS, stored["differences"].tolist(), strict=True))
+
+
+def _closed_loop(seed: int, folder: Path) -> float:
+    stored = part(
+        folder / "closed-loop.npz", _setting(seed=seed), lambda: {"difference": experiment.closed_loop_difference(seed)}
+    )
+    return float(stored["difference"])
+
+
+def _audit_runs(folder: Path, progress: Progress) -> dict[str, list[float]]:
     """Transient errors on random ellipses, test seeds, no noise: one list per algorithm, in the order of the seeds."""
     methods: dict[str, JacobianEstimator] = {name: experiment.estimator(name) for name in ALGORITHMS}
     methods["KF x10"] = experiment.estimator("KF", 10.0)
     methods["fixed"] = experiment.estimator("fixed")
     chosen = seeds.take("test", AUDITED_EPISODES)
-    bar = progress.add_task("random ellipses", total=len(methods) * len(chosen))
+    bar = progress.add_task("random ellipses", total=len(chosen))
     errors: dict[str, list[float]] = {name: [] for name in methods}
     for seed in chosen:
-        for name, method in methods.items():
-            errors[name].append(experiment.run(TRACKING, method, seed, RANDOM_ELLIPSES).transient)
-            progress.advance(bar)
+        stored = part(
+            folder / "ellipses" / f"{seed}.npz",
+            _setting(world=RANDOM_ELLIPSES, seed=seed),
+            lambda seed=seed: {  # type: ignore[misc]
+                name: experiment.run(TRACKING, method, seed, RANDOM_ELLIPSES).transient
+                for name, method in methods.items()
+            },
+        )
+        for name, found in errors.items():
+            found.append(float(stored[name]))
+        progress.advance(bar)
     return errors
 
 
@@ -150,7 +214,7 @@ def _finding_grid(open_loop: Mapping[float, float], closed_loop: float) -> Grid:
     return Grid(["experiment", "setting", "largest difference UKF - KF"], rows, 2)
 
 
-def _scale_grid(scaled: Mapping[tuple[str, float], Run], tracking: Mapping[str, Sequence[Run]]) -> Grid:
+def _scale_grid(scaled: Mapping[tuple[str, float], ScaledRun], tracking: Mapping[str, Sequence[Run]]) -> Grid:
     rows = [
         [name, f"x {scale:g}", f"{run.transient:.4f}", f"{run.steady:.4f}"] for (name, scale), run in scaled.items()
     ]

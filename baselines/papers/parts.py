@@ -1,0 +1,68 @@
+"""Finished parts of a reproduction, one file each, so that a stopped reproduction goes on where it was."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from servotrack.baselines.evaluation.provenance import code_version
+from servotrack.baselines.reporting.files import ResultsError, atomic_path
+
+Arrays = Mapping[str, Any]
+"""Arrays or numbers by name."""
+_SETTING = "setting"
+
+
+def setting_of(**values: Any) -> str:
+    """Return the settings that a part's results depend on, with the version of the code, in one line."""
+    return json.dumps({"version": code_version(), **values}, sort_keys=True)
+
+
+def write_part(path: Path, setting: str, arrays: Arrays) -> None:
+    """Write a part, whole or not at all.
+
+    Args:
+        path: File ending in .npz.
+        setting: Line of `setting_of`.
+        arrays: Results of the part; no name is "setting".
+    """
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **{_SETTING: np.array(setting)}, **arrays)  # type: ignore[arg-type]
+
+
+def read_part(path: Path, setting: str) -> dict[str, Any]:
+    """Read a part.
+
+    Raises:
+        ResultsError: The file is damaged, or of another setting or version.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            stored = {name: file[name] for name in file.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise ResultsError(f"{path} cannot be read ({error}); delete it to compute it again") from error
+    if str(stored.pop(_SETTING, None)) != setting:
+        raise ResultsError(f"{path} holds runs of another setting or version; choose another --output, or delete it")
+    return stored
+
+
+def part(path: Path, setting: str, compute: Callable[[], Arrays]) -> dict[str, Any]:
+    """Return a part: that of the file, or a new one, which is written first.
+
+    Args:
+        path: File ending in .npz.
+        setting: Line of `setting_of`.
+        compute: Computes the part's results.
+
+    Raises:
+        ResultsError: The file is damaged, of another setting or version, or cannot be written.
+    """
+    if not path.exists():
+        write_part(path, setting, compute())
+    return read_part(path, setting)
