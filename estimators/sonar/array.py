@@ -6,15 +6,17 @@ beam power 1, and a source of unit power has the array's gain (48 without shadin
 
 from __future__ import annotations
 
-import warnings
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal.windows import chebwin
 
+from servotrack.estimators.compilation import njit
+from servotrack.estimators.elementary import cosine
+from servotrack.estimators.symmetric import weighted_rows
 from servotrack.estimators.types import Array, ComplexArray
 
 Shading = Literal["conventional", "chebyshev"]
@@ -91,11 +93,8 @@ def shading_weights(array: LineArray, shading: Shading = "conventional") -> Arra
         raise ValueError(f"shading must be one of {', '.join(get_args(Shading))}, got {shading!r}")
     if shading == "conventional":
         return np.full(array.elements, 1.0 / np.sqrt(array.elements), np.float64)
-    with warnings.catch_warnings():
-        # SciPy warns about low attenuation in spectral windows; these are weights of elements.
-        warnings.simplefilter("ignore", UserWarning)
-        weights = chebwin(array.elements, SIDELOBE_ATTENUATION)
-    return np.asarray(weights / np.sqrt(np.sum(weights**2)), np.float64)
+    weights = _chebyshev_weights(array.elements)
+    return np.asarray(weights / math.sqrt(sum((weights**2).tolist())), np.float64)
 
 
 def steering(array: LineArray, frequencies: ArrayLike, bearings_deg: ArrayLike) -> ComplexArray:
@@ -109,9 +108,22 @@ def steering(array: LineArray, frequencies: ArrayLike, bearings_deg: ArrayLike) 
     Returns:
         Complex phases of unit modulus. Shape (F, S, N).
     """
-    delay = array.spacing / array.sound_speed * np.cos(np.radians(np.asarray(bearings_deg, np.float64)))
+    delay = array.spacing / array.sound_speed * cosines(bearings_deg)
     phase = np.asarray(frequencies, np.float64)[:, None, None] * delay[:, None] * np.arange(array.elements)
-    return np.exp(-2j * np.pi * phase)
+    return unit_phasors(-2.0 * np.pi * phase)
+
+
+def unit_phasors(angles: ArrayLike) -> ComplexArray:
+    """Complex numbers exp(j angle) of angles in rad, element by element."""
+    x = np.ascontiguousarray(angles, np.float64)
+    out = np.empty(x.shape, np.complex128)
+    _phasors(x.reshape(-1), out.reshape(-1))
+    return out.reshape(np.shape(angles))
+
+
+def cosines(bearings_deg: ArrayLike) -> Array:
+    """Cosines of bearings in deg, element by element."""
+    return cosine(np.radians(np.asarray(bearings_deg, np.float64)))
 
 
 def beam_pattern(
@@ -135,7 +147,7 @@ def beam_pattern(
     Returns:
         1/F sum_f weights_f |w^H a_f|^2. Shape (*sources, beams).
     """
-    offset = _cosines(source_deg)[..., None] - _cosines(beam_deg)
+    offset = cosines(source_deg)[..., None] - cosines(beam_deg)
     return _pattern_of_offset(array, frequencies, weights, offset, shading)
 
 
@@ -153,7 +165,11 @@ class PatternTable:
 
     def at(self, beam_deg: ArrayLike, source_deg: ArrayLike) -> Array:
         """Pattern of sources in beams, equal to `beam_pattern` up to the table's step. Shape (*sources, beams)."""
-        position = np.abs(_cosines(source_deg)[..., None] - _cosines(beam_deg)) / self.step
+        return self.at_offset(np.abs(cosines(source_deg)[..., None] - cosines(beam_deg)))
+
+    def at_offset(self, offset: Array) -> Array:
+        """Pattern at differences of cosines from 0 to 2, of any shape."""
+        position = offset / self.step
         below = np.minimum(position.astype(np.int64), len(self.values) - 2)
         part = position - below
         return (1.0 - part) * self.values[below] + part * self.values[below + 1]
@@ -213,15 +229,10 @@ def beamform(
     records = x.reshape(-1, *x.shape[-3:])
     powers = np.empty((len(records), len(beam_bearings)))
     for i, record in enumerate(records):
-        by_bin = record.transpose(1, 2, 0) * w[:, None]
-        covariance = by_bin @ by_bin.conj().swapaxes(1, 2)
+        by_bin = np.ascontiguousarray((record * w).transpose(1, 0, 2), np.complex128)
         lag = np.empty((len(f), 2 * N - 1))
-        for distance in range(N):
-            total = np.trace(covariance, offset=-distance, axis1=1, axis2=2)
-            lag[:, distance] = total.real
-            if distance > 0:
-                lag[:, N - 1 + distance] = total.imag
-        powers[i] = lag.reshape(-1) @ basis
+        _diagonal_sums(by_bin.real.copy(), by_bin.imag.copy(), lag)
+        powers[i] = weighted_rows(lag.reshape(-1), basis)
     return powers.reshape(*x.shape[:-3], len(beam_bearings)) / (len(f) * x.shape[-3])
 
 
@@ -241,13 +252,13 @@ def beam_correlation(
     Returns:
         Correlations, shape (beams, beams), with ones on the diagonal.
     """
-    u = _cosines(beam_deg)
+    u = cosines(beam_deg)
     w = shading_weights(array, shading)
     f = np.atleast_1d(np.asarray(frequencies, np.float64))
     # The weights of a beam are w exp(j n phase), so the inner product of two beams is the pattern of the weights w^2.
     offset = np.linspace(0.0, 2.0, 10001)
     table = PatternTable(2e-4, _dirichlet_power(array, f, np.ones(len(f)), offset, w**2))
-    return table.at(np.degrees(np.arccos(u)), np.degrees(np.arccos(u)))
+    return table.at_offset(np.abs(u[:, None] - u))
 
 
 def normalize(powers: ArrayLike, averages: int = 1110) -> Array:
@@ -277,13 +288,10 @@ def normalize(powers: ArrayLike, averages: int = 1110) -> Array:
     for _ in range(2):
         kept = np.abs(z - level) <= 2.5 / np.sqrt(averages) * level
         count = kept.sum(axis=-1, keepdims=True)
-        mean = np.where(kept, z, 0.0).sum(axis=-1, keepdims=True) / np.maximum(count, 1)
+        # The order of `sum` depends on the processor.
+        mean = np.cumsum(np.where(kept, z, 0.0), axis=-1)[..., -1:] / np.maximum(count, 1)
         level = np.where(count > 0, mean, level)
     return z / level
-
-
-def _cosines(bearings_deg: ArrayLike) -> Array:
-    return np.cos(np.radians(np.asarray(bearings_deg, np.float64)))
 
 
 def _pattern_of_offset(
@@ -296,30 +304,87 @@ def _pattern_of_offset(
 
 def _dirichlet_power(array: LineArray, frequencies: Array, power: Array, offset: Array, w: Array) -> Array:
     """1/F sum_f power_f |sum_n w_n exp(2 pi j f d n offset / c)|^2, by lags. Shape of offset."""
-    lags = np.array([np.sum(w[: len(w) - lag] * w[lag:]) * (2.0 if lag else 1.0) for lag in range(len(w))])
-    total = np.zeros(offset.shape)
-    for frequency, weight in zip(frequencies, power, strict=True):
-        if weight == 0.0:
-            continue
-        twice = 2.0 * np.cos(2.0 * np.pi * frequency * array.spacing / array.sound_speed * offset)
-        # Clenshaw's recurrence for the cosine series.
-        above, here = np.zeros_like(offset), np.full_like(offset, lags[-1])
-        for value in lags[-2:0:-1]:
-            here, above = twice * here - above + value, here
-        total += weight * (0.5 * twice * here - above + lags[0])
+    lags = np.array([sum((w[: len(w) - lag] * w[lag:]).tolist()) * (2.0 if lag else 1.0) for lag in range(len(w))])
+    total = np.zeros(offset.size)
+    rates = 2.0 * np.pi * frequencies * array.spacing / array.sound_speed
+    _add_cosine_series(rates, np.ascontiguousarray(power), lags, np.ascontiguousarray(offset).reshape(-1), total)
     # In a null the rounded sum may be negative.
-    return np.maximum(total / len(frequencies), 0.0)
+    return np.maximum(total.reshape(offset.shape) / len(frequencies), 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _add_cosine_series(rates, power, lags, offset, total):  # type: ignore[no-untyped-def]
+    """Add sum_f power_f sum_l lags_l cos(l rate_f offset) to `total`, by Clenshaw's recurrence."""
+    count = len(offset)
+    twice, here, above = np.empty(count), np.empty(count), np.empty(count)
+    for f in range(len(rates)):
+        if power[f] == 0.0:
+            continue
+        for i in range(count):
+            twice[i] = 2.0 * math.cos(rates[f] * offset[i])
+        above[:] = 0.0
+        here[:] = lags[-1]
+        for lag in range(len(lags) - 2, 0, -1):
+            value = lags[lag]
+            for i in range(count):
+                next_one = twice[i] * here[i] - above[i] + value
+                above[i] = here[i]
+                here[i] = next_one
+        for i in range(count):
+            total[i] += power[f] * (0.5 * twice[i] * here[i] - above[i] + lags[0])
+
+
+@njit(cache=True, nogil=True)
+def _diagonal_sums(real, imaginary, lag):  # type: ignore[no-untyped-def]
+    """Sums of the sample covariance along its diagonals: real parts of lags 0 to N - 1, then imaginary ones from 1.
+
+    Real and imaginary parts of the snapshots have shape (F, K, N), lag (F, 2N - 1).
+    """
+    bins, count, elements = real.shape
+    for f in range(bins):
+        lag[f] = 0.0
+        for k in range(count):
+            x, y = real[f, k], imaginary[f, k]
+            for i in range(elements):
+                for distance in range(elements - i):
+                    lag[f, distance] += x[i + distance] * x[i] + y[i + distance] * y[i]
+                for distance in range(1, elements - i):
+                    lag[f, elements - 1 + distance] += y[i + distance] * x[i] - x[i + distance] * y[i]
+
+
+@njit(cache=True, nogil=True)
+def _phasors(x, out):  # type: ignore[no-untyped-def]
+    for i in range(len(x)):
+        out[i] = complex(math.cos(x[i]), math.sin(x[i]))
+
+
+def _chebyshev_weights(elements: int) -> Array:
+    """Dolph's weights, the inverse Fourier transform of a Chebyshev polynomial; the largest is 1."""
+    order = elements - 1
+    stretch = math.cosh(math.acosh(10.0 ** (SIDELOBE_ATTENUATION / 20.0)) / order)
+    response = []
+    for k in range(elements):
+        x = stretch * math.cos(math.pi * k / elements)
+        inside = math.cos(order * math.acos(max(min(x, 1.0), -1.0)))
+        outside = math.copysign(1.0, x) ** order * math.cosh(order * math.acosh(max(abs(x), 1.0)))
+        response.append(inside if abs(x) <= 1.0 else outside)
+    weights = [
+        sum(r * math.cos(2.0 * math.pi * k * (n - order / 2.0) / elements) for k, r in enumerate(response))
+        for n in range(elements)
+    ]
+    return np.array(weights) / max(weights)
 
 
 @lru_cache(maxsize=4)
 def _lag_basis(array: LineArray, frequencies: bytes, beam_bearings: bytes) -> Array:
     """Contribution of each (bin, lag) to each beam. Shape (F (2N - 1), beams)."""
-    f, u = np.frombuffer(frequencies), _cosines(np.frombuffer(beam_bearings))
+    f, u = np.frombuffer(frequencies), cosines(np.frombuffer(beam_bearings))
     N = array.elements
     lag = np.arange(N)
     phase = 2.0 * np.pi * array.spacing / array.sound_speed * f[:, None, None] * lag[:, None] * u
     basis = np.empty((len(f), 2 * N - 1, len(u)))
-    basis[:, :N] = np.where(lag[:, None] == 0, 1.0, 2.0) * np.cos(phase)
-    basis[:, N:] = -2.0 * np.sin(phase[:, 1:])
+    waves = unit_phasors(phase)
+    basis[:, :N] = np.where(lag[:, None] == 0, 1.0, 2.0) * waves.real
+    basis[:, N:] = -2.0 * waves.imag[:, 1:]
     basis.setflags(write=False)
     return basis.reshape(-1, len(u))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, get_args
@@ -139,9 +140,10 @@ class SonarConfig:
     @cached_property
     def ambient(self) -> Array:
         """Noise power of one element in each bin of the band, shape (F,); the mean is 1."""
-        frequencies = self.band.frequencies
-        power = 10.0 ** (-self.ambient_slope / 10.0 * np.log2(frequencies / frequencies[0]))
-        return power / power.mean()
+        octaves = [math.log2(ratio) for ratio in (self.band.frequencies / self.band_low).tolist()]
+        # NumPy's own power and logarithm differ in the last bit between versions and processors.
+        power = np.array([10.0 ** (-self.ambient_slope / 10.0 * octave) for octave in octaves])
+        return power / (sum(power.tolist()) / len(power))
 
     @property
     def averages(self) -> int:

@@ -18,10 +18,13 @@ from servotrack.estimators.sonar.array import (
     beam_correlation,
     beamform,
     bearings,
+    cosines,
     normalize,
     steering,
     tabulate_pattern,
+    unit_phasors,
 )
+from servotrack.estimators.symmetric import mirrored_function, weighted_rows
 from servotrack.estimators.types import Array, ComplexArray
 
 _OFFSETS = 4001
@@ -72,7 +75,7 @@ def draw_snapshots(config: SonarConfig, scene: SonarScene, rng: np.random.Genera
     waves = steering(config.array, frequencies, scene.bearings[record, here])
     for row, target in enumerate(here.tolist()):
         amplitude = np.sqrt(scene.power[target])
-        steady = np.broadcast_to(np.exp(1j * phase[target]), shape)
+        steady = np.broadcast_to(unit_phasors(phase[target]), shape)
         spectrum = amplitude * (steady if scene.tonal[target] else sound[target] / np.sqrt(2.0))
         heard = np.flatnonzero(amplitude)
         snapshots[:, heard] += spectrum[:, heard, None] * waves[heard, row]
@@ -104,12 +107,12 @@ def power_moments(config: SonarConfig, scene: SonarScene, record: int) -> Moment
     F, K = len(config.band.frequencies), config.snapshots
     here = np.flatnonzero(scene.exists[record])
     table = _pattern_table(config.array, config.band, config.shading)
-    cosines = np.cos(np.radians(config.beam_bearings))
-    sources = np.cos(np.radians(scene.bearings[record, here]))
-    mean, square, patterns = _sums(table, cosines, sources, scene.power[here], scene.tonal[here], config.ambient)
+    beams, sources = cosines(config.beam_bearings), cosines(scene.bearings[record, here])
+    mean, square, patterns = _sums(table, beams, sources, scene.power[here], scene.tonal[here], config.ambient)
     power = scene.power[here]
-    total = power.sum(axis=1)
-    common = np.where(scene.tonal[here], 0.0, (power**2).sum(axis=1) / np.maximum(total, 1e-300) ** 2 / K)
+    # The order of `sum` depends on the processor.
+    total, squares = np.cumsum(power, axis=1)[:, -1], np.cumsum(power**2, axis=1)[:, -1]
+    common = np.where(scene.tonal[here], 0.0, squares / np.maximum(total, 1e-300) ** 2 / K)
     return Moments(mean / F, square / (F * F * K), patterns / F, common)
 
 
@@ -121,7 +124,8 @@ def _moment_powers(config: SonarConfig, scene: SonarScene, rng: np.random.Genera
     Sci. 17, 1931).
     """
     root = _correlation_root(config.array, config.band, config.beams, config.shading)
-    normal = root @ rng.standard_normal(root.shape[1])
+    # The root is symmetric: its rows are its columns.
+    normal = weighted_rows(rng.standard_normal(len(root)), root)
     gain = rng.standard_normal(scene.power.shape[:1])[np.flatnonzero(scene.exists[record])]
     mean, variance, patterns, common = power_moments(config, scene, record)
     shift = ((_gamma(1.0, common, gain) - 1.0)[:, None] * patterns).sum(axis=0)
@@ -132,7 +136,8 @@ def _moment_powers(config: SonarConfig, scene: SonarScene, rng: np.random.Genera
 def _gamma(mean: Array | float, relative_variance: Array, normal: Array) -> Array:
     """Convert standard normal variables to gamma variables with a given mean and relative variance."""
     ninth = relative_variance / 9.0
-    return mean * np.maximum(1.0 - ninth + normal * np.sqrt(ninth), 0.0) ** 3
+    cube_root = np.maximum(1.0 - ninth + normal * np.sqrt(ninth), 0.0)
+    return mean * (cube_root * cube_root * cube_root)
 
 
 @lru_cache(maxsize=4)
@@ -144,10 +149,9 @@ def _pattern_table(array: LineArray, band: Band, shading: Shading) -> Array:
 
 @lru_cache(maxsize=4)
 def _correlation_root(array: LineArray, band: Band, beams: int, shading: Shading) -> Array:
-    """Return C, shape (beams, beams), with C C^T the correlation of the noise powers of all beams."""
-    values, vectors = np.linalg.eigh(beam_correlation(array, band.frequencies, bearings(beams), shading))
-    # The symmetric root is unique; eigenvectors depend on the linear algebra library.
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+    """Return the symmetric C, shape (beams, beams), with C C^T the correlation of the noise powers of all beams."""
+    correlation = beam_correlation(array, band.frequencies, bearings(beams), shading)
+    return mirrored_function(correlation, lambda values: np.sqrt(np.maximum(values, 0.0)))
 
 
 @njit(cache=True, nogil=True)
