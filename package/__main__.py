@@ -62,17 +62,33 @@ def main() -> None:
 def _run() -> None:
     import gymnasium as gym
 
-    from servotrack.baselines.reporting.files import ResultsError
+    from servotrack.baselines.reporting.files import ResultsError, StorageError, is_machine_trouble
     from servotrack.baselines.running.stopping import WorkerLostError
 
     try:
         app()
+    except SystemExit as end:
+        from servotrack.baselines.reporting.terminal import CLOSED_PIPE, reader_left
+
+        if not end.code and reader_left():
+            raise SystemExit(CLOSED_PIPE) from None
+        raise
+    except (StorageError, WorkerLostError) as error:
+        raise _ended(error, 1) from error
     except (ResultsError, ValueError, TypeError, gym.error.Error, ImportError) as error:
-        typer.secho(f"servotrack: {error}", fg="red", err=True)
-        raise SystemExit(2) from error
-    except WorkerLostError as error:
-        typer.secho(f"servotrack: {error}", fg="red", err=True)
-        raise SystemExit(1) from error
+        raise _ended(error, 2) from error
+    except OSError as error:
+        if not is_machine_trouble(error):
+            raise
+        raise _ended(error, 1) from error
+
+
+def _ended(error: Exception, code: int) -> SystemExit:
+    """Print an error in one line and return the end of the program."""
+    from servotrack.baselines.reporting.plain_text import printable
+
+    typer.secho(f"servotrack: {printable(str(error))}", fg="red", err=True)
+    return SystemExit(code)
 
 
 if __name__ == "__main__":

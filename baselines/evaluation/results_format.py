@@ -21,6 +21,9 @@ DIGEST = "sha256"
 IDENTITY = ("env_id", "env_kwargs", "agent")
 FIELDS = (*IDENTITY, "kind", "card", "max_steps", "provenance", "step_seconds", "rows")
 REMEDY = "move it away or restore it; it has been left as it is"
+_canonical = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False).encode
+_plain = json.JSONEncoder(allow_nan=False).encode
+_UNLIMITED = (-math.inf, math.inf)
 _LONGEST_NAME = 500
 _ROUNDING = 1e-9
 """Means of values at the end of a range may leave it by rounding."""
@@ -44,10 +47,10 @@ def sealed(fields: Mapping[str, Any]) -> str:
     digests["rows"] = _digest([row[DIGEST] for row in rows])
     head: dict[str, Any] = {"format": FORMAT, "format_version": FORMAT_VERSION}
     head |= {name: fields[name] for name in FIELDS if name != "rows"}
-    lines = [f'"{name}": {json.dumps(value, allow_nan=False)},' for name, value in head.items()]
-    listed = ",\n  ".join(json.dumps(row, allow_nan=False) for row in rows)
+    lines = [f'"{name}": {_plain(value)},' for name, value in head.items()]
+    listed = ",\n  ".join(_plain(row) for row in rows)
     lines.append(f'"rows": [\n  {listed}\n ],' if rows else '"rows": [],')
-    lines.append(f'"{DIGEST}": {json.dumps(digests)}')
+    lines.append(f'"{DIGEST}": {_plain(digests)}')
     return "{\n " + "\n ".join(lines) + "\n}\n"
 
 
@@ -98,8 +101,7 @@ def _compare_digests(document: Mapping[str, Any], of_rows: Sequence[Any]) -> Non
 
 def _digest(value: Any) -> str:
     """Return the SHA-256 digest of a value's canonical JSON: sorted keys, no spaces."""
-    text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode("ascii")).hexdigest()
+    return hashlib.sha256(_canonical(value).encode("ascii")).hexdigest()
 
 
 def check_fields(fields: Mapping[str, Any]) -> None:
@@ -150,25 +152,28 @@ def _check_card(card: Any) -> None:
 
 
 def _check_rows(rows: Sequence[Mapping[str, Any]], ranges: Mapping[str, tuple[float, float]]) -> None:
+    limits = {"length": (1.0, math.inf), "return": (-math.inf, math.inf), **ranges}
+    limits = {name: (low - _ROUNDING, high + _ROUNDING) for name, (low, high) in limits.items()}
     seen: set[int] = set()
     for i, row in enumerate(rows):
         seed: Any = row.get("seed")
-        _check(_is_integer(seed) and seed >= 0, f"rows[{i}].seed", "be an integer >= 0", seed)
-        _check(seed not in seen, f"rows[{i}].seed", "differ from those of the other rows", seed)
+        if not _is_integer(seed) or seed < 0 or seed in seen:
+            _check(False, f"rows[{i}].seed", "be an integer >= 0 that no other row has", seed)
         seen.add(seed)
-        for name in ("return", "length"):
-            _check(name in row, f"rows[{i}].{name}", f"be there (seed {seed})", None)
         for name, value in row.items():
-            where = f"rows[{i}].{name}"
-            if name == "success":
-                _check(isinstance(value, bool), where, f"be true or false (seed {seed})", value)
-                continue
-            if isinstance(value, bool) and name not in (*ranges, "return", "length"):
-                continue
-            _check(_is_number(value), where, f"be a finite number (seed {seed})", value)
-            low, high = ranges.get(name, (1.0 if name == "length" else -math.inf, math.inf))
-            inside = low - _ROUNDING <= value <= high + _ROUNDING
-            _check(inside, where, f"lie in {low:g} to {high:g} (seed {seed})", value)
+            if value is True or value is False:
+                valid = name not in limits
+            else:
+                valid = name != "success" and isinstance(value, (int, float)) and math.isfinite(value)
+            if not valid:
+                must = "true or false" if name == "success" else "a finite number"
+                _check(False, f"rows[{i}].{name}", f"be {must} (seed {seed})", value)
+            low, high = limits.get(name, _UNLIMITED)
+            if not low <= value <= high:
+                within = f"lie in {low + _ROUNDING:g} to {high - _ROUNDING:g} (seed {seed})"
+                _check(False, f"rows[{i}].{name}", within, value)
+        if "return" not in row or "length" not in row:
+            _check(False, f"rows[{i}]", f"have a return and a length (seed {seed})", row)
 
 
 def _rows_of(fields: Mapping[str, Any]) -> list[dict[str, Any]]:
