@@ -5,19 +5,27 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from servotrack.baselines.reporting.files import atomic_path
+import numpy as np
+
+from servotrack.baselines.reporting.files import ResultsError, atomic_path
 from servotrack.estimators.types import Image
 
 CODECS = {".webm": "VP80", ".mp4": "mp4v", ".avi": "MJPG"}
 """Browsers play VP8 in WebM (VP9 takes four times as long to write); OpenCV's wheels cannot write H.264."""
 
 
-class FilmError(RuntimeError):
-    """A film that cannot be written here."""
+SIDES = (16, 8190)
+"""Range of width and height of a film, px. Encoders write unreadable files or crash outside of it."""
+RATES = (0.1, 1000.0)
+"""Range of frame rates of a film, frames per second."""
+
+
+class FilmError(ResultsError):
+    """Film that cannot be written here."""
 
 
 def check_film_path(path: Path) -> None:
@@ -26,49 +34,54 @@ def check_film_path(path: Path) -> None:
         raise ValueError(f"video must end in {', '.join(CODECS)}, got {str(path)!r}")
 
 
-def write_film(frames: Iterator[Image], path: Path, rate: float) -> int:
-    """Write RGB frames.
+def write_film(frames: Iterable[Image], path: Path, rate: float) -> int:
+    """Write RGB frames as a film, whole or not at all. An odd side gets its last row or column of pixels twice.
 
     Args:
-        frames: All of one size, shape (H, W, 3).
+        frames: RGB images of one size, uint8, shape (H, W, 3), sides from 16 to 8190 px.
         path: Ends in .webm, .mp4 or .avi.
-        rate: Frames per second.
+        rate: Frames per second, from 0.1 to 1000.
 
     Returns:
         Number of frames.
 
     Raises:
-        ValueError: Another suffix, or no frames.
-        FilmError: OpenCV cannot write this format here.
+        ValueError: Another suffix or rate, no frames, or a frame of another size or kind.
+        FilmError: OpenCV cannot write this format or size here, or the written film cannot be read.
     """
     with Film(path, rate) as film:
         for frame in frames:
             film.write(frame)
         if film.count == 0:
             raise ValueError("frames must hold at least one frame, got none")
+        film.check()
     return film.count
 
 
 class Film:
-    """A film that is written frame by frame, under a temporary name until the block around it ends well.
+    """Film that is written frame by frame, under a temporary name until the block around it ends well.
 
     Args:
-        path: Ends in .webm, .mp4 or .avi. Nothing is written there where there was no frame.
-        rate: Frames per second.
+        path: Ends in .webm, .mp4 or .avi. Without a frame nothing is written there.
+        rate: Frames per second, from 0.1 to 1000.
 
     Attributes:
-        count: Frames so far.
+        count: Number of frames so far.
 
     Raises:
-        ValueError: Another suffix.
+        ValueError: Another suffix or rate.
     """
 
     def __init__(self, path: Path, rate: float) -> None:
         check_film_path(path)
-        self.path, self._rate = path, rate
+        # OpenCV never returns from an infinite rate.
+        if not RATES[0] <= rate <= RATES[1]:
+            raise ValueError(f"rate must lie in [{RATES[0]:g}, {RATES[1]:g}] frames per second, got {rate!r}")
+        self.path, self._rate = path, float(rate)
         self.count = 0
-        self._size = (0, 0)
+        self._shape: tuple[int, ...] = ()
         self._writer: Any = None
+        self._temporary = path
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> Film:
@@ -88,32 +101,74 @@ class Film:
         """Append a frame.
 
         Args:
-            frame: RGB, of the first one's size. Shape (H, W, 3).
+            frame: RGB image of the first one's size, uint8, shape (H, W, 3).
 
         Raises:
-            FilmError: OpenCV cannot write this format here.
+            ValueError: The frame has another size than the first one, or is not an RGB image.
+            FilmError: OpenCV cannot write this format or size here.
         """
         import cv2
 
+        if not isinstance(frame, np.ndarray) or frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
+            raise ValueError(f"frame {self.count} must be an RGB image, uint8, shape (H, W, 3), got {_kind(frame)}")
         if self._writer is None:
-            # Codecs want even sides.
-            height, width = frame.shape[0] // 2 * 2, frame.shape[1] // 2 * 2
-            self._size = (width, height)
+            self._shape = frame.shape
             self._writer = self._opened()
-        width, height = self._size
-        self._writer.write(cv2.cvtColor(frame[:height, :width], cv2.COLOR_RGB2BGR))
+        if frame.shape != self._shape:
+            raise ValueError(
+                f"frame {self.count} has {frame.shape[1]}x{frame.shape[0]} px, the first one "
+                f"{self._shape[1]}x{self._shape[0]}; draw all frames in one size"
+            )
+        image = cv2.cvtColor(frame, cv2.COLOR_RGB2BGR)
+        # Codecs need even sides.
+        below, right = frame.shape[0] % 2, frame.shape[1] % 2
+        if below or right:
+            image = cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE)
+        self._writer.write(image)
         self.count += 1
+
+    def check(self) -> None:
+        """Finish the film and read it back, because OpenCV does not report a full disk. No frame can follow.
+
+        Raises:
+            FilmError: The film has another number of frames than were written.
+        """
+        import cv2
+
+        self._writer.release()
+        reader = cv2.VideoCapture(str(self._temporary.absolute()))
+        found = 0
+        while found <= self.count and reader.grab():
+            found += 1
+        reader.release()
+        if found != self.count:
+            raise FilmError(
+                f"{self.path} could not be written: {found} of {self.count} frames can be read back; "
+                "check the free disk space, or choose another format"
+            )
 
     def _opened(self) -> Any:
         import cv2
 
-        temporary = self._stack.enter_context(atomic_path(self.path))
-        suffix = self.path.suffix
+        suffix, (height, width) = self.path.suffix, self._shape[:2]
+        if not all(SIDES[0] <= side <= SIDES[1] for side in (height, width)):
+            raise FilmError(
+                f"frames of {width}x{height} px cannot be filmed: sides must have {SIDES[0]} to {SIDES[1]} px; "
+                "resize them"
+            )
+        self._temporary = self._stack.enter_context(atomic_path(self.path))
+        size = (width + width % 2, height + height % 2)
         with _hushed():
-            writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*CODECS[suffix]), self._rate, self._size)
+            # FFmpeg takes a relative path that begins as `file:` for an address.
+            path = str(self._temporary.absolute())
+            writer = cv2.VideoWriter(path, cv2.VideoWriter.fourcc(*CODECS[suffix]), self._rate, size)
         if not writer.isOpened():
             raise FilmError(f"this OpenCV cannot write {CODECS[suffix]} into {suffix}; try {', '.join(CODECS)}")
         return writer
+
+
+def _kind(frame: object) -> str:
+    return f"{frame.dtype}, shape {frame.shape}" if isinstance(frame, np.ndarray) else type(frame).__name__
 
 
 @contextlib.contextmanager

@@ -1,6 +1,8 @@
 """Frames of every kind of source, and errors of damaged ones."""
 
+import os
 import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -102,7 +104,7 @@ def test_gray_sixteen_bit_and_alpha_become_rgb(tmp_path):
     cv2.imwrite(str(tmp_path / "s" / "4.png"), np.repeat(gray[..., None], 4, axis=2))
     for image in open_frames(tmp_path / "s"):
         np.testing.assert_array_equal(image, np.repeat(gray[..., None], 3, axis=2))
-    write_images(tmp_path / "f", {"1.tiff": picture(3).astype(np.float32)})
+    write_images(tmp_path / "f", {"1.tiff": gray.astype(np.float32)})
     with pytest.raises(SequenceError, match=r"must have 8 or 16 bits .* got float32"):
         open_frames(tmp_path / "f")
 
@@ -173,6 +175,184 @@ def test_sources_that_are_none_are_named(tmp_path):
             open_frames(tmp_path / name)
     with pytest.raises(SequenceError, match="camera 97 cannot be opened"):
         open_frames("97")
+
+
+PLAYLISTS = {
+    "concat": "ffconcat version 1.0\nfile other.avi\n",
+    "hls": "#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nother.avi\n#EXT-X-ENDLIST\n",
+    "dash": '<?xml version="1.0"?><MPD><Period><AdaptationSet><Representation><BaseURL>other.avi</BaseURL>'
+    "</Representation></AdaptationSet></Period></MPD>",
+    "sdp": "v=0\nc=IN IP4 127.0.0.1\nm=video 5004 RTP/AVP 96\n",
+    "asx": '<asx version="3.0"><entry><ref href="other.avi"/></entry></asx>',
+}
+
+
+@pytest.mark.parametrize("kind", PLAYLISTS)
+@pytest.mark.parametrize("suffix", [".mp4", ".avi", ".m3u8"])
+def test_playlist_opens_no_other_file(tmp_path, kind, suffix):
+    write_video(tmp_path / "other.avi", 3)
+    path = tmp_path / f"evil{suffix}"
+    path.write_text(PLAYLISTS[kind])
+    with pytest.raises(SequenceError, match=r"not a video in a known container .* begins with b.* Playlists"):
+        open_frames(path)
+
+
+def test_ffmpeg_itself_opens_no_playlist_and_keeps_the_options_of_the_user(tmp_path, monkeypatch):
+    """The second line of defense, for files that would pass the check of their first bytes."""
+    write_video(tmp_path / "other.avi", 3)
+    path = tmp_path / "evil.mp4"
+    path.write_text(PLAYLISTS["concat"])
+    monkeypatch.setattr(decoders, "check_container", lambda path: None)
+    for options in (None, "safe;0|format_whitelist;concat,avi", "input_format;concat"):
+        if options is not None:
+            monkeypatch.setenv("OPENCV_FFMPEG_CAPTURE_OPTIONS", options)
+        with pytest.raises(SequenceError, match=r"evil\.mp4 cannot be decoded"):
+            open_frames(path)
+        assert os.environ.get("OPENCV_FFMPEG_CAPTURE_OPTIONS") == options
+
+
+def with_external_data(content: bytes, target: Path) -> bytes:
+    """Return an mp4 whose data reference is an alias of another file."""
+    name = str(target).encode()
+    alias = bytes(11 + 27 + 12) + bytes([min(len(name), 63)]) + name[:63].ljust(63, b"\0") + bytes(16)
+    alias += struct.pack(">hh", -1, -1) + bytes(16)
+    alias += struct.pack(">hh", 2, len(name)) + name + bytes(len(name) % 2) + struct.pack(">hh", -1, 0)
+    entry = struct.pack(">I4sI", 12 + len(alias), b"alis", 0) + alias
+    reference = struct.pack(">I4sII", 16 + len(entry), b"dref", 0, 1) + entry
+    at = content.index(b"dref") - 4
+    (size,) = struct.unpack(">I", content[at : at + 4])
+    changed = bytearray(content)
+    for box in (b"moov", b"trak", b"mdia", b"minf", b"dinf"):
+        start = content.index(box) - 4
+        (length,) = struct.unpack(">I", content[start : start + 4])
+        changed[start : start + 4] = struct.pack(">I", length + len(reference) - size)
+    changed[at : at + size] = reference
+    return bytes(changed)
+
+
+def test_mp4_reads_no_data_of_another_file(tmp_path, monkeypatch):
+    other = write_video(tmp_path / "other.mp4", 3, codec="mp4v")
+    path = tmp_path / "evil.mp4"
+    path.write_bytes(with_external_data(write_video(tmp_path / "own.mp4", 3, codec="mp4v").read_bytes(), other))
+    monkeypatch.setenv("OPENCV_FFMPEG_CAPTURE_OPTIONS", "enable_drefs;1|use_absolute_path;1")
+    # This is an attack: OpenCV alone plays the other file.
+    assert cv2.VideoCapture(str(path), cv2.CAP_FFMPEG).read()[0]
+    with pytest.raises(SequenceError, match=r"evil\.mp4 holds no frame that can be decoded"):
+        open_frames(path)
+
+
+@pytest.mark.parametrize(("suffix", "codec"), [(".avi", "MJPG"), (".mp4", "mp4v"), (".mov", "mp4v"), (".mkv", "MJPG"),
+                                               (".webm", "VP80"), (".ts", "MPG2"), (".mpg", "MPG2"), (".wmv", "WMV2"),
+                                               (".flv", "FLV1"), (".ogv", "THEO"), (".m4v", "mp4v")])  # fmt: skip
+def test_containers_that_users_have_are_read(tmp_path, suffix, codec):
+    path = tmp_path / f"v{suffix}"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 25, SIZE)
+    if not writer.isOpened():
+        pytest.skip(f"OpenCV cannot write {codec} into {suffix} here")
+    for k in range(5):
+        writer.write(picture(k)[..., ::-1])
+    writer.release()
+    assert [number(image) for image in open_frames(path)] == list(range(5))
+
+
+def test_transport_stream_that_was_cut_inside_a_packet_is_read(tmp_path):
+    path = tmp_path / "v.ts"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MPG2"), 25, SIZE)
+    if not writer.isOpened():
+        pytest.skip("OpenCV cannot write MPEG-2 here")
+    for k in range(30):
+        writer.write(picture(k)[..., ::-1])
+    writer.release()
+    path.write_bytes(path.read_bytes()[100:])
+    assert len(list(open_frames(path))) > 0
+
+
+def test_image_as_a_source_is_refused_and_opens_no_neighbors(tmp_path):
+    write_images(tmp_path, {f"p{k}.{suffix}": picture(k) for k in (1, 2) for suffix in ("png", "jpg", "bmp", "tif")})
+    for suffix in ("png", "jpg", "bmp", "tif"):
+        with pytest.raises(SequenceError, match=f"p1.{suffix} is an image; give a video, or the folder"):
+            open_frames(tmp_path / f"p1.{suffix}")
+
+
+@pytest.mark.parametrize("name", ["a b.avi", "v%d.avi", "v%03d.avi", "[1]*?.avi", "été ☃.avi", "-o.avi", "a|b;c.avi",
+                                  "file:x.avi", "concat:a.avi", "v1.avi"])  # fmt: skip
+def test_names_have_no_meaning(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    write_video(tmp_path / "v.avi", 4).rename(tmp_path / name)
+    write_video(tmp_path / "v2.avi", 9)
+    for source in (name, tmp_path / name):
+        assert [number(image) for image in open_frames(source)] == list(range(4))
+
+
+def test_pipes_devices_and_links_in_a_circle_are_refused_without_waiting(tmp_path):
+    os.mkfifo(tmp_path / "pipe.avi")
+    (tmp_path / "endless.avi").symlink_to("/dev/zero")
+    (tmp_path / "loop.avi").symlink_to("loop.avi")
+    for name, message in {"pipe": "not a regular file", "endless": "not a regular file", "loop": "not exist"}.items():
+        with pytest.raises(SequenceError, match=message):
+            open_frames(tmp_path / f"{name}.avi")
+    with pytest.raises(SequenceError, match=r"^source is empty: give"):
+        open_frames("")
+    for name in ("pipe", "endless"):
+        folder = tmp_path / name
+        folder.mkdir()
+        (tmp_path / f"{name}.avi").rename(folder / "1.png")
+        with pytest.raises(SequenceError, match=r"1\.png is not a regular file"):
+            open_frames(folder)
+
+
+def test_link_to_a_video_is_followed(tmp_path):
+    (tmp_path / "link.avi").symlink_to(write_video(tmp_path / "v.avi", 3))
+    assert len(list(open_frames(tmp_path / "link.avi"))) == 3
+
+
+@pytest.mark.parametrize("rate", [(0, 1), (1, 0), (0, 0), (10**9, 1), (2**32 - 1, 1), (1, 2**32 - 1)])
+def test_frame_rate_that_cannot_be_is_unknown(tmp_path, rate):
+    content = bytearray(write_video(tmp_path / "v.avi", 3).read_bytes())
+    at = content.index(b"strh") + 28
+    content[at : at + 8] = struct.pack("<II", rate[1], rate[0])
+    (tmp_path / "v.avi").write_bytes(content)
+    source = open_frames(tmp_path / "v.avi")
+    assert source.frame_rate is None or 0.1 <= source.frame_rate <= 1000.0
+    assert len(list(source)) == 3
+
+
+def test_single_frames_and_single_pixels_are_read(tmp_path):
+    assert [number(image) for image in open_frames(write_video(tmp_path / "one.avi", 1))] == [0]
+    source = open_frames(write_video(tmp_path / "tiny.avi", 3, size=(1, 1)))
+    assert source.source_size == (1, 1) and len(list(source)) == 3
+
+
+def test_frames_that_are_too_large_are_refused_before_they_are_decoded(tmp_path):
+    with pytest.raises(SequenceError, match=r"wide\.avi: frames of 16400x16 px are too large, the limit is 16384"):
+        open_frames(write_video(tmp_path / "wide.avi", 1, size=(16400, 16)))
+    (tmp_path / "s").mkdir()
+    # 900 million pixels in 3 KB, for every format whose header names the size.
+    header = struct.pack(">IIBBBBB", 30_000, 30_000, 8, 2, 0, 0, 0)
+    png = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + header
+    png += struct.pack(">II", zlib.crc32(b"IHDR" + header), 3000) + b"IDAT" + bytes(3000)
+    (tmp_path / "s" / "1.png").write_bytes(png)
+    with pytest.raises(SequenceError, match=r"1\.png cannot be decoded: Image size \(900000000 pixels\) exceeds limit"):
+        open_frames(tmp_path / "s")
+    (tmp_path / "s" / "1.png").rename(tmp_path / "s" / "1.ppm")
+    (tmp_path / "s" / "1.ppm").write_bytes(b"P6 17000 100 255\n" + bytes(100))
+    with pytest.raises(SequenceError, match=r"1\.ppm: frames of 17000x100 px are too large, the limit is 16384"):
+        open_frames(tmp_path / "s")
+
+
+def test_image_file_that_is_too_large_is_refused_before_it_is_read(tmp_path):
+    with (tmp_path / "1.png").open("wb") as file:
+        file.truncate((1 << 30) + 1)
+    with pytest.raises(SequenceError, match=r"1\.png has 1073741825 bytes, the limit is 1073741824"):
+        open_frames(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="everything is readable for root")
+def test_video_that_may_not_be_read_is_named(tmp_path):
+    path = write_video(tmp_path / "v.avi", 3)
+    path.chmod(0)
+    with pytest.raises(SequenceError, match=r"v\.avi cannot be read \(Permission denied\)"):
+        open_frames(path)
 
 
 class Stalling:

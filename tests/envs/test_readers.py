@@ -1,6 +1,9 @@
 """Readers of ground truth and detections: content, and errors that name file and line."""
 
+import os
 import random
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from servotrack.envs.track.files import recorded
+from servotrack.envs.track.files.bounded import read_bounded
 from servotrack.envs.track.files.caviar import read_caviar
 from servotrack.envs.track.files.mot_files import mot_row, read_mot_detections, read_mot_tracks, read_seqinfo
 from servotrack.envs.track.files.read import read_tracks
@@ -102,6 +106,11 @@ BAD_ROWS = {
     b"1,1,0,0,5,5,1,1,1.5\n": "visibility must lie in",
     b"\x00\x01\x02\xff": "rows must contain numbers",
     b"x" * 5000: "lines must be shorter than 4096 bytes",
+    b"1 1 0 0 5 5 1\r2 1 0 0 5 5 1\r": "rows must contain numbers separated by commas, got '1 1 0 0 5 5 1",
+    b"1,1,0,0,1_0,5,1\n": "rows must contain numbers",
+    "1,1,0,0,\u0665,5,1\n".encode(): "rows must contain numbers",
+    "1,1,0,0,5,5,1\n".encode("utf-16"): "rows must contain numbers",
+    b"1,1,0,0,5,5,1\n1,2,0,0,5,5," + b"9" * 400 + b"\n": "line 2: flag or confidence must be finite",
 }
 
 
@@ -116,6 +125,65 @@ def test_too_many_rows_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(recorded, "MAX_ROWS", 2)
     with pytest.raises(SequenceError, match="line 3: a file must hold at most 2 boxes"):
         read_mot_detections(write(tmp_path, "det.txt", b"1,-1,0,0,1,1,1\n" * 3))
+
+
+@pytest.mark.parametrize("reader", [read_mot_tracks, read_mot_detections, read_caviar])
+def test_frame_with_too_many_boxes_is_named(tmp_path, monkeypatch, reader):
+    monkeypatch.setattr(recorded, "MAX_IN_FRAME", 2)
+    rows = b"".join(b"%d,%d,0,0,1,1,1\n" % (frame, k) for frame, count in ((1, 2), (4, 3)) for k in range(count))
+    boxes = b"".join(b'<object id="%d"><box xc="1" yc="1" w="1" h="1"/></object>' % k for k in range(3))
+    xml = b'<dataset><frame number="3"><objectlist>' + boxes + b"</objectlist></frame></dataset>"
+    path = write(tmp_path, "boxes", xml if reader is read_caviar else rows)
+    with pytest.raises(SequenceError, match=r"boxes: frame 3 \(counted from 0\) holds 3 boxes, the limit is 2"):
+        reader(path)
+
+
+@pytest.mark.parametrize(("reader", "limit"), [(read_mot_tracks, 1 << 30), (read_mot_detections, 1 << 30),
+                                               (read_caviar, 1 << 29), (read_seqinfo, 65536)])  # fmt: skip
+def test_file_that_is_too_large_is_refused_before_it_is_read(tmp_path, reader, limit):
+    path = write(tmp_path, "large", b"")
+    with path.open("wb") as file:
+        file.truncate(limit + 1)
+    with pytest.raises(SequenceError, match=f"large has {limit + 1} bytes, the limit is {limit}; "):
+        reader(path)
+
+
+@pytest.mark.parametrize("reader", [read_mot_tracks, read_mot_detections, read_caviar, read_seqinfo])
+def test_pipes_and_devices_are_refused_without_waiting(tmp_path, reader):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "endless").symlink_to("/dev/zero")
+    (tmp_path / "loop").symlink_to("loop")
+    for name, message in (("pipe", "not a regular file"), ("endless", "not a regular file"), ("loop", "not exist")):
+        with pytest.raises(SequenceError, match=f"{name}.*{message}"):
+            reader(tmp_path / name)
+
+
+def test_file_that_is_written_while_it_is_read_is_refused(tmp_path):
+    path = write(tmp_path, "growing.txt", GT * 20_000)
+    done = threading.Event()
+
+    def append() -> None:
+        with path.open("ab", buffering=0) as file:
+            while not done.is_set():
+                file.write(b"9,9,1,1,1,1,0\n")
+
+    writer = threading.Thread(target=append)
+    writer.start()
+    try:
+        with pytest.raises(SequenceError, match=r"growing\.txt changed while it was read"):
+            for _ in range(1000):
+                read_bounded(path, 1 << 30, "")
+    finally:
+        done.set()
+        writer.join()
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="everything is readable for root")
+def test_file_that_may_not_be_read_is_named(tmp_path):
+    path = write(tmp_path, "secret.txt", GT)
+    path.chmod(0)
+    with pytest.raises(SequenceError, match=r"secret\.txt cannot be read \(Permission denied\)"):
+        read_mot_tracks(path)
 
 
 def test_missing_files_and_folders_are_named(tmp_path):
@@ -151,6 +219,15 @@ BAD_XML = {
     CVML.replace(b'<box xc="5" yc="5" w="2" h="2"/>', b""): "<object> must hold one <box xc yc w h>, got 0",
     b"<dataset>" + b"<a>" * 100: "nested deeper than 64",
     b'<?xml version="1.0" encoding="nothing-such"?><dataset/>': "line 1",
+    b'<?xml version="1.0" encoding="shift_jis"?><dataset/>': "line 1: the encoding cannot be read",
+    b'<!DOCTYPE dataset [<!ATTLIST box xc CDATA "5">]><dataset/>': "line 1: entities are not allowed .*document type",
+    b'<!DOCTYPE dataset SYSTEM "http://localhost/cvml.dtd"><dataset/>': "line 1: entities are not allowed",
+    b'<!DOCTYPE dataset [<!ENTITY % p SYSTEM "file:///etc/passwd">%p;]><dataset/>': "line 1: entities are not allowed",
+    CVML.replace(b'xc="10.5"', b'xc="1_0"'): "line 5: xc must be a finite number, got '1_0'",
+    CVML.replace(b'xc="10.5"', 'xc="\u0661"'.encode()): "line 5: xc must be a finite number",
+    CVML.replace(b'xc="10.5"', b'xc="' + b"9" * 10_000 + b'"'): "line 5: xc must be a finite number, got '9{40}'$",
+    b"<dataset>\n<a " + b'b="' + b">" * 200_000 + b'"/></dataset>': "line 2: tags and comments must be shorter than",
+    b"<dataset>\n<!--" + b"-> " * 70_000 + b"--></dataset>": "line 2: tags and comments must be shorter than",
 }
 
 
@@ -159,6 +236,20 @@ def test_bad_xml_names_file_and_line(tmp_path, content, message):
     with pytest.raises(SequenceError, match=r"truth\.xml, line \d+: ") as caught:
         read_caviar(write(tmp_path, "truth.xml", content))
     assert caught.match(message)
+
+
+def test_long_but_allowed_tags_and_texts_are_read_in_linear_time(tmp_path):
+    """Expat 2.5 takes 8 s for an attribute of 40 MB, because it reads an unfinished tag again with every block."""
+    filler = b'<a b="' + b">" * 65_000 + b'"/>' + b"text " * 40_000
+    path = write(tmp_path, "long.xml", CVML.replace(b"</dataset>", filler * 20 + b"</dataset>"))
+    started = time.process_time()
+    assert read_caviar(path).ids.tolist() == [0, 4]
+    assert time.process_time() - started < 2.0
+    path.write_bytes(b'<dataset a="' + b"x" * 40_000_000 + b'"/>')
+    started = time.process_time()
+    with pytest.raises(SequenceError, match="tags and comments must be shorter"):
+        read_caviar(path)
+    assert time.process_time() - started < 2.0
 
 
 def test_seqinfo(tmp_path):
@@ -170,12 +261,16 @@ def test_seqinfo(tmp_path):
 BAD_INI = {
     b"": "must have a section",
     b"frameRate=25": "must have a section",
-    b"[Sequence]\nframeRate=0\n": "frameRate must be a positive number, got '0'",
-    b"[Sequence]\nframeRate=fast\n": "frameRate must be a positive number, got 'fast'",
+    b"[Sequence]\nframeRate=0\n": "frameRate must be a positive number from 0.1 to 1000, got '0'",
+    b"[Sequence]\nframeRate=fast\n": "frameRate must be a positive number from 0.1 to 1000, got 'fast'",
+    b"[Sequence]\nframeRate=1e9\n": "frameRate must be a positive number from 0.1 to 1000, got '1e9'",
+    "[Sequence]\nframeRate=\u0662\u0665\n".encode(): "frameRate must be a positive number",
+    b"[Sequence]\nimWidth=0.5\n": "imWidth must be a positive number from 1 to 1e",
+    b"[Sequence]\nseqLength=3.5\n": "seqLength must be a whole number, got 3.5",
     b"[Sequence]\nimDir=../../etc\n": "imDir must be a folder inside",
     b"[Sequence]\nimDir=/etc\n": "imDir must be a folder inside",
     b"\xff\xfe\x00": "must have a section",
-    b"#" * 70000: "larger than 65536 bytes",
+    b"#" * 70000: "has 70000 bytes, the limit is 65536",
 }
 
 

@@ -6,6 +6,7 @@ import contextlib
 import math
 import os
 import re
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,17 +16,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.envs.track.files.containers import DEMUXERS, check_container
+from servotrack.envs.track.files.images import MAX_SIDE, decode_image, quiet, reason, too_large
 from servotrack.envs.track.files.mot_files import find_mot_folder
-from servotrack.envs.track.files.recorded import SequenceError
-from servotrack.estimators.types import Image
+from servotrack.envs.track.files.recorded import FRAME_RATES, SequenceError
 
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 _ATTEMPTS = 5
 """Number of failed reads in a row after which a sequence has ended."""
 _TIMEOUT = 10_000
 """Time-out of OpenCV for opening a file or reading a frame, ms."""
-_FRAME_RATES = (0.1, 1000.0)
-"""Range of plausible frame rates, frames per second. Values outside are treated as unknown."""
+_CAPTURE_OPTIONS = f"format_whitelist;{','.join(DEMUXERS)}|protocol_whitelist;file|enable_drefs;0"
+"""FFmpeg's options for files: no format that names other files, no data in other files, no network."""
+_OPTIONS_VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+_ENVIRONMENT_LOCK = threading.Lock()
 
 
 def find_decoder(source: str | Path | int) -> Decoder:
@@ -39,8 +43,10 @@ def find_decoder(source: str | Path | int) -> Decoder:
     if isinstance(source, (int, np.integer)):
         return Camera(int(source))
     text, path = str(source), Path(source)
+    if not text:
+        raise SequenceError("source is empty: give a video file, an image folder or a camera's index")
     try:
-        folder, there = path.is_dir(), path.is_file()
+        folder, there = path.is_dir(), path.exists()
     except (OSError, ValueError) as error:
         raise SequenceError(f"source {text!r} cannot be a path ({error})") from error
     if folder:
@@ -49,8 +55,6 @@ def find_decoder(source: str | Path | int) -> Decoder:
         return Camera(int(text))
     if not there:
         raise SequenceError(f"source {text!r} does not exist: give a video file, an image folder or a camera's index")
-    if path.stat().st_size == 0:
-        raise SequenceError(f"{path} is empty")
     return VideoFile(path)
 
 
@@ -104,14 +108,19 @@ class Decoder(ABC):
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence OpenCV's messages on the terminal; an exception reports the error."""
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        cv2.utils.logging.setLogLevel(level)
+def _one_file_only() -> Iterator[None]:
+    """Keep FFmpeg from opening other files than the given one; OpenCV takes its options from the environment."""
+    with _ENVIRONMENT_LOCK:
+        before = os.environ.get(_OPTIONS_VARIABLE)
+        # The user's options stay; of two values of an option the last one counts.
+        os.environ[_OPTIONS_VARIABLE] = f"{before}|{_CAPTURE_OPTIONS}" if before else _CAPTURE_OPTIONS
+        try:
+            yield
+        finally:
+            if before is None:
+                del os.environ[_OPTIONS_VARIABLE]
+            else:
+                os.environ[_OPTIONS_VARIABLE] = before
 
 
 class Capture(Decoder):
@@ -129,10 +138,11 @@ class Capture(Decoder):
             return
         # Otherwise FFmpeg prints every damaged block on the terminal.
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-        with _quiet():
+        with quiet():
             self._capture = self._start()
         rate, length = self._property(cv2.CAP_PROP_FPS), self._property(cv2.CAP_PROP_FRAME_COUNT)
-        self.frame_rate = rate if _FRAME_RATES[0] <= rate <= _FRAME_RATES[1] else None
+        # Other rates are errors of the header.
+        self.frame_rate = rate if FRAME_RATES[0] <= rate <= FRAME_RATES[1] else None
         self.length = int(length) if 1.0 <= length < 2**31 and not self.live else None
 
     def read(self) -> NDArray[Any] | None:
@@ -157,7 +167,7 @@ class Capture(Decoder):
         try:
             return call()
         except cv2.error as error:
-            raise SequenceError(f"{self.name}: the decoder failed ({_reason(error)})") from error
+            raise SequenceError(f"{self.name}: the decoder failed ({reason(error)})") from error
 
     def _property(self, which: int) -> float:
         value = float(self._capture.get(which))
@@ -170,27 +180,38 @@ class VideoFile(Capture):
     def __init__(self, path: Path) -> None:
         super().__init__(str(path))
         self.path = path
-        try:
-            # OpenCV does not report missing permissions.
-            with path.open("rb"):
-                pass
-        except OSError as error:
-            raise SequenceError(f"{path} cannot be read ({error.strerror}); check its permissions") from error
 
     def _start(self) -> Any:
-        waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _TIMEOUT, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _TIMEOUT]
-        # FFmpeg first, because its behavior is known; any other backend if the platform lacks it.
-        for backend, parameters in ((cv2.CAP_FFMPEG, waits), (cv2.CAP_ANY, [])):
+        check_container(self.path)
+        for backend, parameters in _file_backends():
             try:
-                capture = cv2.VideoCapture(str(self.path), backend, parameters)
+                with _one_file_only():
+                    # FFmpeg takes a relative path that begins as `file:` or `concat:` for an address.
+                    capture = cv2.VideoCapture(str(self.path.absolute()), backend, parameters)
             except cv2.error:
                 continue
             if capture.isOpened():
-                return capture
+                return self._checked(capture)
         raise SequenceError(
-            f"{self.path} cannot be decoded: not a video, an unknown format, or truncated "
+            f"{self.path} cannot be decoded: an unknown codec, damaged, or truncated "
             "(an unfinished mp4 file has no index)"
         )
+
+    def _checked(self, capture: Any) -> Any:
+        """Return the capture if its frames are not too large."""
+        width, height = capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
+        if max(width, height) > MAX_SIDE:
+            capture.release()
+            raise SequenceError(too_large(str(self.path), int(width), int(height)))
+        return capture
+
+
+def _file_backends() -> list[tuple[int, list[int]]]:
+    """Return OpenCV's backends for files, with parameters: FFmpeg, whose behavior is known, or all if it is missing."""
+    if cv2.videoio_registry.hasBackend(cv2.CAP_FFMPEG):
+        return [(cv2.CAP_FFMPEG, [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _TIMEOUT, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _TIMEOUT])]
+    # The backend for images would take a digit in the name for a counter, and open the file's neighbors.
+    return [(backend, []) for backend in cv2.videoio_registry.getStreamBackends() if backend != cv2.CAP_IMAGES]
 
 
 class Camera(Capture):
@@ -236,13 +257,7 @@ class ImageFolder(Decoder):
         if self._next == len(self._names):
             return None
         file = self._path / self._names[self._next]
-        try:
-            with _quiet():
-                image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-        except cv2.error as error:
-            raise SequenceError(f"{file} cannot be decoded ({_reason(error)})") from error
-        if image is None or image.size == 0:
-            raise SequenceError(f"{file} cannot be decoded as an image; replace it or remove it from the folder")
+        image = decode_image(file)
         self._next += 1
         return image
 
@@ -261,32 +276,7 @@ class ImageFolder(Decoder):
         return f" ({self._names[position]})"
 
 
-def to_rgb(image: NDArray[Any], where: str) -> Image:
-    """Convert a decoded image to RGB, uint8, shape (H, W, 3).
-
-    Args:
-        image: Image in OpenCV's format: gray, BGR or BGRA, 8 or 16 bits. Of 16 bits the high byte is used.
-        where: Source and frame, for the error message.
-
-    Raises:
-        SequenceError: If the image has another format.
-    """
-    if image.dtype == np.uint16:
-        image = (image >> 8).astype(np.uint8)
-    channels = 1 if image.ndim == 2 else image.shape[2]
-    codes = {1: cv2.COLOR_GRAY2RGB, 3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGB}
-    if image.dtype != np.uint8 or channels not in codes:
-        raise SequenceError(
-            f"{where}: images must have 8 or 16 bits and 1, 3 or 4 channels, got {image.dtype}, {channels} channel(s)"
-        )
-    return cv2.cvtColor(image, codes[channels])  # type: ignore[return-value]
-
-
 def _natural(name: str) -> list[tuple[int, int, str]]:
     """Key that puts frame 9 before frame 10, with or without leading zeros."""
     parts = re.split(r"([0-9]+)", name)
     return [(0, int(part), "") if part[:1].isdecimal() and part.isascii() else (1, 0, part) for part in parts if part]
-
-
-def _reason(error: cv2.error) -> str:
-    return " ".join(str(getattr(error, "err", "") or error).split())[:160]

@@ -10,11 +10,12 @@ from typing import Any
 import cv2
 from numpy.typing import NDArray
 
-from servotrack.envs.track.files.decoders import Decoder, find_decoder, to_rgb
-from servotrack.envs.track.files.recorded import SequenceError
+from servotrack.envs.track.files.decoders import Decoder, find_decoder
+from servotrack.envs.track.files.images import MAX_SIDE, to_rgb
+from servotrack.envs.track.files.recorded import MAX_FRAME, SequenceError
 from servotrack.estimators.types import Image
 
-SIDES = (8, 16384)
+SIDES = (8, MAX_SIDE)
 """Range of width and height for resized frames, px."""
 
 
@@ -23,8 +24,9 @@ class FrameSource:
 
     Every iteration starts at the first frame; only a camera continues. Frames are decoded one by one and not kept. Gray
     images get three equal channels, of 16-bit images the high byte is used, alpha is dropped, and the orientation tag
-    of a camera is not applied. If the size changes within a video, OpenCV resizes to the size of the first frame; in a
-    folder it is an error.
+    of a camera is not applied. If the size changes within a video, OpenCV 4.13 and later resize to the size of the
+    first frame, and earlier versions deliver damaged frames; in a folder it is an error. A frame has at most 16384 px
+    per side, an image file at most 1 GiB, and a sequence that is not live at most 10 million frames.
 
     Attributes:
         name: Name for titles and messages.
@@ -69,6 +71,8 @@ class FrameSource:
         try:
             decoder.open()
             while self._count is None or delivered < self._count:
+                if position == MAX_FRAME and not self.live:
+                    raise SequenceError(f"{self.name} holds more than {MAX_FRAME} frames; split it")
                 wanted = position >= self._start and (position - self._start) % self._stride == 0
                 if not wanted:
                     if not decoder.skip():
@@ -129,7 +133,8 @@ def open_frames(
 
     Args:
         source: Video file, folder of images (sorted by the numbers in their names), folder of a MOTChallenge sequence,
-            or index of a camera.
+            or index of a camera. A video file is one regular file in a container such as MP4, AVI, Matroska, MPEG or
+            Ogg; playlists and scripts that name other files are refused.
         width: Width to which frames are resized, px; None: follows from `height`, or no resizing.
         height: Height to which frames are resized, px; None: follows from `width`, or no resizing.
         start: First frame, counted from 0.

@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import configparser
+import io
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from servotrack.envs.track.files.recorded import RecordedTracks, SequenceError, TrackRows, check_file
+from servotrack.envs.track.files.bounded import parse_number, read_bounded
+from servotrack.envs.track.files.recorded import FRAME_RATES, MAX_ROWS, RecordedTracks, SequenceError, TrackRows
 from servotrack.estimators.detect.detections import Detections, detections_from_boxes
+from servotrack.estimators.types import Array, Labels
 
+MAX_TEXT = 1 << 30
+"""Largest accepted size of a file of rows, bytes."""
 _MAX_LINE = 4096
 _MAX_INI = 65536
+_INI_REMEDY = "it cannot be a seqinfo.ini; check the path"
+_TEXT_REMEDY = "split the file"
+_MAX_SIDE = 1e6
+_MAX_LENGTH = 1e12
 _TRACK_COLUMNS = 6
 _FLAG, _VISIBILITY = 6, 8
 _WITH_VISIBILITY = 9
@@ -84,12 +93,13 @@ def read_mot_tracks(path: str | Path) -> RecordedTracks:
 
     Args:
         path: File with rows of frame (from 1), id, left, top, width, height, and optionally flag, class and visibility.
+            At most 1 GiB, 10 million lines, and 5000 boxes in a frame.
 
     Returns:
         Tracks of all identities.
 
     Raises:
-        SequenceError: If the file is missing or not text, a row is invalid, or an id is twice in a frame.
+        SequenceError: If the file is missing, too large or not text, a row is invalid, or an id is twice in a frame.
     """
     file = Path(path)
     rows = TrackRows(file)
@@ -106,31 +116,46 @@ def read_mot_tracks(path: str | Path) -> RecordedTracks:
     return rows.finish()
 
 
-def read_mot_detections(path: str | Path) -> dict[int, Detections]:
+def read_mot_detections(path: str | Path) -> Mapping[int, Detections]:
     """Read the detections of a det.txt.
 
     Args:
-        path: File with rows of frame (from 1), -1, left, top, width, height, confidence (default 1).
+        path: File with rows of frame (from 1), -1, left, top, width, height, confidence (default 1). At most 1 GiB,
+            10 million lines, and 5000 boxes in a frame.
 
     Returns:
-        Detections by step (frame from 0); frames without detections are missing.
+        Detections by step (frame from 0), in increasing order; frames without detections are missing.
 
     Raises:
-        SequenceError: If the file is missing or not text, or a row is invalid.
+        SequenceError: If the file is missing, too large or not text, or a row is invalid.
     """
-    file = Path(path)
-    rows = TrackRows(file)
-    found: dict[int, list[tuple[float, ...]]] = {}
+    rows = TrackRows(Path(path))
     for line, values in _rows(rows):
         step = _whole(rows, line, "frame", values[0]) - 1
+        # The identity column, -1, has no meaning.
         confidence = values[_FLAG] if len(values) > _FLAG else 1.0
-        if not math.isfinite(confidence):
-            raise rows.fail(line, f"confidence must be finite, got {confidence:g}")
-        # The row passes the same checks as that of a track; the identity column, -1, has no meaning.
-        rows.add(line, step, 0, (values[2], values[3], values[4], values[5]), 1.0)
-        found.setdefault(step, []).append((*values[2:6], confidence))
-    arrays = {step: np.array(boxes) for step, boxes in found.items()}
-    return {step: detections_from_boxes(boxes[:, :4], boxes[:, 4]) for step, boxes in sorted(arrays.items())}
+        rows.add_detection(line, step, (values[2], values[3], values[4], values[5]), confidence)
+    return _DetectionsByFrame(*rows.by_frame())
+
+
+class _DetectionsByFrame(Mapping[int, Detections]):
+    """Detections made on access: one object per frame would need fifty times the memory of their numbers."""
+
+    def __init__(self, frames: Labels, bounds: Labels, rows: Array) -> None:
+        self._frames, self._bounds, self._rows = frames, bounds, rows
+
+    def __getitem__(self, frame: int) -> Detections:
+        at = int(np.searchsorted(self._frames, frame))
+        if at == len(self._frames) or self._frames[at] != frame:
+            raise KeyError(frame)
+        rows = self._rows[self._bounds[at] : self._bounds[at + 1]]
+        return detections_from_boxes(rows[:, :4], rows[:, 4])
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._frames.tolist())
+
+    def __len__(self) -> int:
+        return len(self._frames)
 
 
 def read_seqinfo(path: str | Path) -> SequenceInfo:
@@ -139,29 +164,25 @@ def read_seqinfo(path: str | Path) -> SequenceInfo:
     Raises:
         SequenceError: If the file is missing, has another format, or names an image folder outside the sequence.
     """
-    file = check_file(Path(path))
+    file = Path(path)
+    content = read_bounded(file, _MAX_INI, _INI_REMEDY)
     parser = configparser.ConfigParser(interpolation=None)
     try:
-        with file.open("rb") as handle:
-            content = handle.read(_MAX_INI + 1)
-        if len(content) > _MAX_INI:
-            raise SequenceError(f"{file} is larger than {_MAX_INI} bytes and cannot be a seqinfo.ini; check the path")
         parser.read_string(content.decode("utf-8-sig"), source=str(file))
         section = parser["Sequence"]
-    except (configparser.Error, UnicodeDecodeError, KeyError, OSError) as error:
+    except (configparser.Error, UnicodeDecodeError, KeyError) as error:
         reason = " ".join(str(error).split())
         raise SequenceError(f"{file} must have a section [Sequence] with lines key=value ({reason})") from error
     images = section.get("imDir", "img1").strip()
     if not images or "\0" in images or Path(images).is_absolute() or ".." in Path(images).parts:
         raise SequenceError(f"{file}: imDir must be a folder inside that of the sequence, got {images!r}")
-    length, width, height = (_number(file, section, key) for key in ("seqLength", "imWidth", "imHeight"))
     return SequenceInfo(
         section.get("name", file.parent.name).strip(),
         images,
-        _number(file, section, "frameRate"),
-        None if length is None else int(length),
-        None if width is None else int(width),
-        None if height is None else int(height),
+        _number(file, section, "frameRate", *FRAME_RATES),
+        _whole_number(file, section, "seqLength", _MAX_LENGTH),
+        _whole_number(file, section, "imWidth", _MAX_SIDE),
+        _whole_number(file, section, "imHeight", _MAX_SIDE),
     )
 
 
@@ -217,27 +238,29 @@ def write_seqinfo(path: str | Path, info: SequenceInfo) -> None:
 
 def _rows(rows: TrackRows) -> Iterator[tuple[int, list[float]]]:
     """Yield line number and values of every row that is not blank. The length of lines is limited, to limit memory."""
-    path = check_file(rows.path)
-    try:
-        with path.open("rb") as handle:
-            line = 0
-            while content := handle.readline(_MAX_LINE + 1):
-                line += 1
-                if len(content) > _MAX_LINE:
-                    raise rows.fail(
-                        line, f"lines must be shorter than {_MAX_LINE} bytes; the file is not in MOTChallenge format"
-                    )
-                if line == 1:
-                    content = content.removeprefix(b"\xef\xbb\xbf")
-                if content.strip():
-                    yield line, _numbers_of(rows, line, content)
-    except OSError as error:
-        raise SequenceError(f"{path} cannot be read ({error.strerror}); check its permissions") from error
+    stream = io.BytesIO(read_bounded(rows.path, MAX_TEXT, _TEXT_REMEDY))
+    line = 0
+    while content := stream.readline(_MAX_LINE + 1):
+        line += 1
+        if line > MAX_ROWS:
+            raise rows.fail(line, f"a file must hold at most {MAX_ROWS} lines; {_TEXT_REMEDY}")
+        if len(content) > _MAX_LINE:
+            raise rows.fail(
+                line, f"lines must be shorter than {_MAX_LINE} bytes; the file is not in MOTChallenge format"
+            )
+        if line == 1:
+            content = content.removeprefix(b"\xef\xbb\xbf")
+        if content.strip():
+            yield line, _numbers_of(rows, line, content)
 
 
 def _numbers_of(rows: TrackRows, line: int, content: bytes) -> list[float]:
-    parts = content.strip().rstrip(b",").split(b",") if b"," in content else content.split()
+    row = content.strip()
+    parts = row.rstrip(b",").split(b",") if b"," in row else row.split()
     try:
+        # Two rows in one line, of a file without line feeds, would lose the second; Python's parser takes 1_0 for 10.
+        if b"\r" in row or b"_" in row:
+            raise ValueError
         values = [float(part) for part in parts]
     except ValueError:
         shown = content.strip()[:60].decode("ascii", "backslashreplace")
@@ -255,14 +278,24 @@ def _whole(rows: TrackRows, line: int, name: str, value: float) -> int:
     return int(value)
 
 
-def _number(path: Path, section: configparser.SectionProxy, key: str) -> float | None:
+def _number(path: Path, section: configparser.SectionProxy, key: str, lowest: float, highest: float) -> float | None:
     text = section.get(key)
     if text is None:
         return None
     try:
-        value = float(text)
+        value = parse_number(text)
     except ValueError:
         value = math.nan
-    if not (math.isfinite(value) and 0.0 < value <= 1e12):
-        raise SequenceError(f"{path}: {key} must be a positive number, got {text!r}; correct the line or delete it")
+    if not lowest <= value <= highest:
+        raise SequenceError(
+            f"{path}: {key} must be a positive number from {lowest:g} to {highest:g}, got {text[:40]!r}; "
+            "correct the line or delete it"
+        )
     return value
+
+
+def _whole_number(path: Path, section: configparser.SectionProxy, key: str, highest: float) -> int | None:
+    value = _number(path, section, key, 1.0, highest)
+    if value is not None and not value.is_integer():
+        raise SequenceError(f"{path}: {key} must be a whole number, got {value:g}; correct the line or delete it")
+    return None if value is None else int(value)

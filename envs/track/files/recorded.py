@@ -19,6 +19,10 @@ MAX_FRAME = 10_000_000
 """Number of accepted frames (four days at 25 frames per second). Larger frame numbers are rejected as errors."""
 MAX_ROWS = 10_000_000
 """Maximum number of boxes in a file."""
+FRAME_RATES = (0.1, 1000.0)
+"""Range of plausible frame rates, frames per second."""
+MAX_IN_FRAME = 5000
+"""Maximum number of boxes in a frame. Trackers need time and memory in proportion to its square."""
 MAX_PIXELS = 1e6
 """Largest accepted coordinate or size of a box, px."""
 _MAX_ID = 2**53
@@ -129,19 +133,40 @@ class TrackRows:
         Raises:
             SequenceError: If a number is out of its range or there are too many rows.
         """
-        if not 0 <= step < MAX_FRAME:
-            raise self.fail(line, f"frame must be one of the first {MAX_FRAME}, got {step} (counted from 0)")
         if not 0 <= identity < _MAX_ID:
             raise self.fail(line, f"ids of tracks must be whole numbers of at least 0, got {identity}")
-        self.check_box(line, box)
         if not 0.0 <= visible <= 1.0:
             raise self.fail(line, f"visibility must lie in [0, 1], got {visible:g}")
+        self._append(line, step, identity, box, visible)
+
+    def add_detection(self, line: int, step: int, box: tuple[float, float, float, float], confidence: float) -> None:
+        """Add one box without identity.
+
+        Args:
+            line: Line number in the file.
+            step: Frame, from 0.
+            box: Left, top, width, height, px.
+            confidence: Confidence, on any scale.
+
+        Raises:
+            SequenceError: If a number is out of its range or there are too many rows.
+        """
+        if not math.isfinite(confidence):
+            raise self.fail(line, f"confidence must be finite, got {confidence:g}")
+        self._append(line, step, 0, box, confidence)
+
+    def _append(
+        self, line: int, step: int, identity: int, box: tuple[float, float, float, float], value: float
+    ) -> None:
+        if not 0 <= step < MAX_FRAME:
+            raise self.fail(line, f"frame must be one of the first {MAX_FRAME}, got {step} (counted from 0)")
+        self._check_box(line, box)
         if len(self._keys) >= 3 * MAX_ROWS:
             raise self.fail(line, f"a file must hold at most {MAX_ROWS} boxes; split the file")
-        self._values.extend((*box, visible))
+        self._values.extend((*box, value))
         self._keys.extend((identity, step, line))
 
-    def check_box(self, line: int, box: tuple[float, float, float, float]) -> None:
+    def _check_box(self, line: int, box: tuple[float, float, float, float]) -> None:
         """Raise SequenceError if a box is not finite, far outside any image, or of negative size."""
         if not all(math.isfinite(value) and abs(value) <= MAX_PIXELS for value in box):
             raise self.fail(line, f"boxes must be finite, within {MAX_PIXELS:g} px, got {_numbers(box)}")
@@ -152,10 +177,9 @@ class TrackRows:
         """Return the tracks.
 
         Raises:
-            SequenceError: If an identity is twice in a frame.
+            SequenceError: If an identity is twice in a frame, or a frame holds too many boxes.
         """
-        keys = np.array(self._keys, dtype=np.int64).reshape(-1, 3)
-        values = np.array(self._values, dtype=np.float64).reshape(-1, 5)
+        keys, values = self._arrays()
         order = np.lexsort((keys[:, 2], keys[:, 1], keys[:, 0]))
         keys, values = keys[order], values[order]
         twice = np.flatnonzero((np.diff(keys[:, 0]) == 0) & (np.diff(keys[:, 1]) == 0))
@@ -172,18 +196,32 @@ class TrackRows:
             [values[part, 4].copy() for part in parts],
         )
 
+    def by_frame(self) -> tuple[Labels, Labels, Array]:
+        """Return the boxes in the order of their frames, and of the file within a frame.
 
-def check_file(path: Path) -> Path:
-    """Return the path if it is a file, else raise SequenceError."""
-    if path.is_dir():
-        raise SequenceError(f"{path} is a folder; give the path of a file")
-    try:
-        there = path.is_file()
-    except (OSError, ValueError) as error:
-        raise SequenceError(f"{str(path)!r} cannot be a file ({error})") from error
-    if not there:
-        raise SequenceError(f"{path} does not exist or is not a regular file; check the path")
-    return path
+        Returns:
+            frames: Frames with boxes, from 0, increasing, shape (f,).
+            bounds: Index of the first box of each frame, then the number of boxes, shape (f + 1,).
+            rows: Left, top, width, height, px, and visible share or confidence, shape (n, 5).
+
+        Raises:
+            SequenceError: If a frame holds too many boxes.
+        """
+        keys, values = self._arrays()
+        order = np.argsort(keys[:, 1], kind="stable")
+        frames, starts = np.unique(keys[order, 1], return_index=True)
+        return frames, np.append(starts, len(keys)), values[order]
+
+    def _arrays(self) -> tuple[Labels, Array]:
+        keys = np.array(self._keys, dtype=np.int64).reshape(-1, 3)
+        frames, counts = np.unique(keys[:, 1], return_counts=True)
+        if len(counts) and counts.max() > MAX_IN_FRAME:
+            frame = int(frames[np.argmax(counts)])
+            raise SequenceError(
+                f"{self.path}: frame {frame} (counted from 0) holds {counts.max()} boxes, the limit is {MAX_IN_FRAME}; "
+                "keep the most confident ones"
+            )
+        return keys, np.array(self._values, dtype=np.float64).reshape(-1, 5)
 
 
 def _numbers(box: tuple[float, float, float, float]) -> str:

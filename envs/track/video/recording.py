@@ -29,6 +29,8 @@ _DEFAULT_FRAME_RATE = 25.0
 _RENDERED_FRAMES, _RENDERED_EMPTY = 60, 10
 """Number of frames of the rendered sequence, and of empty ones at its start."""
 _RENDERED_SEED = 0
+_MAX_BOXES = 20_000_000
+"""Largest number of rows of all frames together, about 1 GB: frames times boxes of the fullest frame."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ def load_recording(config: VideoConfig) -> Recording:
     if config.source is None:
         return _rendered(config)
     sequence = find_mot_folder(str(config.source)) if Path(str(config.source)).is_dir() else None
-    found: dict[int, Detections] = {}
+    found: Mapping[int, Detections] = {}
     if config.observation == "detections":
         if sequence is None or sequence.detections is None:
             raise SequenceError(
@@ -195,6 +197,7 @@ def _truth_arrays(people: Mapping[int, PeopleInFrame], numbers: range, scale: Ar
     inside = {k: people[number] for k, number in enumerate(numbers) if number in people}
     names = np.unique(np.concatenate([who.ids for who in inside.values()] or [np.zeros(0, np.int64)]))
     most = max((len(who.ids) for who in inside.values()), default=0)
+    _check_rows("truth", len(numbers), most)
     ids, boxes = np.zeros((len(numbers), most), np.int64), np.zeros((len(numbers), most, 4))
     visibility = np.zeros((len(numbers), most))
     for k, who in inside.items():
@@ -206,7 +209,7 @@ def _truth_arrays(people: Mapping[int, PeopleInFrame], numbers: range, scale: Ar
 
 def _detections(
     config: VideoConfig,
-    found: dict[int, Detections],
+    found: Mapping[int, Detections],
     numbers: range,
     scale: tuple[float, float],
     size: tuple[int, int],
@@ -214,13 +217,23 @@ def _detections(
     """Return the observed sets of detections, clipped to `detection_bounds`."""
     least = -math.inf if config.least_confidence is None else config.least_confidence
     kept = {step: one.boxes[one.confidences >= least] for step, one in found.items()}
-    sets = np.zeros((len(numbers), max([1, *(len(boxes) for boxes in kept.values())]), 5))
+    most = max([1, *(len(boxes) for boxes in kept.values())])
+    _check_rows("detections", len(numbers), most)
+    sets = np.zeros((len(numbers), most, 5))
     low, high = detection_bounds(*size)
     for k, number in enumerate(numbers):
         boxes = kept.get(number, np.zeros((0, 4)))
         sets[k, : len(boxes), 0] = 1.0
         sets[k, : len(boxes), 1:] = np.clip(boxes * [*scale, *scale], low, high)
     return sets
+
+
+def _check_rows(name: str, frames: int, most: int) -> None:
+    if frames * most > _MAX_BOXES:
+        raise SequenceError(
+            f"{name}: {frames} frames of up to {most} boxes need {frames * most} rows, the limit is {_MAX_BOXES}; "
+            "set a smaller horizon"
+        )
 
 
 def detection_bounds(width: int, height: int) -> tuple[list[float], list[float]]:
