@@ -123,12 +123,22 @@ class Alignment:
                 f"the state holds {state.history_time.shape[-1]} readings, this alignment keeps history={self.history}"
                 "; make a new state with initial(measurement)"
             )
-        backwards = measurement.time < newest
-        if backwards.any():
-            raise ValueError(
-                f"time must not go backwards, got {first_bad(measurement.time, backwards)} after "
-                f"{first_bad(newest, backwards)}; start a new episode with initial(measurement)"
-            )
+        check_clock(measurement.time, newest, "start a new episode with initial(measurement)")
+
+
+def check_clock(time: Array, newest: Array, remedy: str) -> None:
+    """Raise ValueError if a clock went backwards.
+
+    Args:
+        time: Present time. Any shape, s.
+        newest: Time of the last measurement, -inf before the first. The same shape.
+        remedy: End of the message.
+    """
+    backwards = time < newest
+    if backwards.any():
+        raise ValueError(
+            f"time must not go backwards, got {first_bad(time, backwards)} after {first_bad(newest, backwards)}; {remedy}"
+        )
 
 
 def present_estimate(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard, load_card
 from servotrack.baselines.agents.learned.contract import Encoding
 from servotrack.baselines.agents.learned.encoding import create_encoding
-from servotrack.baselines.agents.learned.marker_network import MarkerNetwork
+from servotrack.baselines.agents.learned.marker_network import MARKER, MarkerNetwork
 from servotrack.baselines.agents.learned.network import OnnxNetwork
 from servotrack.baselines.agents.learned.shipped import shipped_file
 from servotrack.baselines.agents.memory import remembered
@@ -21,7 +21,8 @@ from servotrack.baselines.agents.registry import create_agent
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo
 from servotrack.baselines.agents.servo.pixel_servo import PixelServo
 from servotrack.baselines.worlds import public_attribute
-from servotrack.estimators.types import FloatArray, Mask
+from servotrack.estimators.jacobian.alignment import check_clock
+from servotrack.estimators.types import Array, FloatArray, Mask
 
 if TYPE_CHECKING:
     from servotrack.baselines.agents.learned.set_prediction import SetPredictor
@@ -34,11 +35,13 @@ class LearnedState(NamedTuple):
         encoding: Memory of the encoding.
         network: Memory of the network. Shape (N, M).
         action: Last action. Shape (N, *action).
+        time: Time of the last observation, -inf before the first and without a clock. Shape (N,), s.
     """
 
     encoding: Any
     network: FloatArray
     action: NDArray[Any]
+    time: Array
 
 
 class LearnedAgent:
@@ -73,6 +76,8 @@ class LearnedAgent:
         space: Any = observation_space
         parts = space.items() if isinstance(space, spaces.Dict) else [(None, space)]
         self._shapes: dict[str | None, tuple[int, ...]] = {key: part.shape or () for key, part in parts}
+        # Other environments may mean something else by `time`.
+        self._has_clock = all(self._shapes.get(key) == (1,) for key in ("time", "frame_time"))
 
     def predict(
         self,
@@ -93,20 +98,23 @@ class LearnedAgent:
             Actions with the observation's leading axis, and the new state.
 
         Raises:
-            ValueError: An entry of the observation that is missing, has another shape, or makes the row non-finite.
+            ValueError: An entry of the observation that is missing, has another shape, or makes the row non-finite; or
+                a clock that went backwards.
+            AgentFileError: The network fails, or its answer is not finite.
         """
         lead = self._leading_axis(observation)
         single, count = not lead, lead[0] if lead else 1
         if single:
             observation = _with_leading_axis(observation)
         state = remembered(state, episode_start, (count,), lambda: self._initial(observation, count))
+        time = self._clock(observation, state.time)
         memory, rows = self._encoding.step(state.encoding, observation, state.action)
         if not np.isfinite(rows).all():
             raise ValueError(_non_finite_entry(observation))
         answer, carried = self.network(rows, state.network)
         memory, action = self._encoding.act(memory, answer)
         action = np.clip(action, self._low, self._high)
-        return action[0] if single else action, LearnedState(memory, carried, action)
+        return action[0] if single else action, LearnedState(memory, carried, action, time)
 
     def _leading_axis(self, observation: Any) -> tuple[int, ...]:
         """Return () for a single observation, (N,) for N of them; all entries must have the shapes of the space."""
@@ -123,11 +131,22 @@ class LearnedAgent:
             lead = found
         return lead or ()
 
+    def _clock(self, observation: Any, before: Array) -> Array:
+        """Return the time of a batch of observations after checking it; without a clock, the time before."""
+        if not self._has_clock:
+            return before
+        time = np.asarray(observation["time"], np.float64)[:, 0]
+        if not np.isfinite(time).all():
+            raise ValueError(_non_finite_entry(observation))
+        check_clock(time, before, "mark the first observation of an episode by episode_start")
+        return time
+
     def _initial(self, observation: Any, count: int) -> LearnedState:
         return LearnedState(
             self._encoding.initial(observation),
             np.zeros((count, self.network.memory), np.float32),
             np.zeros((count, *self._low.shape), self._low.dtype),
+            np.full(count, -np.inf),
         )
 
 
@@ -165,8 +184,8 @@ def create_learned_agent(
     """
     file = shipped_file(name, env) if path is None and name is not None else Path(str(path))
     card = load_card(file)
-    if card.encoding.get("kind") == "marker":
-        servo = create_agent(str(card.encoding.get("servo")), env)
+    if card.encoding.get("kind") == MARKER:
+        servo = create_agent(card.encoding["servo"], env)
         if not isinstance(servo, PixelServo):
             raise AgentFileError(f"{file} detects markers in images, which this environment does not observe")
         return PixelServo(servo.servo, MarkerNetwork(file.parent / card.network, card))

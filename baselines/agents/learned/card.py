@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields
+import reprlib
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
+from servotrack.baselines.agents.learned.card_fields import check_card
 from servotrack.baselines.agents.protocol import Information
-from servotrack.baselines.reporting.files import ResultsError, read_document
+from servotrack.baselines.reporting.files import ResultsError, read_bounded
+from servotrack.baselines.reporting.strict import parse_json
 from servotrack.baselines.worlds import describe_environment
 
 FORMAT = "servotrack-agent"
 FORMAT_VERSION = 1
 LARGEST_CARD = 2_000_000
 """Largest accepted size of a card, bytes."""
+_REMEDY = "give the .json that `servotrack train` wrote"
 
 
 class AgentFileError(ResultsError):
@@ -73,50 +76,36 @@ class LearnedCard:
         return json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION, **asdict(self)}, indent=1) + "\n"
 
 
-_TYPES: Mapping[str, type] = {
-    "name": str, "summary": str, "env_id": str, "env_kwargs": dict, "encoding": dict, "network": str, "sha256": str,
-    "memory": int, "information": str, "levels": list, "steps": int, "training": dict,
-}  # fmt: skip
-
-
 def load_card(path: Path) -> LearnedCard:
-    """Read and check a card.
+    """Read and check a card. It is data: no name in it is imported, and no path in it is opened.
 
     Args:
-        path: A JSON file, or the ONNX file beside it.
+        path: A JSON file, or the ONNX file beside it. A regular file, not a symbolic link.
 
     Raises:
-        AgentFileError: A missing or invalid card; the message gives the reason.
+        AgentFileError: A missing or invalid card; the message names the file, the field and its bounds.
     """
     path = path.with_suffix(".json")
-    if path.is_file() and path.stat().st_size > LARGEST_CARD:
-        raise AgentFileError(f"{path} has {path.stat().st_size} bytes, more than the {LARGEST_CARD} allowed for a card")
     try:
-        document = read_document(
-            path, FORMAT, FORMAT_VERSION, "no card of a learned agent", "give the .json that `servotrack train` wrote"
-        )
-    except AgentFileError:
-        raise
+        document = parse_json(read_bounded(path, LARGEST_CARD, follow=False))
     except ResultsError as error:
         raise AgentFileError(str(error)) from error
+    except ValueError as error:
+        raise AgentFileError(f"{path} is not valid JSON ({error}); {_REMEDY}") from error
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise AgentFileError(f"{path} is no card of a learned agent; {_REMEDY}")
+    version = document.get("format_version")
+    if type(version) is not int or version != FORMAT_VERSION:
+        raise AgentFileError(
+            f"{path} has format version {reprlib.repr(version)}, this servotrack reads {FORMAT_VERSION}; use the "
+            f"servotrack that wrote it, or {_REMEDY}"
+        )
     content = {name: value for name, value in document.items() if name not in ("format", "format_version")}
-    required = {f.name for f in fields(LearnedCard) if f.default is MISSING and f.default_factory is MISSING}
-    if wrong := [*(required - set(content)), *(set(content) - set(_TYPES))]:
-        raise AgentFileError(f"{path} has missing or unknown fields {', '.join(sorted(wrong))}")
-    for name, value in content.items():
-        if not isinstance(value, _TYPES[name]) or isinstance(value, bool):
-            raise AgentFileError(f"{path}: {name} must be a {_TYPES[name].__name__}, got {value!r}")
-    card = LearnedCard(**content)
-    if card.information not in get_args(Information):
-        known = ", ".join(get_args(Information))
-        raise AgentFileError(f"{path}: information must be one of {known}, got {card.information!r}")
-    if Path(card.network).name != card.network:
-        raise AgentFileError(f"{path}: network must be a file name in the card's own folder, got {card.network!r}")
-    if not all(type(level) is int for level in card.levels):
-        raise AgentFileError(f"{path}: levels must be whole numbers, got {card.levels!r}")
-    if card.memory < 0 or card.steps < 0:
-        raise AgentFileError(f"{path}: memory and steps must be >= 0, got {card.memory} and {card.steps}")
-    return card
+    try:
+        check_card(content)
+    except ValueError as error:
+        raise AgentFileError(f"{path}: {error}") from error
+    return LearnedCard(**content)
 
 
 def digest(content: bytes) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from servotrack.baselines.agents.learned.card_fields import check_encoding
 from servotrack.baselines.agents.learned.contract import Encoding, PlainAnswers
 from servotrack.baselines.agents.learned.marker_network import open_marker_network
 from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
@@ -232,21 +233,22 @@ def create_encoding(settings: Mapping[str, Any], env: Any, folder: Path | None =
         settings: `kind` ("servo", "steering" or "flat"); `frames`, number of rows to stack, 1 for none; `residual`,
             name of a classical servo whose action the network corrects; `eyes`, name of a marker network for image
             observations; `follower`, name of an agent that identifies the person to follow; and the arguments of the
-            kind.
+            kind. They may come from a file: names are those of fixed tables, never `module:callable` or a path.
         env: A Gymnasium environment or vector environment.
-        folder: Folder that is searched for marker networks before the package's own.
+        folder: Folder of the card, which is searched for marker networks before the package's own.
 
     Raises:
-        ValueError: An unknown kind, keyword or servo, or a space that the kind does not support.
+        ValueError: An unknown kind, field or name, a value out of bounds, or a space that the kind does not support.
         AgentFileError: A missing or invalid marker network.
     """
+    check_encoding(settings)
     space = getattr(env, "single_observation_space", env.observation_space)
     if "follower" in settings:
         # Imported here because it loads the set filters and OpenCV.
         from servotrack.baselines.agents.learned.follow_corrector import behind_follower
 
         behind = {key: value for key, value in settings.items() if key != "follower"}
-        return behind_follower(str(settings["follower"]), env, lambda seen: _of_features(behind, env, seen))
+        return behind_follower(settings["follower"], env, lambda seen: _of_features(behind, env, seen))
     if "eyes" not in settings:
         return _of_features(settings, env, space)
     if not set(PIXEL_KEYS) <= set(getattr(space, "spaces", ())):
@@ -254,36 +256,28 @@ def create_encoding(settings: Mapping[str, Any], env: Any, folder: Path | None =
     parts = {key: part for key, part in space.spaces.items() if key != "image"}
     seen = spaces.Dict({**parts, "features": parts["goal"], "visible": spaces.Box(0.0, 1.0, (1,))})
     encoding = _of_features({key: value for key, value in settings.items() if key != "eyes"}, env, seen)
-    return MarkerEncoding(MarkerFeatures(open_marker_network(str(settings["eyes"]), folder)), encoding)
+    return MarkerEncoding(MarkerFeatures(open_marker_network(settings["eyes"], folder)), encoding)
 
 
 def _of_features(settings: Mapping[str, Any], env: Any, space: spaces.Space[Any]) -> Encoding:
     given = dict(settings)
     kind, frames, residual = given.pop("kind", "flat"), given.pop("frames", 1), given.pop("residual", None)
     if kind == "servo":
-        try:
-            encoding: Encoding = ServoEncoding(**given)
-        except TypeError as error:
-            known = ", ".join(asdict(ServoEncoding()))
-            raise ValueError(f"encoding servo takes kind, frames, residual, {known}, got {dict(settings)!r}") from error
+        encoding: Encoding = ServoEncoding(**given)
         ServoEncoding.check(space)
     elif kind == "steering":
-        if given:
-            raise ValueError(f"encoding steering takes kind and frames, got {dict(settings)!r}")
         from servotrack.baselines.agents.learned.filter_steering import create_steering
 
         encoding = create_steering(env)
     elif kind == "flat":
-        if given:
-            raise ValueError(f"encoding flat takes kind, frames and residual, got {dict(settings)!r}")
         encoding = FlatEncoding.of(space)
     else:
         raise ValueError(f"encoding must be of kind servo, steering or flat, got {kind!r}")
     if frames != 1:
-        encoding = Stacked(encoding, int(frames))
+        encoding = Stacked(encoding, frames)
     if residual is None:
         return encoding
-    servo = create_agent(str(residual), env)
+    servo = create_agent(residual, env)
     if not isinstance(servo, JacobianServo):
         raise ValueError(f"residual must name a classical servo of features, got {residual!r}")
     return Residual(encoding, servo)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.baselines.agents.learned.card_fields import check_encoding
 from servotrack.baselines.agents.learned.servo_encoding import ERROR_UNIT, ServoEncoding, ServoMemory
 from servotrack.baselines.agents.servo.catalog import LAWS
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo
@@ -114,16 +115,12 @@ def jacobian_encoding(settings: Mapping[str, Any]) -> tuple[ServoEncoding, str]:
     """Return the encoding and the law that a card or a file of hyper-parameters describes.
 
     Raises:
-        ValueError: An unknown keyword or law.
+        ValueError: An unknown field or law, or a value out of bounds.
     """
+    check_encoding(settings)
     given = {key: value for key, value in settings.items() if key != "kind"}
     law = str(given.pop("law", DEFAULT_LAW))
-    if law not in LAWS:
-        raise ValueError(f"law must be one of {', '.join(LAWS)}, got {law!r}")
-    try:
-        return ServoEncoding(**given), law
-    except TypeError as error:
-        raise ValueError(f"encoding jacobian takes kind, law, lags, ages, got {dict(settings)!r}") from error
+    return ServoEncoding(**given), law
 
 
 def create_learned_servo(estimator: LearnedJacobian, env: Any, law: str) -> JacobianServo:

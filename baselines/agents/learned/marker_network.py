@@ -8,10 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard, load_card
-from servotrack.baselines.agents.learned.network import open_session
+from servotrack.baselines.agents.learned.network import NetworkSession
+from servotrack.baselines.agents.learned.onnx_file.check import Row
+from servotrack.baselines.agents.learned.onnx_file.reader import FLOAT, TYPES, UINT8
 from servotrack.baselines.agents.learned.shipped import SHIPPED
 from servotrack.estimators.types import Array, Mask
 
+MARKER = "marker"
+"""Kind of the encoding in the card of a marker network."""
 IMAGE, PLACE, SEEN = "image", "place", "seen"
 
 
@@ -28,17 +32,13 @@ class MarkerNetwork:
     """
 
     def __init__(self, path: Path, card: LearnedCard) -> None:
-        self._session = open_session(path, card)
-        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
-        shapes = {value.name: (value.type, list(value.shape)[1:]) for value in (*inputs, *outputs)}
-        size = card.encoding.get("image_size")
-        wanted = {
-            IMAGE: ("tensor(uint8)", [size, size, 3]),
-            PLACE: ("tensor(float)", [2]),
-            SEEN: ("tensor(float)", []),
-        }
-        if shapes != wanted or [value.name for value in inputs] != [IMAGE]:
-            raise AgentFileError(f"{path} must map image to place and seen, {wanted}, got {shapes}")
+        self._session = NetworkSession(path, card)
+        form, size = self._session.form, int(card.encoding.get("image_size", 0))
+        wanted = {IMAGE: Row(UINT8, (size, size, 3))}, {PLACE: Row(FLOAT, (2,)), SEEN: Row(FLOAT, ())}
+        if (form.inputs, form.outputs) != wanted:
+            names = {IMAGE: ("uint8", size, size, 3), PLACE: ("float32", 2), SEEN: ("float32",)}
+            found = {name: (TYPES[row.kind].name, *row.shape) for name, row in {**form.inputs, **form.outputs}.items()}
+            raise AgentFileError(f"{path} must map image to place and seen, with rows {names}, got {found}")
         self._path, self._size = path, size
 
     def detect(self, images: ArrayLike) -> tuple[Array, Mask]:
@@ -69,14 +69,21 @@ def open_marker_network(name: str, folder: Path | None = None) -> MarkerNetwork:
     """Open a marker network by name.
 
     Args:
-        name: Name of its card without the suffix, or the card's path.
-        folder: Folder that is searched before the package's own networks.
+        name: Name of its card without folder and suffix.
+        folder: Folder that is searched before the package's own networks; None: the working directory, behind them.
 
     Raises:
-        AgentFileError: No such card, or an invalid one.
+        AgentFileError: No such card, an invalid one, or one of another kind.
     """
-    file = f"{name.removesuffix('.json')}.json"
-    places = [Path(file), *([folder / file] if folder else []), SHIPPED / file]
-    path = next((place for place in places if place.is_file()), places[-1])
+    folders = [SHIPPED, Path()] if folder is None else [folder, SHIPPED]
+    places = [place / f"{name}.json" for place in folders]
+    path = next((place for place in places if place.is_file()), None)
+    if path is None:
+        raise AgentFileError(
+            f"encoding.eyes names {name!r}, but {' and '.join(map(str, places))} are missing; put the marker network's "
+            "card and its .onnx file there"
+        )
     card = load_card(path)
+    if card.encoding.get("kind") != MARKER:
+        raise AgentFileError(f"encoding.eyes names {path}, which is not the card of a marker network")
     return MarkerNetwork(path.parent / card.network, card)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from servotrack.baselines.agents.learned.card_fields import check_encoding
 from servotrack.baselines.agents.memory import remembered
 from servotrack.baselines.agents.row_reservation import RESERVED_SCANS, ReservedRows, allocate_rows, no_rows
 from servotrack.baselines.agents.set_observer import POSITION
@@ -69,12 +70,13 @@ class SetWindow:
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> SetWindow:
-        """Create the window that a card or a file of hyper-parameters describes."""
-        given = {key: value for key, value in settings.items() if key != "kind"}
-        try:
-            return cls(**given)
-        except TypeError as error:
-            raise ValueError(f"encoding set takes {', '.join(asdict(cls()))}, got {given!r}") from error
+        """Create the window that a card or a file of hyper-parameters describes.
+
+        Raises:
+            ValueError: An unknown field, or a value out of bounds.
+        """
+        check_encoding(settings)
+        return cls(**{key: value for key, value in settings.items() if key != "kind"})
 
 
 class ScanHistory(NamedTuple):

@@ -81,15 +81,15 @@ def test_a_card_says_all_again(tmp_path: Path) -> None:
 
 
 BAD_NETWORKS: dict[str, tuple[Callable[[], bytes], str]] = {
-    "text": (lambda: b"import os; os.system('true')", "cannot be run by onnxruntime"),
-    "empty": (lambda: b"", "cannot be run by onnxruntime"),
-    "truncated": (lambda: network()[:200], "cannot be run by onnxruntime"),
+    "text": (lambda: b"import os; os.system('true')", "not ONNX"),
+    "empty": (lambda: b"", "ir_version must lie in"),
+    "truncated": (lambda: network()[:200], "truncated"),
     "foreign operator": (lambda: network(domain="org.example"), "org.example"),
-    "too large": (lambda: bytes(LARGEST_NETWORK + 1), "at most"),
+    "too large": (lambda: bytes(LARGEST_NETWORK + 1), f"more than {LARGEST_NETWORK} bytes"),
     "other input": (lambda: network(name="pixels"), "observation"),
     "other rows": (lambda: network(rows=5), "reads rows of 5"),
     "other actions": (lambda: network(actions=3), "gives 3 numbers"),
-    "whole numbers": (lambda: network(dtype=11), "float32|onnxruntime"),
+    "double precision": (lambda: network(dtype=11), "type float32"),
 }
 
 
@@ -107,7 +107,7 @@ def test_a_network_that_refers_to_other_files_is_refused(tmp_path: Path, env: An
         model, str(tmp_path / "linear.onnx"), save_as_external_data=True, location="weights.bin", size_threshold=0
     )
     path = write(tmp_path, (tmp_path / "linear.onnx").read_bytes())
-    with pytest.raises(AgentFileError, match="cannot be run by onnxruntime"):
+    with pytest.raises(AgentFileError, match="external_data, which is not allowed"):
         create_learned_agent(env, str(path))
 
 
@@ -126,21 +126,21 @@ def test_a_network_that_is_not_the_card_s_is_refused(tmp_path: Path, env: Any) -
     [
         ({"format": "pickle"}, "no card of a learned agent"),
         ({"format_version": 9}, "version 9"),
-        ({"encoding": None}, "encoding must be a dict"),
-        ({"steps": -1}, ">= 0"),
-        ({"steps": True}, "steps must be a int"),
-        ({"memory": 1.5}, "memory must be a int"),
+        ({"encoding": None}, "encoding must be a mapping"),
+        ({"steps": -1}, "steps must be a whole number in 0 to"),
+        ({"steps": True}, "steps must be a whole number"),
+        ({"memory": 1.5}, "memory must be a whole number"),
         ({"information": "everything"}, "information must be one of"),
         ({"network": "../linear.onnx"}, "own folder"),
         ({"surprise": 1}, "surprise"),
         ({"memory": 8}, "memory"),
-        ({"encoding": {"kind": "wavelets"}}, "kind servo, steering or flat"),
+        ({"encoding": {"kind": "wavelets"}}, "encoding.kind must be one of flat, servo"),
         ({"encoding": {"kind": "jacobian"}}, "a Jacobian needs"),
         ({"encoding": {"kind": "jacobian", "law": "bang-bang"}}, "law must be one of"),
         ({"encoding": {"kind": "set"}}, "scene_model` is a SceneModel"),
         ({"encoding": {"kind": "steering"}}, "scene_model` is a SceneModel"),
         ({"encoding": {"kind": "servo", "follower": "phd-servo"}}, "does not fit this environment"),
-        ({"levels": ["all"]}, "levels must be whole numbers"),
+        ({"levels": ["all"]}, r"levels\[0\] must be a whole number"),
         ({"levels": 3}, "levels must be a list"),
     ],
 )
@@ -190,7 +190,7 @@ def test_a_set_predictor_s_network_has_to_fit_its_window(tmp_path: Path) -> None
     with pytest.raises(AgentFileError, match="its window needs"):
         create_learned_agent(env, str(write(tmp_path, network(), encoding={"kind": "set"}, **fields)))
     with pytest.raises(AgentFileError, match="`asked` <= scans"):
-        settings = {"kind": "set", "asked": 0}
+        settings = {"kind": "set", "scans": 2}
         create_learned_agent(env, str(write(tmp_path, network(SetWindow().size, 5), encoding=settings, **fields)))
 
 

@@ -73,12 +73,12 @@ def test_features_of_the_person_may_be_read_flat() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({**SETTINGS, "follower": "kf"}, "choose|PedestrianServo|needs an environment"),
-        ({**SETTINGS, "kind": "steering"}, "encoding steering takes"),
-        ({"kind": "steering", "follower": "phd-servo"}, "scene_model` is a SceneModel"),
+        ({**SETTINGS, "follower": "kf"}, "encoding.follower must be the name of an agent that follows"),
+        ({**SETTINGS, "kind": "steering"}, "is not a known field; known are kind, frames"),
+        ({"kind": "steering", "follower": "phd-servo"}, "encoding.follower is not a known field"),
         ({**SETTINGS, "residual": "kf"}, "choose|PedestrianServo|needs an environment"),
-        ({**SETTINGS, "colors": 3}, "encoding servo takes"),
-        ({**SETTINGS, "follower": "random"}, "follower must name an agent that follows"),
+        ({**SETTINGS, "colors": 3}, "encoding.colors is not a known field"),
+        ({**SETTINGS, "follower": "random"}, "encoding.follower must be the name of an agent that follows"),
     ],
 )
 def test_settings_that_do_not_fit_are_refused(settings: dict[str, Any], message: str) -> None:

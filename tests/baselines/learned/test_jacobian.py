@@ -109,8 +109,8 @@ def test_one_arm_or_many() -> None:
     ("settings", "message"),
     [
         ({"kind": "jacobian", "law": "bang-bang"}, "law must be one of"),
-        ({"kind": "jacobian", "frames": 3}, "encoding jacobian takes"),
-        ({"kind": "jacobian", "lags": [0]}, "lags must be"),
+        ({"kind": "jacobian", "frames": 3}, "encoding.frames is not a known field"),
+        ({"kind": "jacobian", "lags": [0]}, r"encoding.lags\[0\] must be a whole number in 1 to"),
     ],
 )
 def test_encodings_that_nobody_can_use_are_refused(settings: dict[str, Any], message: str) -> None:

@@ -119,14 +119,16 @@ def test_a_residual_starts_from_what_the_classical_servo_does() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"kind": "wavelets"}, "kind servo, steering or flat"),
-        ({"kind": "servo", "frame": 3}, "servo takes"),
+        ({"kind": "wavelets"}, "encoding.kind must be one of"),
+        ({"kind": "set"}, "kind servo, steering or flat"),
+        ({"kind": "servo", "frame": 3}, "encoding.frame is not a known field; did you mean 'frames'"),
         ({"kind": "servo", "lags": [3, 1]}, "ascending"),
-        ({"kind": "servo", "ages": []}, "at least one"),
-        ({"kind": "flat", "lags": [1]}, "flat takes"),
-        ({"kind": "flat", "frames": 0}, "at least 2"),
+        ({"kind": "servo", "ages": []}, "encoding.ages must be a list of 1 to 16"),
+        ({"kind": "flat", "lags": [1]}, "encoding.lags is not a known field"),
+        ({"kind": "flat", "frames": 0}, "encoding.frames must be a whole number in 1 to 64"),
         ({"kind": "servo", "residual": "random"}, "classical servo"),
-        ({"kind": "servo", "residual": "nobody"}, "no agent is called"),
+        ({"kind": "servo", "residual": "kfs"}, "name of a classical servo.*did you mean 'kf'"),
+        ({"kind": "servo", "residual": "oracle"}, "name of a classical servo"),
     ],
 )
 def test_bad_settings_are_refused(settings: dict[str, Any], message: str) -> None:

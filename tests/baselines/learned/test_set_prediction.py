@@ -161,7 +161,7 @@ def test_answers_that_are_near_each_other_are_one_target() -> None:
         ({"neighbors": 0}, "neighbors"),
         ({"merge": 0.0}, "merge"),
         ({"report": 1.0}, "report"),
-        ({"filter": "pmb"}, "encoding set takes"),
+        ({"filter": "pmb"}, "encoding.filter is not a known field"),
     ],
 )
 def test_windows_that_nobody_can_use_are_refused(fields: dict[str, Any], message: str) -> None:

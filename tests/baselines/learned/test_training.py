@@ -73,6 +73,8 @@ def periodic_evaluation(folder: Path) -> PeriodicEvaluation:
         RECURRENT,
         replace(PPO, algorithm="sac", hyper_parameters=OFF_POLICY),
         replace(PPO, algorithm="td3", hyper_parameters=OFF_POLICY, normalize=True),
+        replace(PPO, algorithm="tqc", hyper_parameters=OFF_POLICY),
+        replace(PPO, algorithm="a2c", hyper_parameters={"policy_kwargs": {"activation_fn": "nn.SiLU"}}),
     ],
     ids=lambda s: s.algorithm + "-normalized" * s.normalize,
 )
@@ -326,7 +328,7 @@ def test_eyes_learn_and_see_what_they_have_learned(tmp_path: Path) -> None:
     evaluation = PeriodicEvaluation("UncalibServoPixels-v0", world, ResultsFolder(tmp_path / "classical"), episodes=2)
     curve = train(task, evaluation)
     path = tmp_path / "eyes" / "agent.json"
-    eyes = open_marker_network(str(path))
+    eyes = open_marker_network(path.stem, path.parent)
     env = gym.make_vec("UncalibServoPixels-v0", num_envs=16, pixel_noise=0.0, **world)
     observation, _ = env.reset(seed=list(range(100_000, 100_016)))
     place, seen = eyes.detect(observation["image"])
@@ -335,7 +337,7 @@ def test_eyes_learn_and_see_what_they_have_learned(tmp_path: Path) -> None:
     assert seen.mean() > 0.8 and np.median(np.hypot(*(place - truth).T)) < 0.25 * middle
     # Behind the eyes: a classical servo, or a policy that reads their features.
     assert len(run_episodes("UncalibServoPixels-v0", agent_card(str(path)), [100_000], world)[0]) == 1
-    through = create_encoding({"kind": "servo", "eyes": str(path)}, env)
+    through = create_encoding({"kind": "servo", "eyes": path.stem}, env, path.parent)
     memory = through.initial(observation)
     memory, rows = through.step(memory, observation, np.zeros((16, 2), np.float32))
     plain = ServoEncoding()
@@ -353,7 +355,7 @@ def test_eyes_learn_and_see_what_they_have_learned(tmp_path: Path) -> None:
     with pytest.raises(AgentFileError, match="detects markers in images"):
         create_agent(agent_card(str(path)), gym.make("UncalibServo-v0"))
     with pytest.raises(ValueError, match="eyes needs"):
-        create_encoding({"kind": "servo", "eyes": str(path)}, gym.make("UncalibServo-v0"))
+        create_encoding({"kind": "servo", "eyes": path.stem}, gym.make("UncalibServo-v0"))
 
 
 def test_runs_and_their_continuations_take_other_episodes_of_the_train_range() -> None:
