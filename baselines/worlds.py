@@ -61,12 +61,15 @@ class ScoreAnchors:
         lower: Agent without skill.
         upper: Agent that knows the system.
         bound: Agent whose mean error the column "x bound" divides by.
+        least_share: Share of the smallest error of `upper`'s episodes that an episode counts at least. Its logarithm
+            would let a single tiny error carry the mean of all episodes; raising it weakens single episodes.
     """
 
     column: str
     lower: str
     upper: str
     bound: str
+    least_share: float = 1e-3
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,9 @@ class World:
 _RECORDERS = "servotrack.baselines.evaluation"
 _AGENTS = "servotrack.baselines.agents"
 _RIGHT_COUNT = RankingMetric("count_right", "count right", "%", 100.0, 0, True)
-_SHARE, _SIZE = (0.0, 1.0), (0.0, math.inf)
+_SHARE, _SIZE = (0.0, 1.0), (0.0, 1e9)
+_DISTANCE = (1e-15, 1e9)
+"""m. Positions near 1 m are rounded to 1e-16 m, so that a smaller mean distance cannot be a measured one."""
 _SET_RANGES = {
     **dict.fromkeys(("ospa", "gospa", "ospa2", "count_error"), _SIZE),
     **dict.fromkeys(("count_right", "idf1", "hota"), _SHARE),
@@ -129,7 +134,10 @@ WORLDS: Mapping[str, World] = {
             f"{_RECORDERS}.servo_scores:ServoScoreRecorder",
             f"{_AGENTS}.servo.cards:CARDS",
             anchors=ScoreAnchors("steady", "random", "oracle", "informed-bound"),
-            ranges=dict.fromkeys(("transient", "steady", "p95", "feature_error"), _SIZE),
+            ranges={
+                **dict.fromkeys(("transient", "p95", "feature_error"), _SIZE),
+                "steady": _DISTANCE,
+            },
         ),
         World(
             "clutter",

@@ -26,7 +26,8 @@ _plain = json.JSONEncoder(allow_nan=False).encode
 _UNLIMITED = (-math.inf, math.inf)
 _LONGEST_NAME = 500
 _ROUNDING = 1e-9
-"""Means of values at the end of a range may leave it by rounding."""
+"""Means of values at the end of a range may leave it by rounding, a share of the end."""
+_LARGEST_RETURN = 1e15
 _LONGEST_VALUE = 80
 """Characters of a value that a message quotes at most."""
 
@@ -152,8 +153,7 @@ def _check_card(card: Any) -> None:
 
 
 def _check_rows(rows: Sequence[Mapping[str, Any]], ranges: Mapping[str, tuple[float, float]]) -> None:
-    limits = {"length": (1.0, math.inf), "return": (-math.inf, math.inf), **ranges}
-    limits = {name: (low - _ROUNDING, high + _ROUNDING) for name, (low, high) in limits.items()}
+    limits = {"length": (1.0, math.inf), "return": (-_LARGEST_RETURN, _LARGEST_RETURN), **ranges}
     seen: set[int] = set()
     for i, row in enumerate(rows):
         seed: Any = row.get("seed")
@@ -169,8 +169,8 @@ def _check_rows(rows: Sequence[Mapping[str, Any]], ranges: Mapping[str, tuple[fl
                 must = "true or false" if name == "success" else "a finite number"
                 _check(False, f"rows[{i}].{name}", f"be {must} (seed {seed})", value)
             low, high = limits.get(name, _UNLIMITED)
-            if not low <= value <= high:
-                within = f"lie in {low + _ROUNDING:g} to {high - _ROUNDING:g} (seed {seed})"
+            if not low * (1.0 - _ROUNDING) <= value <= high * (1.0 + _ROUNDING):
+                within = f"lie in {low:g} to {high:g} (seed {seed})"
                 _check(False, f"rows[{i}].{name}", within, value)
         if "return" not in row or "length" not in row:
             _check(False, f"rows[{i}]", f"have a return and a length (seed {seed})", row)

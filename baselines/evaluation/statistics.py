@@ -182,7 +182,7 @@ def score(error: ArrayLike, random_error: ArrayLike, oracle_error: ArrayLike) ->
         Shape (k,).
 
     Raises:
-        ValueError: An error that is not positive and finite, or anchors that do not differ.
+        ValueError: An error that is not positive and finite, or an agent without skill that is not worse.
     """
     logs = []
     for name, values in (("error", error), ("random_error", random_error), ("oracle_error", oracle_error)):
@@ -191,9 +191,9 @@ def score(error: ArrayLike, random_error: ArrayLike, oracle_error: ArrayLike) ->
             raise ValueError(f"{name} must be positive, got {sample.min()}; a tracking error of zero has no logarithm")
         logs.append(np.log(sample))
     log_error, log_random, log_oracle = logs[0], logs[1].mean(), logs[2].mean()
-    if np.isclose(log_random, log_oracle):
+    if log_random <= log_oracle or np.isclose(log_random, log_oracle):
         raise ValueError(
-            f"random_error and oracle_error must differ, both are {np.exp(log_random)} m; "
-            "the task does not separate skill"
+            f"random_error must exceed oracle_error, got geometric means of {np.exp(log_random):.6g} and "
+            f"{np.exp(log_oracle):.6g} m; the task does not separate skill"
         )
     return (log_random - log_error) / (log_random - log_oracle)

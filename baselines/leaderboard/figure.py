@@ -138,7 +138,8 @@ def _draw_success(
     axes.set_title("b   Success, % of episodes")
     axes.set_xlabel("level")
     axes.set_xticks(range(len(tasks)), [str(task.level) for task in tasks])
-    axes.set_yticks(range(len(names)), names, fontsize=7.2)
+    # Names are text, not formulas, whatever dollar signs they hold.
+    axes.set_yticks(range(len(names)), names, fontsize=7.2, parse_math=False)
     axes.tick_params(axis="both", length=0)
     axes.tick_params(axis="y", pad=25)
     axes.spines[:].set_visible(False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from html import escape
 from pathlib import Path
+from urllib.parse import quote
 
 from servotrack.baselines.leaderboard.page import STYLE
 from servotrack.baselines.reporting.files import atomic_path
@@ -21,8 +22,9 @@ def write_index(folder: Path) -> Path:
     Raises:
         ResultsError: The folder cannot be written.
     """
-    names = [escape(page.parent.name) for page in sorted(folder.glob("*/leaderboard.html"))]
-    items = "\n".join(f'<li><a href="{name}/leaderboard.html">{name}</a></li>' for name in names)
+    names = [page.parent.name for page in sorted(folder.glob("*/leaderboard.html"))]
+    # A folder may be called `javascript:...`: in an address, colons and the like are quoted.
+    items = "\n".join(f'<li><a href="{quote(name)}/leaderboard.html">{escape(name)}</a></li>' for name in names)
     text = (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

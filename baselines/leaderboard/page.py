@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from html import escape
+from urllib.parse import quote
 
 from servotrack.baselines.leaderboard.summary import TaskSummary
 from servotrack.baselines.leaderboard.table import SAME_NOTE, caveat, headline_grids, note_of, overview_grid, task_grid
@@ -48,14 +49,14 @@ def html_page(tasks: Sequence[TaskSummary], command: str, figure: str | None, vi
         f"<p>Written by <code>{escape(command)}</code>. {_code(note_of(tasks))}</p>",
     ]
     if figure:
-        parts.append(f'<img src="{escape(figure)}" alt="Score and success against level, one line per agent">')
+        parts.append(f'<img src="{quote(figure)}" alt="Score and success against level, one line per agent">')
     overview = overview_grid(tasks)
     if overview.rows:
         parts += ["<h2>Overview</h2>", f"<p>Mean score · success in percent. {_code(SAME_NOTE)}</p>", _table(overview)]
     for title, grid in headline_grids(tasks):
         parts += [f"<h2>{escape(title)}</h2>", _table(grid)]
     if video:
-        parts.append(f'<video src="{escape(video)}" controls loop muted></video>')
+        parts.append(f'<video src="{quote(video)}" controls loop muted></video>')
     for task in tasks:
         parts.append(f"<h2>{escape(task.environment)}</h2>")
         if caveat(task):

@@ -12,6 +12,7 @@ import numpy as np
 from servotrack.baselines.evaluation import statistics
 from servotrack.baselines.evaluation.results import CellResults
 from servotrack.baselines.evaluation.statistics import Interval, PairedDifference
+from servotrack.baselines.leaderboard.anchoring import Anchoring, column_of, find_anchors
 from servotrack.baselines.worlds import RANDOM_AGENT, WORLDS, World
 from servotrack.estimators.types import Array
 
@@ -74,6 +75,7 @@ class TaskSummary:
         rows: Best first.
         deterministic: True if all episodes of every agent but the random one came out the same.
         world: Record of its kind: metrics, reference agent, anchors of the score.
+        notes: Reasons for missing scores, and other reservations, one sentence each.
     """
 
     environment: str
@@ -82,6 +84,7 @@ class TaskSummary:
     rows: tuple[AgentSummary, ...]
     deterministic: bool
     world: World
+    notes: tuple[str, ...] = ()
 
     @property
     def bound(self) -> AgentSummary | None:
@@ -210,13 +213,17 @@ def stamp(cells: Iterable[CellResults]) -> str:
 def _summarize_task(name: str, cells: list[CellResults], step_seconds: dict[tuple[str, str], float]) -> TaskSummary:
     by_agent = {cell.agent: cell for cell in cells}
     world = WORLDS[cells[0].kind]
-    rows = [_summarize_cell(cell, world, by_agent, step_seconds) for cell in cells]
+    anchoring, notes = find_anchors(by_agent, world.anchors)
+    rows = [_summarize_cell(cell, world, by_agent, anchoring, step_seconds) for cell in cells]
+    notes += [] if anchoring is None else anchoring.missing(cells)
+    if unsealed := [cell.agent for cell in cells if not cell.has_digests]:
+        notes.append(f"Files of servotrack 0.1.0 have no digests that would show later changes: {', '.join(unsealed)}.")
     compared = [row for row in rows if row.difference is not None]
     adjusted = statistics.holm([row.difference.p_value for row in compared if row.difference is not None])
     p_of = {row.agent: p for row, p in zip(compared, adjusted, strict=True)}
     rows = [replace(row, adjusted_p=p_of.get(row.agent)) for row in rows]
     kwargs = cells[0].env_kwargs
-    level = kwargs["level"] if set(kwargs) == {"level"} else None
+    level = kwargs["level"] if set(kwargs) == {"level"} and type(kwargs["level"]) is int else None
     acting = [cell for cell in cells if cell.agent != RANDOM_AGENT and len(cell.rows) > 1]
     deterministic = bool(acting) and all(len({row["return"] for row in cell.rows}) == 1 for cell in acting)
     env_id = cells[0].env_id
@@ -230,24 +237,20 @@ def _summarize_task(name: str, cells: list[CellResults], step_seconds: dict[tupl
             return -row.mean_return.value
         return -mean.value if headline.high_is_good else mean.value
 
-    return TaskSummary(name, env_id, level, tuple(sorted(rows, key=rank)), deterministic, world)
+    return TaskSummary(name, env_id, level, tuple(sorted(rows, key=rank)), deterministic, world, tuple(notes))
 
 
 def _summarize_cell(
     cell: CellResults,
     world: World,
     by_agent: dict[str, CellResults],
+    anchoring: Anchoring | None,
     step_seconds: dict[tuple[str, str], float],
 ) -> AgentSummary:
     measured = {measure.column: _mean_of(cell, measure.column) for measure in world.shown}
     has_success = all("success" in row for row in cell.rows)
-    errors = None if world.anchors is None else _column(cell, world.anchors.column)
-    scores = None
-    if world.anchors is not None and errors is not None:
-        ends = [by_agent.get(name) for name in (world.anchors.lower, world.anchors.upper)]
-        anchors = [None if end is None else _column(end, world.anchors.column) for end in ends]
-        if anchors[0] is not None and anchors[1] is not None:
-            scores = statistics.score(errors, anchors[0], anchors[1])
+    errors = None if world.anchors is None else column_of(cell, world.anchors.column)
+    scores = None if anchoring is None or errors is None else anchoring.scores(cell, errors)
     return AgentSummary(
         agent=cell.agent,
         information=cell.card["information"],
@@ -271,22 +274,15 @@ def _summarize_cell(
     )
 
 
-def _column(cell: CellResults, name: str) -> Array | None:
-    """A column of the rows, if all of them have it."""
-    if any(name not in row for row in cell.rows):
-        return None
-    return np.array([row[name] for row in cell.rows])
-
-
 def _mean_of(cell: CellResults, name: str) -> Interval | None:
-    values = _column(cell, name)
+    values = column_of(cell, name)
     return None if values is None else statistics.bootstrap_mean(values)
 
 
 def _difference(cell: CellResults, reference: CellResults | None, name: str) -> PairedDifference | None:
     if reference is None or reference.agent == cell.agent:
         return None
-    if _column(cell, name) is None or _column(reference, name) is None:
+    if column_of(cell, name) is None or column_of(reference, name) is None:
         return None
     known = set(reference.seeds)
     common = [seed for seed in cell.seeds if seed in known]

@@ -14,6 +14,7 @@ from servotrack.baselines.leaderboard.summary import (
     overall,
 )
 from servotrack.baselines.reporting.grid import Grid, as_markdown
+from servotrack.baselines.reporting.plain_text import markdown_code, markdown_text
 from servotrack.baselines.worlds import RankingMetric
 
 SIGNIFICANCE = 0.05
@@ -167,16 +168,16 @@ def markdown_overview(
         parts.append(
             f"{as_markdown(overview)}\nMean score · success in percent, up to {_most_episodes(tasks)} episodes each. "
             f"{SAME_NOTE} "
-            f"Written by `{command}`. {note_of(tasks)}\n"
+            f"Written by {markdown_code(command)}. {note_of(tasks)}\n"
         )
     for title, grid in headline_grids(tasks):
         parts.append(
-            f"{as_markdown(grid)}\n{title}, up to {_most_episodes(tasks)} episodes each; {PRIVILEGED_MARK} sees the "
-            f"truth. Written by `{command}`.\n"
+            f"{as_markdown(grid)}\n{markdown_text(title)}, up to {_most_episodes(tasks)} episodes each; "
+            f"{PRIVILEGED_MARK} sees the truth. Written by {markdown_code(command)}.\n"
         )
     if details:
-        parts += [f"### {task.environment}\n\n{as_markdown(task_grid(task))}" for task in tasks]
-        parts.append(f"Written by `{command}`. {note_of(tasks)}\n")
+        parts += [f"### {markdown_text(task.environment)}\n\n{as_markdown(task_grid(task))}" for task in tasks]
+        parts.append(f"Written by {markdown_code(command)}. {note_of(tasks)}\n")
     return "\n".join(parts)
 
 
@@ -186,26 +187,27 @@ def _most_episodes(tasks: Sequence[TaskSummary]) -> int:
 
 def markdown_report(tasks: Sequence[TaskSummary], command: str) -> str:
     """The whole leaderboard: the overview where there are scores, then every task."""
-    parts = ["# Leaderboard\n", f"Written by `{command}`. {note_of(tasks)}\n"]
+    parts = ["# Leaderboard\n", f"Written by {markdown_code(command)}. {note_of(tasks)}\n"]
     overview = overview_grid(tasks)
     if overview.rows:
         parts.append("## Overview\n\nMean score · success in percent. " + SAME_NOTE + "\n\n" + as_markdown(overview))
     for title, grid in headline_grids(tasks):
-        parts.append(f"## {title}\n\n{as_markdown(grid)}")
+        parts.append(f"## {markdown_text(title)}\n\n{as_markdown(grid)}")
     for task in tasks:
-        remark = f"{caveat(task)}\n\n" if caveat(task) else ""
-        parts.append(f"## {task.environment}\n\n{remark}{as_markdown(task_grid(task))}")
+        remark = f"{markdown_text(caveat(task))}\n\n" if caveat(task) else ""
+        parts.append(f"## {markdown_text(task.environment)}\n\n{remark}{as_markdown(task_grid(task))}")
     return "\n".join(parts)
 
 
 def caveat(task: TaskSummary) -> str:
-    """Return the caveat that stands above a task's table, "" for none."""
-    if not task.deterministic:
-        return ""
-    return (
-        "Nothing in this world is random: all episodes of a deterministic agent are one and the same, "
-        "and its intervals say nothing about others."
-    )
+    """Return the reservations that stand above a task's table, "" for none."""
+    parts = list(task.notes)
+    if task.deterministic:
+        parts.append(
+            "Nothing in this world is random: all episodes of a deterministic agent are one and the same, "
+            "and its intervals say nothing about others."
+        )
+    return " ".join(parts)
 
 
 def _agent(row: AgentSummary | OverallSummary) -> str:

@@ -66,6 +66,7 @@ def evaluate(
     name = describe_environment(env, kwargs)
     tasks = [task for task in summarize(folder.load_all()) if task.environment == name]
     print_tables(screen, {task.environment: task_grid(task) for task in tasks})
+    print_notes(tasks, screen)
     arguments = "".join(f" --set {key}={value}" for key, value in kwargs.items() if key != "level")
     arguments += "" if level is None else f" --level {level}"
     for task in tasks:
@@ -226,10 +227,18 @@ def _show(
     }
     own = {task.environment: task_grid(task) for task in tasks} if details or not overviews else {}
     print_tables(screen, {**overviews, **own})
+    print_notes(tasks, screen)
     screen.print(note_of(tasks), style="dim", soft_wrap=True, markup=False)
     paths = [*write_report(tasks, output, command_line(), film), *([film] if film else [])]
     for path in paths:
         screen.print(str(path), soft_wrap=True)
+
+
+def print_notes(tasks: list[TaskSummary], screen: Screen) -> None:
+    """Print why scores are missing, and other reservations."""
+    for task in tasks:
+        for note in task.notes:
+            screen.print(f"{task.environment}: {note}", style="yellow", soft_wrap=True)
 
 
 def _film_best(tasks: list[TaskSummary], folder: Path) -> Path | None:

@@ -18,7 +18,7 @@ from servotrack.baselines.evaluation.watch import CAPTION_HEIGHT, film_episode
 from servotrack.baselines.leaderboard.figure import draw_levels, level_tasks
 from servotrack.baselines.leaderboard.index import write_index
 from servotrack.baselines.leaderboard.report import write_report
-from servotrack.baselines.leaderboard.summary import overall, stamp, summarize
+from servotrack.baselines.leaderboard.summary import TaskSummary, overall, stamp, summarize
 from servotrack.baselines.leaderboard.table import (
     caveat,
     markdown_overview,
@@ -27,6 +27,7 @@ from servotrack.baselines.leaderboard.table import (
     overview_grid,
     task_grid,
 )
+from servotrack.baselines.reporting.figure import save_figure
 from servotrack.baselines.reporting.files import ResultsError, atomic_path
 from servotrack.baselines.reporting.film import write_film
 from servotrack.baselines.reporting.grid import as_csv, as_json, as_markdown
@@ -93,6 +94,118 @@ def test_without_anchors_there_is_no_score() -> None:
     assert [row.agent for row in tasks[0].rows] == ["lifted-kf", "ukf", "random"]
     assert overall(tasks) == []
     assert overview_grid(tasks).rows == []
+
+
+def changed(cells: list[CellResults], agent: str, level: int, change: Any) -> list[CellResults]:
+    """Apply `change` to one agent's cell in one level."""
+    (cell,) = [cell for cell in cells if (cell.agent, cell.env_kwargs["level"]) == (agent, level)]
+    change(cell)
+    return cells
+
+
+def scores_of(task: TaskSummary) -> dict[str, Any]:
+    return {row.agent: None if row.scores is None else row.scores.tolist() for row in task.rows}
+
+
+def _twin_of_random(cell: CellResults) -> None:
+    cell.rows = [{**row, "steady": 0.5} for row in cell.rows]
+
+
+@pytest.mark.parametrize(
+    ("agent", "change", "note"),
+    [
+        ("oracle", lambda cell: cell.rows.__delitem__(slice(5, None)), "lack 15 of its 20 episodes"),
+        (
+            "random",
+            lambda cell: cell.rows.pop(7),
+            "without gaps, and have 19 in common of 19 and 20",
+        ),
+        ("random", lambda cell: [row.update(seed=row["seed"] + 50) for row in cell.rows], "have 0 in common"),
+        (
+            "oracle",
+            lambda cell: cell.card.update(requires=[]),
+            "oracle received nothing beyond the observation, the package's agent of this name truth",
+        ),
+        ("random", lambda cell: cell.card.update(requires=["truth"]), "random received truth"),
+        ("random", lambda cell: cell.rows[3].pop("steady"), "episodes of random have no steady"),
+        ("random", lambda cell: [row.update(steady=1e-4) for row in cell.rows], "random is not worse than oracle here"),
+    ],
+    ids=["few episodes", "gap", "other seeds", "no truth", "truth", "no errors", "better than oracle"],
+)
+def test_anchors_that_cannot_be_trusted_cost_the_scores_of_their_task_alone(agent: str, change: Any, note: str) -> None:
+    sound, broken = make_cells(), changed(make_cells(), agent, 0, change)
+    expected, tasks = summarize(sound), summarize(broken)
+    assert any(note in sentence for sentence in tasks[0].notes), tasks[0].notes
+    assert all(row.score is None for row in tasks[0].rows if len(row.seeds) == 20 or agent == "random")
+    assert scores_of(tasks[1]) == scores_of(expected[1]) and tasks[1].notes == ()
+    assert note in caveat(tasks[0]) and note in markdown_report(tasks, "a command").replace("\\", "")
+    grid = overview_grid(tasks)
+    assert "level 3" in grid.headings
+
+
+def test_a_world_where_random_equals_oracle_leaves_the_others_their_scores() -> None:
+    cells = make_cells()
+    for agent in ("random", "oracle"):
+        changed(cells, agent, 0, _twin_of_random)
+    tasks = summarize(cells)
+    assert "random is not worse than oracle here" in caveat(tasks[0])
+    assert {row.agent: row.score for row in tasks[0].rows} == dict.fromkeys(ERRORS)
+    assert [row.agent for row in overall(tasks)] == ["oracle", "lifted-kf", "ukf", "random"]
+
+
+def test_more_episodes_of_one_agent_cost_its_own_score_alone() -> None:
+    cells = changed(make_cells((3,)), "ukf", 3, lambda cell: cell.rows.append({**cell.rows[0], "seed": 20}))
+    (task,) = summarize(cells)
+    assert {row.agent: row.score is None for row in task.rows} == {
+        "oracle": False, "lifted-kf": False, "random": False, "ukf": True,
+    }  # fmt: skip
+    assert task.notes == ("No score for ukf: random and oracle lack 1 of its 21 episodes; evaluate them on as many.",)
+
+
+def test_extra_seeds_of_one_anchor_do_not_move_the_scores() -> None:
+    def extended(cell: CellResults) -> None:
+        cell.rows += [{**cell.rows[0], "seed": seed, "steady": 1e-9} for seed in range(20, 60)]
+
+    (task,) = summarize(changed(make_cells((3,)), "oracle", 3, extended))
+    (expected,) = summarize(make_cells((3,)))
+    assert scores_of(task) == {**scores_of(expected), "oracle": None}
+
+
+@pytest.mark.parametrize("error", [1e-300, 5e-324, 1e-12])
+def test_one_tiny_error_does_not_take_the_top(error: float) -> None:
+    cells = changed(make_cells((3,)), "lifted-kf", 3, lambda cell: cell.rows[0].update(steady=error))
+    (task,), (honest,) = summarize(cells), summarize(make_cells((3,)))
+    row, before = task.row("lifted-kf"), honest.row("lifted-kf")
+    assert row is not None and row.score is not None and before is not None and before.score is not None
+    assert task.rows[0].agent == "oracle"
+    assert row.score.value - before.score.value < 0.1
+
+
+@pytest.mark.parametrize("level", ["hard", None, [3], 1.5, True])
+def test_a_level_that_is_no_whole_number_is_an_argument_like_others(level: Any) -> None:
+    cells = make_cells((3,))
+    for cell in cells:
+        cell.env_kwargs = {"level": level}
+    (task,) = summarize(cells)
+    assert task.level is None and overview_grid([task]).rows
+
+
+def test_files_without_digests_are_named() -> None:
+    cells = make_cells((3,))
+    cells[1].has_digests = False
+    (task,) = summarize(cells)
+    assert task.notes == ("Files of servotrack 0.1.0 have no digests that would show later changes: ukf.",)
+
+
+def test_names_are_no_formulas_and_no_addresses(tmp_path: Path) -> None:
+    cells = make_cells()
+    for cell in cells:
+        if cell.agent == "ukf":
+            cell.agent = "$\\frac{$"
+    save_figure(draw_levels(level_tasks(summarize(cells))), tmp_path / "levels.svg")
+    (tmp_path / "javascript:alert(1)").mkdir()
+    (tmp_path / "javascript:alert(1)" / "leaderboard.html").write_text("")
+    assert 'href="javascript%3Aalert%281%29/leaderboard.html"' in write_index(tmp_path).read_text(encoding="utf-8")
 
 
 def test_overall_needs_every_task() -> None:

@@ -195,7 +195,8 @@ def test_a_row_of_another_agent_is_refused_although_its_own_digest_fits(tmp_path
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"steady": -1e-3}, r"rows\[0\]\.steady must lie in 0 to inf \(seed 1\), got -0.001"),
+        ({"steady": -1e-3}, r"rows\[0\]\.steady must lie in 1e-15 to 1e\+09 \(seed 1\), got -0.001"),
+        ({"steady": 1e-300}, r"rows\[0\]\.steady must lie in 1e-15 to"),
         ({"success": 1}, r"rows\[0\]\.success must be true or false"),
         ({"length": 0}, r"rows\[0\]\.length must lie in 1 to inf"),
         ({"return": float("nan")}, r"rows\[0\]\.return must be a finite number \(seed 1\), got nan"),

@@ -99,7 +99,8 @@ def test_score_puts_its_anchors_at_zero_and_one() -> None:
         (lambda: statistics.paired_difference([1.0], [1.0, 2.0]), "paired by seed, got 1 and 2"),
         (lambda: statistics.wilson_interval(3, 2), "got 3 of 2"),
         (lambda: statistics.score([0.0], [1.0], [0.1]), "error must be positive, got 0.0"),
-        (lambda: statistics.score([0.5], [0.1], [0.1]), "must differ"),
+        (lambda: statistics.score([0.5], [0.1], [0.1]), "must exceed"),
+        (lambda: statistics.score([0.5], [0.1], [0.2]), "must exceed"),
         (lambda: statistics.stratified_interquartile_mean([]), "at least one task"),
     ],
 )
