@@ -43,7 +43,7 @@ def read_part(path: Path, setting: str) -> dict[str, Any]:
         ResultsError: The file is damaged, or of another setting or version.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             stored = {name: file[name] for name in file.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise ResultsError(f"{path} cannot be read ({error}); delete it to compute it again") from error

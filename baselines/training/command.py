@@ -15,7 +15,9 @@ from servotrack.baselines.agents.learned.card import LearnedCard, digest, load_c
 from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.files import atomic_path
+from servotrack.baselines.running.stopping import GO_ON, keeping
 from servotrack.baselines.running.workers import in_workers
+from servotrack.baselines.training.checkpoint import load_checkpoint
 from servotrack.baselines.training.curves import draw_curves
 from servotrack.baselines.training.dispatch import train
 from servotrack.baselines.training.export import write_card
@@ -76,14 +78,8 @@ def run_training(request: TrainingRequest, console: Console) -> Path:
     console.print(
         f"{request.environment.name}: {request.settings.recipe}, evaluated on tune seeds; for comparison {beside}"
     )
-    if request.jobs == 1:
-        curves = [_shown(request.task(seed), evaluation, console) for seed in request.seeds]
-    else:
-        curves = []
-        runs = in_workers((delayed(_alone)(request, seed) for seed in request.seeds), request.jobs, ordered=True)
-        for seed, curve in zip(request.seeds, runs, strict=True):
-            console.print(f"seed {seed}: {_text(curve.entries[-1])} after {curve.entries[-1]['seconds']:.0f} s")
-            curves.append(curve)
+    with keeping(lambda: _kept(request)):
+        curves = _trained(request, evaluation, console)
     best = 0
     for i, curve in enumerate(curves):
         if evaluation.better(curve.entries[-1], curves[best].entries[-1]):
@@ -97,6 +93,28 @@ def run_training(request: TrainingRequest, console: Console) -> Path:
     for written in (path, figure):
         console.print(str(written), soft_wrap=True)
     return path
+
+
+def _trained(request: TrainingRequest, evaluation: PeriodicEvaluation, console: Console) -> list[TrainingCurve]:
+    """Train all runs and return their learning curves, in the order of the seeds."""
+    if request.jobs == 1:
+        return [_shown(request.task(seed), evaluation, console) for seed in request.seeds]
+    curves = []
+    runs = in_workers((delayed(_alone)(request, seed) for seed in request.seeds), request.jobs, ordered=True)
+    for seed, curve in zip(request.seeds, runs, strict=True):
+        console.print(f"seed {seed}: {_text(curve.entries[-1])} after {curve.entries[-1]['seconds']:.0f} s")
+        curves.append(curve)
+    return curves
+
+
+def _kept(request: TrainingRequest) -> str:
+    """Return the saved steps of all runs, in a few words."""
+    saved = [load_checkpoint(request.task(seed).folder) for seed in request.seeds]
+    steps = ", ".join(
+        f"seed {seed}: {0 if checkpoint is None else checkpoint['steps']:,}"
+        for seed, checkpoint in zip(request.seeds, saved, strict=True)
+    )
+    return f"saved steps of {request.settings.n_timesteps:,}: {steps}; {GO_ON}"
 
 
 def _evaluation(request: TrainingRequest) -> PeriodicEvaluation:

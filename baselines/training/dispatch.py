@@ -21,7 +21,8 @@ def train(
 ) -> TrainingCurve:
     """Train one agent, or finish a training that was interrupted.
 
-    After every evaluation the newest policy is in the task's folder as `agent.onnx` with its card.
+    After every evaluation the newest policy is in the task's folder as `agent.onnx` with its card. A training that was
+    interrupted ends with the same network as one that was not.
 
     Args:
         task: Environment, settings and seed of the run.
@@ -34,11 +35,12 @@ def train(
         ValueError: Hyper-parameters that the algorithm does not take, or an environment that it does not support.
     """
     run = TrainingRun(task, evaluation, on_steps, on_entry)
-    if not run.finished:
-        {
-            "student": train_student,
-            "jacobian": train_jacobian,
-            "set": train_set_predictor,
-            "eyes": train_marker_network,
-        }.get(task.settings.algorithm, reinforce)(run)
+    to_next_checkpoint = {
+        "student": train_student,
+        "jacobian": train_jacobian,
+        "set": train_set_predictor,
+        "eyes": train_marker_network,
+    }.get(task.settings.algorithm, reinforce)
+    while not run.finished:
+        to_next_checkpoint(run)
     return run.curve

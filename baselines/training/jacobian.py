@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +21,7 @@ from servotrack.baselines.training.export import exportable_policy
 from servotrack.baselines.training.run import TrainingRun
 from servotrack.baselines.training.supervised import (
     RecurrentNetwork,
+    alternating_noise,
     descend,
     episode_seeds,
     explored,
@@ -88,7 +88,7 @@ class Records(NamedTuple):
 
 
 def train_jacobian(run: TrainingRun) -> None:
-    """Train a Jacobian estimator, from the beginning or from the checkpoint.
+    """Train a Jacobian estimator from the newest checkpoint to the next.
 
     Each iteration lets the estimator servo in new episodes of the train range, then fits it to the analytic Jacobian of
     every step: DAgger (Ross et al. 2011) with the oracle's answer as the label. At first a Kalman filter servos in some
@@ -107,7 +107,7 @@ def train_jacobian(run: TrainingRun) -> None:
     explore = np.random.default_rng([task.seed, run.resume(network, optimizer)])
     servo = create_learned_servo(LearnedJacobian(_running(network), own.hidden, encoding), env, law)
     guide = create_agent("kf", env)
-    noises = cycle((0.0, own.exploration))
+    noises = alternating_noise(run, own.exploration)
 
     def turn(steps: int) -> int:
         share = own.guided * (1.0 - steps / settings.n_timesteps)

@@ -83,7 +83,7 @@ class MarkerConvNet(nn.Module):
 
 
 def train_marker_network(run: TrainingRun) -> None:
-    """Train a marker network, from the beginning or from the checkpoint.
+    """Train a marker network from the newest checkpoint to the next.
 
     Arms move at random over episodes of the train range; the labels are the true positions of the marker.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,16 +15,18 @@ from stable_baselines3 import A2C, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.save_util import recursive_getattr
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from servotrack.baselines.agents.learned.encoding import create_encoding
 from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.reporting.files import ResultsError
+from servotrack.baselines.training.checkpoint import CHECKPOINT, restore_random_states
 from servotrack.baselines.training.curriculum import Curriculum
 from servotrack.baselines.training.encoded_env import EncodedVecEnv
 from servotrack.baselines.training.export import PolicyMode, exportable_policy
-from servotrack.baselines.training.run import CHECKPOINT, TrainingRun, TrainingTask
+from servotrack.baselines.training.run import TrainingRun, TrainingTask
 from servotrack.baselines.training.sb3 import StableBaselinesVecEnv
 from servotrack.baselines.training.settings import schedule
 
@@ -35,8 +38,12 @@ ACTIVATIONS: Mapping[str, type[nn.Module]] = {
 }
 
 
+_COUNTERS = ("_n_updates", "_episode_num")
+"""Counters of an algorithm; some update a target network or a policy only every n-th time."""
+
+
 def reinforce(run: TrainingRun) -> None:
-    """Train by reinforcement learning, from the beginning or from the checkpoint.
+    """Train by reinforcement learning from the newest checkpoint to the next.
 
     Raises:
         ResultsError: The checkpoint does not fit the hyper-parameters.
@@ -44,18 +51,19 @@ def reinforce(run: TrainingRun) -> None:
     """
     task = run.task
     model = create_model(task, run.curve.steps)
-    if run.checkpoint is not None:
-        restore(model, run.checkpoint, task.folder)
-    callback = _Evaluating(run)
     try:
-        model.learn(
-            task.settings.n_timesteps - model.num_timesteps,
-            callback,
-            log_interval=10,
-            tb_log_name="run",
-            reset_num_timesteps=False,
-        )
-        callback.conclude()
+        if run.checkpoint is not None:
+            restore(model, run.checkpoint, task.folder)
+        with contextlib.suppress(_Due):
+            model.learn(
+                task.settings.n_timesteps - model.num_timesteps,
+                _UntilDue(run),
+                log_interval=10,
+                tb_log_name="run",
+                reset_num_timesteps=False,
+            )
+        run.on_steps(model.num_timesteps)
+        _measure(run, model)
     finally:
         model.get_env().close()  # type: ignore[union-attr]
 
@@ -146,16 +154,63 @@ def _with_classes(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def restore(model: BaseAlgorithm, checkpoint: Mapping[str, Any], folder: Path) -> None:
-    """Restore weights, optimizers and running means from a checkpoint."""
+    """Restore everything that `_content` saved, and the random states.
+
+    Raises:
+        ResultsError: The checkpoint does not fit the hyper-parameters.
+    """
     try:
         model.set_parameters(checkpoint["parameters"])
+        for name, value in checkpoint["variables"].items():
+            recursive_getattr(model, name).data = value
+        for name, number in checkpoint["counters"].items():
+            setattr(model, name, number)
+        for name, statistics in _running(model).items():
+            statistics.mean, statistics.var, statistics.count = (np.asarray(part) for part in checkpoint[name])
+        if "replay" in checkpoint:
+            _restore_replay(model, checkpoint["replay"])
+        model.action_space.np_random.bit_generator.state = checkpoint["actions"]
+        restore_random_states(checkpoint["random"])
     except Exception as error:
         raise ResultsError(
             f"{folder / CHECKPOINT} does not fit this training ({error}); move its folder away to start again"
         ) from error
     model.num_timesteps = int(checkpoint["steps"])
+
+
+def _content(model: BaseAlgorithm) -> dict[str, Any]:
+    """Return everything that the next segment depends on, besides steps and random states."""
+    _, variables = model._get_torch_save_params()
+    saved: dict[str, Any] = {
+        "parameters": model.get_parameters(),
+        # Outside the parameters: the entropy coefficient of SAC.
+        "variables": {name: recursive_getattr(model, name) for name in variables},
+        "counters": {name: int(getattr(model, name)) for name in _COUNTERS if hasattr(model, name)},
+        "actions": model.action_space.np_random.bit_generator.state,
+    }
     for name, statistics in _running(model).items():
-        statistics.mean, statistics.var, statistics.count = (np.asarray(part) for part in checkpoint[name])
+        saved[name] = tuple(np.asarray(part) for part in (statistics.mean, statistics.var, statistics.count))
+    replay = getattr(model, "replay_buffer", None)
+    if replay is not None:
+        filled = replay.size()
+        arrays = {name: array[:filled] for name, array in _replay_arrays(replay).items()}
+        saved["replay"] = {"arrays": arrays, "position": int(replay.pos), "full": bool(replay.full)}
+    return saved
+
+
+def _replay_arrays(replay: Any) -> dict[str, Any]:
+    return {
+        name: array
+        for name, array in vars(replay).items()
+        if isinstance(array, np.ndarray) and array.shape[:1] == (replay.buffer_size,)
+    }
+
+
+def _restore_replay(model: Any, saved: Mapping[str, Any]) -> None:
+    replay = model.replay_buffer
+    for name, array in _replay_arrays(replay).items():
+        array[: len(saved["arrays"][name])] = saved["arrays"][name]
+    replay.pos, replay.full = saved["position"], saved["full"]
 
 
 def _running(model: BaseAlgorithm) -> dict[str, Any]:
@@ -173,8 +228,12 @@ def policy_mode(model: BaseAlgorithm) -> PolicyMode:
     return PolicyMode(model.policy, running.mean, np.sqrt(running.var + normalizer.epsilon), normalizer.clip_obs)
 
 
-class _Evaluating(BaseCallback):
-    """Evaluates and saves the policy between two rollouts."""
+class _Due(Exception):
+    """Ends a segment between two rollouts."""
+
+
+class _UntilDue(BaseCallback):
+    """Raises `_Due` before the first rollout after which an evaluation is due."""
 
     def __init__(self, run: TrainingRun) -> None:
         super().__init__()
@@ -186,22 +245,14 @@ class _Evaluating(BaseCallback):
     def _on_rollout_start(self) -> None:
         self.run.on_steps(self.num_timesteps)
         if self.run.is_due(self.num_timesteps):
-            self._measure()
+            raise _Due
 
-    def conclude(self) -> None:
-        """Evaluate the policy after the last update."""
-        if self.num_timesteps > self.run.curve.steps:
-            self._measure()
-        self.run.on_steps(self.num_timesteps)
 
-    def _measure(self) -> None:
-        saved: dict[str, Any] = {"parameters": self.model.get_parameters()}
-        for name, statistics in _running(self.model).items():
-            parts = (statistics.mean, statistics.var, statistics.count)
-            saved[name] = tuple(torch.as_tensor(np.asarray(part)) for part in parts)
-        policy = policy_mode(self.model)
-        size = int(self.model.observation_space.shape[0])  # type: ignore[index]
-        exported = exportable_policy(policy, size, policy.memory)
-        entry = self.run.measure(self.num_timesteps, exported, saved)
-        for name, value in entry.items():
-            self.logger.record(f"tune/{name}", value)
+def _measure(run: TrainingRun, model: BaseAlgorithm) -> None:
+    """Evaluate and save the policy."""
+    policy = policy_mode(model)
+    size = int(model.observation_space.shape[0])  # type: ignore[index]
+    entry = run.measure(model.num_timesteps, exportable_policy(policy, size, policy.memory), _content(model))
+    for name, value in entry.items():
+        model.logger.record(f"tune/{name}", value)
+    model.logger.dump(model.num_timesteps)

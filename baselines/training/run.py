@@ -1,4 +1,9 @@
-"""One training run, whatever the algorithm: periodic evaluation, checkpoints, export, resuming after a kill."""
+"""One training run, whatever the algorithm: periodic evaluation, checkpoints, export, resuming after a kill.
+
+A run is a sequence of segments, each from one checkpoint to the next. A segment begins with new environments and with
+everything else that the checkpoint holds, in a run that was never interrupted, too. So a run that was killed, however
+often, ends with the same network.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +21,19 @@ from servotrack.baselines.agents.learned.card import LearnedCard
 from servotrack.baselines.agents.learned.shipped import agent_in_file
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.reporting.files import ResultsError, atomic_path
+from servotrack.baselines.training.checkpoint import (
+    CHECKPOINT,
+    load_checkpoint,
+    random_states,
+    restore_random_states,
+    write_checkpoint,
+)
 from servotrack.baselines.training.export import Exportable, write_agent
 from servotrack.baselines.training.progress import PeriodicEvaluation
 from servotrack.baselines.training.settings import TrainingSettings
 from servotrack.baselines.worlds import describe_environment, kind_of_id, plain
 
-AGENT, CHECKPOINT, TASK = "agent", "checkpoint.pt", "task.json"
+AGENT, TASK = "agent", "task.json"
 
 Entry = dict[str, Any]
 
@@ -87,7 +99,7 @@ class TrainingRun:
         on_entry: Called with every evaluation, those before an interruption included.
 
     Attributes:
-        checkpoint: Newest checkpoint of an interrupted run; None in a new one.
+        checkpoint: Newest checkpoint; None before the first.
         curve: The learning curve.
 
     Raises:
@@ -120,8 +132,13 @@ class TrainingRun:
         """True if all steps are done."""
         return self.curve.steps >= self.task.settings.n_timesteps
 
+    @property
+    def turns(self) -> int:
+        """Turns of a supervised training that are done."""
+        return 0 if self.checkpoint is None else int(self.checkpoint.get("turns", 0))
+
     def resume(self, network: nn.Module, optimizer: torch.optim.Optimizer) -> int:
-        """Restore a network and its optimizer from the checkpoint and return the environment steps done.
+        """Restore a network, its optimizer and the random states from the checkpoint, and return the steps done.
 
         Raises:
             ResultsError: A checkpoint of another network.
@@ -132,6 +149,7 @@ class TrainingRun:
             parameters: Mapping[str, Any] = self.checkpoint["parameters"]
             network.load_state_dict(parameters["network"])
             optimizer.load_state_dict(parameters["optimizer"])
+            restore_random_states(self.checkpoint["random"])
         except Exception as error:
             raise ResultsError(
                 f"{self.task.folder / CHECKPOINT} does not fit this training ({error}); move its folder away"
@@ -148,7 +166,7 @@ class TrainingRun:
         Args:
             steps: Environment steps done.
             policy: The policy.
-            saved: Content of the checkpoint: tensors and numbers.
+            saved: Content of the checkpoint besides steps, curve and random states; see `write_checkpoint`.
 
         Returns:
             The evaluation.
@@ -174,8 +192,10 @@ class TrainingRun:
         entry: Entry = {"steps": steps, "seconds": round(self._seconds, 1)}
         entry |= self._evaluation.measure(agent_in_file(folder / f"{AGENT}.json"))
         self.curve.entries.append(entry)
-        with atomic_path(folder / CHECKPOINT) as temporary:
-            torch.save({**saved, "steps": steps, "curve": json.dumps(vars(self.curve))}, temporary)
+        content = {**saved, "steps": steps, "curve": json.dumps(vars(self.curve)), "random": random_states()}
+        write_checkpoint(folder, content)
+        # The next segment starts from the file, as after a kill.
+        self.checkpoint = load_checkpoint(folder)
         self._on_entry(entry)
         self._since = time.perf_counter()
         return entry
@@ -192,18 +212,3 @@ def _claim(task: TrainingTask) -> None:
         return
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(mine, indent=1), encoding="utf-8")
-
-
-def load_checkpoint(folder: Path) -> dict[str, Any] | None:
-    """Return the newest checkpoint, None if there is none. It holds tensors, numbers and text; nothing is unpickled."""
-    path = folder / CHECKPOINT
-    if not path.exists():
-        return None
-    try:
-        saved: dict[str, Any] = torch.load(path, weights_only=True)
-        if {"parameters", "curve"} <= set(saved):
-            return saved
-        reason = "it lacks parameters or curve"
-    except Exception as error:  # torch raises what its readers raise
-        reason = str(error).splitlines()[0]
-    raise ResultsError(f"{path} is not a checkpoint ({reason}); move its folder away to start again")

@@ -103,7 +103,7 @@ class Examples(NamedTuple):
 
 
 def train_set_predictor(run: TrainingRun) -> None:
-    """Train a set predictor, from the beginning or from the checkpoint; one step is one scan.
+    """Train a set predictor from the newest checkpoint to the next; one step is one scan.
 
     Raises:
         ResultsError: The checkpoint does not fit the hyper-parameters.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +14,7 @@ from servotrack.baselines.training.export import exportable_policy
 from servotrack.baselines.training.run import TrainingRun
 from servotrack.baselines.training.supervised import (
     RecurrentNetwork,
+    alternating_noise,
     descend,
     episode_seeds,
     explored,
@@ -120,7 +120,7 @@ class StudentEpisodes(NamedTuple):
 
 
 def train_student(run: TrainingRun) -> None:
-    """Train a student, from the beginning or from the checkpoint.
+    """Train a student from the newest checkpoint to the next.
 
     Each iteration lets the student act in new episodes of the train range. Then it improves every action by the
     distance between tool and target one period later: DAgger (Ross et al. 2011) with the distance itself as the loss.
@@ -136,7 +136,7 @@ def train_student(run: TrainingRun) -> None:
     network = StudentNetwork(encoding.size, own.hidden, residual="residual" in settings.encoding)
     optimizer = torch.optim.Adam(network.parameters())
     explore = np.random.default_rng([task.seed, run.resume(network, optimizer)])
-    noises = cycle((0.0, own.exploration))
+    noises = alternating_noise(run, own.exploration)
 
     def turn(steps: int) -> int:
         episodes = _act(env, encoding, network, episode_seeds(task, steps), next(noises), explore)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import cycle, islice
 from typing import Any, TypeVar
 
 import gymnasium as gym
@@ -29,7 +30,7 @@ def prepare(kind: type[Settings], run: TrainingRun) -> Settings:
     """
     settings = run.task.settings
     torch.set_num_threads(1)
-    torch.manual_seed(run.task.seed + run.curve.steps)
+    torch.manual_seed(run.task.seed)
     try:
         return kind(**settings.hyper_parameters)
     except TypeError as error:
@@ -55,6 +56,11 @@ def servo_environments(task: TrainingTask) -> Any:
             f"{task.settings.algorithm} supports only servo environments that observe features, got {task.env_id}"
         )
     return env
+
+
+def alternating_noise(run: TrainingRun, noise: float) -> Iterator[float]:
+    """Return the exploration of each turn, no noise in every other one; a new segment goes on in step."""
+    return islice(cycle((0.0, noise)), run.turns % 2, None)
 
 
 def explored(action: FloatArray, noise: float, chance: np.random.Generator) -> FloatArray:
@@ -108,7 +114,7 @@ def take_turns(
     exported: Exportable,
     turn: Callable[[int], int],
 ) -> None:
-    """Train until all steps are done.
+    """Train until the next evaluation, which writes a checkpoint.
 
     Args:
         run: Evaluates the policy and saves checkpoints.
@@ -119,14 +125,17 @@ def take_turns(
         turn: Collects data and updates once. Called with the environment steps done; returns the steps it added.
     """
     total, steps, rate = run.task.settings.n_timesteps, run.curve.steps, schedule(learning_rate)
+    turns = run.turns
     while steps < total:
         for group in optimizer.param_groups:
             group["lr"] = rate(1.0 - steps / total) if callable(rate) else rate
         steps += turn(steps)
+        turns += 1
         run.on_steps(steps)
         if run.is_due(steps) or steps >= total:
-            saved: dict[str, Any] = {"network": network.state_dict(), "optimizer": optimizer.state_dict()}
-            run.measure(steps, exported, {"parameters": saved})
+            break
+    saved: dict[str, Any] = {"network": network.state_dict(), "optimizer": optimizer.state_dict()}
+    run.measure(steps, exported, {"parameters": saved, "turns": turns})
 
 
 def descend(network: nn.Module, optimizer: torch.optim.Optimizer, loss: torch.Tensor, steepest: float = 1.0) -> None:

@@ -69,8 +69,8 @@ RUNS: dict[str, tuple[str, dict[str, Any], TrainingSettings]] = {
         ),
     ),
 }  # fmt: skip
-QUICK = ("ppo normalized", "td3", "student")
-QUICK_KILLS, KILLS = 5, 20
+QUICK = ("ppo normalized", "student")
+QUICK_KILLS, KILLS = 3, 20
 
 
 class Killed(BaseException):
@@ -105,7 +105,7 @@ def digest_after(name: str, folder: Path, kills: int) -> tuple[str, int]:
         random.seed(chance.random())
         torch.manual_seed(chance.randrange(2**31))
         try:
-            kill_after(chance.randrange(1, 16))
+            kill_after(chance.randrange(1, 10))
         except Killed:
             done += 1
     train(task, evaluation)
@@ -116,7 +116,7 @@ def check(name: str, kills: int, tmp_path: Path) -> None:
     whole, _ = digest_after(name, tmp_path / "whole", 0)
     killed, done = digest_after(name, tmp_path / "killed", kills)
     assert killed == whole
-    assert done >= kills // 2, "the run was over before most kills"
+    assert done >= min(kills - 1, 3), "the run was over before the kills"
 
 
 @pytest.mark.parametrize("name", QUICK)

@@ -35,6 +35,7 @@ from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.evaluate import run_episodes
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.files import ResultsError
+from servotrack.baselines.training.checkpoint import CHECKPOINT, load_checkpoint
 from servotrack.baselines.training.command import TrainingRequest, run_training
 from servotrack.baselines.training.comparison import compare
 from servotrack.baselines.training.dispatch import train
@@ -42,7 +43,7 @@ from servotrack.baselines.training.encoded_env import EncodedVecEnv
 from servotrack.baselines.training.export import export, exportable_policy
 from servotrack.baselines.training.progress import PeriodicEvaluation
 from servotrack.baselines.training.reinforcement import create_model, policy_mode, restore
-from servotrack.baselines.training.run import CHECKPOINT, TrainingTask, load_checkpoint
+from servotrack.baselines.training.run import TrainingTask
 from servotrack.baselines.training.sb3 import StableBaselinesVecEnv
 from servotrack.baselines.training.settings import TrainingSettings, load_settings, schedule
 from servotrack.baselines.training.student import StudentNetwork
@@ -125,8 +126,8 @@ def test_a_killed_training_goes_on_where_it_was_saved(tmp_path: Path) -> None:
 
     with pytest.raises(Killed):
         train(task, periodic_evaluation(tmp_path), on_entry=kill)
-    saved = torch.load(tmp_path / "run" / CHECKPOINT, weights_only=True)
-    assert saved["steps"] == seen[-1] < PPO.n_timesteps
+    saved = load_checkpoint(tmp_path / "run")
+    assert saved is not None and saved["steps"] == seen[-1] < PPO.n_timesteps
     resumed: list[int] = []
     curve = train(task, periodic_evaluation(tmp_path), on_entry=lambda entry: resumed.append(int(entry["steps"])))
     assert resumed[:5] == seen and resumed[-1] >= PPO.n_timesteps and sorted(set(resumed)) == resumed
@@ -146,7 +147,7 @@ def test_a_resumed_model_is_the_one_that_was_saved(tmp_path: Path) -> None:
     for name, value in checkpoint["parameters"]["policy"].items():
         assert torch.equal(models[0].policy.state_dict()[name], value)
     rms = models[0].get_vec_normalize_env().obs_rms
-    assert np.array_equal(rms.mean, checkpoint["observations"][0].numpy()) and rms.count > 512
+    assert np.array_equal(rms.mean, checkpoint["observations"][0]) and rms.count > 512
     optimizers = [model.policy.optimizer.state_dict()["state"] for model in models]
     assert optimizers[0].keys() == optimizers[1].keys() and len(optimizers[0]) > 0
 
