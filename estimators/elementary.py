@@ -23,7 +23,49 @@ def cosine(angles: ArrayLike) -> Array:
     return out.reshape(np.shape(angles))
 
 
+def exponential(values: ArrayLike) -> Array:
+    """Exponential function, element by element."""
+    x = np.ascontiguousarray(values, np.float64)
+    out = np.empty_like(x)
+    _exponential(x.reshape(-1), out.reshape(-1))
+    return out.reshape(np.shape(values))
+
+
+def hyperbolic_tangent(values: ArrayLike) -> Array:
+    """Hyperbolic tangent, element by element."""
+    x = np.ascontiguousarray(values, np.float64)
+    out = np.empty_like(x)
+    _hyperbolic_tangent(x.reshape(-1), out.reshape(-1))
+    return out.reshape(np.shape(values))
+
+
+def direction(y: ArrayLike, x: ArrayLike) -> Array:
+    """Angles of the points (x, y) in rad, from -pi to pi, element by element; both arrays have the same shape."""
+    across, along = np.ascontiguousarray(y, np.float64), np.ascontiguousarray(x, np.float64)
+    out = np.empty_like(across)
+    _direction(across.reshape(-1), along.reshape(-1), out.reshape(-1))
+    return out.reshape(np.shape(y))
+
+
 @njit(cache=True, nogil=True)
 def _cosine(x, out):  # type: ignore[no-untyped-def]
     for i in range(len(x)):
         out[i] = math.cos(x[i])
+
+
+@njit(cache=True, nogil=True)
+def _exponential(x, out):  # type: ignore[no-untyped-def]
+    for i in range(len(x)):
+        out[i] = math.exp(x[i])
+
+
+@njit(cache=True, nogil=True)
+def _hyperbolic_tangent(x, out):  # type: ignore[no-untyped-def]
+    for i in range(len(x)):
+        out[i] = math.tanh(x[i])
+
+
+@njit(cache=True, nogil=True)
+def _direction(y, x, out):  # type: ignore[no-untyped-def]
+    for i in range(len(x)):
+        out[i] = math.atan2(y[i], x[i])

@@ -12,6 +12,7 @@ from servotrack.envs.streams import Streams
 from servotrack.envs.track.clutter.config import ClutterConfig
 from servotrack.envs.track.counts import poisson_quantile
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.elementary import direction
 from servotrack.estimators.types import Array, Labels, Mask
 
 _CANDIDATES = 16
@@ -205,7 +206,7 @@ def _range_bearing(config: ClutterConfig, streams: Streams, states: Array) -> Ar
     x, y = config.sensor_position
     dx, dy = states[..., 0] - x, states[..., 2] - y
     noise = streams[Stream.SENSOR_NOISE].standard_normal((*dx.shape, 2))
-    exact = np.stack([np.hypot(dx, dy), np.arctan2(dy, dx)], axis=-1)
+    exact = np.stack([np.hypot(dx, dy), direction(dy, dx)], axis=-1)
     return exact + noise * np.array([config.range_noise, config.bearing_noise])
 
 

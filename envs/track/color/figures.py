@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from servotrack.envs.track.color.layers import Canvas, Color, Layer, Placement, oval, put
+from servotrack.estimators.elementary import exponential
 from servotrack.estimators.types import Array, Image
 
 HEAD = 72.0
@@ -150,7 +151,7 @@ def _canvas() -> Canvas:
 def _strands(rng: np.random.Generator, columns: int = 26) -> Array:
     """Return vertical light and dark lines, brightest near the top."""
     lines = 1.0 + 0.16 * rng.standard_normal((1, columns))
-    sheen = 1.0 + 0.28 * np.exp(-(((np.linspace(0.0, 1.0, 12) - 0.24) / 0.12) ** 2))[:, None]
+    sheen = 1.0 + 0.28 * exponential(-(((np.linspace(0.0, 1.0, 12) - 0.24) / 0.12) ** 2))[:, None]
     return np.clip(lines * sheen + 0.03 * rng.standard_normal((12, columns)), 0.45, 1.6)
 
 

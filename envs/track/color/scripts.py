@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.color.config import ColorConfig
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.elementary import exponential, hyperbolic_tangent
 from servotrack.estimators.types import Array
 
 
@@ -83,7 +85,7 @@ def draw_script(config: ColorConfig, streams: Streams) -> Script:
     """Draw the motion of an episode. Every quantity has its own random stream."""
     frames = config.horizon + 1
     slow = 1.6 * config.frame_rate
-    zooms = np.exp(np.log(config.zoom) * np.clip(wander(streams[Stream.ZOOM], frames, slow), -1.6, 1.6) / 1.6)
+    zooms = exponential(math.log(config.zoom) * np.clip(wander(streams[Stream.ZOOM], frames, slow), -1.6, 1.6) / 1.6)
     # The zoom starts at 1, so that the head starts with `head_height`.
     zooms = zooms / zooms[0] if config.zoom > 1.0 else zooms
     zooms = np.clip(zooms, 1.0 / config.zoom, config.zoom)
@@ -113,13 +115,13 @@ def wander(rng: np.random.Generator, frames: int, period: float, columns: int = 
     Returns:
         Samples, shape (frames,) for one column, otherwise (frames, columns).
     """
-    keep = np.exp(-1.0 / max(period / 2.0, 1e-9))
+    keep = math.exp(-1.0 / max(period / 2.0, 1e-9))
     warm_up = int(8 * period)
     white = rng.standard_normal((warm_up + frames, columns))
     # Variance of white noise after two filters x <- keep x + (1 - keep) u.
     gain = 1.0 - keep
     variance = gain**4 * (1.0 + keep**2) / (1.0 - keep**2) ** 3
-    found = _filtered_twice(white, keep)[warm_up:] / np.sqrt(variance)
+    found = _filtered_twice(white, keep)[warm_up:] / math.sqrt(variance)
     return found[:, 0] if columns == 1 else found
 
 
@@ -142,7 +144,7 @@ def _draw_target(config: ColorConfig, streams: Streams, heights: Array) -> Motio
 
 def _draw_pose(config: ColorConfig, streams: Streams, stream: Stream, frames: int) -> tuple[Array, Array]:
     pose = wander(streams[stream], frames, 0.7 * config.frame_rate, 2)
-    return config.tilt * pose[:, 0], config.turning * np.tanh(pose[:, 1])
+    return config.tilt * pose[:, 0], config.turning * hyperbolic_tangent(pose[:, 1])
 
 
 def _draw_path(config: ColorConfig, rng: np.random.Generator, heights: Array) -> Array:
@@ -185,7 +187,9 @@ def _draw_distractor(config: ColorConfig, streams: Streams, target: Motion, memb
     down = 0.1 + 0.12 * sway[:, 1]
     offset = np.stack([across, down], axis=1) * target.heights[:, None] * np.array([_HEAD_WIDTH, 1.0])
     heights = target.heights * (0.9 + 0.15 * size)
-    return Motion(target.centers + offset, heights, config.tilt * sway[:, 2], config.turning * np.tanh(sway[:, 3]))
+    return Motion(
+        target.centers + offset, heights, config.tilt * sway[:, 2], config.turning * hyperbolic_tangent(sway[:, 3])
+    )
 
 
 def _draw_occluder(config: ColorConfig, streams: Streams, target: Motion, member: int) -> Motion:
@@ -207,10 +211,11 @@ def _draw_occluder(config: ColorConfig, streams: Streams, target: Motion, member
 
 
 def _draw_light(config: ColorConfig, streams: Streams, frames: int) -> Array:
-    level = np.tanh(wander(streams[Stream.LIGHT], frames, 1.2 * config.frame_rate))
-    tint = np.tanh(wander(streams[Stream.TINT], frames, 2.0 * config.frame_rate))
+    level = hyperbolic_tangent(wander(streams[Stream.LIGHT], frames, 1.2 * config.frame_rate))
+    tint = hyperbolic_tangent(wander(streams[Stream.TINT], frames, 2.0 * config.frame_rate))
     # The first frame has neutral light: gains of 1.
     level, tint = level - level[0], tint - tint[0]
-    bright = np.clip(np.log(config.light_change) * level, -np.log(config.light_change), np.log(config.light_change))
-    warm = 0.5 * np.log(config.light_tint) * tint
-    return np.exp(bright[:, None] + warm[:, None] * np.array([1.0, 0.0, -1.0]))
+    most = math.log(config.light_change)
+    bright = np.clip(most * level, -most, most)
+    warm = 0.5 * math.log(config.light_tint) * tint
+    return exponential(bright[:, None] + warm[:, None] * np.array([1.0, 0.0, -1.0]))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from servotrack.envs.track.pedestrians.floor import BACK_WALL, BAY, Camera
 from servotrack.envs.track.pedestrians.paving import paint_floor
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.elementary import exponential
 from servotrack.estimators.types import Array, FloatArray, Image
 
 DOOR_WIDTH, DOOR_HEIGHT = 2.0, 2.4
@@ -112,7 +113,7 @@ def _paint_wall(camera: Camera, foot: float, palette: _Palette, rng: np.random.G
     above = ((foot - np.arange(rows) - 0.5) * _SUPERSAMPLING / scale)[:, None]
     beam = np.abs(across / 2.5 - np.round(across / 2.5)) * 2.5
     spread = np.maximum(0.35 + 0.42 * (3.1 - above), 0.05)
-    wash = np.where(above < 3.02, np.exp(-((beam / spread) ** 2)) * np.exp(-spread / 1.1), 0.05)
+    wash = np.where(above < 3.02, exponential(-((beam / spread) ** 2)) * exponential(-spread / 1.1), 0.05)
     light = (0.84 + 0.62 * wash).astype(np.float32)
     rough = 1.7 * rng.standard_normal((rows, width), dtype=np.float32)
     wall = np.empty((rows, width, 3), dtype=np.float32)
