@@ -15,7 +15,7 @@ from servotrack.baselines.agents.follow import tuning_grid as follow_grid
 from servotrack.baselines.agents.people import tuning_grid as people_grid
 from servotrack.baselines.agents.servo import tuning_grid as servo_grid
 from servotrack.baselines.agents.sonar import tuning_grid as sonar_grid
-from servotrack.baselines.reporting.files import ResultsError, atomic_path, read_document
+from servotrack.baselines.reporting.files import ResultsError, atomic_path, locked_folder, read_document
 
 FORMAT = "servotrack-tuning"
 FORMAT_VERSION = 1
@@ -108,16 +108,21 @@ class TuningRecord:
         return sum(known) if parts and len(known) == len(parts) else None
 
     def save(self, path: Path) -> None:
-        """Write the record atomically: an earlier file is replaced when the new one is complete.
+        """Write the record together with the agents that another process saved; the file is replaced when complete.
+
+        Afterwards the record holds those agents, too.
 
         Raises:
-            ResultsError: A folder that cannot be written.
+            ResultsError: An invalid file, or one of another protocol or release (see `resume_record`).
+            StorageError: A folder that cannot be written or locked.
         """
-        document: dict[str, Any] = {"format": FORMAT, "format_version": FORMAT_VERSION, **asdict(self)}
-        for name, tuned in self.agents.items():
-            document["agents"][name]["environment_steps"] = tuned.environment_steps
-        with atomic_path(path) as temporary:
-            temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        with locked_folder(path.parent):
+            self.agents = {**resume_record(path, self.protocol).agents, **self.agents}
+            document: dict[str, Any] = {"format": FORMAT, "format_version": FORMAT_VERSION, **asdict(self)}
+            for name, tuned in self.agents.items():
+                document["agents"][name]["environment_steps"] = tuned.environment_steps
+            with atomic_path(path) as temporary:
+                temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def read_record(path: Path) -> TuningRecord:
@@ -130,17 +135,28 @@ def read_record(path: Path) -> TuningRecord:
     document = read_document(path, FORMAT, FORMAT_VERSION, "no record of a tuning", remedy)
     try:
         agents = {name: _tuned(entry) for name, entry in document["agents"].items()}
-        return TuningRecord(dict(document["protocol"]), agents)
+        protocol = dict(document["protocol"])
+        if ":" in protocol["env_id"]:
+            raise ValueError("env_id names a module")
+        return TuningRecord(protocol, agents)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ResultsError(f"{path} is corrupt ({type(error).__name__}: {error}); {remedy}") from error
 
 
 def _tuned(entry: dict[str, Any]) -> TunedAgent:
     candidates = [Candidate(**candidate) for candidate in entry["candidates"]]
+    for candidate in candidates:
+        numbers = [*candidate.values.values(), candidate.objective, *(candidate.difference or {}).values()]
+        if not all(type(number) in (int, float) for number in numbers):
+            raise ValueError(f"values, objective and difference must be numbers, got {candidate}")
+        if type(candidate.environment_steps) is not int or candidate.environment_steps < 0:
+            raise ValueError(f"environment_steps must be integers >= 0, got {candidate.environment_steps!r}")
+    if not all(isinstance(tried, list) for tried in entry["grid"].values()):
+        raise ValueError(f"grid must hold a list per hyper-parameter, got {entry['grid']}")
     tuned = TunedAgent(entry["grid"], entry["start"], candidates, entry["chosen"], entry["provenance"])
     if tuned.environment_steps != entry["environment_steps"]:
         raise ValueError(f"environment_steps {entry['environment_steps']}, but {tuned.environment_steps} by candidate")
-    if not {"versions", "command"} <= set(tuned.provenance):
+    if not isinstance(tuned.provenance.get("versions"), dict) or "command" not in tuned.provenance:
         raise ValueError("provenance has no versions or no command")
     if tuned.chosen not in [candidate.values for candidate in candidates]:
         raise ValueError(f"chosen {tuned.chosen} was never measured")

@@ -83,6 +83,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     try:
         with temporary_in(path.parent, path.suffix) as temporary:
             yield temporary
+            _sync(temporary)
             # Temporary files can be read by their owner only.
             temporary.chmod(0o666 & ~_umask())
             temporary.replace(path)
@@ -91,6 +92,15 @@ def atomic_path(path: Path) -> Iterator[Path]:
         if own or is_machine_trouble(error):
             raise storage_error(path, error) from error
         raise
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file is on the disk. Network file systems report quotas and full disks here at the latest."""
+    handle = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def _umask() -> int:

@@ -24,11 +24,13 @@ class Grid(NamedTuple):
         headings: One per column.
         rows: Cells.
         words: Number of columns from the left that hold words; the others hold numbers.
+        markdown: Columns of words that are Markdown on purpose; in the others, markup is escaped.
     """
 
     headings: list[str]
     rows: list[list[str]]
     words: int
+    markdown: tuple[int, ...] = ()
 
 
 def as_rich(grid: Grid, title: str) -> Table:
@@ -53,10 +55,12 @@ def as_rich(grid: Grid, title: str) -> Table:
 def as_markdown(grid: Grid) -> str:
     """A grid as a Markdown table, in which names appear as they are, whatever markup they hold."""
     alignment = [":--" if i < grid.words else "--:" for i in range(len(grid.headings))]
-    rows = [
-        [markdown_text(cell) if i < grid.words else markdown_cell(cell) for i, cell in enumerate(row)]
-        for row in grid.rows
-    ]
+
+    def shown(cell: str, column: int) -> str:
+        is_name = column < grid.words and column not in grid.markdown
+        return markdown_text(cell) if is_name else markdown_cell(cell)
+
+    rows = [[shown(cell, i) for i, cell in enumerate(row)] for row in grid.rows]
     lines = [[markdown_cell(heading) for heading in grid.headings], alignment, *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 

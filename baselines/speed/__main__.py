@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from servotrack.baselines.evaluation.provenance import provenance
+from servotrack.baselines.reporting.files import atomic_path
 from servotrack.baselines.speed import accuracy, bearings, environments, learning, rates, set_filters, video
 
 
@@ -107,7 +108,8 @@ def main() -> None:
     report = f"{top}\n{body}"
     print(report)
     if arguments.write:
-        arguments.write.write_text(report, encoding="utf-8")
+        with atomic_path(arguments.write) as temporary:
+            temporary.write_text(report, encoding="utf-8")
 
 
 if __name__ == "__main__":

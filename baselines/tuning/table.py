@@ -8,6 +8,7 @@ from typing import Any
 from servotrack.baselines.agents.registry import AGENTS
 from servotrack.baselines.agents.tuning_record import TunedAgent, TuningRecord
 from servotrack.baselines.reporting.grid import Grid, as_markdown
+from servotrack.baselines.reporting.plain_text import markdown_code
 from servotrack.baselines.tuning.families import FAMILIES
 from servotrack.baselines.worlds import world_of_id
 
@@ -19,11 +20,11 @@ def tuning_grid(record: TuningRecord) -> Grid:
     for name, tuned in record.agents.items():
         for i, (path, choices) in enumerate(tuned.grid.items()):
             chosen, start = tuned.chosen[path], tuned.start[path]
-            cells = [f"`{path}`", ", ".join(f"{c:g}" for c in choices), f"{chosen:g}"]
+            cells = [markdown_code(path), ", ".join(f"{c:g}" for c in choices), f"{chosen:g}"]
             cells.append("" if chosen == start else f"{start:g}")
             whole = [str(len(tuned.candidates)), _objective(tuned), f"{tuned.environment_steps:,}"]
             rows.append([name if i == 0 else "", *cells, *(whole if i == 0 else [""] * 3)])
-    return Grid(headings, rows, 3)
+    return Grid(headings, rows, 3, markdown=(1,))
 
 
 def steps_grid(record: TuningRecord) -> Grid:
@@ -44,7 +45,7 @@ def markdown_tuning(record: TuningRecord) -> str:
         f"{as_markdown(tuning_grid(record))}\n"
         f"{protocol['env_id']}, levels {', '.join(map(str, protocol['levels']))}, {len(seeds)} seeds each "
         f"({seeds[0]} to {seeds[-1]}). Objective: {_cost(protocol)}; where it changed, "
-        f"before → after. Written by {', '.join(f'`{c}`' for c in commands)}, "
+        f"before → after. Written by {', '.join(map(markdown_code, commands))}, "
         f"servotrack {', '.join(versions)}.\n\n{as_markdown(steps_grid(record))}"
     )
 

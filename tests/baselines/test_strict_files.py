@@ -104,12 +104,12 @@ def test_yaml_that_multiplies_or_is_ambiguous_is_refused(tmp_path: Path, text: s
     path = tmp_path / "x.yaml"
     path.write_text(text)
     tracemalloc.start()
-    started = time.perf_counter()
+    started = time.process_time()
     with pytest.raises(ResultsError, match=message) as caught:
         read_strict_yaml(path)
     assert tracemalloc.get_traced_memory()[1] < 50e6
     tracemalloc.stop()
-    assert time.perf_counter() - started < 5.0
+    assert time.process_time() - started < 10.0
     assert str(path) in str(caught.value) and len(str(caught.value)) < 700 + len(str(path))
 
 

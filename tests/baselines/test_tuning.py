@@ -16,7 +16,7 @@ from servotrack.baselines.agents.hyper_parameters import value_at, with_values
 from servotrack.baselines.agents.registry import AGENTS, agent_card
 from servotrack.baselines.agents.servo.catalog import ESTIMATORS
 from servotrack.baselines.agents.servo.tuning_grid import BORROWED, GRIDS, UNTUNED
-from servotrack.baselines.agents.tuning_record import SHIPPED, TunedAgent, read_record
+from servotrack.baselines.agents.tuning_record import SHIPPED, TunedAgent, TuningRecord, read_record
 from servotrack.baselines.evaluation.evaluate import run_episodes
 from servotrack.baselines.evaluation.seeds import TUNE
 from servotrack.baselines.reporting.files import ResultsError
@@ -148,7 +148,7 @@ def test_a_killed_search_keeps_the_agents_before_it(
     with pytest.raises(KeyboardInterrupt):
         tune(["student-t-kf", "correntropy-kf"], path, SHORT, on_candidate=killed)
     assert list(read_record(path).agents) == ["student-t-kf"]
-    assert [file.name for file in tmp_path.iterdir()] == ["tuning.json"]
+    assert [file.name for file in tmp_path.glob("[!.]*")] == ["tuning.json"]
 
 
 def test_borrowed_values_are_counted_and_unknown_ones_unknown(quick: list[str], tmp_path: Path) -> None:
@@ -157,6 +157,14 @@ def test_borrowed_values_are_counted_and_unknown_ones_unknown(quick: list[str], 
     expected = {"kf": kf, "ukf": kf, "latency-bank-kf": kf, "student-t-kf": kf + 50, "random": 0, "oracle": 0}
     expected |= {"broyden": None, "lifted-kf-swinging": None, "correntropy-kf": None, "mine:Agent": None}
     assert {name: record.tuning_steps(name) for name in expected} == expected
+
+
+def test_two_processes_keep_each_other_s_agents(quick: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "tuning.json"
+    mine = tune(["student-t-kf"], path, SHORT)
+    other = TuningRecord(mine.protocol, {"kf": mine.agents["student-t-kf"]})
+    other.save(path)
+    assert list(read_record(path).agents) == ["student-t-kf", "kf"] == list(other.agents)
 
 
 def test_a_record_of_another_kind_is_refused_by_name(quick: list[str], tmp_path: Path) -> None:
@@ -184,6 +192,13 @@ def test_a_record_of_another_kind_is_refused_by_name(quick: list[str], tmp_path:
     refused(changed(grid={"outliers.degrees_of_freedom": [4.0]}), "another grid")
     other = {**document["agents"]["student-t-kf"]["provenance"], "versions": {"servotrack": "0.0.0"}}
     refused(changed(provenance=other), "tuned with servotrack 0.0.0")
+    refused(changed(provenance={**other, "versions": None}), "no versions")
+    refused(changed(grid={"outliers.degrees_of_freedom": 4.0}), "a list per hyper-parameter")
+    first = {**document["agents"]["student-t-kf"]["candidates"][0]}
+    for field, value in (("objective", "low"), ("environment_steps", 1e9), ("values", {"outliers": []})):
+        refused(changed(candidates=[{**first, field: value}]), "must be")
+    refused(good.replace('"agents"', '"protocol": {}, "agents"'), "'protocol' appears twice")
+    refused(good.replace("objective", "objective\\ud800", 1), "surrogates")
     path.write_text(good)
     with pytest.raises(ResultsError, match=r"another protocol \(different: seeds\)"):
         tune(["student-t-kf"], path, TuningProtocol(levels=(0, 1)))

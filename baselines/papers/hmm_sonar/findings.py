@@ -92,6 +92,7 @@ CONTRADICTIONS = Grid(
         ],
     ],
     3,
+    markdown=(2,),
 )
 
 
