@@ -13,6 +13,7 @@ import torch
 from torch import nn
 
 from servotrack.baselines.agents.learned.card import LearnedCard, digest
+from servotrack.baselines.agents.learned.marker_network import keep_marker_network
 from servotrack.baselines.agents.learned.network import ACTION, MEMORY, NEXT_MEMORY, OBSERVATION
 from servotrack.baselines.reporting.files import atomic_path
 
@@ -129,6 +130,8 @@ def write_agent(subject: Exportable, card: LearnedCard, folder: Path) -> Learned
 
 
 def write_card(card: LearnedCard, folder: Path) -> None:
-    """Write the card next to its network."""
+    """Write the card next to its network, and the marker network that its encoding needs, unless the package has it."""
+    if "eyes" in card.encoding:
+        keep_marker_network(card.encoding["eyes"], folder)
     with atomic_path((folder / card.network).with_suffix(".json")) as temporary:
         temporary.write_text(card.as_json(), encoding="utf-8")

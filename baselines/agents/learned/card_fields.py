@@ -48,13 +48,31 @@ ENCODINGS: Mapping[str, Record] = {
 }  # fmt: skip
 """Conditions on the settings of an encoding by its kind."""
 
+
+class _Encoding:
+    """Settings of an encoding, whose fields depend on its kind."""
+
+    @property
+    def words(self) -> str:
+        """The condition in words."""
+        return f"a mapping with a kind, {', '.join(ENCODINGS)}, and the settings of that kind"
+
+    def check(self, value: Any, where: str) -> None:
+        """Raise ValueError for another value."""
+        if not isinstance(value, Mapping):
+            raise ValueError(f"{where} must be {self.words}, got {type(value).__name__}")
+        kind = value.get("kind", "flat")
+        Choice(_KINDS).check(kind, f"{where}.kind")
+        ENCODINGS[kind].check(value, where)
+
+
 CARD = Record(
     {
         "name": Text(100, r"[^/\\:]+", "a name without / \\ :"),
         "summary": Text(2000),
         "env_id": Text(200, r"([\w.-]+/)?[\w.-]+", "an id of Gymnasium without a module,"),
         "env_kwargs": Plain(1000, Text(100, r"[A-Za-z_]\w*", "an identifier")),
-        "encoding": Plain(1000, Text(100)),
+        "encoding": _Encoding(),
         "network": Text(200, r"[^/\\:]+\.onnx", "the name of an .onnx file in the card's own folder,"),
         "sha256": Text(64, "[0-9a-f]{64}", "64 hexadecimal digits,"),
         "memory": Whole(0, 65_536),
@@ -75,9 +93,6 @@ def check_encoding(settings: Any) -> None:
         ValueError: An unknown kind or field, or a value out of bounds; the message names the field.
     """
     CARD.fields["encoding"].check(settings, "encoding")
-    kind = settings.get("kind", "flat")
-    Choice(_KINDS).check(kind, "encoding.kind")
-    ENCODINGS[kind].check(settings, "encoding")
 
 
 def check_card(fields: Mapping[str, Any]) -> None:
@@ -87,4 +102,3 @@ def check_card(fields: Mapping[str, Any]) -> None:
         ValueError: A missing or unknown field, or a value out of bounds; the message names the field.
     """
     CARD.check(fields, "")
-    check_encoding(fields["encoding"])

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard, load_card
-from servotrack.baselines.agents.learned.network import NetworkSession
+from servotrack.baselines.agents.learned.network import LARGEST_NETWORK, NetworkSession
 from servotrack.baselines.agents.learned.onnx_file.check import Row
 from servotrack.baselines.agents.learned.onnx_file.reader import FLOAT, TYPES, UINT8
 from servotrack.baselines.agents.learned.shipped import SHIPPED
+from servotrack.baselines.reporting.files import atomic_path, read_bounded
 from servotrack.estimators.types import Array, Mask
 
 MARKER = "marker"
@@ -75,15 +76,39 @@ def open_marker_network(name: str, folder: Path | None = None) -> MarkerNetwork:
     Raises:
         AgentFileError: No such card, an invalid one, or one of another kind.
     """
-    folders = [SHIPPED, Path()] if folder is None else [folder, SHIPPED]
-    places = [place / f"{name}.json" for place in folders]
+    path = _find(name, [SHIPPED, Path()] if folder is None else [folder, SHIPPED])
+    card = load_card(path)
+    if card.encoding.get("kind") != MARKER:
+        raise AgentFileError(f"encoding.eyes names {path}, which is not the card of a marker network")
+    return MarkerNetwork(path.parent / card.network, card)
+
+
+def keep_marker_network(name: str, folder: Path) -> None:
+    """Copy a marker network of the working directory into a folder, so that a card there can name it.
+
+    Args:
+        name: Name of its card without folder and suffix. The package's own networks are not copied.
+        folder: Folder of the card that names it.
+
+    Raises:
+        AgentFileError: No such card, or an invalid one.
+    """
+    path = _find(name, [SHIPPED, folder, Path()])
+    if path.parent in (SHIPPED, folder):
+        return
+    network = load_card(path).network
+    for file in (network, path.name):
+        with atomic_path(folder / file) as temporary:
+            temporary.write_bytes(read_bounded(path.parent / file, LARGEST_NETWORK, follow=False))
+
+
+def _find(name: str, folders: list[Path]) -> Path:
+    """Return the path of a card in the first folder that has it."""
+    places = [folder / f"{name}.json" for folder in folders]
     path = next((place for place in places if place.is_file()), None)
     if path is None:
         raise AgentFileError(
             f"encoding.eyes names {name!r}, but {' and '.join(map(str, places))} are missing; put the marker network's "
             "card and its .onnx file there"
         )
-    card = load_card(path)
-    if card.encoding.get("kind") != MARKER:
-        raise AgentFileError(f"encoding.eyes names {path}, which is not the card of a marker network")
-    return MarkerNetwork(path.parent / card.network, card)
+    return path

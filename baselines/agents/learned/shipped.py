@@ -43,9 +43,13 @@ def agent_in_file(path: Path) -> AgentCard:
     """Return the agent card of a learned agent in a file; its name is the path.
 
     Raises:
-        AgentFileError: A missing or invalid card.
+        AgentFileError: A missing or invalid card, or one for an environment that cannot be loaded.
     """
     card = load_card(path)
+    try:
+        kind = kind_of_id(card.env_id)
+    except Exception as error:  # raised by the code of an environment that is registered in this process
+        raise AgentFileError(f"{path}: env_id {card.env_id!r} cannot be loaded here ({error})") from error
     return AgentCard(
         str(path),
         FACTORY,
@@ -53,7 +57,7 @@ def agent_in_file(path: Path) -> AgentCard:
         card.summary,
         parameters={"path": str(path)},
         tuning_steps=card.steps,
-        worlds=frozenset({kind_of_id(card.env_id)}),
+        worlds=frozenset({kind}),
     )
 
 

@@ -14,10 +14,13 @@ import pytest
 import servotrack  # noqa: F401
 from servotrack.baselines.agents.learned.agent import create_learned_agent
 from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard, digest, load_card
+from servotrack.baselines.agents.learned.marker_network import keep_marker_network, open_marker_network
 from servotrack.baselines.agents.learned.network import LARGEST_NETWORK
 from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
 from servotrack.baselines.agents.learned.set_prediction import SetWindow
+from servotrack.baselines.agents.learned.shipped import SHIPPED
 from servotrack.baselines.agents.registry import agent_card, create_agent
+from servotrack.baselines.training.settings import TrainingSettings
 
 onnx = pytest.importorskip("onnx")
 
@@ -208,3 +211,51 @@ def test_rows_of_a_batch_act_and_forget_alone(tmp_path: Path) -> None:
     anew, _ = agent.predict(observation)
     assert np.array_equal(resumed[[0, 2]], going_on[[0, 2]]) and np.array_equal(resumed[1], anew[1])
     assert not np.array_equal(going_on[1], anew[1])
+
+
+def test_settings_of_a_training_name_no_code_either() -> None:
+    for encoding in ({"kind": "servo", "residual": "evil:make"}, {"kind": "servo", "eyes": "../eyes"}):
+        with pytest.raises(ValueError, match=r"encoding\.(residual|eyes) must be the name"):
+            TrainingSettings("ppo", "ppo", encoding=encoding)
+
+
+def test_a_trained_agent_keeps_the_marker_network_that_it_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = "UncalibServoPixels-v0-level3-eyes"
+    card = json.loads((SHIPPED / f"{shipped}.json").read_text())
+    (tmp_path / "mine.json").write_text(json.dumps(card))
+    (tmp_path / card["network"]).write_bytes((SHIPPED / card["network"]).read_bytes())
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "agent"
+    keep_marker_network(shipped, folder)
+    assert not folder.exists()
+    keep_marker_network("mine", folder)
+    monkeypatch.chdir("/")
+    images = np.zeros((2, 96, 96, 3), np.uint8)
+    kept, known = (open_marker_network(name, folder).detect(images) for name in ("mine", shipped))
+    assert all(np.array_equal(*pair) for pair in zip(kept, known, strict=True))
+    with pytest.raises(AgentFileError, match=r"eyes names 'yours', but .*yours.json are missing"):
+        open_marker_network("yours", folder)
+
+
+def test_learned_agents_refuse_a_clock_that_goes_backwards(tmp_path: Path, env: Any) -> None:
+    """In the words of the classical ones, for one environment and for single rows of a batch."""
+    path = write(tmp_path, network())
+    observation, _ = env.reset(seed=100_000)
+    later = {**observation, "time": observation["time"] + 1.0}
+    for name in (str(path), "kf"):
+        agent: Any = create_agent(agent_card(name), env)
+        _, state = agent.predict(later)
+        with pytest.raises(ValueError, match=r"time must not go backwards, got 0.0 after 1.0"):
+            agent.predict(observation, state)
+        agent.predict(observation, state, True)
+        both = {key: np.stack([later[key], observation[key]]) for key in observation}
+        turned = {key: value[::-1] for key, value in both.items()}
+        _, states = agent.predict(both)
+        with pytest.raises(ValueError, match="time must not go backwards"):
+            agent.predict(turned, states)
+        agent.predict(turned, states, np.array([True, False]))
+    agent = create_agent(agent_card(str(path)), env)
+    with pytest.raises(ValueError, match="observation time must be finite, got inf"):
+        agent.predict({**observation, "time": np.array([np.inf])})
