@@ -17,7 +17,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import concatenate, create_empty_array, iterate
 
-from servotrack.envs.testing.bits import first_difference
+from servotrack.estimators.testing.bits import first_difference
 
 FINAL_KEYS = ("final_obs", "final_info")
 """Keys of infos that hold the last observation and info of an episode in SAME_STEP."""

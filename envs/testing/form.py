@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from gymnasium.vector.utils import batch_space, create_empty_array
 
-from servotrack.envs.testing.bits import first_difference
 from servotrack.envs.testing.event_trace import batch_actions
 from servotrack.envs.testing.subject import Subject, VectorEnv, assert_rejected, assert_same
+from servotrack.estimators.testing.bits import first_difference
 
 
 def check_spaces(subject: Subject) -> None:

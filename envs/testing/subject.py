@@ -11,8 +11,8 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from servotrack.envs.testing.bits import first_difference
 from servotrack.envs.testing.event_trace import ActionPlan, EventTrace, batch_actions, vector_traces, write_plan
+from servotrack.estimators.testing.bits import first_difference
 
 VectorEnv = gym.vector.VectorEnv[Any, Any, Any]
 _REJECTIONS = (ValueError, TypeError, AssertionError, gym.error.Error)

@@ -13,8 +13,9 @@ import numpy as np
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.jacobian.contract import Increment, LinearEstimate, ServoMeasurement
-from servotrack.estimators.jacobian.measurement import checked, first_bad
+from servotrack.estimators.jacobian.measurement import checked
 from servotrack.estimators.types import Array, Mask
+from servotrack.estimators.validation import first_bad
 
 
 class AlignmentState(NamedTuple):
@@ -137,7 +138,8 @@ def check_clock(time: Array, newest: Array, remedy: str) -> None:
     backwards = time < newest
     if backwards.any():
         raise ValueError(
-            f"time must not go backwards, got {first_bad(time, backwards)} after {first_bad(newest, backwards)}; {remedy}"
+            f"time must not go backwards, got {first_bad(time, backwards)} after {first_bad(newest, backwards)}; "
+            f"{remedy}"
         )
 
 

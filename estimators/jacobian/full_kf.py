@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from servotrack.estimators.definite import keep_definite
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState, present_estimate
 from servotrack.estimators.jacobian.contract import LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.gaussian import correlated_scores, require_positive_definite
@@ -82,7 +83,7 @@ class FullKalmanJacobian:
         )
         updated = (
             (x + np.einsum("...ij,...j->...i", K, innovation)).reshape(state.jacobian.shape),
-            0.5 * (covariance + np.swapaxes(covariance, -1, -2)),
+            keep_definite(0.5 * (covariance + np.swapaxes(covariance, -1, -2)), diagonal),
         )
         mean, covariance = select_rows(increment.fresh, updated, (state.jacobian, state.covariance))
         scores = correlated_scores(innovation, S, increment.fresh)

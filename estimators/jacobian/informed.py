@@ -13,11 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from servotrack.estimators.camera import ground_points
+from servotrack.estimators.camera import CAMERA_SIZE, ground_points
 from servotrack.estimators.jacobian.contract import ServoMeasurement
 from servotrack.estimators.jacobian.lifted import SWINGING_MODELS, LiftedEstimate, LiftedKalman, LiftedState
 from servotrack.estimators.jacobian.measurement import checked
 from servotrack.estimators.types import Array, Mask
+from servotrack.estimators.validation import LIMITS, as_numbers, check_within
 
 
 class Geometry(NamedTuple):
@@ -77,9 +78,10 @@ class InformedKalman:
             raise ValueError(f"target must have drift=0 because the geometry is known, got drift={self.target.drift}")
 
     def initial(self, measurement: InformedMeasurement) -> LiftedState:
-        """State before the first frame. Raises ValueError as `LiftedKalman.initial` does."""
-        state = self.target.initial(_rectified(measurement))
-        camera, links, _, _ = measurement.geometry
+        """State before the first frame. Raises ValueError as `LiftedKalman.initial` does, or for a bad geometry."""
+        rectified = _rectified(measurement)
+        state = self.target.initial(rectified)
+        camera, links, _, _ = _checked_geometry(measurement.geometry, rectified.time.shape)
         scale = _pixels_per_meter(camera)
         mounting = camera[..., 5] + 1j * camera[..., 6]
         mean, covariance = state.mean.copy(), state.covariance.copy()
@@ -90,7 +92,7 @@ class InformedKalman:
         return state._replace(mean=mean, covariance=covariance)
 
     def step(self, state: LiftedState, measurement: InformedMeasurement) -> tuple[LiftedState, LiftedEstimate]:
-        """Update with one measurement. Raises ValueError as `LiftedKalman.step` does."""
+        """Update with one measurement. Raises ValueError as `LiftedKalman.step` does, or for a bad geometry."""
         return self.target.step(state, _rectified(measurement))
 
 
@@ -98,10 +100,28 @@ def _pixels_per_meter(camera: Array) -> Array:
     return camera[..., 0] / camera[..., 4]
 
 
+def _checked_geometry(geometry: Geometry, batch: tuple[int, ...]) -> Geometry:
+    """Convert a geometry to float64 arrays; raise ValueError for wrong shapes and values."""
+    shapes = {"camera": (*batch, CAMERA_SIZE), "links": (*batch, 2), "latency": batch, "readout": batch}
+    arrays = Geometry(*(as_numbers(name, getattr(geometry, name)) for name in shapes))
+    for name, shape in shapes.items():
+        array = getattr(arrays, name)
+        if array.shape != shape:
+            raise ValueError(f"{name} must have shape {shape}, got {array.shape}; give it the measurement's batch axes")
+        check_within(name, array, LIMITS.pixels, "pass the true geometry")
+    camera = arrays.camera
+    if not (camera[..., [0, 1, 4, 17]] > 0.0).all():
+        raise ValueError(
+            "camera must have focal lengths, a depth and a width above 0, got "
+            f"{camera[..., [0, 1, 4, 17]].tolist()}; make it with pack_camera"
+        )
+    return arrays
+
+
 def _rectified(measurement: InformedMeasurement) -> ServoMeasurement:
     """Convert to the measurement of an ideal camera at the instant at which the target's image row was read."""
-    geometry = measurement.geometry
     seen = checked(ServoMeasurement(*measurement[:6]))
+    geometry = _checked_geometry(measurement.geometry, seen.time.shape)
     camera = geometry.camera
     scale = _pixels_per_meter(camera)[..., None]
     height = 2.0 / camera[..., 17]

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.definite import is_definite, repair
 from servotrack.estimators.types import Array, ComplexArray
 
 STATE_SIZE = 5
@@ -143,11 +144,12 @@ def _predict(mean, cov, dt, model, drift):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _correct(mean, cov, turn, swing, z, noise_weight, parameters, branch):  # type: ignore[no-untyped-def]
+def _correct(mean, cov, turn, swing, z, noise_weight, parameters, branch, factor):  # type: ignore[no-untyped-def]
     """Update one model with z = turn A - swing B - D + noise, with exact moments over all noise branches.
 
-    `branch` (L + 1,) receives the joint density of the measurement and each branch. Returns the density of the
-    measurement, the NIS expected over the branches, and the part of the innovation due to encoder noise.
+    `branch` (L + 1,) receives the joint density of the measurement and each branch; `factor` (5, 5) is scratch. Returns
+    the density of the measurement, the NIS expected over the branches, and the part of the innovation due to encoder
+    noise.
     """
     noise, outlier_rate, outlier_variance = parameters.noise, parameters.outlier_rate, parameters.outlier_variance
     g = np.empty(STATE_SIZE, dtype=np.complex128)
@@ -198,6 +200,8 @@ def _correct(mean, cov, turn, swing, z, noise_weight, parameters, branch):  # ty
             for c in range(r):
                 cov[r, c] *= trust[r] * trust[c]
                 cov[c, r] = np.conj(cov[r, c])
+    if not is_definite(cov, 0.0, factor):
+        repair(cov, before, factor)
     return density, nu2 * first, by_joints * first * innovation
 
 
@@ -223,7 +227,7 @@ def lifted_update(mean, cov, weight, noise_weight, fresh, dt, joints, z, paramet
     noise_stay = parameters.noise_stay
     mixed_mean, mixed_cov = np.empty_like(mean[0]), np.empty_like(cov[0])
     predicted, noise_prior, noise_post = np.empty(count), np.empty(levels), np.empty(levels)
-    branch = np.empty(levels + 1)
+    branch, factor = np.empty(levels + 1), np.empty_like(cov[0, 0])
     for n in range(rows):
         log_likelihood[n], nis[n], encoder_error[n] = 0.0, 0.0, 0.0 + 0.0j
         if not fresh[n]:
@@ -239,7 +243,7 @@ def lifted_update(mean, cov, weight, noise_weight, fresh, dt, joints, z, paramet
         for j in range(count):
             _predict(mixed_mean[j], mixed_cov[j], dt[n], parameters.models[j], parameters.drift)
             density, ratio, share = _correct(
-                mixed_mean[j], mixed_cov[j], turn, swing, z[n], noise_prior, parameters, branch
+                mixed_mean[j], mixed_cov[j], turn, swing, z[n], noise_prior, parameters, branch, factor
             )
             weight[n, j] = predicted[j] * density
             total += weight[n, j]

@@ -1,11 +1,9 @@
-"""Validation of measurements, shared by all Jacobian estimators."""
+"""Front door of the Jacobian estimators: validation of their measurements."""
 
 from __future__ import annotations
 
-import numpy as np
-
 from servotrack.estimators.jacobian.contract import ServoMeasurement
-from servotrack.estimators.types import Array, Mask
+from servotrack.estimators.validation import LIMITS, as_mask, as_numbers, check_within, first_bad
 
 CLOCK_TOLERANCE = 1e-6
 """Rounding error by which a frame's stamp may exceed the present time, s."""
@@ -14,25 +12,26 @@ CLOCK_TOLERANCE = 1e-6
 def checked(measurement: ServoMeasurement) -> ServoMeasurement:
     """Check a measurement and convert it to float64 and bool arrays.
 
-    Features of a frame that does not show the target may have any value, including NaN: they are never read.
+    Features of a frame that does not show the target, and its time stamp, may have any value, including NaN: they count
+    as unseen and are never read. All other values must be finite and within `servotrack.estimators.validation.LIMITS`.
 
     Args:
         measurement: Array-likes with the shapes that `ServoMeasurement` documents.
 
     Returns:
-        The same values as arrays.
+        The same values as arrays in C order.
 
     Raises:
-        ValueError: Shapes disagree, a value that is used is not finite, or a frame's stamp lies in the future. The
-            message names the field, the value and the remedy.
+        ValueError: A field is not numeric, shapes disagree, a value that is used is not finite or beyond its limit, or
+            a frame's stamp lies in the future. The message names the field, the value and the remedy.
     """
     # Contiguous arrays, so that each kernel is compiled only once.
-    joint_angles = np.asarray(measurement.joint_angles, dtype=np.float64, order="C")
-    features = np.asarray(measurement.features, dtype=np.float64, order="C")
-    goal = np.asarray(measurement.goal, dtype=np.float64, order="C")
-    visible = np.asarray(measurement.visible, dtype=np.bool_, order="C")
-    frame_time = np.asarray(measurement.frame_time, dtype=np.float64, order="C")
-    time = np.asarray(measurement.time, dtype=np.float64, order="C")
+    joint_angles = as_numbers("joint_angles", measurement.joint_angles)
+    features = as_numbers("features", measurement.features)
+    goal = as_numbers("goal", measurement.goal)
+    visible = as_mask("visible", measurement.visible)
+    frame_time = as_numbers("frame_time", measurement.frame_time)
+    time = as_numbers("time", measurement.time)
 
     if joint_angles.ndim == 0:
         raise ValueError(
@@ -40,6 +39,11 @@ def checked(measurement: ServoMeasurement) -> ServoMeasurement:
         )
     if features.ndim == 0:
         raise ValueError(f"features must have shape (*batch, m), got the scalar {features}; pass one value per feature")
+    if 0 in (joint_angles.shape[-1], features.shape[-1]):
+        raise ValueError(
+            "joint_angles and features must have at least one entry per row, got shapes "
+            f"{joint_angles.shape} and {features.shape}"
+        )
     batch = joint_angles.shape[:-1]
     wanted = {
         "features": (features, (*batch, features.shape[-1])),
@@ -54,17 +58,12 @@ def checked(measurement: ServoMeasurement) -> ServoMeasurement:
                 f"{name} must have shape {shape} beside joint_angles of shape {joint_angles.shape} and features of "
                 f"shape {features.shape}, got {value.shape}; give every field the same leading batch axes"
             )
-    everywhere = np.broadcast_to(True, batch)
-    for name, value, needed, remedy in (
-        ("joint_angles", joint_angles, everywhere[..., None], "repeat the last good reading instead"),
-        ("goal", goal, everywhere[..., None], "repeat the last goal instead"),
-        ("time", time, everywhere, "pass the clock's reading"),
-        ("features", features, visible[..., None], "set visible to false for a lost frame"),
-        ("frame_time", frame_time, visible, "set visible to false for a lost frame"),
-    ):
-        bad = ~np.isfinite(value) & needed
-        if bad.any():
-            raise ValueError(f"{name} must be finite, got {first_bad(value, bad)}; {remedy}")
+    check_within("joint_angles", joint_angles, LIMITS.angles, "repeat the last good reading instead")
+    check_within("goal", goal, LIMITS.pixels, "repeat the last goal instead")
+    check_within("time", time, LIMITS.times, "pass the clock's reading")
+    unseen = "set visible to false for a lost frame"
+    check_within("features", features, LIMITS.pixels, unseen, visible[..., None])
+    check_within("frame_time", frame_time, LIMITS.times, unseen, visible)
     future = visible & (frame_time > time + CLOCK_TOLERANCE)
     if future.any():
         raise ValueError(
@@ -72,9 +71,3 @@ def checked(measurement: ServoMeasurement) -> ServoMeasurement:
             f"{first_bad(time, future)}; stamp frames with the clock of the encoders"
         )
     return ServoMeasurement(joint_angles, features, goal, visible, frame_time, time)
-
-
-def first_bad(value: Array, bad: Mask) -> str:
-    """Format the first entry of `value` where `bad` is true, with its index if there are several entries."""
-    place = tuple(int(i) for i in np.argwhere(bad)[0])
-    return f"{value[place]} at index {list(place)}" if value.size > 1 else f"{value[place]}"

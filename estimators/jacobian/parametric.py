@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from servotrack.estimators.definite import keep_definite
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
 from servotrack.estimators.jacobian.contract import ServoMeasurement
 from servotrack.estimators.jacobian.lifted import LiftedEstimate
@@ -152,6 +153,7 @@ class ParametricKalman:
         whitened = np.einsum("...i,...i->...", innovation, np.linalg.solve(spread, innovation[..., None])[..., 0])
         updated = covariance - gain @ spread @ np.swapaxes(gain, -1, -2)
         updated = 0.5 * (updated + np.swapaxes(updated, -1, -2)) + LEAST_VARIANCE * np.eye(STATE_SIZE)
+        updated = keep_definite(updated, np.einsum("...ii->...i", covariance))
         corrected = mean + np.einsum("...ij,...j->...i", gain, innovation)
         limit = np.log(self.scale) + self.scale_range * np.array([-1.0, 1.0])
         corrected[..., 0] = np.clip(corrected[..., 0], *limit)
@@ -189,7 +191,8 @@ class ParametricKalman:
                 noise[..., rows, columns] = noise[..., columns, rows] = shape
         noise[..., :3, :3] += self.drift**2 * t * np.eye(3)
         mean = np.einsum("...ij,...j->...i", transition, state.mean)
-        return mean, transition @ state.covariance @ np.swapaxes(transition, -1, -2) + noise
+        covariance = transition @ state.covariance @ np.swapaxes(transition, -1, -2) + noise
+        return mean, keep_definite(covariance, np.einsum("...ii->...i", state.covariance + noise))
 
     def _linearized(self, mean: Array, covariance: Array, joints: Array) -> tuple[Array, Array, Array]:
         """Expected features, their covariance with the state and their covariance, by linearization."""

@@ -77,5 +77,7 @@ class RecursiveLeastSquares:
         """P / forgetting, limited to the prior column by column. A congruence, so P stays positive definite."""
         deviation = np.sqrt(np.einsum("...ii->...i", covariance))
         room = np.maximum(self.prior.deviations(covariance.shape[-1] - 1) / deviation, 1.0)
-        growth = np.minimum(self.forgetting ** (-0.5 * duration / self.period)[..., None], room)
+        # After a very long pause the power overflows, and the limit is the prior.
+        with np.errstate(over="ignore"):
+            growth = np.minimum(self.forgetting ** (-0.5 * duration / self.period)[..., None], room)
         return covariance * growth[..., :, None] * growth[..., None, :]

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.definite import is_definite, repair
 from servotrack.estimators.jacobian.contract import Increment
 from servotrack.estimators.types import Array, Mask
 
@@ -41,7 +42,10 @@ def interval(increment: Increment) -> Array:
 def shared_update(
     mean: Array, covariance: Array, direction: Array, measured: Array, variance: Array | float, used: Mask
 ) -> SharedUpdate:
-    """Update with the measurement z = mean h + noise, in Joseph form: the covariance stays positive definite.
+    """Update with the measurement z = mean h + noise, in Joseph form.
+
+    The covariance stays positive definite; where rounding prevents that, it is repaired (`servotrack.estimators.
+    definite`).
 
     Args:
         mean: Predicted mean. Shape (*batch, m, d).
@@ -82,7 +86,7 @@ def _shared_update(mean, covariance, direction, measured, variance, used):  # ty
     nis = np.zeros(rows)
     spread = np.empty(d)
     gain = np.empty(d)
-    half = np.empty((d, d))
+    half, factor, before = np.empty((d, d)), np.empty((d, d)), np.empty(d)
     for row in range(rows):
         if not used[row]:
             continue
@@ -115,6 +119,10 @@ def _shared_update(mean, covariance, direction, measured, variance, used):  # ty
                 value = half[i, j] - projected * gain[j] + variance[row] * gain[i] * gain[j]
                 new_covariance[row, i, j] = value
                 new_covariance[row, j, i] = value
+        if not is_definite(new_covariance[row], 0.0, factor):
+            for i in range(d):
+                before[i] = covariance[row, i, i]
+            repair(new_covariance[row], before, factor)
         nis[row] = squares / (total * m)
         log_likelihood[row] = -0.5 * (squares / total + m * np.log(2.0 * np.pi * total))
     return new_mean, new_covariance, log_likelihood, nis

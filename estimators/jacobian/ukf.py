@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from servotrack.estimators.definite import keep_definite
 from servotrack.estimators.jacobian.alignment import Alignment, present_estimate
 from servotrack.estimators.jacobian.contract import LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.full_kf import FullState, observation_matrix, repeated_blocks
@@ -90,7 +91,10 @@ class UnscentedJacobian:
         x_updated = x_predicted + np.einsum("...ij,...j->...i", W, innovation)  # eq. 30
         P_updated = P_predicted - np.einsum("...ij,...jk,...lk->...il", W, P_vv, W)  # eq. 31
 
-        updated = (x_updated.reshape(state.jacobian.shape), 0.5 * (P_updated + np.swapaxes(P_updated, -1, -2)))
+        P_updated = keep_definite(
+            0.5 * (P_updated + np.swapaxes(P_updated, -1, -2)), np.einsum("...ii->...i", P_predicted)
+        )
+        updated = (x_updated.reshape(state.jacobian.shape), P_updated)
         mean, covariance = select_rows(increment.fresh, updated, (state.jacobian, state.covariance))
         scores = correlated_scores(innovation, P_vv, increment.fresh)
         estimate = present_estimate(alignment.frame_features, mean, increment, measurement.goal, *scores)

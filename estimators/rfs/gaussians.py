@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.definite import LEAST_SHARE, is_definite, repair
 from servotrack.estimators.rfs.range_bearing import linearized_range_bearing, unscented_range_bearing
 from servotrack.estimators.types import Array, Mask
 
@@ -172,7 +173,20 @@ def condition_gaussian(model, cov, root, gain, posterior):  # type: ignore[no-un
                 value -= whitened[r, k] * whitened[c, k]
             posterior[r, c] = value
             posterior[c, r] = value
+    if model.kind != LINEAR:
+        _keep_posterior(posterior, cov)
     return -log_diagonal - 0.5 * m * math.log(2.0 * math.pi)
+
+
+@njit(cache=True, nogil=True)
+def _keep_posterior(posterior, cov):  # type: ignore[no-untyped-def]
+    """Repair a posterior of range and bearing in place: near the sensor a bearing leaves next to no variance."""
+    n = posterior.shape[0]
+    factor, before = np.empty((n, n)), np.empty(n)
+    if not is_definite(posterior, LEAST_SHARE, factor):
+        for r in range(n):
+            before[r] = cov[r, r]
+        repair(posterior, before, factor)
 
 
 @njit(cache=True, nogil=True)

@@ -100,9 +100,9 @@ class GlobalNearestNeighbor:
         """Predict, assign, update; shapes and errors as in `GaussianSetFilter.step`."""
         m, n = self.model.packed.observation.shape
         z, number, single = read_measurements(measurement, m)
+        check_runs(state.next_label, z.shape[0], single)
         if single:
             state = add_axis(state)
-        check_runs(state.next_label.shape[0], z.shape[0])
         batch = z.shape[0]
         predicted = empty_mixture(batch, self.capacity, n + m)
         _predict(self.model.packed, state.tracks, predicted)

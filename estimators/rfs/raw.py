@@ -53,9 +53,9 @@ class RawMeasurements:
     def step(self, state: RawState, measurement: ArrayLike) -> tuple[RawState, SetEstimate]:
         """Report the measurements of one step; shapes and errors as in `GaussianSetFilter.step`."""
         z, number, single = read_measurements(measurement, self.model.packed.observation.shape[0])
+        check_runs(state.next_label, z.shape[0], single)
         if single:
             state = add_axis(state)
-        check_runs(state.next_label.shape[0], z.shape[0])
         used = np.arange(z.shape[1]) < number[:, None]
         mean, covariance = state_from_measurement(self.model, z, self.hidden_deviation)
         label = state.next_label[:, None] + np.arange(z.shape[1])

@@ -132,9 +132,9 @@ class GaussianSetFilter(ABC, Generic[StateT]):
             ValueError: Measurements have a wrong shape or are not finite, or a covariance is not positive definite.
         """
         z, number, single = read_measurements(measurement, self._sizes[1])
+        check_runs(state.next_label, z.shape[0], single)
         if single:
             state = add_axis(state)
-        check_runs(state.next_label.shape[0], z.shape[0])
         births = self._static_births if isinstance(self.birth, Birth) else state.births
         scan = Scan(z, number, self._clutter(z, number))
         new, extraction, unexplained = self._advance(state, births, scan)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.types import Array, Labels, Mask
+from servotrack.estimators.validation import LIMITS, as_numbers, check_within
 
 REPORTED, HELD = 0.5, 0.05
 """Existence from which a row reports its target, and from which it keeps its identity."""
@@ -132,43 +133,59 @@ def estimate_from_extraction(extraction: Extraction, single: bool) -> SetEstimat
 def read_measurements(measurement: ArrayLike, m: int) -> tuple[Array, Labels, bool]:
     """Convert the measurements of one run, or of a batch of runs, to the form of the kernels.
 
+    This is the front door of the set filters. Rows with existence 0 may hold any values, including NaN: they count as
+    unused and are never read. Used values must be finite and within `servotrack.estimators.validation.LIMITS`.
+
     Args:
-        measurement: One run: shape (Z, m), Z may be 0. A batch: shape (B, n_max, 1 + m), column 0 existence 0 or 1.
+        measurement: One run: shape (Z, m), Z may be 0; an empty list is a scan without measurements. A batch: shape
+            (B, n_max, 1 + m), column 0 existence 0 or 1.
         m: Size of one measurement.
 
     Returns:
         measurements (B, Z, m), used rows first; their numbers (B,); True for a single run.
 
     Raises:
-        ValueError: The shape is wrong, an existence is not 0 or 1, or a used row is not finite.
+        ValueError: The shape is wrong, an existence is not 0 or 1, or a used value is not finite or beyond the limit.
     """
-    z = np.asarray(measurement, dtype=np.float64)
-    if z.size == 0 and z.ndim < 3:
+    z = as_numbers("measurements", measurement)
+    if z.shape == (0,):
         return np.zeros((1, 0, m)), np.zeros(1, np.int64), True
     if z.ndim == 2:
         if z.shape[1] != m:
-            raise ValueError(f"measurements must have shape (number, {m}), got {z.shape}")
-        if not np.isfinite(z).all():
-            raise ValueError(f"measurements must be finite, got {_first_bad(z)}; leave bad rows out")
-        return np.ascontiguousarray(z)[None], np.array([z.shape[0]]), True
+            raise ValueError(
+                f"measurements must have shape (number, {m}), got {z.shape}; pass shape (0, {m}) for an empty scan"
+            )
+        check_within("measurements", z, LIMITS.coordinates, "leave bad rows out")
+        return z[None], np.array([z.shape[0]]), True
     if z.ndim != 3 or z.shape[2] != 1 + m:
-        raise ValueError(f"measurements must have shape (number, {m}) or (batch, rows, {1 + m}), got {z.shape}")
-    used = z[:, :, 0] == 1.0
-    if not np.all(used | (z[:, :, 0] == 0.0)):
-        raise ValueError("measurements must have existence 0 or 1 in column 0")
-    values = np.where(used[:, :, None], z[:, :, 1:], 0.0)
-    if not np.isfinite(values).all():
         raise ValueError(
-            f"measurements must be finite, got {_first_bad(values.reshape(-1, m))}; set their existence to 0"
+            f"measurements must have shape (number, {m}) or (batch, rows, {1 + m}), got {z.shape}; a row is one "
+            "measurement, in a batch with existence in column 0"
         )
+    used = z[:, :, 0] == 1.0
+    existence = used | (z[:, :, 0] == 0.0)
+    if not np.all(existence):
+        bad = z[:, :, 0][~existence][0]
+        raise ValueError(f"measurements must have existence 0 or 1 in column 0, got {bad}; set unused rows to 0")
+    values = np.where(used[:, :, None], z[:, :, 1:], 0.0)
+    check_within("measurements", values, LIMITS.coordinates, "set their existence to 0")
     order = np.argsort(~used, axis=1, kind="stable")
     return np.take_along_axis(values, order[:, :, None], axis=1), used.sum(axis=1), False
 
 
-def check_runs(state: int, measurements: int) -> None:
-    """Raise ValueError if a batch of measurements does not have the state's number of runs."""
-    if state != measurements:
-        raise ValueError(f"measurements must be of the state's {state} runs, got {measurements}")
+def check_runs(next_label: Labels, runs: int, single: bool) -> None:
+    """Raise ValueError if measurements do not have the state's batch axis.
+
+    Args:
+        next_label: Field of the state, as given. Shape (*batch,).
+        runs: Number of runs of the measurements.
+        single: True for the measurements of one run without a batch axis.
+    """
+    wanted = np.shape(next_label)
+    if wanted != (() if single else (runs,)):
+        state = f"the state's {wanted[0]} runs" if wanted else "one run, as the state"
+        got = "one run without a batch axis" if single else runs
+        raise ValueError(f"measurements must be of {state}, got {got}; make a new state with initial(measurement)")
 
 
 def measurements_to_rows(measurements: ArrayLike, rows: int) -> Array:
@@ -295,9 +312,3 @@ def _take(array: NDArray, order: Labels, used: Mask) -> NDArray:  # type: ignore
     extra = (1,) * (array.ndim - 2)
     taken = np.take_along_axis(array, order.reshape(*order.shape, *extra), axis=1)
     return np.where(used.reshape(*used.shape, *extra), taken, np.zeros((), array.dtype))
-
-
-def _first_bad(z: Array) -> str:
-    """Describe the first row that is not finite."""
-    row = int(np.flatnonzero(~np.isfinite(z).all(axis=1))[0])
-    return f"{z[row].tolist()} in row {row}"

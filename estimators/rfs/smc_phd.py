@@ -126,9 +126,9 @@ class ParticlePHD:
         """Predict, weigh, extract and resample; shapes and errors as in `GaussianSetFilter.step`."""
         m, n = self.model.packed.observation.shape
         z, number, single = read_measurements(measurement, m)
+        check_runs(state.next_label, z.shape[0], single)
         if single:
             state = add_axis(state)
-        check_runs(state.next_label.shape[0], z.shape[0])
         new = copied(state)
         room = min(self.capacity, max(round(self.capacity / self.particles), 1))
         extraction = empty_extraction(z.shape[0], room, n)

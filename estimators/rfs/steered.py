@@ -14,6 +14,7 @@ from servotrack.estimators.rfs.phd import GMPHD, PHDState
 from servotrack.estimators.rfs.sets import Scan, SetEstimate, check_runs, estimate_from_extraction, read_measurements
 from servotrack.estimators.stateful import add_axis, first_row
 from servotrack.estimators.types import Array
+from servotrack.estimators.validation import LIMITS, as_numbers
 
 
 class Steering(NamedTuple):
@@ -109,10 +110,10 @@ class SteeredPHD:
         """
         phd = self.filter
         z, number, single = read_measurements(measurement, phd._sizes[1])
+        check_runs(state.phd.next_label, len(z), single)
+        steering = _checked_steering(steering, () if single else (len(z),))
         if single:
-            state, steering = add_axis(state), Steering(*(np.reshape(part, 1) for part in steering))
-        check_runs(state.phd.next_label.shape[0], len(z))
-        _check_steering(steering, len(z))
+            state = add_axis(state)
         births = self._births(state.anywhere, steering.births)
         clutter = phd._clutter(z, number) * steering.clutter[:, None]
         survival = phd._evaluate("survival", phd.survival, state.phd.intensity)
@@ -139,14 +140,19 @@ class SteeredPHD:
         )
 
 
-def _check_steering(steering: Steering, batch: int) -> None:
-    limits = {"detection": (0.0, 1.0), "clutter": (1e-12, np.inf), "births": (0.0, np.inf)}
-    for name, (low, high) in limits.items():
-        values = np.asarray(getattr(steering, name))
-        if values.shape != (batch,):
-            raise ValueError(f"steering {name} must have shape ({batch},), one number per run, got {values.shape}")
-        if not np.all(np.isfinite(values) & (values >= low) & (values <= high)):
+def _checked_steering(steering: Steering, batch: tuple[int, ...]) -> Steering:
+    """Return the parameters of every run, shape (runs,); raise ValueError for wrong shapes and values."""
+    ranges = {"detection": (0.0, 1.0), "clutter": (1e-12, LIMITS.scores), "births": (0.0, LIMITS.scores)}
+    checked = []
+    for name, (low, high) in ranges.items():
+        values = as_numbers(f"steering {name}", getattr(steering, name))
+        # One run has a number, or an array of one number.
+        if values.shape != batch and not (batch == () and values.shape == (1,)):
+            raise ValueError(f"steering {name} must have shape {batch}, one number per run, got {values.shape}")
+        if not np.all((values >= low) & (values <= high)):
             raise ValueError(f"steering {name} must be finite and in [{low:g}, {high:g}], got {values.tolist()}")
+        checked.append(values.reshape(-1))
+    return Steering(*checked)
 
 
 @dataclass(frozen=True)

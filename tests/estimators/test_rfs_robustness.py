@@ -175,7 +175,7 @@ def test_perfect_detection_without_clutter_finds_all_and_only_the_targets(kind):
 def test_bad_measurements_are_refused_by_name(kind):
     filter_ = make(kind)
     state = filter_.initial(np.zeros((0, 2)))
-    with pytest.raises(ValueError, match=r"measurements must be finite, got \[nan, 0.0\] in row 1"):
+    with pytest.raises(ValueError, match=r"measurements must be finite, got nan at index \[1, 0\]"):
         filter_.step(state, np.array([[0.0, 0.0], [np.nan, 0.0]]))
     with pytest.raises(ValueError, match=r"measurements must have shape \(number, 2\)"):
         filter_.step(state, np.zeros((3, 4)))

@@ -1,0 +1,317 @@
+"""The checks of `check_estimator`, each for one drawn sequence."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+import numpy as np
+
+from servotrack.estimators.testing.bits import first_difference
+from servotrack.estimators.testing.inputs import AnyEstimator, Arguments, Inputs, Sequence, bad_arguments
+from servotrack.estimators.testing.values import flat, mapped, numbers_in, replaced
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The estimator under test.
+
+    Attributes:
+        estimator: The estimator.
+        inputs: Inputs of its family.
+        steps: Number of steps of a sequence.
+        seed: Seed of the sequences.
+    """
+
+    estimator: AnyEstimator
+    inputs: Inputs
+    steps: int
+    seed: int
+
+    def draw(self, number: int, *, extreme: bool = False) -> tuple[np.random.Generator, Sequence]:
+        """Draw sequence `number`, and return the generator for further draws."""
+        rng = np.random.default_rng([self.seed, number])
+        return rng, self.inputs.draw(rng, self.steps, extreme=extreme)
+
+    def run(self, sequence: Sequence) -> Iterator[tuple[Any, Any]]:
+        """Yield the state and the estimate of every step; the first item is the initial state."""
+        state = self.inputs.initial(self.estimator, sequence.start)
+        yield state, None
+        for arguments in sequence.steps:
+            state, estimate = self.inputs.step(self.estimator, state, arguments)
+            yield state, estimate
+
+    def trace(self, sequence: Sequence) -> list[dict[str, np.ndarray]]:
+        """All numbers of the states and estimates of a run."""
+        return [flat({"state": state, "estimate": self.results(estimate)}) for state, estimate in self.run(sequence)]
+
+    def results(self, estimate: Any) -> Any:
+        """Values of an estimate that are checked; none for the initial state."""
+        return None if estimate is None else self.inputs.results(estimate)
+
+
+def check_finite(subject: Subject, number: int) -> None:
+    """Check that measurements as in practice are accepted and give finite values and valid covariances."""
+    _, sequence = subject.draw(number)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        for step, values in enumerate(subject.trace(sequence)):
+            _check_values(subject, values, f"step {step}")
+
+
+def check_extreme(subject: Subject, number: int) -> None:
+    """Check that any finite measurement gives finite values and covariances, or a refusal that changes nothing."""
+    _, sequence = subject.draw(number, extreme=True)
+    try:
+        state = subject.inputs.initial(subject.estimator, sequence.start)
+    except ValueError as error:
+        _check_message(error, _names(sequence.start), "initial")
+        return
+    for step, arguments in enumerate(sequence.steps, 1):
+        before = flat(state)
+        try:
+            state, estimate = subject.inputs.step(subject.estimator, state, arguments)
+        except ValueError as error:
+            _check_message(error, _names(arguments), f"step {step}")
+            _check_same(flat(state), before, f"step {step}: a refused measurement changed the state")
+            continue
+        _check_values(subject, flat({"state": state, "estimate": subject.results(estimate)}), f"step {step}")
+
+
+def check_values(subject: Subject, number: int) -> None:
+    """Check that a step changes neither the state nor the measurement it is given, and can be repeated."""
+    _, sequence = subject.draw(number)
+    state = subject.inputs.initial(subject.estimator, sequence.start)
+    for step, arguments in enumerate(sequence.steps, 1):
+        before, given = flat(state), flat(arguments)
+        new, estimate = subject.inputs.step(subject.estimator, state, arguments)
+        _check_same(flat(state), before, f"step {step} changed the state that it was given; copy arrays before writing")
+        _check_same(flat(arguments), given, f"step {step} changed its measurement; copy arrays before writing")
+        if subject.inputs.replays:
+            result = flat((new, estimate))
+            again = flat(subject.inputs.step(subject.estimator, state, arguments))
+            _check_same(
+                again, result, f"step {step} from the same state gave another result; keep all memory in the state"
+            )
+        state = new
+
+
+def check_repeat(subject: Subject, number: int) -> None:
+    """Check that the same sequence gives the same bits when it is run again."""
+    _, sequence = subject.draw(number)
+    _check_traces(
+        subject.trace(sequence),
+        subject.trace(sequence),
+        "the second run of a sequence (there) differs from the first; draw from generators with a fixed seed, and keep "
+        "all memory in the state",
+    )
+
+
+def check_arrays(subject: Subject, number: int) -> None:
+    """Check that other types and memory layouts of the same values give the same bits."""
+    _, sequence = subject.draw(number)
+    plain = subject.trace(sequence)
+    for name, change in LAYOUTS.items():
+        changed = subject.trace(_changed(sequence, change))
+        _check_traces(plain, changed, f"{name} (there) give other bits than plain ones; convert inputs with as_numbers")
+    for name, rounded, typed in TYPES:
+        kept = subject.inputs.not_rounded
+        coarse = _changed(sequence, rounded, kept)
+        _check_traces(
+            subject.trace(coarse),
+            subject.trace(_changed(coarse, typed, kept)),
+            f"arrays of {name} (there) give other bits than float64 of the same values; convert inputs with as_numbers",
+        )
+
+
+def check_unseen(subject: Subject, number: int) -> None:
+    """Check that entries which count as unseen have no effect, whatever they hold."""
+    sequence = subject.draw(number)[1]
+    plain = subject.trace(sequence)
+    for value in (np.nan, np.inf):
+
+        def hidden(arguments: Arguments, value: float = value) -> Arguments:
+            for path, mask in subject.inputs.unread(arguments).items():
+                array = dict(numbers_in(arguments))[path]
+                arguments = replaced(arguments, path, np.where(mask, value, array))
+            return arguments
+
+        other = Sequence(hidden(sequence.start), tuple(hidden(each) for each in sequence.steps))
+        _check_traces(plain, subject.trace(other), f"{value} in unseen entries (there) has an effect; do not read them")
+
+
+def check_refusals(subject: Subject, number: int) -> None:
+    """Check that bad measurements are refused by a ValueError that names the argument, and that nothing changes."""
+    rng, sequence = subject.draw(number)
+    state = subject.inputs.initial(subject.estimator, sequence.start)
+    same_form = sequence.start.keys() == sequence.steps[0].keys()
+    for bad in bad_arguments(subject.inputs, rng, sequence.start, True):
+        refused = _refusal(subject.inputs.initial, bad.fault, subject.estimator, bad.arguments)
+        if refused is None and same_form:
+            # An estimator may leave the check to the first step with the same measurement.
+            refused = _refusal(subject.inputs.step, bad.fault, subject.estimator, state, bad.arguments)
+        assert refused is not None, f"initial accepted {bad.fault}; refuse it with a ValueError"
+        _check_message(refused, bad.names, f"initial with {bad.fault}")
+    # The first step has no clock before it that could run back.
+    attacked = int(rng.integers(1, len(sequence.steps)))
+    plain = subject.trace(sequence)
+    state = subject.inputs.initial(subject.estimator, sequence.start)
+    for step, arguments in enumerate(sequence.steps):
+        if step == attacked:
+            before = flat(state)
+            for bad in bad_arguments(subject.inputs, rng, arguments, False):
+                refused = _refusal(subject.inputs.step, bad.fault, subject.estimator, state, bad.arguments)
+                assert refused is not None, f"step accepted {bad.fault}; refuse it with a ValueError"
+                _check_message(refused, bad.names, f"step with {bad.fault}")
+                _check_same(
+                    flat(state), before, f"the refusal of {bad.fault} changed the state; check before computing"
+                )
+        state, estimate = subject.inputs.step(subject.estimator, state, arguments)
+        _check_same(
+            flat({"state": state, "estimate": subject.results(estimate)}),
+            plain[step + 1],
+            f"step {step + 1}: refused measurements at step {attacked + 1} have an effect; check before computing",
+        )
+
+
+CHECKS: dict[str, Callable[[Subject, int], None]] = {
+    "finite": check_finite,
+    "extreme": check_extreme,
+    "values": check_values,
+    "repeat": check_repeat,
+    "arrays": check_arrays,
+    "unseen": check_unseen,
+    "refusals": check_refusals,
+}
+"""The checks of `check_estimator` by name, in the order in which they run."""
+
+
+def _strided(array: np.ndarray) -> np.ndarray:
+    """Every second entry of an array twice as large, along every axis."""
+    if array.ndim == 0:
+        return array.copy()
+    wide = np.zeros([2 * size for size in array.shape], array.dtype)
+    view = wide[(slice(None, None, 2),) * array.ndim]
+    view[...] = array
+    return view
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    out = array.copy()
+    out.setflags(write=False)
+    return out
+
+
+LAYOUTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "arrays in Fortran order": lambda array: np.array(array, order="F"),
+    "strided arrays": _strided,
+    "read-only arrays": _read_only,
+    "big-endian arrays": lambda array: array.astype(array.dtype.newbyteorder(">")),
+}
+"""Memory layouts of the same values."""
+
+
+def _if_float(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda array: change(array) if array.dtype.kind == "f" else array
+
+
+TYPES = (
+    (
+        "float32",
+        _if_float(lambda array: array.astype(np.float32).astype(np.float64)),
+        _if_float(lambda array: array.astype(np.float32)),
+    ),
+    ("int64", _if_float(lambda array: np.rint(array) + 0.0), _if_float(lambda array: array.astype(np.int64))),
+)
+"""Names of types, the rounding to their values (without negative zeros), and the conversion of rounded arrays."""
+
+
+def _changed(
+    sequence: Sequence, change: Callable[[np.ndarray], np.ndarray], kept: frozenset[str] = frozenset()
+) -> Sequence:
+    return Sequence(mapped(sequence.start, change, kept), tuple(mapped(each, change, kept) for each in sequence.steps))
+
+
+def _names(arguments: Arguments) -> tuple[str, ...]:
+    return tuple({key for path, _ in numbers_in(arguments) for key in path})
+
+
+def _refusal(call: Callable[..., Any], fault: str, *arguments: Any) -> ValueError | None:
+    """Return the ValueError of a call, or None if the call succeeds; other errors are faults."""
+    try:
+        call(*arguments)
+    except ValueError as error:
+        return error
+    except Exception as error:
+        raise AssertionError(
+            f"{fault} must be refused with a ValueError, got {type(error).__name__}: {error}"
+        ) from error
+    return None
+
+
+def _check_message(error: ValueError, names: tuple[str, ...], where: str) -> None:
+    assert not isinstance(error, np.linalg.LinAlgError) and any(name in str(error) for name in names), (
+        f"{where}: the error must name the argument ({' or '.join(names)}), its value and a remedy, got: "
+        f"{type(error).__name__}: {error}"
+    )
+
+
+def _check_traces(plain: list[dict[str, np.ndarray]], other: list[dict[str, np.ndarray]], rule: str) -> None:
+    for step, (ours, theirs) in enumerate(zip(plain, other, strict=True)):
+        _check_same(ours, theirs, f"step {step}: {rule}")
+
+
+def _check_same(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray], rule: str) -> None:
+    found = first_difference(ours, theirs, "result")
+    assert found is None, f"{rule}: {found}"
+
+
+def _check_values(subject: Subject, values: dict[str, np.ndarray], where: str) -> None:
+    """Raise an AssertionError unless all numbers are finite and all covariances valid."""
+    for name, array in values.items():
+        if array.dtype.kind not in "fc":
+            continue
+        field = name.rpartition(".")[2]
+        if field in subject.inputs.may_be_infinite:
+            assert not np.isnan(array).any(), f"{where}: {name} has NaN"
+        elif not np.isfinite(array).all():
+            _fail_at(~np.isfinite(array), array, f"{where}: {name} must be finite")
+        elif "covariance" in field and array.ndim >= 2 and array.shape[-1] == array.shape[-2] and array.size:
+            _check_covariances(array, f"{where}: {name}")
+
+
+def _check_covariances(matrices: np.ndarray, where: str) -> None:
+    """Raise an AssertionError unless matrices are symmetric and positive semidefinite up to rounding of their entries.
+
+    The eigenvalues are those of the correlations, so that a small variance counts as much as a large one.
+    """
+    variances = np.einsum("...ii->...i", matrices)
+    if not (variances.real >= 0.0).all():
+        _fail_at(variances.real < 0.0, variances, f"{where} has a negative variance")
+    deviations = np.sqrt(variances.real)
+    scale = deviations[..., :, None] * deviations[..., None, :]
+    # Exactly known entries have zeros in their rows and columns.
+    correlations = np.divide(matrices, scale, out=np.zeros_like(matrices), where=scale > 0.0)
+    skew = np.abs(matrices - np.conj(np.swapaxes(matrices, -1, -2))) > 1e-12 * scale
+    if skew.any():
+        _fail_at(skew, matrices, f"{where} is not symmetric")
+    if (np.abs(matrices) > 0.0)[scale == 0.0].any():
+        _fail_at(
+            (np.abs(matrices) > 0.0) & (scale == 0.0), matrices, f"{where} has a covariance beside a variance of 0"
+        )
+    smallest = np.linalg.eigvalsh(correlations).min(axis=-1)
+    if (smallest < -SMALLEST_EIGENVALUE).any():
+        _fail_at(
+            smallest < -SMALLEST_EIGENVALUE, smallest, f"{where} is indefinite, smallest eigenvalue of correlations"
+        )
+
+
+SMALLEST_EIGENVALUE = 1e-12
+"""Magnitude of a negative eigenvalue of a correlation matrix that rounding of its entries can explain."""
+
+
+def _fail_at(bad: np.ndarray, values: np.ndarray, what: str) -> NoReturn:
+    place = tuple(int(i) for i in np.argwhere(bad)[0])
+    raise AssertionError(f"{what}, got {values[place]} at index {list(place)}")
