@@ -23,7 +23,7 @@ def _names(cards: Iterable[AgentCard]) -> tuple[str, ...]:
 
 _SERVO = Choice(_names(SERVO_CARDS), "the name of a classical servo, as `servotrack agents` lists them")
 _FOLLOWER = Choice(_names(FOLLOW_CARDS), "the name of an agent that follows one person of many")
-_EYES = Text(200, r"\w[\w.,=+-]*", "the name of a marker network's card without folder and suffix,")
+_EYES = Text(200, r"\w[\w.,=+-]*", "the name of a marker network's card without folder and suffix")
 _LAGS = Many(Whole(1, 1000), 0, 32, ascending=True)
 _AGES = Many(Number(0.0, 6.0), 1, 16)
 _KINDS = ("flat", "servo", "steering", "marker", "jacobian", "set")
@@ -68,13 +68,15 @@ class _Encoding:
 
 CARD = Record(
     {
-        "name": Text(100, r"[^/\\:]+", "a name without / \\ :"),
+        "name": Text(100, r"[^/\\:]+", "a printable name of 1 to 100 characters without / \\ :"),
         "summary": Text(2000),
-        "env_id": Text(200, r"([\w.-]+/)?[\w.-]+", "an id of Gymnasium without a module,"),
-        "env_kwargs": Plain(1000, Text(100, r"[A-Za-z_]\w*", "an identifier")),
+        "env_id": Text(200, r"([\w.-]+/)?[\w.-]+", "an id of Gymnasium without a module, at most 200 characters"),
+        "env_kwargs": Plain(1000, Text(100, r"[A-Za-z_]\w*", "an identifier of at most 100 characters")),
         "encoding": _Encoding(),
-        "network": Text(200, r"[^/\\:]+\.onnx", "the name of an .onnx file in the card's own folder,"),
-        "sha256": Text(64, "[0-9a-f]{64}", "64 hexadecimal digits,"),
+        "network": Text(
+            200, r"[^/\\:]+\.onnx", "the name of an .onnx file in the card's own folder, at most 200 characters"
+        ),
+        "sha256": Text(64, "[0-9a-f]{64}", "64 hexadecimal digits"),
         "memory": Whole(0, 65_536),
         "information": Choice(get_args(Information)),
         "levels": Many(Whole(0, 1000), 0, 100),

@@ -87,7 +87,7 @@ class Text:
     Attributes:
         longest: Largest number of characters.
         pattern: Regular expression that the whole text must match.
-        form: That expression in words.
+        form: The condition in words; "" for any printable text.
     """
 
     longest: int
@@ -97,7 +97,7 @@ class Text:
     @property
     def words(self) -> str:
         """The condition in words."""
-        return f"{self.form or 'a printable text'} of at most {self.longest} characters"
+        return self.form or f"a printable text of at most {self.longest} characters"
 
     def check(self, value: Any, where: str) -> None:
         """Raise ValueError for another value."""
@@ -147,7 +147,7 @@ class Many:
     @property
     def words(self) -> str:
         """The condition in words."""
-        return f"a list of {self.least} to {self.most} items{', ascending' * self.ascending}"
+        return f"a list of {self.least} to {self.most} items{', ascending' * self.ascending}, each {self.of.words}"
 
     def check(self, value: Any, where: str) -> None:
         """Raise ValueError for another value."""

@@ -14,8 +14,11 @@ import pytest
 import servotrack  # noqa: F401
 from servotrack.baselines.agents.learned.agent import create_learned_agent
 from servotrack.baselines.agents.learned.card import AgentFileError, LearnedCard, digest, load_card
+from servotrack.baselines.agents.learned.card_fields import CARD, ENCODINGS
 from servotrack.baselines.agents.learned.marker_network import keep_marker_network, open_marker_network
-from servotrack.baselines.agents.learned.network import LARGEST_NETWORK
+from servotrack.baselines.agents.learned.network import LARGEST_BATCH_MEMORY, LARGEST_NETWORK
+from servotrack.baselines.agents.learned.onnx_file import check, reader
+from servotrack.baselines.agents.learned.onnx_file.check import OPERATORS
 from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
 from servotrack.baselines.agents.learned.set_prediction import SetWindow
 from servotrack.baselines.agents.learned.shipped import SHIPPED
@@ -259,3 +262,24 @@ def test_learned_agents_refuse_a_clock_that_goes_backwards(tmp_path: Path, env: 
     agent = create_agent(agent_card(str(path)), env)
     with pytest.raises(ValueError, match="observation time must be finite, got inf"):
         agent.predict({**observation, "time": np.array([np.inf])})
+
+
+def test_the_page_lists_every_field_and_limit() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "learned.md").read_text(encoding="utf-8")
+    rows = {
+        row.split(" | ")[0].lstrip("| "): row.split(" | ")[1].rstrip(" |") for row in page.splitlines() if " | " in row
+    }
+    for name, rule in CARD.fields.items():
+        assert rows[f"`{name}`"] == rule.words
+    settings: dict[tuple[str, str], list[str]] = {}
+    for kind, record in ENCODINGS.items():
+        for name, rule in record.fields.items():
+            settings.setdefault((name, rule.words), []).append(kind)
+    for (name, words), kinds in settings.items():
+        assert name == "kind" or rows[f"`encoding.{name}` ({', '.join(kinds)})"] == words
+    assert rows["operators"] == ", ".join(sorted(OPERATORS))
+    limits = (
+        LARGEST_NETWORK, LARGEST_BATCH_MEMORY, check.MOST_WORK, check.MOST_ROW_MEMORY, check.MOST_FIXED_MEMORY,
+        reader.MOST_FIELDS, reader.MOST_NODES, reader.MOST_WEIGHTS, reader.LARGEST_AXIS,
+    )  # fmt: skip
+    assert not [limit for limit in limits if f"{limit:,}" not in " ".join(rows.values())]
