@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
+from collections.abc import Iterator
 
 
 def leave_working_directory() -> None:
@@ -20,8 +22,31 @@ def leave_working_directory() -> None:
         del sys.path[0]
 
 
+_appended: list[str] = []
+
+
 def append_working_directory() -> None:
     """Make modules of the working directory importable; last, so that they shadow nothing."""
     here = os.getcwd()
     if here not in sys.path:
         sys.path.append(here)
+        _appended.append(here)
+
+
+@contextlib.contextmanager
+def without_appended() -> Iterator[tuple[str, ...]]:
+    """Context without the appended folders, for processes that inherit the import path when they start.
+
+    They append the folders once this package is imported: an editable installation is found after every folder of the
+    import path, those in last place included.
+
+    Yields:
+        The appended folders.
+    """
+    folders = tuple(_appended)
+    before = list(sys.path)
+    sys.path[:] = [entry for entry in sys.path if entry not in folders]
+    try:
+        yield folders
+    finally:
+        sys.path[:] = before

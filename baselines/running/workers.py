@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 from joblib import Parallel, delayed
 from joblib.parallel import BACKENDS, get_active_backend
 
+from servotrack._import_path import without_appended
 from servotrack.baselines.running import unfinished
 from servotrack.baselines.running.stopping import Stopped, WorkerLostError
 
@@ -49,12 +50,16 @@ def in_workers(calls: Iterable[Call], jobs: int, *, ordered: bool = False) -> It
     """
     options: dict[str, Any] = {"return_as": "generator" if ordered else "generator_unordered", "batch_size": 1}
     with contextlib.ExitStack() as stack:
-        if isinstance(get_active_backend()[0], BACKENDS["loky"]) and jobs != 1:
-            options |= {"initializer": _enter, "initargs": (os.getpid(), os.getcwd())}
+        own = isinstance(get_active_backend()[0], BACKENDS["loky"]) and jobs != 1
+        if own:
             stack.enter_context(_safe_path())
-            if sys.version_info < (3, 11):
+        # The processes start before the first result.
+        with without_appended() if own else contextlib.nullcontext(()) as folders:
+            if own:
+                options |= {"initializer": _enter, "initargs": (os.getpid(), os.getcwd(), folders)}
+            if own and sys.version_info < (3, 11):
                 _start_elsewhere(jobs, options)
-        results = Parallel(n_jobs=jobs, **options)(delayed(_run)(*call) for call in calls)
+            results = Parallel(n_jobs=jobs, **options)(delayed(_run)(*call) for call in calls)
         try:
             yield from results
         except GeneratorExit:
@@ -149,10 +154,11 @@ class _Worker:
 _worker: _Worker | None = None
 
 
-def _enter(parent: int, folder: str) -> None:
-    """Prepare a worker process."""
+def _enter(parent: int, here: str, folders: Sequence[str]) -> None:
+    """Prepare a worker process: its working directory, the folders at the end of its import path, and how it ends."""
     global _worker
-    os.chdir(folder)
+    os.chdir(here)
+    sys.path.extend(folders)
     if os.name != "posix":
         return
     _worker = _Worker(parent)
