@@ -14,7 +14,7 @@ import gymnasium as gym
 import numpy as np
 
 from servotrack.baselines.evaluation.results import ResultsFolder
-from servotrack.baselines.reporting.files import ResultsError
+from servotrack.baselines.reporting.files import ResultsError, storage_error
 from servotrack.baselines.running import unfinished
 from servotrack.baselines.running.stopping import undisturbed
 from servotrack.envs.track.files.mot_files import SequenceInfo, truth_row, write_seqinfo
@@ -42,7 +42,8 @@ def render_sequence(
 
     Raises:
         ValueError: Keyword out of range, or an observation other than pixels.
-        ResultsError: The folder contains other files, or cannot be written.
+        ResultsError: The folder contains other files.
+        StorageError: The folder cannot be written.
     """
     if axes.get("observation", "pixels") != "pixels":
         raise ValueError(f"observation must be 'pixels' for a sequence of images, got {axes['observation']!r}")
@@ -84,7 +85,7 @@ def render_sequence(
         )
         _put_in_place(growing, folder)
     except OSError as error:
-        raise ResultsError(f"{folder} cannot be written ({error}); choose another folder") from error
+        raise storage_error(folder, error) from error
     finally:
         shutil.rmtree(growing, ignore_errors=True)
         unfinished.end(growing)

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from servotrack.baselines.agents.people.catalog import BoxTracker
-from servotrack.baselines.reporting.files import ResultsError
+from servotrack.baselines.reporting.files import ResultsError, storage_error
 from servotrack.baselines.reporting.film import Film, FilmError
 from servotrack.baselines.running.stopping import Interruption
 from servotrack.baselines.track_command.disk_space import SpaceGuard
@@ -84,7 +84,8 @@ def track(
         Outcome of the run, also if a broken source, a full disk or a signal ended it.
 
     Raises:
-        ResultsError: `out` cannot be created or written, or videos cannot be encoded.
+        ResultsError: Videos cannot be encoded.
+        StorageError: `out` cannot be created or written.
         SequenceError: The source is broken before the first tracked frame.
     """
     run = TrackRun()
@@ -104,7 +105,7 @@ def track(
             film.finish()
         except (SequenceError, OSError) as error:
             if not run.frames and isinstance(error, OSError):
-                raise ResultsError(f"{out} cannot be written ({error}); choose another folder") from error
+                raise storage_error(out, error) from error
             if not run.frames:
                 raise
             run.error, run.stopped = error, str(error)
