@@ -177,7 +177,8 @@ class TrainingRun:
         card = LearnedCard(
             name=name,
             summary=task.settings.summary or f"{name} on {describe_environment(task.env_id, task.env_kwargs)}",
-            env_id=task.env_id,
+            # Cards name no module; "module:id" is for users to type.
+            env_id=task.env_id.rpartition(":")[2],
             env_kwargs=plain(task.env_kwargs),
             encoding=plain(task.settings.encoding),
             network=f"{AGENT}.onnx",

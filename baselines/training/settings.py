@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from servotrack.baselines.agents.learned.card_fields import check_encoding
+from servotrack.baselines.agents.learned.card_fields import CARD, check_encoding
 from servotrack.baselines.reporting.files import ResultsError, read_strict_yaml
 
 FOLDER = Path(__file__).parent / "hyper_parameters"
@@ -62,6 +62,9 @@ class TrainingSettings:
             if isinstance(value, bool) or not isinstance(value, (int, float)) or int(value) != value or value < 1:
                 raise ValueError(f"{name} must be a whole number >= 1, got {value!r}")
             object.__setattr__(self, name, int(value))
+        # The agent's card holds them, and is read again after every evaluation.
+        CARD.fields["name"].check(self.recipe, "recipe")
+        CARD.fields["summary"].check(self.summary, "summary")
         check_encoding(self.encoding)
         self._check_curriculum()
 

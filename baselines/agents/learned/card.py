@@ -85,6 +85,8 @@ def load_card(path: Path) -> LearnedCard:
     Raises:
         AgentFileError: A missing or invalid card; the message names the file, the field and its bounds.
     """
+    if not path.name:
+        raise AgentFileError(f"{path} is no file; {_REMEDY}")
     path = path.with_suffix(".json")
     try:
         document = parse_json(read_bounded(path, LARGEST_CARD, follow=False))

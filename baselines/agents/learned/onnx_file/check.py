@@ -24,7 +24,7 @@ from servotrack.baselines.agents.learned.onnx_file.step import Step
 
 OPERATORS: Mapping[str, Check] = {**ELEMENTWISE, **REARRANGING, **LAYERS}
 """Checks of all allowed operators by name."""
-MOST_WORK = 1_000_000_000
+MOST_WORK = 500_000_000
 """Largest number of operations for a row of the batch, and of those that do not depend on the batch."""
 MOST_ROW_MEMORY = 16_000_000
 """Largest memory of intermediate tensors at one time for a row of the batch, bytes."""
