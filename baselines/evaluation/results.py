@@ -163,8 +163,8 @@ class ResultsFolder:
         """Every cell of the folder, in the order of their paths.
 
         Raises:
-            ResultsError: The folder does not exist or is empty, or a file in it is no result, or that of another
-                environment or agent than its name says.
+            ResultsError: The folder does not exist or is empty; a file in it is no result, or that of another
+                environment or agent than its name says, or contradicts the others about its environment.
         """
         paths = sorted(p for p in self.path.glob("*/*.json") if not p.name.startswith("."))
         if not paths:
@@ -176,6 +176,14 @@ class ResultsFolder:
             raise ResultsError(
                 f"{self.path} mixes results of several servotrack versions: {found}; keep one per folder"
             )
+        first: dict[str, tuple[CellResults, Path]] = {}
+        for cell, path in zip(cells, paths, strict=True):
+            other, other_path = first.setdefault(cell.environment, (cell, path))
+            if (cell.kind, cell.env_kwargs) != (other.kind, other.env_kwargs):
+                raise ResultsError(
+                    f"{path} says kind {cell.kind!r} and arguments {cell.env_kwargs}, {other_path} in the same "
+                    f"environment says {other.kind!r} and {other.env_kwargs}; move one of them away"
+                )
         return cells
 
     def _read(self, path: Path) -> CellResults:

@@ -125,6 +125,9 @@ def check_fields(fields: Mapping[str, Any]) -> None:
         f"be one of {', '.join(WORLDS)}",
         fields["kind"],
     )
+    bare = fields["env_id"].rpartition(":")[2]
+    own = next((world.kind for world in WORLDS.values() if bare in world.ids), fields["kind"])
+    _check(fields["kind"] == own, "kind", f"be {own!r}, the kind of {bare}", fields["kind"])
     steps = fields["max_steps"]
     _check(steps is None or (_is_integer(steps) and steps > 0), "max_steps", "be null or an integer > 0", steps)
     _check_card(fields["card"])

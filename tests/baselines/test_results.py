@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from servotrack.baselines.evaluation.provenance import digest_of_sources, provenance
@@ -99,8 +100,9 @@ def unsealed(path: Path, **changes: Any) -> None:
         (lambda path: unsealed(path, provenance={"versions": None}), "provenance must name the version"),
         (lambda path: unsealed(path, card=[]), "card must be an object"),
         (lambda path: unsealed(path, kind="nothing"), "kind must be one of"),
+        (lambda path: unsealed(path, kind="other"), "kind must be 'servo', the kind of UncalibServo-v0"),
     ],
-    ids=range(16),
+    ids=range(17),
 )
 def test_a_file_that_cannot_be_trusted_is_named_and_left_alone(tmp_path: Path, break_file: Any, message: str) -> None:
     folder = ResultsFolder(tmp_path)
@@ -242,6 +244,79 @@ def test_a_copied_file_does_not_pass_for_another_agent_s(tmp_path: Path) -> None
         folder.load_all()
     with pytest.raises(ResultsError, match="holds 'kf'"):
         folder.load(ENV, KWARGS, "oracle")
+
+
+@pytest.mark.parametrize("changes", [{"kind": "servo"}, {"env_kwargs": {"size": "3"}}])
+def test_files_that_contradict_each_other_about_their_world_are_named(tmp_path: Path, changes: dict[str, Any]) -> None:
+    folder = ResultsFolder(tmp_path)
+    for agent, fields in (("kf", {}), ("ukf", changes)):
+        cell = make_cell(env_kwargs={"size": 3}, kind="other")
+        cell.env_id, cell.agent = "Foreign-v0", agent
+        for name, value in fields.items():
+            setattr(cell, name, value)
+        path = folder.save(cell)
+    with pytest.raises(ResultsError, match=r"ukf\.json says kind .* in the same environment says") as caught:
+        folder.load_all()
+    assert str(path) in str(caught.value)
+
+
+TOKENS = [
+    b"NaN",
+    b"1e999",
+    b"{}",
+    b"[]",
+    b"null",
+    b"true",
+    b'"',
+    b",",
+    b"}",
+    b"[" * 40,
+    b"\xff",
+    b'"rows": [],',
+    b"-",
+    b"0",
+]
+
+
+def mutated(content: bytes, rng: np.random.Generator) -> bytes:
+    """Change, remove, insert or repeat bytes at random places."""
+    for _ in range(int(rng.integers(1, 4))):
+        start = int(rng.integers(len(content)))
+        end = start + int(rng.integers(1, 30))
+        kind = int(rng.integers(6))
+        flipped = bytes([content[start] ^ 1]) + content[start + 1 : end]
+        token = TOKENS[int(rng.integers(len(TOKENS)))]
+        random = bytes(rng.integers(256, size=end - start, dtype=np.uint8))
+        middle = [flipped, token + content[start:end], token, random, b"", content[start:end] * 2][kind]
+        content = content[:start] + middle + content[end:]
+    return content
+
+
+def try_damaged_files(folder: Path, count: int) -> int:
+    """Read damaged files; return how many still said the same."""
+    path = ResultsFolder(folder).save(make_cell((1, 2), step_seconds=[1e-3]))
+    good, cell = path.read_bytes(), read_cell(path)
+    rng = np.random.default_rng(0)
+    same = 0
+    for _ in range(count):
+        path.write_bytes(mutated(good, rng))
+        try:
+            found = read_cell(path)
+        except ResultsError as error:
+            assert str(error).startswith(str(path)) and "\n" not in str(error)
+        else:
+            assert found == cell
+            same += 1
+    return same
+
+
+def test_damaged_files_are_refused_or_say_the_same(tmp_path: Path) -> None:
+    assert try_damaged_files(tmp_path, 500) < 50
+
+
+@pytest.mark.slow
+def test_100_000_damaged_files_are_refused_or_say_the_same(tmp_path: Path) -> None:
+    assert try_damaged_files(tmp_path, 100_000) < 10_000
 
 
 def test_saving_merges_by_seed(tmp_path: Path) -> None:
