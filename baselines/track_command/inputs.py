@@ -17,6 +17,8 @@ from servotrack.estimators.types import Image
 
 _BACKGROUND_SPACING = 25
 """Largest spacing of the frames of the first pass. Wider sampling would mix different light into one background."""
+_MAX_BACKGROUND = 1 << 32
+"""Largest memory for the frames of the first pass, bytes."""
 _FITTED = (384, 288)
 """Largest frame for `fit`, px."""
 NOMINAL_RATE = 25.0
@@ -79,6 +81,7 @@ class PixelInput:
 
     Raises:
         SequenceError: The source cannot be opened.
+        ValueError: The frames of the first pass need more than 4 GiB.
     """
 
     def __init__(
@@ -98,6 +101,7 @@ class PixelInput:
         self._background = 0 if self._frames.live else background
         width, height = self._frames.source_size
         self._size = _working_size(size, (width, height))
+        _check_background(min(self._background, self._frames.length or self._background), self._size)
         self.name = self._frames.name
         self.frame_rate = (self._frames.frame_rate or NOMINAL_RATE) / stride
         self.length: int | None = _steps(self._frames, start, count, stride)
@@ -190,6 +194,15 @@ class FileInput:
         pictures = iter(()) if self._frames is None else iter(self._frames)
         for number in self._numbers:
             yield Step(number, next(pictures, None), self._found.get(number, nothing))
+
+
+def _check_background(count: int, size: tuple[int, int]) -> None:
+    needed = 3 * count * size[0] * size[1]
+    if needed > _MAX_BACKGROUND:
+        raise ValueError(
+            f"background of {count} frames of {size[0]}x{size[1]} px needs {needed / 2**30:.1f} GiB, the limit is "
+            f"{_MAX_BACKGROUND / 2**30:.0f}; set a smaller background or size"
+        )
 
 
 def _working_size(size: tuple[int, int] | str, source: tuple[int, int]) -> tuple[int, int]:

@@ -109,6 +109,15 @@ def test_tracks_are_in_the_sources_px_whatever_size_the_detector_works_at(tmp_pa
     assert scores.ospa < 0.1
 
 
+def test_first_pass_that_needs_too_much_memory_is_refused(tmp_path):
+    path = write_video(tmp_path / "v.avi")
+    with pytest.raises(
+        ValueError, match=r"background of 12 frames of 16384x16384 px needs 9\.0 GiB, the limit is 4; set"
+    ):
+        PixelInput(path, Brightness(), (16384, 16384), background=10**12)
+    assert PixelInput(path, Brightness(), (16384, 16384), background=0).length == FRAMES
+
+
 def test_start_count_and_stride_keep_the_sources_numbers(tmp_path):
     source = PixelInput(write_video(tmp_path / "v.avi"), Brightness(), "source", start=2, count=3, stride=4)
     assert (source.length, source.frame_rate) == (3, 2.5)

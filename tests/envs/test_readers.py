@@ -1,15 +1,13 @@
 """Readers of ground truth and detections: content, and errors that name file and line."""
 
 import os
-import random
 import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hostile_files import CVML, GT, SEQINFO
 
 from servotrack.envs.track.files import recorded
 from servotrack.envs.track.files.bounded import read_bounded
@@ -17,23 +15,6 @@ from servotrack.envs.track.files.caviar import read_caviar
 from servotrack.envs.track.files.mot_files import mot_row, read_mot_detections, read_mot_tracks, read_seqinfo
 from servotrack.envs.track.files.read import read_tracks
 from servotrack.envs.track.files.recorded import SequenceError
-
-GT = b"1,2,10,20,30,40,1,1,0.5\n1,7,0,0,5.5,6,1,1,1\n3,2,12,21,30,40,1,1,0.25\n2,9,1,1,1,1,0,8,1\n"
-CVML = b"""<?xml version="1.0" encoding="UTF-8"?>
-<dataset name="Walk">
- <frame number="0">
-  <objectlist>
-   <object id="4"><orientation>90</orientation><box xc="10.5" yc="20" w="3" h="8"/><appearance>visible</appearance>
-    <hypothesislist><hypothesis id="1"><movement>walking</movement></hypothesis></hypothesislist></object>
-  </objectlist>
-  <grouplist><group id="0"><box xc="1" yc="1" w="1" h="1"/><members>4</members></group></grouplist>
- </frame>
- <frame number="2"><objectlist>
-   <object id="4"><box h="8" w="3" xc="12" yc="20"/></object><object id="0"><box xc="5" yc="5" w="2" h="2"/></object>
- </objectlist><grouplist></grouplist></frame>
-</dataset>
-"""
-INI = b"[Sequence]\nname=Toy\nimDir=img1\nframeRate=25\nseqLength=3\nimWidth=64\nimHeight=48\nimExt=.jpg\n"
 
 
 def write(folder: Path, name: str, content: bytes) -> Path:
@@ -253,7 +234,7 @@ def test_long_but_allowed_tags_and_texts_are_read_in_linear_time(tmp_path):
 
 
 def test_seqinfo(tmp_path):
-    info = read_seqinfo(write(tmp_path, "seqinfo.ini", INI))
+    info = read_seqinfo(write(tmp_path, "seqinfo.ini", SEQINFO))
     assert info == ("Toy", "img1", 25.0, 3, 64, 48)
     assert read_seqinfo(write(tmp_path, "seqinfo.ini", b"[Sequence]\n")).frame_rate is None
 
@@ -278,51 +259,3 @@ BAD_INI = {
 def test_bad_seqinfo_names_the_file(tmp_path, content, message):
     with pytest.raises(SequenceError, match=r"seqinfo\.ini.*" + message):
         read_seqinfo(write(tmp_path, "seqinfo.ini", content))
-
-
-READERS = {
-    "gt.txt": (read_mot_tracks, GT),
-    "det.txt": (read_mot_detections, GT),
-    "truth.xml": (read_caviar, CVML),
-    "seqinfo.ini": (read_seqinfo, INI),
-}
-
-
-@st.composite
-def mutated(draw, valid: bytes) -> bytes:
-    """Return a valid file with bytes replaced, and pieces removed or repeated."""
-    rng = random.Random(draw(st.integers(0, 2**32)))
-    content = bytearray(valid)
-    for _ in range(rng.randint(1, 6)):
-        at = rng.randrange(len(content) + 1)
-        piece = rng.randint(0, 12)
-        kind = rng.randrange(4)
-        if kind == 0:
-            content[at : at + piece] = bytes(rng.choices(b"0123456789.,-+eEnaif<>&;\"'=/[] \n\x00\xff%_", k=piece))
-        elif kind == 1:
-            del content[at : at + piece]
-        elif kind == 2:
-            content[at:at] = content[at : at + 40]
-        else:
-            content[at:at] = rng.choice(
-                [b"nan", b"inf", b"1e400", b"-", b"9" * 30, b"<!ENTITY", b"\xed\xa0\x80", b"1_0"]
-            )
-    return bytes(content)
-
-
-@pytest.mark.parametrize("name", READERS)
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-def test_any_bytes_are_read_or_refused(tmp_path, name, data):
-    """Arbitrary bytes raise only SequenceError; otherwise the boxes are finite."""
-    reader, valid = READERS[name]
-    path = write(tmp_path, name, data.draw(st.one_of(st.binary(max_size=300), mutated(valid))))
-    try:
-        found = reader(path)
-    except SequenceError as error:
-        assert name in str(error)
-        return
-    if name in ("gt.txt", "truth.xml"):
-        for track, visible in zip(found.tracks, found.visibilities, strict=True):
-            assert np.all(np.diff(track.steps) > 0) and np.isfinite(track.states).all()
-            assert np.all((visible >= 0) & (visible <= 1)) and np.all(track.states[:, 2:] >= 0)

@@ -1,5 +1,6 @@
 """VideoTracking-v0: frames are unchanged, scores need ground truth, and Gymnasium's checkers pass."""
 
+import os
 import warnings
 from pathlib import Path
 
@@ -120,6 +121,32 @@ def test_detections_are_those_of_the_file_scaled_with_the_frames(tmp_path):
     seen, rewards, _ = episode(env)
     np.testing.assert_array_equal(seen[0], [[1, 4, 5, 6, 12], [0, 0, 0, 0, 0]])
     assert rewards == pytest.approx([0.0] * FRAMES, abs=1e-12)
+
+
+def test_crowded_files_of_many_frames_are_refused_before_they_take_memory(tmp_path):
+    source = sequence(tmp_path, images=False)
+    rows = "".join(f"1,{k},{k % 60},10,2,4,1,1,1\n" for k in range(5000)) + "5000,1,8,10,12,24,1,1,1\n"
+    (tmp_path / "det" / "det.txt").write_text(rows)
+    with pytest.raises(SequenceError, match=r"detections: 5000 frames of up to 5000 boxes .* the limit is 20000000"):
+        gym.make(ENV_ID, source=source, observation="detections", horizon=5000)
+    (tmp_path / "det" / "det.txt").write_text(DETECTIONS + "5000,-1,8,10,12,24,1\n")
+    (tmp_path / "gt" / "gt.txt").write_text(rows)
+    with pytest.raises(SequenceError, match="truth: 5000 frames of up to 5000 boxes"):
+        gym.make(ENV_ID, source=source, observation="detections", horizon=5000)
+    assert gym.make(ENV_ID, source=source, observation="detections", horizon=4000) is not None
+
+
+def test_files_that_are_no_video_are_refused_in_one_line(tmp_path):
+    (tmp_path / "empty.avi").touch()
+    (tmp_path / "folder.avi").mkdir()
+    (tmp_path / "script.mp4").write_text("ffconcat version 1.0\nfile other.avi\n")
+    (tmp_path / "endless.avi").symlink_to("/dev/zero")
+    os.mkfifo(tmp_path / "pipe.avi")
+    for name in ("empty.avi", "folder.avi", "script.mp4", "endless.avi", "pipe.avi", "nowhere.avi"):
+        for make in (lambda path: gym.make(ENV_ID, source=path), lambda path: gym.make_vec(ENV_ID, 2, source=path)):
+            with pytest.raises(SequenceError, match=name) as caught:
+                make(str(tmp_path / name))
+            assert "\n" not in str(caught.value)
 
 
 def test_a_source_that_breaks_ends_the_episode_with_a_warning(tmp_path):

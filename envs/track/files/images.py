@@ -32,7 +32,7 @@ def decode_image(file: Path) -> NDArray[Any]:
         SequenceError: If the file is not regular, cannot be read or decoded, or is too large.
     """
     content = read_bounded(file, MAX_IMAGE_FILE, "replace it by a smaller image")
-    _check_image_size(file, content)
+    _check_header(file, content)
     try:
         with quiet():
             image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -64,14 +64,16 @@ def to_rgb(image: NDArray[Any], where: str) -> Image:
     return cv2.cvtColor(image, codes[channels])  # type: ignore[return-value]
 
 
-def _check_image_size(file: Path, content: bytes) -> None:
-    """Raise SequenceError if the header of an image claims too many pixels: they would take memory before any check."""
+def _check_header(file: Path, content: bytes) -> None:
+    """Raise SequenceError if an image claims more pixels or bytes than it may: a decoder would take memory for them."""
     try:
         with warnings.catch_warnings():
             # Of images that are damaged, or large but below the limit.
             warnings.simplefilter("ignore")
             with ImageHeader.open(io.BytesIO(content), formats=_HEADER_FORMATS) as header:
                 width, height = header.size
+                # OpenCV takes memory for whatever length a chunk of a PNG file claims, up to 4 GB.
+                header.verify()
     except ImageHeader.DecompressionBombError as error:
         raise SequenceError(f"{file} cannot be decoded: {error} Make it smaller") from error
     except Exception as error:
