@@ -68,8 +68,8 @@ def _image(step: Step) -> tuple[Extent, int, list[int]]:
     return shape[0], channels, extents
 
 
-def _windows(step: Step, extents: Sequence[int], kernel: Sequence[int]) -> list[int]:
-    """Return the number of positions of a kernel along each axis."""
+def _windows(step: Step, extents: Sequence[int], kernel: Sequence[int], narrow: bool = False) -> list[int]:
+    """Return the number of positions of a kernel along each axis; `narrow` refuses those that see padding only."""
     axes = len(extents)
     padding = step.text("auto_pad", "NOTSET", "VALID", "SAME_UPPER", "SAME_LOWER")
     strides = step.integers("strides", [1] * axes, axes, *_KERNEL)
@@ -80,8 +80,10 @@ def _windows(step: Step, extents: Sequence[int], kernel: Sequence[int]) -> list[
     found = []
     for axis, extent in enumerate(extents):
         reach = dilations[axis] * (kernel[axis] - 1) + 1
+        if narrow and max(pads[axis], pads[axes + axis]) >= kernel[axis]:
+            raise ValueError(f"pads must be below the kernel's extent {kernel[axis]}")
         padded = extent + pads[axis] + pads[axes + axis]
-        if reach > padded or max(pads[axis], pads[axes + axis]) >= reach:
+        if reach > padded:
             raise ValueError(f"a kernel of reach {reach} does not fit an axis of {extent} padded to {padded}")
         found.append((padded - reach) // strides[axis] + 1)
     return found
@@ -114,7 +116,7 @@ def _pool(step: Step) -> list[Value]:
     batch, channels, extents = _image(step)
     kernel = step.integers("kernel_shape", None, len(extents), *_KERNEL)
     step.integer("ceil_mode", 0, 0, 0)
-    result = (batch, channels, *_windows(step, extents, kernel))
+    result = (batch, channels, *_windows(step, extents, kernel, narrow=True))
     step.work.append(product((*result, math.prod(kernel))))
     return [Value(FLOAT, result)]
 

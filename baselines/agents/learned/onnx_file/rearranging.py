@@ -160,7 +160,9 @@ def _split(step: Step) -> list[Value]:
     if step.optional(1) is not None:
         parts = step.numbers(1)
     else:
-        count = step.integer("num_outputs", step.outputs, step.outputs, step.outputs)
+        # Before opset 18 there was no such attribute, since then it must be given.
+        given = None if step.opset >= 18 else step.outputs
+        count = step.integer("num_outputs", given, step.outputs, step.outputs)
         parts = [extent // count] * count
     if len(parts) != step.outputs or sum(parts) != extent or min(parts) < 1:
         raise ValueError(f"axis {axis} of extent {extent} cannot be split into {parts[:9]}")
