@@ -6,7 +6,7 @@ import contextlib
 import os
 import signal
 import sys
-import tempfile
+import sysconfig
 import threading
 import time
 import warnings
@@ -90,15 +90,17 @@ def _safe_path() -> Iterator[None]:
 
 
 def _start_elsewhere(jobs: int, options: Mapping[str, Any]) -> None:
-    """Start the workers in an empty folder: Python 3.10 has no safe path. `_enter` takes them back."""
+    """Start the workers in the folder of the standard library: Python 3.10 has no safe path. `_enter` takes them back.
+
+    The folder exists as long as a slow worker needs to start, and holds only what Python would import anyway.
+    """
     here = os.getcwd()
-    with tempfile.TemporaryDirectory() as empty:
-        os.chdir(empty)
-        try:
-            for _ in Parallel(n_jobs=jobs, **options)([delayed(int)(), delayed(int)()]):
-                pass
-        finally:
-            os.chdir(here)
+    os.chdir(sysconfig.get_path("stdlib"))
+    try:
+        for _ in Parallel(n_jobs=jobs, **options)([delayed(int)(), delayed(int)()]):
+            pass
+    finally:
+        os.chdir(here)
 
 
 class _Worker:
