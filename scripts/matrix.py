@@ -34,7 +34,7 @@ class Run:
     """One run of scripts/digests.py.
 
     Attributes:
-        label: What differs from the reference.
+        label: Difference from the reference, for the printed line.
         python: Interpreter.
         threads: Threads of the linear algebra library.
         options: Options of scripts/digests.py.

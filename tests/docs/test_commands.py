@@ -40,6 +40,8 @@ def commands(page: Path) -> list[str]:
 def fault(command: str) -> str | None:
     """Return why a command cannot run, None if it can."""
     words = shlex.split(command, comments=True)
+    if words[0] == "export":
+        return None if all("=" in word for word in words[1:]) else f"{words} exports no value"
     name, arguments = words[0].removeprefix(".venv/bin/"), words[1:]
     if name == "servotrack":
         return _fault_of_arguments(arguments)

@@ -242,6 +242,13 @@ def test_the_temporary_folder_is_private(tmp_path: Path, monkeypatch: pytest.Mon
         assert places._reason_against(folder) == "Belongs to another user"
 
 
+def test_workers_announce_once_for_all(tmp_path: Path) -> None:
+    assert [places._announced_lately(tmp_path) for _ in range(3)] == [False, True, True]
+    (mark,) = tmp_path.iterdir()
+    os.utime(mark, (0, 0))
+    assert not places._announced_lately(tmp_path)
+
+
 UNPRIVILEGED = ["setpriv", "--inh-caps=-all", "--bounding-set=-all"]
 """Takes root's right to write anywhere; other users do not have it."""
 
