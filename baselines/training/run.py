@@ -20,7 +20,8 @@ from torch import nn
 from servotrack.baselines.agents.learned.card import LearnedCard
 from servotrack.baselines.agents.learned.shipped import agent_in_file
 from servotrack.baselines.evaluation.provenance import provenance
-from servotrack.baselines.reporting.files import ResultsError, atomic_path
+from servotrack.baselines.reporting.files import LARGEST_DOCUMENT, ResultsError, atomic_path, read_strict_json
+from servotrack.baselines.reporting.strict import parse_json
 from servotrack.baselines.training.checkpoint import (
     CHECKPOINT,
     load_checkpoint,
@@ -119,7 +120,12 @@ class TrainingRun:
         self.checkpoint = load_checkpoint(task.folder)
         self.curve = TrainingCurve()
         if self.checkpoint is not None:
-            self.curve = TrainingCurve(**json.loads(self.checkpoint["curve"]))
+            try:
+                self.curve = TrainingCurve(**parse_json(self.checkpoint["curve"].encode()))
+            except (ValueError, TypeError, AttributeError) as error:
+                raise ResultsError(
+                    f"{task.folder / CHECKPOINT} has no learning curve ({error}); move its folder away to start again"
+                ) from error
             self.curve.interruptions += not self.finished
         for entry in self.curve.entries:
             on_entry(entry)
@@ -206,7 +212,7 @@ def _claim(task: TrainingTask) -> None:
     """Write the task into its folder; raise if the folder holds another one."""
     path, mine = task.folder / TASK, task.as_record()
     if path.exists():
-        if json.loads(path.read_text(encoding="utf-8")) != mine:
+        if read_strict_json(path, LARGEST_DOCUMENT) != mine:
             raise ResultsError(
                 f"{task.folder} holds a training with other settings; choose another folder or move it away"
             )

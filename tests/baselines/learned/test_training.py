@@ -43,7 +43,7 @@ from servotrack.baselines.training.encoded_env import EncodedVecEnv
 from servotrack.baselines.training.export import export, exportable_policy
 from servotrack.baselines.training.progress import PeriodicEvaluation
 from servotrack.baselines.training.reinforcement import create_model, policy_mode, restore
-from servotrack.baselines.training.run import TrainingTask
+from servotrack.baselines.training.run import TASK, TrainingTask
 from servotrack.baselines.training.sb3 import StableBaselinesVecEnv
 from servotrack.baselines.training.settings import TrainingSettings, load_settings, schedule
 from servotrack.baselines.training.student import StudentNetwork
@@ -172,6 +172,13 @@ def test_a_checkpoint_that_would_run_code_is_refused(tmp_path: Path) -> None:
     (tmp_path / CHECKPOINT).write_bytes(b"PK\x03\x04 truncated")
     with pytest.raises(ResultsError, match="not a checkpoint"):
         train(task, periodic_evaluation(tmp_path))
+
+
+@pytest.mark.parametrize("content", ['{"a": 1, "a": 2}', "[" * 10_000, "NaN", ""])
+def test_a_damaged_task_file_is_named(tmp_path: Path, content: str) -> None:
+    (tmp_path / TASK).write_text(content)
+    with pytest.raises(ResultsError, match=rf"{TASK} is corrupt"):
+        train(TrainingTask(ENV_ID, SHORT, PPO, 0, tmp_path, tensorboard=False), periodic_evaluation(tmp_path))
 
 
 def test_a_folder_of_another_training_is_refused(tmp_path: Path) -> None:
