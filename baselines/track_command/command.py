@@ -150,7 +150,7 @@ def _progress(console: Console) -> Progress:
 def _truth(request: TrackRequest) -> RecordedTracks | None:
     if request.truth is not None:
         return read_tracks(request.truth)
-    sequence = find_mot_folder(request.source) if Path(request.source).is_dir() else None
+    sequence = find_mot_folder(request.source)
     return None if sequence is None or sequence.truth is None else read_tracks(sequence.truth)
 
 
@@ -158,7 +158,7 @@ def _open(request: TrackRequest, length: int) -> tuple[Input, str]:
     """Return the sequence with its detector, and the detector's name."""
     name = request.detector
     if name == "auto":
-        sequence = find_mot_folder(request.source) if Path(request.source).is_dir() else None
+        sequence = find_mot_folder(request.source)
         name = FILE_DETECTOR if sequence is not None and sequence.detections is not None else next(iter(DETECTORS))
     if name == FILE_DETECTOR:
         return FileInput(

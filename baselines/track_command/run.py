@@ -168,7 +168,8 @@ def _keep_film(path: Path, run: TrackRun) -> None:
     """Keep the video if it can be read: OpenCV reports no error if its file could not be finished."""
     import cv2
 
-    capture = cv2.VideoCapture(str(path))
+    # FFmpeg takes a relative path that begins as `file:` for an address.
+    capture = cv2.VideoCapture(str(path.absolute()))
     plays = capture.isOpened() and capture.read()[0]
     capture.release()
     if plays:

@@ -11,10 +11,19 @@ _MAX_NUMBER = 64
 """Largest length of a number, characters."""
 
 
+def is_folder(path: Path) -> bool:
+    """Return True if the path is a folder. Raise SequenceError if it cannot be looked up."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError) as error:
+        raise SequenceError(f"{str(path)!r} cannot be looked up ({error})") from error
+
+
 def check_file(path: Path) -> Path:
     """Return the path if it is a regular file or a link to one, else raise SequenceError."""
+    folder = is_folder(path)
     try:
-        folder, regular, there = path.is_dir(), path.is_file(), path.exists()
+        regular, there = path.is_file(), path.exists()
     except (OSError, ValueError) as error:
         raise SequenceError(f"{str(path)!r} cannot be a file ({error})") from error
     if folder:

@@ -67,25 +67,27 @@ class MotFolder(NamedTuple):
 
 
 def find_mot_folder(path: str | Path) -> MotFolder | None:
-    """Return the parts of a MOTChallenge sequence; None if the folder is not one.
+    """Return the parts of a MOTChallenge sequence; None if the path is not the folder of one.
 
     A folder is a MOTChallenge sequence if it contains seqinfo.ini, det/det.txt, gt/gt.txt or the image folder.
 
     Raises:
-        SequenceError: If seqinfo.ini is invalid.
+        SequenceError: If seqinfo.ini is invalid, or the folder cannot be looked up.
     """
     folder = Path(path)
-    seqinfo, detections, truth = folder / "seqinfo.ini", folder / "det" / "det.txt", folder / "gt" / "gt.txt"
-    info = read_seqinfo(seqinfo) if seqinfo.is_file() else SequenceInfo(folder.resolve().name)
-    images = folder / info.images
-    if not (seqinfo.is_file() or detections.is_file() or truth.is_file() or images.is_dir()):
+    seqinfo = folder / "seqinfo.ini"
+    try:
+        described = seqinfo.is_file()
+        info = read_seqinfo(seqinfo) if described else SequenceInfo(folder.resolve().name)
+        images = folder / info.images if (folder / info.images).is_dir() else None
+        detections, truth = (
+            file if file.is_file() else None for file in (folder / "det" / "det.txt", folder / "gt" / "gt.txt")
+        )
+    except OSError as error:
+        raise SequenceError(f"{folder} cannot be read ({error.strerror}); check its permissions") from error
+    if not (described or detections or truth or images):
         return None
-    return MotFolder(
-        info,
-        images if images.is_dir() else None,
-        detections if detections.is_file() else None,
-        truth if truth.is_file() else None,
-    )
+    return MotFolder(info, images, detections, truth)
 
 
 def read_mot_tracks(path: str | Path) -> RecordedTracks:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from servotrack.envs.track.files.bounded import is_folder
 from servotrack.envs.track.files.caviar import read_caviar
 from servotrack.envs.track.files.mot_files import read_mot_tracks
 from servotrack.envs.track.files.recorded import RecordedTracks
@@ -22,6 +23,6 @@ def read_tracks(path: str | Path) -> RecordedTracks:
         SequenceError: If the file is missing, has another format or contains an invalid row.
     """
     file = Path(path)
-    if file.is_dir():
+    if is_folder(file):
         file = file / "gt" / "gt.txt"
     return read_caviar(file) if file.suffix.lower() == ".xml" else read_mot_tracks(file)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -133,7 +132,7 @@ def load_recording(config: VideoConfig) -> Recording:
     """
     if config.source is None:
         return _rendered(config)
-    sequence = find_mot_folder(str(config.source)) if Path(str(config.source)).is_dir() else None
+    sequence = find_mot_folder(str(config.source))
     found: Mapping[int, Detections] = {}
     if config.observation == "detections":
         if sequence is None or sequence.detections is None:
