@@ -347,14 +347,6 @@ def test_image_file_that_is_too_large_is_refused_before_it_is_read(tmp_path):
         open_frames(tmp_path)
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="everything is readable for root")
-def test_video_that_may_not_be_read_is_named(tmp_path):
-    path = write_video(tmp_path / "v.avi", 3)
-    path.chmod(0)
-    with pytest.raises(SequenceError, match=r"v\.avi cannot be read \(Permission denied\)"):
-        open_frames(path)
-
-
 class Stalling:
     """VideoCapture whose reads fail now and then."""
 

@@ -1,8 +1,10 @@
 """Readers of ground truth and detections: content, and errors that name file and line."""
 
 import os
+import tempfile
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from hostile_files import CVML, GT, SEQINFO
 from servotrack.envs.track.files import recorded
 from servotrack.envs.track.files.bounded import read_bounded
 from servotrack.envs.track.files.caviar import read_caviar
+from servotrack.envs.track.files.frames import open_frames
 from servotrack.envs.track.files.mot_files import mot_row, read_mot_detections, read_mot_tracks, read_seqinfo
 from servotrack.envs.track.files.read import read_tracks
 from servotrack.envs.track.files.recorded import SequenceError
@@ -159,12 +162,35 @@ def test_file_that_is_written_while_it_is_read_is_refused(tmp_path):
         writer.join()
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="everything is readable for root")
-def test_file_that_may_not_be_read_is_named(tmp_path):
-    path = write(tmp_path, "secret.txt", GT)
-    path.chmod(0)
-    with pytest.raises(SequenceError, match=r"secret\.txt cannot be read \(Permission denied\)"):
-        read_mot_tracks(path)
+@pytest.fixture
+def locked() -> Iterator[Path]:
+    """A folder with files and a folder that may not be read, by a user without privileges."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        for file in ("gt.txt", "truth.xml", "v.avi", "images/1.png", "closed/gt.txt"):
+            (folder / file).parent.mkdir(exist_ok=True)
+            (folder / file).write_bytes(GT)
+            (folder / file).chmod(0)
+        (folder / "closed").chmod(0)
+        before = os.geteuid()
+        if before == 0:
+            os.seteuid(65534)
+        try:
+            yield folder
+        finally:
+            os.seteuid(before)
+            (folder / "closed").chmod(0o700)
+
+
+@pytest.mark.parametrize(
+    ("reader", "name"),
+    [(reader, name) for reader in (read_tracks, open_frames) for name in ("gt.txt", "closed", "closed/gt.txt")]
+    + [(read_tracks, "truth.xml"), (read_mot_detections, "gt.txt"), (open_frames, "v.avi"), (open_frames, "images")],
+)
+def test_what_may_not_be_read_is_named(locked, reader, name):
+    with pytest.raises(SequenceError, match=rf"{locked / name}.*Permission denied"):
+        reader(locked / name)
 
 
 def test_missing_files_and_folders_are_named(tmp_path):
