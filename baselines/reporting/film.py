@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import shutil
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -11,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from servotrack.baselines.reporting.files import ResultsError, atomic_path
+from servotrack.baselines.reporting.files import ResultsError, atomic_path, storage_error
 from servotrack.estimators.types import Image
 
 CODECS = {".webm": "VP80", ".mp4": "mp4v", ".avi": "MJPG"}
@@ -22,6 +24,8 @@ SIDES = (16, 8190)
 """Range of width and height of a film, px. Encoders write unreadable files or crash outside of it."""
 RATES = (0.1, 1000.0)
 """Range of frame rates of a film, frames per second."""
+_LEAST_SPACE = 4 << 20
+"""Free disk space below which a film that fails is taken for one that a full disk cut off, bytes."""
 
 
 class FilmError(ResultsError):
@@ -132,17 +136,19 @@ class Film:
 
         Raises:
             FilmError: The film has another number of frames than were written.
+            StorageError: The same, on a disk that is full.
         """
         import cv2
 
         self._writer.release()
-        reader = cv2.VideoCapture(str(self._temporary.absolute()))
         found = 0
-        while found <= self.count and reader.grab():
-            found += 1
-        reader.release()
+        with _hushed():
+            reader = cv2.VideoCapture(str(self._temporary.absolute()))
+            while found <= self.count and reader.grab():
+                found += 1
+            reader.release()
         if found != self.count:
-            raise FilmError(
+            raise self._failed(
                 f"{self.path} could not be written: {found} of {self.count} frames can be read back; "
                 "check the free disk space, or choose another format"
             )
@@ -163,8 +169,14 @@ class Film:
             path = str(self._temporary.absolute())
             writer = cv2.VideoWriter(path, cv2.VideoWriter.fourcc(*CODECS[suffix]), self._rate, size)
         if not writer.isOpened():
-            raise FilmError(f"this OpenCV cannot write {CODECS[suffix]} into {suffix}; try {', '.join(CODECS)}")
+            raise self._failed(f"this OpenCV cannot write {CODECS[suffix]} into {suffix}; try {', '.join(CODECS)}")
         return writer
+
+    def _failed(self, message: str) -> ResultsError:
+        """Return the error to raise. OpenCV gives no reason, but a full disk shows in the space that is left."""
+        if shutil.disk_usage(self.path.parent).free < _LEAST_SPACE:
+            return storage_error(self.path, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+        return FilmError(message)
 
 
 def _kind(frame: object) -> str:
@@ -173,7 +185,7 @@ def _kind(frame: object) -> str:
 
 @contextlib.contextmanager
 def _hushed() -> Iterator[None]:
-    """Keep OpenCV from complaining, past Python's streams, that WebM has no tags for codecs: it writes all the same."""
+    """Keep OpenCV from complaining past Python's streams: WebM has no tags for codecs, a film cut off has no index."""
     sys.stderr.flush()
     kept = os.dup(2)
     try:

@@ -309,7 +309,7 @@ def test_a_film_can_be_read_back(tmp_path: Path, suffix: str) -> None:
     while (answer := capture.read())[0]:
         read.append(answer[1])
     assert len(read) == 12
-    assert read[0].shape == (60, 80, 3)
+    assert read[0].shape == (62, 82, 3)
     blue, _, red = read[-1][40, 10]
     assert red > 180 > 80 > blue, "colors are swapped"
     assert list(tmp_path.iterdir()) == [path]

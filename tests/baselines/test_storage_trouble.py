@@ -196,6 +196,7 @@ def test_every_command_that_writes_reports_a_full_disk(tmp_path: Path) -> None:
         f"leaderboard {folder}/r",
         f"tune student-t-kf -n 1 -o {folder}/t.json",
         f"reproduce unscented_jacobian -o {folder}/reproduced --runs 2",
+        f"play UncalibServo-v0 --agent kf --level 0 --video {folder}/film.mp4",
         f"render {folder}/walk -s horizon=20",
         f"train UncalibServo-v0 --steps 2000 -o {folder}/train -l 0",
     ]
