@@ -6,7 +6,9 @@ import contextlib
 import hashlib
 import os
 import secrets
+import shutil
 import socket
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -68,8 +70,37 @@ def _forget(path: Path) -> None:
     unfinished.end(path)
 
 
+@contextlib.contextmanager
+def unfinished_folder(parent: Path) -> Iterator[Path]:
+    """A new empty folder that is removed with its content when the block ends, unless it was renamed.
+
+    It is locked as `unfinished_file` locks a file.
+
+    Args:
+        parent: Existing folder. Files and folders of writers that are gone are removed from it first.
+
+    Raises:
+        OSError: The folder cannot be created.
+    """
+    remove_abandoned(parent)
+    path = parent / f"{_own_prefix()}{secrets.token_hex(6)}"
+    unfinished.begin(path)
+    with contextlib.ExitStack() as stack:
+        stack.callback(unfinished.end, path)
+        stack.callback(shutil.rmtree, path, ignore_errors=True)
+        path.mkdir()
+        if fcntl is not None:
+            handle = os.open(path, os.O_RDONLY)
+            stack.callback(os.close, handle)
+            with contextlib.suppress(OSError):
+                fcntl.flock(handle, fcntl.LOCK_EX)
+        # Again, if another process took the new folder for an abandoned one before it was locked.
+        path.mkdir(exist_ok=True)
+        yield path
+
+
 def remove_abandoned(folder: Path) -> None:
-    """Remove unfinished files of this machine whose writer is gone; those of other machines stay, and all on Windows.
+    """Remove unfinished files and folders of this machine whose writer is gone; on Windows all stay.
 
     Args:
         folder: The folder; subfolders are not searched.
@@ -85,6 +116,9 @@ def remove_abandoned(folder: Path) -> None:
             handle = os.open(folder / name, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                os.unlink(folder / name)
+                if stat.S_ISDIR(os.fstat(handle).st_mode):
+                    shutil.rmtree(folder / name, ignore_errors=True)
+                else:
+                    os.unlink(folder / name)
             finally:
                 os.close(handle)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import gymnasium as gym
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 
 from servotrack.baselines.reporting.files import ResultsError
+from servotrack.baselines.reporting.temporary import unfinished_folder
 from servotrack.baselines.track_command.rendered import ENVIRONMENT, render_sequence
 from servotrack.envs.track.files.frames import open_frames
 from servotrack.envs.track.files.mot_files import find_mot_folder
@@ -52,3 +55,20 @@ def test_only_a_rendered_sequence_is_replaced(tmp_path: Path) -> None:
         render_sequence(tmp_path / "mine", AXES, 0)
     with pytest.raises(ValueError, match="observation must be 'pixels'"):
         render_sequence(tmp_path / "new", {**AXES, "observation": "blobs"}, 0)
+
+
+def test_what_a_killed_rendering_left_behind_is_removed_by_the_next(tmp_path: Path) -> None:
+    code = (
+        "import os, sys\nfrom pathlib import Path\n"
+        "from servotrack.baselines.reporting.temporary import unfinished_folder\n"
+        "with unfinished_folder(Path(sys.argv[1])) as folder:\n"
+        "    (folder / 'img1').mkdir()\n    (folder / 'img1' / '000001.jpg').touch()\n    os._exit(9)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False).returncode == 9
+    (abandoned,) = tmp_path.iterdir()
+    assert abandoned.is_dir()
+    with unfinished_folder(tmp_path) as growing:
+        assert [entry.name for entry in tmp_path.iterdir()] == [growing.name]
+        render_sequence(tmp_path / "scene", {**AXES, "horizon": 2}, 0)
+        assert growing.is_dir(), "the folder of a writer that still runs"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["scene"]
