@@ -290,6 +290,39 @@ def test_workers_of_commands_killed_at_random_times_end(name: str, tmp_path: Pat
         COMMANDS[name].content(folder)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("numbers", "within"), [((signal.SIGTERM,), LONGEST_END), ((signal.SIGINT,) * 2, 3.0)])
+def test_a_command_that_does_not_let_itself_be_stopped_ends_by_force(
+    numbers: tuple[int, ...], within: float, tmp_path: Path
+) -> None:
+    code = (
+        "import pathlib, signal, time\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from servotrack.baselines.running import stopping, unfinished\n"
+        "path = pathlib.Path('half')\n"
+        "with stopping.stoppable():\n"
+        "    unfinished.begin(path)\n    path.touch()\n    print('ready', flush=True)\n"
+        "    while True:\n        try:\n            time.sleep(60)\n        except BaseException:\n            pass\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+    begin = time.monotonic()
+    for number in numbers:
+        process.send_signal(number)
+        time.sleep(0.5)
+    _, text = process.communicate(timeout=30)
+    limit = within * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+    assert time.monotonic() - begin < limit
+    assert process.returncode == 128 + numbers[0]
+    assert text == (
+        f"servotrack: stopped by {signal.Signals(numbers[0]).name}, by force; finished work is kept; "
+        "run the same command to go on\n"
+    )
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.fixture
 def default_handler() -> Iterator[None]:
     """Python's own handler, which processes that are started in the background do not have."""
