@@ -49,14 +49,10 @@ def main() -> None:
     Exit codes: 0 for success, 1 if the run failed, 2 for a mistake in the arguments or files, and 128 plus the signal's
     number if a signal stopped the command.
     """
-    from servotrack.baselines.running.stopping import GO_ON, Stopped, keeping, stoppable
+    from servotrack.baselines.running.stopping import GO_ON, program
 
-    try:
-        with stoppable(), keeping(lambda: f"finished files are kept; {GO_ON}"):
-            _run()
-    except Stopped as stop:
-        typer.secho(f"servotrack: {stop}", fg="yellow", err=True)
-        raise SystemExit(128 + stop.number) from None
+    with program(f"finished files are kept; {GO_ON}"):
+        _run()
 
 
 def _run() -> None:

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -128,6 +129,21 @@ def stoppable() -> Iterator[None]:
         # After a signal the deadline stays in force until the process has ended.
         if not stop.number:
             stop.close()
+
+
+@contextlib.contextmanager
+def program(kept: str) -> Iterator[None]:
+    """Context of a whole program: `stoppable`, and one line and the exit code 128 plus the number at the end.
+
+    Args:
+        kept: Kept work and how to go on, for a block that does not say it itself.
+    """
+    try:
+        with stoppable(), keeping(lambda: kept):
+            yield
+    except Stopped as stop:
+        print(f"servotrack: {stop}", file=sys.stderr)
+        raise SystemExit(128 + stop.number) from None
 
 
 def end_by_force(number: int) -> NoReturn:

@@ -14,6 +14,7 @@ from rich.progress import Progress
 
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.reporting.files import atomic_path
+from servotrack.baselines.running.stopping import program
 from servotrack.baselines.speed import accuracy, bearings, environments, learning, rates, set_filters, video
 
 
@@ -98,6 +99,12 @@ def main() -> None:
         if getattr(arguments, name) <= 0:
             parser.error(f"--{name} must be positive, got {getattr(arguments, name)}")
 
+    with program("nothing is written; run the same command again"):
+        _measure(arguments)
+
+
+def _measure(arguments: argparse.Namespace) -> None:
+    """Measure what the arguments say, print the report and write it."""
     top, console = heading("Accuracy targets" if arguments.accuracy else "Speed"), Console(stderr=True)
     if arguments.accuracy:
         body = accuracy_report(arguments.episodes, arguments.jobs, console)

@@ -20,6 +20,7 @@ from joblib import delayed
 from servotrack.baselines.agents.color.catalog import color_tracker
 from servotrack.baselines.agents.color.tuning_grid import EPISODES, GRIDS
 from servotrack.baselines.evaluation import seeds
+from servotrack.baselines.running.stopping import program
 from servotrack.baselines.running.workers import in_workers
 from servotrack.baselines.tuning.color_films import Film, film, track
 from servotrack.envs.track.color.config import LEVEL_NAMES
@@ -88,9 +89,10 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=1, help="of the search")
     parser.add_argument("--jobs", type=int, default=-1, help="processes")
     arguments = parser.parse_args()
-    for name in arguments.names:
-        print(name)
-        print(search(name, arguments.episodes, arguments.rounds, arguments.jobs))
+    with program("run the same command again"):
+        for name in arguments.names:
+            print(name)
+            print(search(name, arguments.episodes, arguments.rounds, arguments.jobs))
 
 
 if __name__ == "__main__":
