@@ -52,6 +52,17 @@ class WorkerLostError(RuntimeError):
     """A worker process was killed before its task was done, for example because memory ran out."""
 
 
+def stop_behind(error: BaseException) -> Stopped | None:
+    """Return the `Stopped` that an error comes from, or None.
+
+    A compiled function in which the signal arrives ends with SystemError, and code that cleans up may fail on its own.
+    """
+    seen: BaseException | None = error
+    while seen is not None and not isinstance(seen, Stopped):
+        seen = seen.__cause__ or seen.__context__
+    return seen
+
+
 @contextlib.contextmanager
 def keeping(kept: Callable[[], str]) -> Iterator[None]:
     """Context that adds to `Stopped` what is kept; the innermost context decides.
@@ -61,9 +72,12 @@ def keeping(kept: Callable[[], str]) -> Iterator[None]:
     """
     try:
         yield
-    except Stopped as stop:
+    except BaseException as error:
+        stop = stop_behind(error)
+        if stop is None:
+            raise
         stop.kept = stop.kept or kept()
-        raise
+        raise stop from None
 
 
 class Interruption:

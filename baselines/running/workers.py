@@ -20,7 +20,7 @@ from joblib.parallel import BACKENDS, get_active_backend
 
 from servotrack._import_path import without_appended
 from servotrack.baselines.running import unfinished
-from servotrack.baselines.running.stopping import Stopped, WorkerLostError
+from servotrack.baselines.running.stopping import Stopped, WorkerLostError, stop_behind
 
 Call = tuple[Callable[..., Any], Sequence[Any], Mapping[str, Any]]
 """A call as `joblib.delayed` makes it: function, arguments, keywords."""
@@ -177,7 +177,9 @@ def _run(function: Callable[..., Any], arguments: Sequence[Any], keywords: Mappi
     _worker.busy = True
     try:
         return function(*arguments, **keywords)
-    except Stopped:
-        _worker.leave()
+    except BaseException as error:
+        if stop_behind(error) is not None:
+            _worker.leave()
+        raise
     finally:
         _worker.busy = False

@@ -35,8 +35,7 @@ class TracksFile:
         self.rows = 0
         self._growing = path.with_name(path.name + UNFINISHED)
         self._good = 0
-        # Valid after every frame, so a command that ends by force keeps it.
-        unfinished.begin(self._growing, keep_as=path)
+        unfinished.begin(self._growing)
         # Unbuffered, so that a failed write is raised at once, in the frame that it belongs to.
         self._file = self._growing.open("wb", buffering=0)
 
@@ -74,5 +73,8 @@ class TracksFile:
         content = "".join(rows).encode("ascii")
         while content:
             content = content[self._file.write(content) :]
+        if rows and not self.rows:
+            # Valid after every frame from now on, so a command that ends by force keeps it.
+            unfinished.begin(self._growing, keep_as=self.path)
         self.rows += len(rows)
         self._good = self._file.tell()

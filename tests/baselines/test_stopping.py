@@ -377,6 +377,16 @@ def test_the_innermost_context_says_what_is_kept() -> None:
         raise Stopped(signal.SIGTERM)
 
 
+def test_a_signal_in_a_compiled_function_is_a_stop_too() -> None:
+    with pytest.raises(Stopped, match="stopped by SIGHUP; 1 of 2"), keeping(lambda: "1 of 2"):
+        try:
+            raise Stopped(signal.SIGHUP)
+        except Stopped as stop:
+            raise SystemError("a function returned a result with an exception set") from stop
+    with pytest.raises(ValueError, match="mistake"), keeping(lambda: "1 of 2"):
+        raise ValueError("mistake")
+
+
 def test_unfinished_files_are_removed_or_kept(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     for name in ("half", "whole", "folder/page", "done"):
