@@ -184,6 +184,14 @@ def create_learned_agent(
     """
     file = shipped_file(name, env) if path is None and name is not None else Path(str(path))
     card = load_card(file)
+    try:
+        return _created(file, card, env)
+    except ValueError as error:
+        raise AgentFileError(f"{file} does not fit this environment: {error}") from error
+
+
+def _created(file: Path, card: LearnedCard, env: Any) -> LearnedAgent | PixelServo | JacobianServo | SetPredictor:
+    """Create the agent of a card. Raises ValueError for an environment that it does not fit."""
     if card.encoding.get("kind") == MARKER:
         servo = create_agent(card.encoding["servo"], env)
         if not isinstance(servo, PixelServo):
@@ -198,10 +206,7 @@ def create_learned_agent(
         raise AgentFileError(f"{file} was trained in {card.env_id}, it cannot act in {spec.id}")
     observations = getattr(env, "single_observation_space", env.observation_space)
     actions = getattr(env, "single_action_space", env.action_space)
-    try:
-        encoding = create_encoding(card.encoding, env, file.parent)
-    except ValueError as error:
-        raise AgentFileError(f"{file} does not fit this environment: {error}") from error
+    encoding = create_encoding(card.encoding, env, file.parent)
     return LearnedAgent(OnnxNetwork(file.parent / card.network, card), encoding, observations, actions)
 
 
@@ -215,11 +220,8 @@ def _estimating(file: Path, card: LearnedCard, env: Any) -> JacobianServo:
     )
 
     network = OnnxNetwork(file.parent / card.network, card)
-    try:
-        encoding, law = jacobian_encoding(card.encoding)
-        servo = create_learned_servo(LearnedJacobian(network, network.memory, encoding), env, law)
-    except ValueError as error:
-        raise AgentFileError(f"{file} does not fit this environment: {error}") from error
+    encoding, law = jacobian_encoding(card.encoding)
+    servo = create_learned_servo(LearnedJacobian(network, network.memory, encoding), env, law)
     if (network.size, network.actions) != (encoding.size, ENTRIES):
         raise AgentFileError(
             f"{network.path} maps {network.size} numbers to {network.actions}, but a Jacobian needs {encoding.size} to "
@@ -237,10 +239,7 @@ def _predicting_sets(file: Path, card: LearnedCard, env: Any) -> SetPredictor:
     network, scene = OnnxNetwork(file.parent / card.network, card), public_attribute(env, "scene_model")
     if not isinstance(scene, SceneModel):
         raise AgentFileError(f"{file} needs an environment whose `unwrapped.scene_model` is a SceneModel")
-    try:
-        window = SetWindow.of(card.encoding)
-    except ValueError as error:
-        raise AgentFileError(f"{file} does not fit this environment: {error}") from error
+    window = SetWindow.of(card.encoding)
     if (network.size, network.actions, network.memory) != (window.size, ANSWERS, 0):
         raise AgentFileError(
             f"{network.path} maps {network.size} numbers to {network.actions}, but its window needs {window.size} to "

@@ -64,6 +64,8 @@ class _Encoding:
         kind = value.get("kind", "flat")
         Choice(_KINDS).check(kind, f"{where}.kind")
         ENCODINGS[kind].check(value, where)
+        if {"follower", "eyes"} <= set(value):
+            raise ValueError(f"{where} must not have both follower and eyes; leave one out")
 
 
 CARD = Record(

@@ -369,6 +369,7 @@ CARDS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "a path as eyes": (with_encoding(eyes="../agent"), "encoding.eyes must be the name"),
     "an absolute path as eyes": (with_encoding(eyes="/etc/passwd"), "encoding.eyes must be the name"),
     "itself as eyes": (with_encoding(eyes="agent"), "encoding with eyes needs the observations image"),
+    "eyes behind a follower": (with_encoding(eyes="agent", follower="phd-servo"), "not have both follower and eyes"),
     "itself as servo": (with_encoding(kind="marker", image_size=96, servo="agent.json"), "encoding.servo must be"),
     "an agent that sees the truth": (with_encoding(residual="oracle"), "encoding.residual must be the name"),
     "a learned agent as residual": (with_encoding(residual="ppo"), "encoding.residual must be the name"),
