@@ -57,7 +57,7 @@ def as_numbers(name: str, value: ArrayLike) -> Array:
     """
     if type(value) is np.ndarray and value.dtype is _FLOAT64 and value.flags.c_contiguous:
         return value
-    array = _as_array(name, value)
+    array = as_array(name, value)
     if array.dtype.kind not in "fiub":
         raise ValueError(f"{name} must be real numbers, got {_described(array)}; convert it to float64 first")
     return np.asarray(array, dtype=np.float64, order="C")
@@ -75,7 +75,7 @@ def as_mask(name: str, value: ArrayLike) -> Mask:
     """
     if type(value) is np.ndarray and value.dtype is _BOOL and value.flags.c_contiguous:
         return value
-    array = _as_array(name, value)
+    array = as_array(name, value)
     if array.dtype.kind != "b":
         if array.dtype.kind not in "fiu":
             raise ValueError(f"{name} must be true or false, got {_described(array)}; convert it to bool first")
@@ -124,16 +124,27 @@ def first_bad(value: Any, bad: Mask) -> str:
     return f"{value[place]} at index {list(place)}" if value.size > 1 else f"{value[place]}"
 
 
-def _as_array(name: str, value: Any) -> np.ndarray:
-    """Convert to an array of any type; ragged and masked values are refused."""
+def as_array(name: str, value: Any) -> np.ndarray:
+    """Convert to an array of any type.
+
+    Args:
+        name: Name of the argument, with which the error message begins.
+        value: Array-like.
+
+    Raises:
+        ValueError: The value is ragged or has masked entries.
+    """
     if isinstance(value, np.ma.MaskedArray):
         if np.ma.is_masked(value):
             raise ValueError(f"{name} must not have masked entries, got {value}; leave them out or fill them in")
         value = value.data
     try:
         return np.asarray(value)
-    except (ValueError, TypeError, OverflowError) as error:
-        raise ValueError(f"{name} must be an array of numbers, got {_shortened(value)}: {error}") from None
+    except (ValueError, TypeError, OverflowError):
+        raise ValueError(
+            f"{name} must be an array of numbers, got rows of different lengths or other objects, {_shortened(value)}; "
+            "give all rows one length"
+        ) from None
 
 
 def _described(array: np.ndarray) -> str:

@@ -19,7 +19,7 @@ from servotrack.estimators.boxes.offline import fill_gaps
 from servotrack.estimators.boxes.pipeline import DetectThenTrack
 from servotrack.estimators.boxes.pmb import BoxPMB
 from servotrack.estimators.boxes.raw import RawDetections
-from servotrack.estimators.boxes.report import BoxTracker, check_detections, set_of_boxes
+from servotrack.estimators.boxes.report import BoxTracker, checked_detections, set_of_boxes
 from servotrack.estimators.boxes.set_filters import BoxSetFilter
 
 __all__ = [
@@ -33,7 +33,7 @@ __all__ = [
     "SplitRules",
     "box_model",
     "centroid_model",
-    "check_detections",
+    "checked_detections",
     "fill_gaps",
     "set_of_boxes",
     "split_merged",

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.boxes.kalman import center_boxes, correct_boxes, predict_boxes, started_boxes
-from servotrack.estimators.boxes.report import box_covariances, check_detections, set_of_boxes
+from servotrack.estimators.boxes.report import box_covariances, checked_detections, set_of_boxes
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import box_distances
@@ -92,7 +92,8 @@ class KalmanHungarian:
             )
 
     def initial(self, detections: Detections) -> KalmanState:
-        """State before the first frame: no tracks. The detections are not read."""
+        """State before the first frame: no tracks. Raises ValueError as `step` does."""
+        checked_detections(detections)
         none = np.zeros(0, np.int64)
         return KalmanState(np.zeros((0, 6)), np.zeros((0, 8)), none, none, none, 1)
 
@@ -100,10 +101,9 @@ class KalmanHungarian:
         """Predict, assign, correct.
 
         Raises:
-            ValueError: Detections are not finite.
+            ValueError: Detections are invalid, see `checked_detections`.
         """
-        check_detections(detections)
-        boxes = np.array(detections.boxes, dtype=np.float64)
+        boxes = checked_detections(detections).boxes
         noise = self.position_noise, self.size_noise
         motion = self.acceleration, self.drift, np.inf
         mean, variance = predict_boxes(state.mean, state.variance, state.missed, 1.0 / self.frame_rate, motion)

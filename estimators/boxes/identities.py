@@ -23,7 +23,7 @@ from servotrack.estimators.boxes.identity_kernel import (
 )
 from servotrack.estimators.boxes.merged import SplitRules, split_merged
 from servotrack.estimators.boxes.overlap import covered_by
-from servotrack.estimators.boxes.report import BoxTracker
+from servotrack.estimators.boxes.report import BoxTracker, checked_detections
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import box_distances
@@ -127,12 +127,13 @@ class KeptIdentities:
 
     def initial(self, detections: Detections) -> IdentityState:
         """State before the first frame: no identities."""
-        none, features = np.zeros(0, np.int64), detections.features.shape[1]
+        none, features = np.zeros(0, np.int64), checked_detections(detections).features.shape[1]
         known = KnownIdentities(none, none, np.zeros((0, 4)), np.zeros((0, 2)), np.zeros((0, features)), none, none)
         return IdentityState(self.tracker.initial(detections), known, 1)
 
     def step(self, state: IdentityState, detections: Detections) -> tuple[IdentityState, SetEstimate]:
         """Update with the detections of a frame; errors as in the tracker's `step`."""
+        detections = checked_detections(detections, state.known.appearance.shape[1])
         if self.split:
             detections = split_merged(detections, _expected(state.known), self.split_rules)
         inner, estimate = self.tracker.step(state.tracker, detections)
@@ -202,7 +203,9 @@ class KeptIdentities:
         old, height = known.box[lost], known.box[lost, 3]
         center = old[:, :2] + old[:, 2:] / 2.0 + known.velocity[lost] * absent[:, None]
         gap = center[:, None] - (boxes[:, :2] + boxes[:, 2:] / 2.0)[None]
-        distance = np.sqrt((gap * gap).sum(axis=2)) / (height * self.reach * np.sqrt(absent))[:, None]
+        # A box without a height has no reach.
+        reach = np.maximum(height, 1e-6) * self.reach * np.sqrt(absent)
+        distance = np.sqrt((gap * gap).sum(axis=2)) / reach[:, None]
         size = np.abs(np.log(np.maximum(boxes[None, :, 3], 1.0) / np.maximum(height, 1.0)[:, None]))
         possible = (distance < 1.0) & (size < self.size_change)
         cost = 0.5 * distance + 0.3 * size

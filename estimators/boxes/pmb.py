@@ -22,7 +22,7 @@ from servotrack.estimators.boxes.kalman import center_boxes, correct_boxes, pred
 from servotrack.estimators.boxes.merged import SplitRules, split_merged
 from servotrack.estimators.boxes.overlap import covered_by
 from servotrack.estimators.boxes.pmb_kernel import associate, mix_appearances, pair_distances, visible_shares
-from servotrack.estimators.boxes.report import LARGEST_HELD, box_covariances, check_detections, set_of_boxes
+from servotrack.estimators.boxes.report import LARGEST_HELD, box_covariances, checked_detections, set_of_boxes
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs.sets import REPORTED, SetEstimate
 from servotrack.estimators.types import Array, Labels, Mask
@@ -183,8 +183,12 @@ class BoxPMB:
                 raise ValueError(f"{name} must be at least 0, got {getattr(self, name)!r}")
 
     def initial(self, detections: Detections) -> BoxPMBState:
-        """State before the first frame: no tracks. Only the length of the detections' appearance vectors is read."""
-        none, features = np.zeros(0, np.int64), detections.features.shape[1]
+        """State before the first frame: no tracks. Only the length of the detections' appearance vectors is read.
+
+        Raises:
+            ValueError: Detections are invalid, see `checked_detections`.
+        """
+        none, features = np.zeros(0, np.int64), checked_detections(detections).features.shape[1]
         tracks = BoxTracks(np.zeros((0, 6)), np.zeros((0, 8)), np.zeros(0), none, none, none, np.zeros((0, features)))
         return BoxPMBState(tracks, 1, Confidence(0.0, 0.0, 0))
 
@@ -192,9 +196,9 @@ class BoxPMB:
         """Predict to the next frame and update with its detections.
 
         Raises:
-            ValueError: Detections are not finite, or their appearance vectors have another length.
+            ValueError: Detections are invalid, see `checked_detections`.
         """
-        check_detections(detections, state.tracks.appearance.shape[1])
+        detections = checked_detections(detections, state.tracks.appearance.shape[1])
         tracks, visible = self._predicted(state.tracks)
         if self.split:
             known = (tracks.existence >= REPORTED) & (tracks.seen >= self.established)

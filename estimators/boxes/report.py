@@ -9,6 +9,7 @@ import numpy as np
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs.sets import HELD, REPORTED, SetEstimate
 from servotrack.estimators.types import Array, Estimator, Labels
+from servotrack.estimators.validation import LIMITS, as_numbers, check_within
 
 BoxTracker: TypeAlias = Estimator[Detections, Any, SetEstimate]
 """Tracker of boxes, with a state of its own type; its estimates have states (left, top, width, height), px."""
@@ -17,28 +18,63 @@ LARGEST_HELD = 0.49
 """Upper limit of the existence of an identity that is held but not reported."""
 
 
-def check_detections(detections: Detections, features: int | None = None) -> None:
-    """Raise ValueError for detections that a tracker cannot use.
+def checked_detections(detections: Detections, features: int | None = None) -> Detections:
+    """Check detections and convert them to float64 arrays: the front door of the trackers of boxes.
 
     Args:
-        detections: Detections of one frame.
+        detections: Detections of one frame, array-likes.
         features: Required length of an appearance vector; None for any.
 
+    Returns:
+        The same values as arrays in C order.
+
     Raises:
-        ValueError: Values are not finite, sizes are below 0, or appearance vectors have another length.
+        ValueError: A field is not numeric or has another shape, a value is not finite or beyond
+            `servotrack.estimators.validation.LIMITS`, or a size is below 0.
     """
-    boxes = detections.boxes
+    boxes = as_numbers("detections.boxes", detections.boxes)
     if boxes.ndim != 2 or boxes.shape[1] != 4:
-        raise ValueError(f"detections.boxes must have shape (k, 4), got {boxes.shape}")
-    if not (np.isfinite(boxes).all() and np.isfinite(detections.confidences).all()):
-        raise ValueError("detections must be finite; leave bad rows out")
-    if len(boxes) and boxes[:, 2:].min() < 0.0:
-        raise ValueError(f"detections.boxes must have sizes of at least 0, got {boxes[:, 2:].min()}")
-    if features is not None and detections.features.shape[1] != features:
         raise ValueError(
-            f"detections.features must have {features} numbers each as in the first frame, got "
-            f"{detections.features.shape[1]}"
+            f"detections.boxes must have shape (k, 4), left, top, width, height, got {boxes.shape}; without detections "
+            "pass shape (0, 4)"
         )
+    count = len(boxes)
+    appearance = as_numbers("detections.features", detections.features)
+    if appearance.ndim != 2 or len(appearance) != count:
+        raise ValueError(
+            f"detections.features must have shape ({count}, F), one row per box, got {appearance.shape}; pass shape "
+            f"({count}, 0) without appearance"
+        )
+    if features is not None and appearance.shape[1] != features:
+        raise ValueError(
+            f"detections.features must have {features} numbers each as in the first frame, got {appearance.shape[1]}; "
+            "start again with initial(detections) to change it"
+        )
+    centroids = as_numbers("detections.centroids", detections.centroids)
+    areas = as_numbers("detections.areas", detections.areas)
+    confidences = as_numbers("detections.confidences", detections.confidences)
+    for name, array, shape in (
+        ("centroids", centroids, (count, 2)),
+        ("areas", areas, (count,)),
+        ("confidences", confidences, (count,)),
+    ):
+        if array.shape != shape:
+            raise ValueError(
+                f"detections.{name} must have shape {shape}, one entry per box, got {array.shape}; see "
+                "detections_from_boxes"
+            )
+    remedy = "leave bad rows out"
+    check_within("detections.boxes", boxes, LIMITS.boxes, remedy)
+    check_within("detections.centroids", centroids, 2.0 * LIMITS.boxes, remedy)
+    check_within("detections.areas", areas, LIMITS.boxes**2, remedy)
+    check_within("detections.confidences", confidences, LIMITS.scores, remedy)
+    check_within("detections.features", appearance, LIMITS.scores, "pass zeros for an unknown appearance")
+    if count and boxes[:, 2:].min() < 0.0:
+        raise ValueError(
+            f"detections.boxes must have sizes of at least 0, got {boxes[:, 2:].min()}; pass width and height, not the "
+            "second corner"
+        )
+    return Detections(boxes, centroids, areas, confidences, appearance)
 
 
 def box_covariances(position: Array, size: Array) -> Array:

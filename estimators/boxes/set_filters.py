@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.estimators.boxes.model import Kind, measurements
-from servotrack.estimators.boxes.report import check_detections
+from servotrack.estimators.boxes.report import checked_detections
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs.models import TargetModel
@@ -66,7 +66,8 @@ class BoxSetFilter:
             raise ValueError(f"a filter of kind {self.kind!r} must measure {wanted} numbers, got a model with {got}")
 
     def initial(self, detections: Detections) -> BoxSetState:
-        """State before the first frame. The detections are not read."""
+        """State before the first frame: no targets. Raises ValueError as `step` does."""
+        checked_detections(detections)
         z = np.zeros((0, 2 if self.kind == "centroid" else 4))
         return BoxSetState(self.filter.initial(z), np.zeros(0, np.int64), np.zeros((0, 4)))
 
@@ -74,9 +75,9 @@ class BoxSetFilter:
         """Predict to the next frame and update with its detections.
 
         Raises:
-            ValueError: Detections are not finite.
+            ValueError: Detections are invalid, see `checked_detections`.
         """
-        check_detections(detections)
+        detections = checked_detections(detections)
         belief, found = self.filter.step(state.belief, measurements(detections, self.kind))
         if self.kind == "box":
             shown = replace(

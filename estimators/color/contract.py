@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from servotrack.estimators.detect.images import checked_image
 from servotrack.estimators.types import Array, Image
+from servotrack.estimators.validation import as_numbers
 
 
 class BoxEstimate(NamedTuple):
@@ -124,8 +125,8 @@ def checked_box(box: ArrayLike, shape: tuple[int, ...], farthest: float = 1e6) -
         ValueError: The box is not four finite numbers, is too large, or has no area or no pixel inside the frame.
     """
     try:
-        values = np.array(box, dtype=np.float64)
-    except (TypeError, ValueError):
+        values = np.array(as_numbers("box", box))
+    except ValueError:
         values = np.zeros(0)
     if values.shape != (4,) or not np.isfinite(values).all():
         raise ValueError(f"box must be four finite numbers, left, top, width, height, got {box!r}")

@@ -47,21 +47,27 @@ class OpenCVTracker:
 
     MIL (Babenko, Yang and Belongie, "Robust object tracking with online multiple instance learning", IEEE TPAMI 33(8),
     2011) is in the main wheel; CSRT and KCF only in `opencv-contrib-python-headless`. A state serves one sequence: its
-    object changes with every step, and an old state cannot be stepped from again.
+    object changes with every step, and an old state cannot be stepped from again. MIL draws random numbers from the
+    clock, so two runs differ.
 
     Attributes:
         name: `MIL`, `CSRT` or `KCF`.
+        smallest_side: Smallest width and height of the visible part of the first box, px, at least 5. With less, OpenCV
+            does not return.
 
     Raises:
-        ValueError: The name is unknown, or the installed OpenCV lacks the tracker.
+        ValueError: The name is unknown, `smallest_side` is below 5, or the installed OpenCV lacks the tracker.
     """
 
     name: Name = "MIL"
+    smallest_side: int = 5
 
     def __post_init__(self) -> None:
         """Check that the installed OpenCV has the tracker."""
         if self.name not in get_args(Name):
             raise ValueError(f"name must be one of {', '.join(get_args(Name))}, got {self.name!r}")
+        if not self.smallest_side >= 5:
+            raise ValueError(f"smallest_side must be at least 5 px, got {self.smallest_side!r}")
         if self._maker() is None:
             raise ValueError(
                 f"name must be a tracker of the installed OpenCV {cv2.__version__}, which lacks {self.name}; install "
@@ -83,6 +89,13 @@ class OpenCVTracker:
         """
         image, first, pose = start(frame, box)
         left, top, right, bottom = pixel_edges(first[None], image.shape)[0].tolist()
+        if min(right - left, bottom - top) < self.smallest_side:
+            # In a smaller window MIL searches for random features for ever.
+            raise ValueError(
+                f"box must show at least {self.smallest_side} x {self.smallest_side} px inside the frame for "
+                f"{self.name}, got {right - left} x {bottom - top} px of {first.tolist()} in a frame of "
+                f"{image.shape[1]} x {image.shape[0]} px; choose a larger box, or another tracker"
+            )
         maker = self._maker()
         assert maker is not None, "the constructor checks it"
         tracker = maker()

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.estimators.types import Image
+from servotrack.estimators.validation import as_array
 
 
 def checked_image(image: ArrayLike, name: str = "frame", shape: tuple[int, ...] | None = None) -> Image:
@@ -24,7 +25,7 @@ def checked_image(image: ArrayLike, name: str = "frame", shape: tuple[int, ...] 
     Raises:
         ValueError: The image has another type or shape, or no pixels.
     """
-    array = np.asarray(image)
+    array = as_array(name, image)
     if array.dtype != np.uint8:
         remedy = {
             "u": "shift it down to 8 bits, as in (frame >> 8).astype(np.uint8)",
@@ -55,10 +56,45 @@ def checked_images(frames: ArrayLike | Sequence[ArrayLike]) -> list[Image]:
     Raises:
         ValueError: There is no frame, frames differ in shape, or a frame is not a valid image.
     """
-    if isinstance(frames, np.ndarray) and frames.ndim < 4:
+    if isinstance(frames, np.ndarray | np.generic | str | bytes) and np.ndim(frames) < 4:
         return [checked_image(frames, "frames")]
-    several = list(frames)  # type: ignore[arg-type]
+    try:
+        several = list(frames)  # type: ignore[arg-type]
+    except TypeError:
+        raise ValueError(
+            f"frames must be one frame or a sequence of frames, got {type(frames).__name__}; pass an array of shape "
+            "(k, H, W, 3)"
+        ) from None
     if not several:
         raise ValueError("frames must hold at least one frame, got none; check that the video could be read")
     first = checked_image(several[0], "frames[0]")
     return [checked_image(image, f"frames[{k}]", first.shape) for k, image in enumerate(several)]
+
+
+def checked_stack(images: ArrayLike, square: bool = False) -> Image:
+    """Check one RGB image or a stack of them, for detectors without a state.
+
+    Args:
+        images: RGB, uint8. Shape (*batch, H, W, 3).
+        square: True if H and W must be equal.
+
+    Returns:
+        The same images as a contiguous array.
+
+    Raises:
+        ValueError: The images have another type or shape, or no pixels.
+    """
+    stack = as_array("images", images)
+    wanted = "(*batch, S, S, 3)" if square else "(*batch, H, W, 3)"
+    if (
+        stack.dtype != np.uint8
+        or stack.ndim < 3
+        or stack.shape[-1] != 3
+        or 0 in stack.shape[-3:-1]
+        or (square and stack.shape[-3] != stack.shape[-2])
+    ):
+        raise ValueError(
+            f"images must be uint8 of shape {wanted}, got {stack.dtype} {stack.shape}; convert other types to 0..255 "
+            "with .astype(np.uint8)"
+        )
+    return np.ascontiguousarray(stack)

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from servotrack.estimators.detect.images import checked_stack
 from servotrack.estimators.types import Array, FloatArray, Image, Mask
 
 
@@ -64,9 +65,7 @@ class MarkerDetector:
         Raises:
             ValueError: The images are not uint8 with three channels.
         """
-        stack = np.asarray(images)
-        if stack.dtype != np.uint8 or stack.ndim < 3 or stack.shape[-1] != 3 or 0 in stack.shape[-3:-1]:
-            raise ValueError(f"images must be uint8 of shape (*batch, H, W, 3), got {stack.dtype} {stack.shape}")
+        stack = checked_stack(images)
         batch = stack.shape[:-3]
         flat = stack.reshape(-1, *stack.shape[-3:])
         centers, seen = np.zeros((len(flat), 2)), np.zeros(len(flat), dtype=np.bool_)

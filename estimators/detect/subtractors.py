@@ -58,7 +58,11 @@ class SubtractorState(NamedTuple):
 
 
 class _Subtractor:
-    """Base of the detectors with one of OpenCV's models."""
+    """Base of the detectors with one of OpenCV's models.
+
+    OpenCV draws from a generator of its own, which all models share: `cv2.setRNGSeed(0)` before `initial` makes a run
+    repeatable.
+    """
 
     blobs: BlobFinder
 

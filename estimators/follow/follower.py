@@ -16,6 +16,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.follow.ego_motion import EgoMotion
@@ -23,6 +24,7 @@ from servotrack.estimators.rfs import GMPHD, HiddenMarkovModel, MeasurementBirth
 from servotrack.estimators.rfs.phd import PHDState
 from servotrack.estimators.stateful import select_rows
 from servotrack.estimators.types import Array, Labels, Mask
+from servotrack.estimators.validation import LIMITS, as_mask, as_numbers, check_within, first_bad
 
 COLUMNS = 8
 """Columns of a detection: existence; column, row, width, height (px); red, green, blue (gray levels)."""
@@ -164,9 +166,16 @@ class PersonFollower:
             detections: Detections of that frame. Shape (B, M, COLUMNS).
             place: Middle of the person in that frame. Shape (B, 2), px.
             color: Color of the person. Shape (B, 3), gray levels.
+
+        Raises:
+            ValueError: An argument has a wrong shape, is not finite or is beyond
+                `servotrack.estimators.validation.LIMITS`.
         """
-        crowd = self.filter.initial(checked(detections)[:, :, _SEEN])
-        color = color.copy()
+        detections = checked(detections)
+        runs = (len(detections),)
+        place = _checked_rows("place", place, (*runs, 2), LIMITS.pixels)
+        color = _checked_rows("color", color, (*runs, 3), LIMITS.pixels).copy()
+        crowd = self.filter.initial(detections[:, :, _SEEN])
         for run, (table, middle) in enumerate(zip(detections, place, strict=True)):
             found = _nearest(table, middle[0], middle[1], color[run], self.near, 2.0 * self.first_color)
             if found >= 0:
@@ -213,9 +222,24 @@ class PersonFollower:
             The new state, and the image position of the person.
 
         Raises:
-            ValueError: Detections have a wrong shape or are not finite.
+            ValueError: An argument has a wrong shape, is not finite or is beyond
+                `servotrack.estimators.validation.LIMITS`. Rows of detections with existence 0 may hold any values.
         """
-        checked(detections)
+        detections = checked(detections)
+        runs = state.label.shape
+        if detections.shape[:1] != runs:
+            raise ValueError(
+                f"detections must be of the state's {runs[0]} runs, got {len(detections)}; make a new state with "
+                "initial(detections, place, color)"
+            )
+        fresh = as_mask("fresh", fresh)
+        if fresh.shape != runs:
+            raise ValueError(f"fresh must have shape {runs}, got {fresh.shape}; pass one truth value per run")
+        elapsed = _checked_rows("elapsed", elapsed, runs, LIMITS.times)
+        joints_before = as_numbers("joints_before", joints_before)
+        joints = (max(joints_before.shape[-1], 1),) if joints_before.ndim == 2 else (1,)
+        joints_before = _checked_rows("joints_before", joints_before, (*runs, *joints), LIMITS.angles)
+        joints_after = _checked_rows("joints_after", joints_after, (*runs, *joints), LIMITS.angles)
         moved = self._carried(state, elapsed, ego_motion, joints_before, joints_after)
         crowd, estimate = self.filter.step(moved.crowd, np.ascontiguousarray(detections[:, :, _SEEN]))
         new = moved._replace(
@@ -274,13 +298,31 @@ class _Rules(NamedTuple):
 
 
 def checked(detections: Array) -> Array:
-    """Return the detections if they have a table for each run; raise ValueError otherwise."""
-    if np.ndim(detections) != 3 or detections.shape[2] != COLUMNS:
+    """Return the detections as a float64 array; raise ValueError for a wrong shape or bad values in used rows."""
+    table = as_numbers("detections", detections)
+    if table.ndim != 3 or table.shape[2] != COLUMNS:
         raise ValueError(
             f"detections must have shape (runs, rows, {COLUMNS}): existence, column, row, width, height, red, green, "
-            f"blue; got {np.shape(detections)}"
+            f"blue; got {table.shape}"
         )
-    return detections
+    existence = table[..., 0]
+    bad = ~((existence == 0.0) | (existence == 1.0))
+    if bad.any():
+        raise ValueError(
+            f"detections must have existence 0 or 1 in column 0, got {first_bad(existence, bad)}; set unused rows to 0"
+        )
+    used = existence[..., None] == 1.0
+    check_within("detections", table, LIMITS.pixels, "set the existence of the row to 0", used)
+    return table
+
+
+def _checked_rows(name: str, value: ArrayLike, shape: tuple[int, ...], limit: float) -> Array:
+    """Convert an argument with one row per run; raise ValueError for a wrong shape or bad values."""
+    array = as_numbers(name, value)
+    if array.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {array.shape}; pass one row per run of the state")
+    check_within(name, array, limit, "repeat the last good value instead")
+    return array
 
 
 @njit(cache=True, nogil=True)

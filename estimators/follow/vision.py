@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.detect.images import checked_stack
 from servotrack.estimators.follow.follower import COLUMNS
 from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.validation import LIMITS, as_numbers
 
 
 @dataclass(frozen=True)
@@ -88,12 +90,13 @@ class PeopleFromAbove:
         Raises:
             ValueError: Images have another shape or type, or widths are not positive and finite.
         """
-        pixels, width = np.asarray(images), np.asarray(widths, dtype=np.float64)
-        if pixels.dtype != np.uint8 or pixels.ndim < 3 or pixels.shape[-1] != 3 or pixels.shape[-3] != pixels.shape[-2]:
-            raise ValueError(f"images must be uint8 of shape (*batch, S, S, 3), got {pixels.dtype} {pixels.shape}")
+        pixels, width = checked_stack(images, square=True), as_numbers("widths", widths)
         batch = pixels.shape[:-3]
-        if width.shape != batch or not np.all((width > 0.0) & np.isfinite(width)):
-            raise ValueError(f"widths must be finite and > 0 px, one for each image {batch}, got {width.tolist()}")
+        if width.shape != batch or not np.all((width > 0.0) & (width <= LIMITS.boxes)):
+            raise ValueError(
+                f"widths must be finite and > 0 px, one for each image {batch}, at most {LIMITS.boxes:g}, got "
+                f"{width.tolist()}; pass the width of a person in px of reference_size"
+            )
         flat = zip(pixels.reshape(-1, *pixels.shape[-3:]), width.ravel().tolist(), strict=True)
         return np.stack([self._detect(*pair) for pair in flat]).reshape(*batch, self.capacity, COLUMNS)
 
@@ -127,7 +130,8 @@ class PeopleFromAbove:
             rows, columns = np.nonzero(labels[window_of] == component)
             place = np.stack([columns + left + 0.5, rows + top + 0.5], axis=-1)
             color = image[window_of][rows, columns].astype(np.float64)
-            number = max(1, int(area / (self.usual * square) + 0.35))
+            # More parts than are kept would cost time without end where a person's width is tiny.
+            number = min(max(1, int(min(area / (self.usual * square) + 0.35, self.capacity))), self.capacity)
             owner = _parts(place, number, self.rounds)
             for part in range(number):
                 mine = owner == part

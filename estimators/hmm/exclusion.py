@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from servotrack.estimators.hmm.smoothing import CANCELED
 from servotrack.estimators.types import Array
 
 
@@ -47,4 +48,7 @@ def exclude(likelihood: Array, held: Sequence[Array]) -> Array:
     free = np.ones_like(held[0])
     for psi in held:
         free *= 1.0 - psi
-    return (1.0 + (likelihood[:, None, :] - 1.0) * free.reshape(T, -1, P)).reshape(T, -1)
+    share = free.reshape(T, -1, P)
+    mixed = 1.0 + (likelihood[:, None, :] - 1.0) * share
+    # Where the difference loses digits, the sum of both parts is taken.
+    return np.where(mixed > CANCELED, mixed, (1.0 - share) + share * likelihood[:, None, :]).reshape(T, -1)

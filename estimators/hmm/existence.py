@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
+from servotrack.estimators.validation import as_numbers, first_bad
 
 
 class Span(NamedTuple):
@@ -39,9 +40,14 @@ def presence(existence_likelihood: ArrayLike, switching: float = 0.02, prior: fl
     Raises:
         ValueError: A likelihood is negative or not finite, or a probability is outside (0, 1).
     """
-    ratio = np.ascontiguousarray(existence_likelihood, np.float64)
-    if ratio.ndim != 1 or not (np.isfinite(ratio).all() and (ratio >= 0.0).all()):
-        raise ValueError("existence_likelihood must have one axis of finite values >= 0")
+    ratio = as_numbers("existence_likelihood", existence_likelihood)
+    if ratio.ndim != 1:
+        raise ValueError(f"existence_likelihood must have shape (T,), got {ratio.shape}; pass one value per row")
+    bad = ~(np.isfinite(ratio) & (ratio >= 0.0))
+    if bad.any():
+        raise ValueError(
+            f"existence_likelihood must be finite and >= 0, got {first_bad(ratio, bad)}; leave such rows out"
+        )
     for name, value in (("switching", switching), ("prior", prior)):
         if not 0.0 < value < 1.0:
             raise ValueError(f"{name} must lie in (0, 1), got {value!r}")
@@ -75,7 +81,10 @@ def _two_states(ratio, switching, prior, out):  # type: ignore[no-untyped-def]
     for k in range(T):
         if k > 0:
             there = there * (1.0 - switching) + (1.0 - there) * switching
-        there = there * ratio[k] / (there * ratio[k] + 1.0 - there)
+        present = there * ratio[k]
+        # A certain presence that the row excludes stays undecided by it.
+        if present + 1.0 - there > 0.0:
+            there = present / (present + 1.0 - there)
         out[k] = there
     # Backward messages of the two states, scaled to a sum of 1.
     absent_after, there_after = 0.5, 0.5
@@ -87,4 +96,6 @@ def _two_states(ratio, switching, prior, out):  # type: ignore[no-untyped-def]
             total = absent_after + there_after
             absent_after, there_after = absent_after / total, there_after / total
         product = out[k] * there_after
-        out[k] = product / (product + (1.0 - out[k]) * absent_after)
+        neither = product + (1.0 - out[k]) * absent_after
+        if neither > 0.0:
+            out[k] = product / neither

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.hmm.chain import Chain
 from servotrack.estimators.types import Labels
+from servotrack.estimators.validation import LIMITS, as_numbers, check_within
 
 
 def best_path(chain: Chain, log_likelihood: ArrayLike) -> tuple[Labels, float]:
@@ -22,15 +23,14 @@ def best_path(chain: Chain, log_likelihood: ArrayLike) -> tuple[Labels, float]:
         The states, shape (T,), and the log probability of the path (rows and transitions without the prior).
 
     Raises:
-        ValueError: The shape is wrong, there are no rows, or a value is not finite.
+        ValueError: The shape is wrong, there are no rows, or a value is not finite or beyond 1e30.
     """
-    rows = np.ascontiguousarray(log_likelihood, np.float64)
+    rows = as_numbers("log_likelihood", log_likelihood)
     if rows.ndim != 2 or rows.shape[0] == 0 or rows.shape[1] == 0 or chain.states % rows.shape[1]:
         raise ValueError(
             f"log_likelihood must have shape (rows, W) with W a divisor of {chain.states} states, got {rows.shape}"
         )
-    if not np.isfinite(rows).all():
-        raise ValueError("log_likelihood must be finite")
+    check_within("log_likelihood", rows, LIMITS.powers, "limit likelihoods of 0 from below")
     back = np.empty((len(rows), chain.states), np.int32)
     value = _forward(chain.runs, np.log(chain.runs.weight), rows, back)
     path = np.empty(len(rows), np.int64)

@@ -24,7 +24,8 @@ def cell_likelihood(rows: Array, rules: LikelihoodRules) -> Array:
     Returns:
         Likelihood ratios. Shape (T, beams).
     """
-    spread = np.median(np.abs(rows - 1.0), axis=1, keepdims=True) / 0.6745
+    # A row in which most beams are equal has no spread.
+    spread = np.maximum(np.median(np.abs(rows - 1.0), axis=1, keepdims=True) / 0.6745, 1e-12)
     ratio = rules.cell_amplitude * (rows - 1.0) / spread - rules.cell_amplitude**2 / 2.0
     return np.exp(np.maximum(_scaled(ratio, rules.max_log_ratio), -rules.cell_max_penalty))
 

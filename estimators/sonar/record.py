@@ -13,6 +13,10 @@ from servotrack.estimators.sonar.array import normalize
 from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
 from servotrack.estimators.sonar.rules import JoiningRules
 from servotrack.estimators.types import Array
+from servotrack.estimators.validation import LIMITS, as_numbers, check_within, first_bad
+
+SMALLEST_LEVEL = 1e-30
+"""Smallest median of a row's powers: below it their ratios would overflow."""
 
 
 class BearingTrack(NamedTuple):
@@ -153,25 +157,38 @@ def checked_record(record: ArrayLike, beams: int, averages: int, times: ArrayLik
     Raises:
         ValueError: Rows have another length, powers are NaN or negative, or times are not one period apart.
     """
-    try:
-        powers = np.asarray(record, np.float64)
-    except ValueError:
-        raise ValueError(f"record must have rows of {beams} beam powers each, got rows of different lengths") from None
+    powers = as_numbers("record", record)
     if powers.size == 0 and powers.ndim < 2:
         powers = powers.reshape(0, beams)
     if powers.ndim != 2 or powers.shape[1] != beams:
         raise ValueError(f"record must have shape (rows, {beams}), got {powers.shape}; set beams to the rows' length")
     if times is not None:
-        _check_times(np.asarray(times, np.float64), len(powers), period)
+        _check_times(as_numbers("times", times), len(powers), period)
+    _check_powers("record", powers)
     return normalize(powers, averages) if len(powers) else powers
 
 
 def checked_row(row: ArrayLike, beams: int, averages: int) -> Array:
     """Check and normalize one row; arguments and errors as in `checked_record`. Shape (beams,)."""
-    powers = np.asarray(row, np.float64)
+    powers = as_numbers("row", row)
     if powers.shape != (beams,):
         raise ValueError(f"row must have shape ({beams},), got {powers.shape}; set beams to the row's length")
+    _check_powers("row", powers)
     return normalize(powers, averages)
+
+
+def _check_powers(name: str, powers: Array) -> None:
+    """Raise ValueError unless powers are finite, not negative, within the limit and mostly above 0."""
+    check_within(name, powers, LIMITS.powers, "leave such rows out")
+    if powers.size and powers.min() < 0.0:
+        bad = first_bad(powers, powers < 0.0)
+        raise ValueError(f"{name} must be finite and not negative, got {bad}; pass powers, not decibels")
+    low = np.median(powers, axis=-1, keepdims=True) < SMALLEST_LEVEL if powers.size else np.zeros(0, np.bool_)
+    if low.any():
+        raise ValueError(
+            f"{name} must be positive in most beams, got the median {np.median(powers, axis=-1).min():g}, below "
+            f"{SMALLEST_LEVEL:g}; leave such rows out, or pass powers in a larger unit"
+        )
 
 
 def _check_times(times: Array, rows: int, period: float) -> None:

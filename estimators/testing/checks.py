@@ -37,6 +37,7 @@ class Subject:
 
     def run(self, sequence: Sequence) -> Iterator[tuple[Any, Any]]:
         """Yield the state and the estimate of every step; the first item is the initial state."""
+        self.inputs.prepare()
         state = self.inputs.initial(self.estimator, sequence.start)
         yield state, None
         for arguments in sequence.steps:
@@ -157,6 +158,7 @@ def check_refusals(subject: Subject, number: int) -> None:
     # The first step has no clock before it that could run back.
     attacked = int(rng.integers(1, len(sequence.steps)))
     plain = subject.trace(sequence)
+    subject.inputs.prepare()
     state = subject.inputs.initial(subject.estimator, sequence.start)
     for step, arguments in enumerate(sequence.steps):
         if step == attacked:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import cv2
 import numpy as np
 
 from servotrack.estimators.testing.inputs import AnyEstimator, Arguments, Bad, Inputs, Sequence
@@ -25,6 +26,11 @@ class FrameInputs(Inputs):
     replays: bool = True
 
     open_axes: ClassVar[frozenset[str]] = frozenset({"frames"})
+
+    def prepare(self) -> None:
+        """Set the seed of OpenCV's own generator, from which its models and trackers draw."""
+        if not self.replays:
+            cv2.setRNGSeed(0)
 
     def draw(self, rng: np.random.Generator, steps: int, *, extreme: bool = False) -> Sequence:
         """Draw frames of one scene; or frames of noise and of single colors, of any size."""
@@ -81,6 +87,11 @@ class ObjectInputs(Inputs):
 
     size: tuple[int, int] = (48, 64)
     replays: bool = True
+
+    def prepare(self) -> None:
+        """Set the seed of OpenCV's own generator, from which its models and trackers draw."""
+        if not self.replays:
+            cv2.setRNGSeed(0)
 
     def draw(self, rng: np.random.Generator, steps: int, *, extreme: bool = False) -> Sequence:
         """Draw a moving object; or noise and any box that overlaps the frame."""
@@ -159,7 +170,7 @@ def malformed_images(arguments: Arguments, name: str, first: bool) -> Iterator[B
         ("of floats", good.astype(np.float64)),
         ("of NaN", np.full(good.shape, np.nan)),
         ("of 16 bits", good.astype(np.uint16)),
-        ("of one row", good[0]),
+        ("of one pixel without rows", good[0, 0]),
         ("of four channels", np.concatenate([good, good[..., :1]], axis=2)),
         ("without pixels", good[:0]),
     ]

@@ -52,12 +52,14 @@ class Inputs(ABC):
         replays: True if a state is a value from which a step can be repeated; false for estimators around objects of
             other libraries that change in place.
         open_axes: Names of the arguments that accept further leading axes.
+        open_lengths: Names of fields whose last axis may have another length.
         not_rounded: Names of arguments and fields whose values cannot be rounded to whole numbers.
         may_be_infinite: Names of the fields of states that are documented to hold infinities.
     """
 
     replays: bool = True
     open_axes: ClassVar[frozenset[str]] = frozenset()
+    open_lengths: ClassVar[frozenset[str]] = frozenset()
     not_rounded: ClassVar[frozenset[str]] = frozenset()
     may_be_infinite: ClassVar[frozenset[str]] = frozenset()
 
@@ -76,6 +78,10 @@ class Inputs(ABC):
     def rows(self) -> int:
         """Number of independent sequences in one drawn batch."""
         return 1
+
+    def prepare(self) -> None:
+        """Set the state of generators of other libraries from which the estimator draws, before every run."""
+        return
 
     def initial(self, estimator: AnyEstimator, arguments: Arguments) -> Any:
         """Return the estimator's initial state."""
@@ -136,7 +142,7 @@ def bad_arguments(inputs: Inputs, rng: np.random.Generator, arguments: Arguments
         yield changed("as a ragged list", [[1.0], [1.0, 2.0]])
         if array.ndim:
             yield changed("as a scalar", array.dtype.type(0))
-            if array.shape[-1]:
+            if array.shape[-1] and path[-1] not in inputs.open_lengths:
                 yield changed("without its last axis' entries", array[..., :0])
         if path[0] not in inputs.open_axes:
             yield changed("with an axis too many", array[None])

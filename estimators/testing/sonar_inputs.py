@@ -30,7 +30,7 @@ class RowInputs(Inputs):
         grid = np.linspace(0.0, 180.0, self.beams)
         bearing = rng.uniform(20.0, 160.0, self.targets)
         rate = rng.uniform(-1.0, 1.0, self.targets)
-        level = magnitude(rng, 1e-300, LIMITS.powers) if extreme else magnitude(rng, 0.01, 100.0)
+        level = magnitude(rng, 1e-300, LIMITS.powers) if extreme else magnitude(rng, 2.0, 1000.0)
         rows = []
         for _ in range(steps):
             power = 1.0 + rng.normal(0.0, 1.0 / np.sqrt(self.averages), self.beams)
@@ -38,7 +38,7 @@ class RowInputs(Inputs):
                 power += 0.5 * np.exp(-0.5 * ((grid - middle) / 2.0) ** 2)
             if extreme:
                 spikes = rng.random(self.beams) < 0.05
-                power[spikes] = magnitude(rng, 1e-300, LIMITS.powers / level) if level < 1.0 else 0.0
+                power[spikes] = magnitude(rng, 1e-30, LIMITS.powers)
             rows.append(np.minimum(level * np.maximum(power, 0.0), LIMITS.powers))
             bearing = bearing + rate
         return Sequence({"row": rows[0]}, tuple({"row": each} for each in rows))

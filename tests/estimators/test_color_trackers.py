@@ -277,7 +277,7 @@ def test_opencvs_tracker_follows() -> None:
 @needs_mil
 def test_opencvs_errors_are_told_as_what_they_mean(monkeypatch) -> None:
     with pytest.raises(ValueError, match="box must leave MIL pixels inside and around it"):
-        OpenCVTracker().initial(np.zeros((1, 1, 3), np.uint8), [0, 0, 1, 1])
+        OpenCVTracker().initial(np.zeros((6, 6, 3), np.uint8), [0, 0, 6, 6])
 
     class GivesUp:
         def init(self, image, window):
@@ -290,6 +290,12 @@ def test_opencvs_errors_are_told_as_what_they_mean(monkeypatch) -> None:
     _, estimate = OpenCVTracker().step(OpenCVTracker().initial(frame(40, 30), box(40, 30)), frame(41, 30))
     assert np.array_equal(estimate.box, box(40, 30))
     assert estimate.similarity == 0.0
+
+
+@pytest.mark.parametrize("small", [[20, 20, 4, 30], [20, 20, 30, 3], [20, 20, 1, 1], [-27, 10, 30, 30]])
+def test_mil_refuses_boxes_in_which_opencv_would_search_for_ever(small) -> None:
+    with pytest.raises(ValueError, match="box must show at least 5 x 5 px inside the frame for MIL"):
+        OpenCVTracker().initial(frame(40, 30), small)
 
 
 class Differences:

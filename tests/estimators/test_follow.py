@@ -169,7 +169,7 @@ def test_bad_detections_are_refused():
     frame = table((200.0, 240.0, RED))
     state = follower.initial(frame, frame[:, 0, 1:3], RED[None])
     frame[0, 0, 2] = np.nan
-    with pytest.raises(ValueError, match="measurements must be finite"):
+    with pytest.raises(ValueError, match="detections must be finite"):
         follower.step(state, frame, FRESH, PERIOD, StillCamera(), BEFORE, BEFORE)
 
 

@@ -190,3 +190,63 @@ def test_rates_that_do_not_fit_name_the_spacing_that_does():
 def test_bad_input_is_named(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-17, 1.0, 1e17, 1e300])
+@pytest.mark.parametrize("width", [0.03, 1.0])
+def test_likelihoods_of_any_size_give_the_posterior_of_their_shape(scale: float, width: float) -> None:
+    chain = grid_chain(positions=21, rates=[-1.0, 0.0, 1.0], spacing=0.5)
+    rng = np.random.default_rng(3)
+    middle = rng.uniform(5.0, 15.0, (12, 1))
+    shape = np.maximum(np.exp(-0.5 * ((np.arange(21) - middle) / width) ** 2), 1e-290 / min(scale, 1.0))
+    smoothed = smooth(chain, shape * scale)
+    plain = smooth(chain, shape)
+    assert np.isfinite(smoothed.marginal).all()
+    assert np.allclose(smoothed.marginal.sum(axis=1), 1.0, rtol=1e-9)
+    assert np.allclose(smoothed.marginal, plain.marginal, rtol=1e-6, atol=1e-9)
+    assert np.allclose(smoothed.log_evidence, plain.log_evidence + 12 * np.log(scale), rtol=1e-9)
+    assert np.allclose(np.log(smoothed.existence_likelihood), np.log(plain.existence_likelihood) + np.log(scale))
+
+
+def test_both_recursions_agree_where_both_hold() -> None:
+    chain = grid_chain(positions=15, rates=[-1.0, 0.0, 1.0], spacing=0.5)
+    rng = np.random.default_rng(0)
+    likelihood, presence = np.exp(rng.normal(0.0, 3.0, (10, 15))), rng.uniform(0.0, 1.0, 10)
+    prior = rng.random(45)
+    hidden = np.append(presence, 0.0)
+    plain = smooth(chain, np.vstack([likelihood, np.ones(15)]), prior, hidden)
+    # One extreme row, which the presence hides, selects the recursion in logarithms for all rows.
+    other = smooth(chain, np.vstack([likelihood, np.full(15, 1e200)]), prior, hidden)
+    assert np.allclose(other.marginal, plain.marginal, rtol=1e-9, atol=1e-12)
+    assert np.allclose(other.existence_likelihood[:10], plain.existence_likelihood[:10], rtol=1e-9)
+    assert other.log_evidence == pytest.approx(plain.log_evidence, rel=1e-9)
+
+
+def test_a_narrow_likelihood_divides_by_nothing() -> None:
+    chain = grid_chain(positions=31, rates=[-1.0, 0.0, 1.0], spacing=0.5)
+    with np.errstate(all="raise"):
+        smoothed = smooth(chain, np.tile(np.exp(-0.5 * (np.arange(31) - 15.0) ** 2 / 1.6**2), (5, 1)))
+        after = advance(chain, chain.uniform(), np.geomspace(1e-300, 1e300, 31), presence=0.9)
+    assert np.isfinite(smoothed.existence_likelihood).all()
+    assert np.isfinite(after).all() and after.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"presence": [0.5, np.nan]}, "presence must be probabilities from 0 to 1, got nan at index \\[1\\]"),
+        ({"presence": [0.5, 1.5]}, "presence must be probabilities from 0 to 1"),
+        ({"prior": np.full(9, np.inf)}, "prior must be finite"),
+        ({"likelihood": [["a"] * 9] * 2}, "likelihood must be real numbers, got text"),
+        ({"likelihood": np.ones((2, 9)) * 1j}, "likelihood must be real numbers, got complex numbers"),
+    ],
+)
+def test_bad_arguments_of_the_smoother_are_named(arguments: dict, message: str) -> None:
+    chain = grid_chain(positions=9, rates=[0.0], spacing=0.5)
+    with pytest.raises(ValueError, match=message):
+        smooth(chain, **{"likelihood": np.ones((2, 9)), **arguments})
+
+
+def test_presence_of_extreme_rows_is_finite() -> None:
+    found = presence([1e308, 0.0, 1e308, 0.0, 1e-300, 1.0], switching=1e-300, prior=1.0 - 1e-16)
+    assert np.isfinite(found).all() and ((found >= 0.0) & (found <= 1.0)).all()

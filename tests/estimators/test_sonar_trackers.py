@@ -208,7 +208,7 @@ def test_the_batch_form_says_what_memory_it_needs():
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda rows: np.where(np.arange(BEAMS) == 7, np.nan, rows), r"nan at index \(0, 7\)"),
+        (lambda rows: np.where(np.arange(BEAMS) == 7, np.nan, rows), r"nan at index \[0, 7\]"),
         (lambda rows: -rows, "not negative"),
         (lambda rows: rows[:, :-1], f"must have shape \\(rows, {BEAMS}\\)"),
         (lambda rows: [rows[0], rows[1][:5]], "different lengths"),

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from servotrack.estimators.boxes import check_detections, set_of_boxes
+from servotrack.estimators.boxes import checked_detections, set_of_boxes
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs.sets import SetEstimate
 
@@ -90,7 +90,7 @@ class PeerTracker:
         Raises:
             ValueError: Detections that are not finite, or a state that is not the newest.
         """
-        check_detections(detections)
+        checked_detections(detections)
         model = state.model
         if model.frames != state.frames:
             raise ValueError(
