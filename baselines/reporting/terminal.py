@@ -10,7 +10,15 @@ from enum import Enum
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.text import Text
 
 from servotrack.baselines.reporting.grid import Grid, as_csv, as_json, as_lines, as_rich
@@ -78,16 +86,21 @@ class PlainConsole(Console):
         _let_reader_go()
 
 
-def progress_bars() -> Progress:
-    """Bars with counts and times, on stderr, so that stdout holds results alone."""
-    return Progress(
+def progress_bars(*columns: ProgressColumn, quiet: bool = False) -> Progress:
+    """Bars on stderr, so that stdout holds results alone.
+
+    Args:
+        columns: Columns; none for descriptions, bars, counts and times.
+        quiet: True shows nothing.
+    """
+    usual = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        console=PlainConsole(stderr=True),
     )
+    return Progress(*(columns or usual), console=PlainConsole(stderr=True, quiet=quiet))
 
 
 class Format(str, Enum):

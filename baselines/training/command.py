@@ -9,12 +9,13 @@ from typing import Any
 
 from joblib import delayed
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from servotrack.baselines.agents.learned.card import LearnedCard, digest, load_card
 from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.files import atomic_path
+from servotrack.baselines.reporting.terminal import progress_bars
 from servotrack.baselines.running.stopping import GO_ON, keeping
 from servotrack.baselines.running.workers import in_workers
 from servotrack.baselines.training.checkpoint import load_checkpoint
@@ -134,9 +135,9 @@ def _alone(request: TrainingRequest, seed: int) -> TrainingCurve:
 def _shown(task: TrainingTask, evaluation: PeriodicEvaluation, console: Console) -> TrainingCurve:
     columns = (
         TextColumn("seed {task.fields[seed]}"), BarColumn(), TextColumn("{task.completed:,} of {task.total:,} steps"),
-        TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.description}"),
+        TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.description}", markup=False),
     )  # fmt: skip
-    with Progress(*columns, console=console) as progress:
+    with progress_bars(*columns, quiet=console.quiet) as progress:
         bar = progress.add_task("", total=task.settings.n_timesteps, seed=task.seed)
 
         def on_entry(entry: Entry) -> None:

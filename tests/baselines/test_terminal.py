@@ -105,7 +105,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
             {"seed": seed, "return": -error, "length": 9, "steady": error * (1.0 + 0.01 * (seed % 7)), "success": True}
             for seed in range(200_000, 200_010)
         ]
-        card = {"summary": "", "information": "model-free", "requires": [], "tuning_steps": 0}
+        requires = ["truth"] if agent == "oracle" else []
+        card = {"summary": "", "information": "model-free", "requires": requires, "tuning_steps": 0}
         ResultsFolder(folder).save(
             CellResults("UncalibServo-v0", {"level": 0}, agent, card, 9, rows, provenance=provenance())
         )
