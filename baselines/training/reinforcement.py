@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
 from stable_baselines3 import A2C, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
@@ -233,18 +234,38 @@ class _Due(Exception):
 
 
 class _UntilDue(BaseCallback):
-    """Raises `_Due` before the first rollout after which an evaluation is due."""
+    """Raises `_Due` between two rollouts when an evaluation is due and most episodes have just begun.
+
+    The next segment begins new episodes. Cut off in the middle, the learner would see more beginnings than ends: it
+    waits up to half an interval for environments whose episodes end together.
+    """
 
     def __init__(self, run: TrainingRun) -> None:
         super().__init__()
         self.run = run
+        self._ages: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._longest = 0
+        self._rollout_start = 0
+
+    def _on_training_start(self) -> None:
+        self._ages = np.zeros(self.training_env.num_envs, np.int64)
+        self._rollout_start = self.num_timesteps
 
     def _on_step(self) -> bool:
+        self._ages += 1
+        ended = np.asarray(self.locals["dones"], dtype=bool)
+        self._longest = max(self._longest, int(self._ages[ended].max(initial=0)))
+        self._ages[ended] = 0
         return True
 
     def _on_rollout_start(self) -> None:
         self.run.on_steps(self.num_timesteps)
-        if self.run.is_due(self.num_timesteps):
+        envs = len(self._ages)
+        rollout = (self.num_timesteps - self._rollout_start) / envs
+        self._rollout_start = self.num_timesteps
+        overdue = self.run.overdue(self.num_timesteps)
+        patience = min(self._longest * envs, self.run.interval // 2)
+        if overdue >= 0 and (self._ages.mean() < rollout or overdue >= patience):
             raise _Due
 
 

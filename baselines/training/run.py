@@ -162,9 +162,14 @@ class TrainingRun:
             ) from error
         return int(self.checkpoint["steps"])
 
-    def is_due(self, steps: int) -> bool:
-        """Return True if the next evaluation and checkpoint are due."""
-        return steps >= self.curve.steps + max(1, self.task.settings.n_timesteps // self.task.settings.measurements)
+    @property
+    def interval(self) -> int:
+        """Environment steps from one evaluation to the next."""
+        return max(1, self.task.settings.n_timesteps // self.task.settings.measurements)
+
+    def overdue(self, steps: int) -> int:
+        """Return the environment steps since the next evaluation and checkpoint were due; negative before that."""
+        return steps - self.curve.steps - self.interval
 
     def measure(self, steps: int, policy: Exportable, saved: Mapping[str, Any]) -> Entry:
         """Export a policy, evaluate the exported file and write a checkpoint.

@@ -132,7 +132,7 @@ def take_turns(
         steps += turn(steps)
         turns += 1
         run.on_steps(steps)
-        if run.is_due(steps) or steps >= total:
+        if run.overdue(steps) >= 0 or steps >= total:
             break
     saved: dict[str, Any] = {"network": network.state_dict(), "optimizer": optimizer.state_dict()}
     run.measure(steps, exported, {"parameters": saved, "turns": turns})

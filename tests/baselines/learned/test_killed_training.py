@@ -130,6 +130,16 @@ def test_twenty_kills_change_no_network(name: str, tmp_path: Path) -> None:
     check(name, KILLS, tmp_path)
 
 
+def test_segments_end_where_episodes_do(tmp_path: Path) -> None:
+    # Episodes of 80 steps: after 136 steps an evaluation is due, but the next rollout that begins one is after 160.
+    settings = replace(
+        PPO, n_timesteps=4 * 400, measurements=3, hyper_parameters={**PPO.hyper_parameters, "n_steps": 8}
+    )
+    task = TrainingTask(*SERVO, settings, 0, tmp_path / "run", tensorboard=False)
+    curve = train(task, PeriodicEvaluation(*SERVO, ResultsFolder(tmp_path / "classical"), episodes=2))
+    assert [entry["steps"] // 4 for entry in curve.entries] == [160, 320, 400]
+
+
 def test_checkpoint_returns_what_was_saved(tmp_path: Path) -> None:
     network = torch.nn.Linear(3, 2)
     optimizer = torch.optim.Adam(network.parameters())
