@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping
@@ -44,9 +45,12 @@ def digests(rollout: Rollout, cases: Iterable[Any]) -> list[str]:
     return found
 
 
-def digests_elsewhere(script: str) -> list[str]:
-    """Return the hashes that a test file prints when run with --digests in another process."""
-    out = subprocess.run([sys.executable, script, "--digests"], capture_output=True, text=True, check=True, timeout=300)
+def digests_elsewhere(script: str, **variables: str) -> list[str]:
+    """Return the hashes that a test file prints when run with --digests in another process with these variables."""
+    out = subprocess.run(
+        [sys.executable, script, "--digests"], capture_output=True, text=True, check=True, timeout=300,
+        env={**os.environ, **variables},
+    )  # fmt: skip
     return out.stdout.split()
 
 
