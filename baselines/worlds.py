@@ -211,6 +211,21 @@ WORLDS: Mapping[str, World] = {
             },
         ),
         World(
+            "servo3d",
+            "a serial arm brings a board of points to its goal in the image",
+            ("UncalibServo3D-v0",),
+            RankingMetric("hold", "hold", "x bounds", digits=2),
+            "ibvs",
+            f"{_RECORDERS}.servo3d_scores:Servo3DScoreRecorder",
+            f"{_AGENTS}.servo3d.cards:CARDS",
+            (
+                RankingMetric("settle", "settled after", "s", digits=1),
+                RankingMetric("tip", "tip", "mm", 1e3, 2),
+            ),
+            anchors=ScoreAnchors("hold", "random", "ibvs", "ibvs"),
+            ranges=dict.fromkeys(("settle", "hold", "tip", "feature_error"), _SIZE),
+        ),
+        World(
             OTHER,
             "environments that declare no kind",
             (),

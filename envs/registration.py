@@ -19,6 +19,10 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
         "entry_point": "servotrack.envs.servo.pixels:UncalibServoPixelsEnv",
         "vector_entry_point": "servotrack.envs.servo.pixels:UncalibServoPixelsVectorEnv",
     },
+    "UncalibServo3D-v0": {
+        "entry_point": "servotrack.envs.servo3d.env:UncalibServo3DEnv",
+        "vector_entry_point": "servotrack.envs.servo3d.vector:UncalibServo3DVectorEnv",
+    },
     "PedestrianServo-v0": {
         "entry_point": "servotrack.envs.follow.env:PedestrianServoEnv",
         "vector_entry_point": "servotrack.envs.follow.vector:PedestrianServoVectorEnv",

@@ -85,7 +85,9 @@ def _final_success(info: Mapping[str, Any], row: int) -> bool | None:
 
 
 def _max_steps(env: Any) -> int | None:
-    """Steps of a full episode: those that a servo's configuration says, or those that the id was registered with."""
+    """Steps of a full episode: those that the environment says, or those that the id was registered with."""
+    if (declared := getattr(env.unwrapped, "episode_steps", None)) is not None:
+        return int(declared)
     config: Any = getattr(env.unwrapped, "config", None)
     if hasattr(config, "warmup") and hasattr(config, "horizon"):
         return int(config.warmup + config.horizon)

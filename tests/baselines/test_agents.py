@@ -131,8 +131,9 @@ def test_only_those_who_ask_see_the_truth() -> None:
     seen = {name for name, card in AGENTS.items() if card.privileged}
     oracles = {"oracle", "informed-bound", "association-oracle", "people-oracle", "box-oracle", "bearing-oracle"}
     # The others say in their names what they are told.
+    oracles |= {"ibvs", "ibvs-desired", "ibvs-mean", "pbvs", "joint-oracle"}
     assert {name for name in seen if "-told-" not in name} == oracles
-    assert all(AGENTS[name].information == "privileged" for name in seen)
+    assert all(AGENTS[name].information in ("privileged", "calibrated") for name in seen)
     observation, _ = make_single(SERVO, {}).reset(seed=100_000)
     assert not any(key.startswith("true_") for key in observation)
 

@@ -1,0 +1,286 @@
+"""The serial-arm servo as a Gymnasium environment."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+
+from servotrack.envs.arguments import RENDER_MODES, check_options, check_render_mode, check_seed
+from servotrack.envs.servo3d.arms import SerialArm
+from servotrack.envs.servo3d.episode import LEAD, PERIOD
+from servotrack.envs.servo3d.levels import Servo3DConfig, servo3d_config
+from servotrack.envs.servo3d.world import Servo3DWorld, check_actions
+from servotrack.envs.streams import episode_seed
+from servotrack.estimators.types import FloatArray
+
+if TYPE_CHECKING:
+    from servotrack.envs.drawing.viewer import Viewer
+    from servotrack.envs.servo3d.recorder import Recorder
+
+Observation = dict[str, NDArray[Any]]
+
+METADATA: dict[str, Any] = {
+    "servotrack_kind": "servo3d",
+    "render_modes": list(RENDER_MODES),
+    "render_fps": round(1 / PERIOD),
+}
+
+
+def action_space(joints: int) -> gym.spaces.Box:
+    """Joint rates as fractions of `max_joint_rate`."""
+    return gym.spaces.Box(-1.0, 1.0, (joints,), np.float32)
+
+
+def observation_space(config: Servo3DConfig, arm: SerialArm) -> gym.spaces.Dict:
+    """Observation space of one arm. All bounds are finite."""
+
+    def box(low: Any, high: Any, size: int) -> gym.spaces.Box:
+        return gym.spaces.Box(low, high, (size,), np.float64)
+
+    p = config.points
+    extent = np.tile([float(config.width), float(config.height)], p)
+    # Encoders read the motors' angles, which the limits bind, with their homing errors and in whole steps.
+    slack = config.homing + (2.0 * np.pi / config.encoder_steps if config.encoder_steps else 0.0) + 1e-9
+    first, last = -LEAD * PERIOD, config.horizon * PERIOD
+    return gym.spaces.Dict(
+        {
+            "joint_angles": box(arm.low - slack, arm.high + slack, arm.joints),
+            "features": box(np.zeros(2 * p), extent, 2 * p),
+            "goal": box(-extent, 2.0 * extent, 2 * p),
+            "visible": box(0.0, 1.0, p),
+            "frame_time": box(first, last, 1),
+            "joint_time": box(first, last, 1),
+            "time": box(first, last, 1),
+        }
+    )
+
+
+def all_observations(world: Servo3DWorld) -> Observation:
+    """Return the newest observations of all rows, as new arrays with a leading axis of N."""
+    sample = world.sample
+    return {
+        "joint_angles": sample.joint_angles.copy(),
+        "features": sample.features.copy(),
+        "goal": sample.goal.copy(),
+        "visible": sample.visible.copy(),
+        "frame_time": sample.frame_time[:, None].copy(),
+        "joint_time": sample.joint_time[:, None].copy(),
+        "time": sample.time[:, None].copy(),
+    }
+
+
+def all_infos(world: Servo3DWorld) -> dict[str, Any]:
+    """Info of all rows: arrays, or dictionaries of arrays, with a leading axis of N."""
+    sample = world.sample
+    return {
+        "tip_error": sample.tip_error,
+        "tip_angle": sample.tip_angle,
+        "tracking_error": sample.error,
+        "feature_error": sample.feature_error,
+        "at_limit": world.state.at_limit.any(axis=1),
+        "success": world.success(),
+        "truth": {"joint_angles": world.state.joints},
+    }
+
+
+class UncalibServo3DEnv(gym.Env[Observation, FloatArray]):
+    """A serial arm of any number of joints with an uncalibrated camera reaches or follows a pose.
+
+    ## Description
+
+    An arm of five to seven joints, and an uncalibrated camera: on the tool, looking at a board of points in
+    the world (`camera="hand"`), or fixed in the world, looking at a board on the tool (`camera="world"`). The agent
+    commands joint rates and has to bring the board's points to their goal in the image, which brings the tool to the
+    goal's pose. Kinematics, optics, mounting and board are unknown to the agent. Joint limits, rates and accelerations
+    are limited; one control period is 50 ms.
+
+    | level | adds |
+    |---|---|
+    | 0 `plain` | exact sensors, camera along the tool's axis, a small displacement |
+    | 1 `noise` | 0.5 px of noise, any mounting, random optics and board |
+    | 2 `hobby` | encoders of 4096 steps, homing errors up to 3 degrees, motors that lag by 0.05 to 0.15 s |
+    | 3 `play` | backlash of 1 degree, sag under gravity, frames one period old, joint angles 0 to 2 periods old |
+    | 4 `hidden` | 2 or 3 points in the image at the start, points hidden one by one |
+    | 5 `turns` | turns up to 3 rad about the optical axis, twice the distance, starts near a singular posture |
+    | 6 `everything` | a goal that moves, frames 0 to 2 periods old without time stamps, lost frames |
+
+    ## Action Space
+
+    `Box(-1, 1, (n,), float32)`: the joint rates as fractions of `max_joint_rate` (1 rad/s), clipped joint by joint and
+    limited in their change. Joints stop at their limits. The public attributes `max_joint_rate`,
+    `max_joint_acceleration`, `joint_low` and `joint_high` are those of the arm's data sheet.
+
+    ## Observation Space
+
+    A `Dict` of float64 arrays, for n joints and p points:
+
+    | key | shape | unit | meaning |
+    |---|---|---|---|
+    | `joint_angles` | (n,) | rad | encoder readings at `joint_time` |
+    | `features` | (2p,) | px | column and row of each point, in the newest frame in which it was seen |
+    | `goal` | (2p,) | px | desired column and row of each point |
+    | `visible` | (p,) | 0 or 1 | 1: a new frame that shows this point arrived; 0: its features are old |
+    | `frame_time` | (1,) | s | time when the newest frame was taken, or arrived if `stamped` is false |
+    | `joint_time` | (1,) | s | time when the encoders were read, or arrived if `stamped` is false |
+    | `time` | (1,) | s | current time |
+
+    ## Rewards
+
+    `max(1 - ln(1 + e) / ln(501), 0)` with e = sqrt((d / 2 mm)^2 + (a / 1 degree)^2), d the distance and a the angle
+    between the tool's pose and the goal's. The reward is 0 at termination, so that ending an episode never pays.
+
+    `info` is for evaluation, not for agents: `tip_error` (d, m), `tip_angle` (a, rad), `tracking_error` (e),
+    `feature_error` (mean distance of the true points from the goal, px), `at_limit` (a joint is at its limit),
+    `success` (d below 2 mm and a below 1 degree) and `truth` (`joint_angles`).
+
+    ## Starting State
+
+    The goal is near the arm's ready posture. The start differs from it by a drawn shift, tilt, turn and distance of the
+    board in the image. A layout is drawn again until both are within the joint limits and in view. Lengths scale with
+    the arm's reach. Every quantity is drawn from the seed by a random stream of its own.
+
+    ## Episode End
+
+    Termination: no point was in the image for 40 consecutive samples. Truncation: after `horizon` steps (40 s).
+
+    ## Arguments
+
+    `level` (0 to 6, default 2) and every field of `Servo3DConfig` as a keyword that overrides the level's value, for
+    example `gym.make("UncalibServo3D-v0", arm="panda", camera="world", level=3, points=20)`. `arm` is `ur5e`, `panda`,
+    `so101` or the fields of a `SerialArm`. `render_mode`: `rgb_array` or `human`.
+
+    ## References
+
+    Chaumette and Hutchinson, "Visual servo control, part I: basic approaches", IEEE Robotics and Automation Magazine
+    13(4), 2006, pp. 82-90. Lynch and Park, "Modern Robotics", Cambridge University Press, 2017.
+
+    ## Version History
+
+    * v0: initial version
+    """
+
+    metadata: ClassVar[dict[str, Any]] = METADATA  # type: ignore[misc]
+
+    def __init__(self, level: int = 2, *, render_mode: str | None = None, **axes: Any) -> None:
+        self.config = servo3d_config(level, **axes)
+        self.level = level
+        self.render_mode = check_render_mode(render_mode)
+        self.world = Servo3DWorld(self.config, 1)
+        arm = self.world.arm
+        # Gymnasium types Dict as a space of spaces and Box without its dtype.
+        self.action_space = action_space(arm.joints)  # type: ignore[assignment]
+        self.observation_space = observation_space(self.config, arm)  # type: ignore[assignment]
+        self.max_joint_rate = self.config.max_joint_rate
+        self.max_joint_acceleration = self.config.max_joint_acceleration
+        self.episode_steps = self.config.horizon
+        self.joint_low, self.joint_high = arm.low, arm.high
+        self._running = False
+        self._recorder, self._viewer = self._make_screen()
+
+    def _make_screen(self) -> tuple[Recorder | None, Viewer | None]:
+        """Recorder and viewer for this render mode. OpenCV and pygame are imported only if needed."""
+        if self.render_mode is None:
+            return None, None
+        from servotrack.envs.servo3d.recorder import Recorder, level_caption
+
+        viewer = None
+        if self.render_mode == "human":
+            from servotrack.envs.drawing.viewer import Viewer
+
+            viewer = Viewer(type(self).__name__, METADATA["render_fps"])
+        return Recorder(self.world, caption=level_caption(self.config, self.level)), viewer
+
+    def _observe(self) -> Observation:
+        return {key: value[0] for key, value in all_observations(self.world).items()}
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start a new episode.
+
+        Args:
+            seed: Seed of this episode and, without further seeds, of all later ones.
+            options: Must be None or empty; there are no options.
+
+        Returns:
+            Observation and info.
+
+        Raises:
+            ValueError: `options` is not empty, or `seed` is negative.
+            TypeError: `seed` is not an integer.
+        """
+        check_options(options)
+        if seed is not None or self._np_random is None:
+            self._np_random, self._np_random_seed = seeding.np_random(check_seed(seed))
+        self.world.reset([0], [episode_seed(self.np_random)])
+        self._running = True
+        self._show()
+        return self._observe(), self._info()
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Command joint rates for one control period of 50 ms.
+
+        Args:
+            action: Joint rates as fractions of `max_joint_rate`, shape (n,).
+
+        Returns:
+            Observation, reward, terminated, truncated, info.
+
+        Raises:
+            ValueError: The action has a wrong shape or is not finite.
+            gymnasium.error.ResetNeeded: No episode is running.
+        """
+        values = check_actions(action, (self.world.arm.joints,))
+        if not self._running:
+            raise ResetNeeded("no episode is running: call reset() before the first step and after an episode's end")
+        world = self.world
+        world.step(values[None])
+        terminated, truncated = bool(world.terminated[0]), bool(world.truncated[0])
+        self._running = not (terminated or truncated)
+        self._show()
+        return self._observe(), float(world.reward[0]), terminated, truncated, self._info()
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """Draw the current state.
+
+        Returns:
+            With `rgb_array`, a new RGB frame, shape (540, 960, 3), uint8. With `human`, None: `reset` and `step` show
+            the frames. Without a render mode, None.
+
+        Raises:
+            gymnasium.error.ResetNeeded: Before the first reset.
+        """
+        if self._recorder is None:
+            gym.logger.warn('render() draws nothing without a render mode; try gym.make(id, render_mode="rgb_array")')
+            return None
+        if self.world.episodes[0] is None:
+            raise ResetNeeded("there is nothing to draw yet: call reset() before render()")
+        return self._recorder.frame() if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._viewer is not None:
+            self._viewer.close()
+
+    def _show(self) -> None:
+        if self._recorder is not None:
+            self._recorder.record()
+        if self._recorder is not None and self._viewer is not None:
+            self._viewer.show(self._recorder.frame())
+
+    def _info(self) -> dict[str, Any]:
+        info = all_infos(self.world)
+        return {
+            **{key: float(info[key][0]) for key in ("tip_error", "tip_angle", "tracking_error", "feature_error")},
+            **{key: bool(info[key][0]) for key in ("at_limit", "success")},
+            "truth": {key: value[0].copy() for key, value in info["truth"].items()},
+        }
+
+    def privileged(self) -> Observation:
+        """Entries that `PrivilegedObservation` adds: those of `Servo3DWorld.privileged`, without the leading axis."""
+        return {key: value[0] for key, value in self.world.privileged().items()}

@@ -1,0 +1,87 @@
+"""Calibrated servos of serial arms reach the goal; scores of their episodes by hand."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import servotrack  # noqa: F401
+from servotrack.baselines.agents.registry import create_agent
+from servotrack.baselines.evaluation.bench import default_agents, suite_of
+from servotrack.baselines.evaluation.evaluate import evaluate
+from servotrack.baselines.evaluation.servo3d_scores import LOST_ERROR, servo3d_errors
+from servotrack.envs.wrappers import PrivilegedObservation
+
+ENV_ID = "UncalibServo3D-v0"
+AGENTS = ["ibvs", "ibvs-desired", "ibvs-mean", "pbvs", "joint-oracle"]
+ARMS = [("so101", "hand"), ("panda", "world"), ("ur5e", "world")]
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_calibrated_servos_settle_on_the_goal(agent):
+    for arm, camera in ARMS:
+        arguments = {"level": 0, "arm": arm, "camera": camera}
+        rows = evaluate(ENV_ID, agent, range(100_000, 100_002), env_kwargs=arguments, timing=False).rows
+        assert all(row["success"] for row in rows), (arm, camera)
+        assert max(row["settle"] for row in rows) < 20.0
+        assert max(row["tip"] for row in rows) < 1e-3
+
+
+def test_a_single_point_is_centered_by_its_image_and_refused_by_its_pose():
+    arguments = {"level": 1, "arm": "panda", "points": 1}
+    rows = evaluate(ENV_ID, "ibvs", range(100_000, 100_003), env_kwargs=arguments, timing=False).rows
+    assert max(row["feature_error"] for row in rows) < 2.0
+    env = PrivilegedObservation(gym.make(ENV_ID, **arguments))
+    with pytest.raises(ValueError, match=r"pose.* needs at least 4 points .* got points=1"):
+        create_agent("pbvs", env)
+
+
+def test_observations_without_the_truth_are_refused():
+    with pytest.raises(ValueError, match="UncalibServo3D-v0 lacks them: wrap UncalibServo3D-v0 in Privileged"):
+        create_agent("ibvs", gym.make(ENV_ID))
+
+
+def test_single_and_batched_answers_agree():
+    single = PrivilegedObservation(gym.make(ENV_ID, level=4))
+    observation, _ = single.reset(seed=1)
+    batch = {key: np.stack([value, value]) for key, value in observation.items()}
+    for name in AGENTS:
+        agent = create_agent(name, single)
+        alone, _ = agent.predict(observation)
+        together, _ = agent.predict(batch, None, np.ones(2, bool))
+        np.testing.assert_allclose(together, np.stack([alone, alone]), atol=1e-6)
+        assert alone.dtype == np.float32
+        assert np.abs(alone).max() <= 1.0
+
+
+def test_the_suite_offers_the_random_and_the_calibrated_agents():
+    assert default_agents(ENV_ID) == ["random", *AGENTS]
+    assert {cell.agent for cell in suite_of(ENV_ID, levels=[1])} == {"random", *AGENTS}
+
+
+def test_scores_of_a_servo_that_settles_after_half_the_time():
+    time, n = 0.5 * np.arange(1, 41), 40
+    tip = np.where(time < 9.9, 0.02, 1e-3)
+    row = servo3d_errors(time, tip, np.zeros(n), tip / 2e-3, 0.0, n)
+    # The first sample inside is the one at 10 s; the second half decides on success.
+    assert row["settle"] == pytest.approx(10.0)
+    assert row["success"]
+    assert row["tip"] == pytest.approx(1e-3)
+    assert row["hold"] == pytest.approx((9 * 10.0 + 21 * 0.5) / 30)
+
+
+def test_leaving_the_bounds_at_the_end_is_not_settled_and_one_wrong_angle_is_no_success():
+    time, n = 0.5 * np.arange(1, 41), 40
+    tip = np.where(time > 19.9, 0.01, 0.0)
+    assert servo3d_errors(time, tip, np.zeros(n), tip, 0.0, n)["settle"] == pytest.approx(20.0)
+    assert servo3d_errors(time, np.zeros(n), np.zeros(n), np.zeros(n), 0.0, n)["settle"] == pytest.approx(0.5)
+    assert not servo3d_errors(time, np.zeros(n), np.full(n, 0.02), tip, 0.0, n)["success"]
+
+
+def test_an_episode_that_ends_early_counts_as_lost_for_the_rest():
+    time = 0.5 * np.arange(1, 11)
+    row = servo3d_errors(time, np.zeros(10), np.zeros(10), np.zeros(10), 0.0, 40)
+    assert row["hold"] == LOST_ERROR
+    assert row["settle"] == pytest.approx(20.0)
+    assert not row["success"]
