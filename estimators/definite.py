@@ -15,7 +15,7 @@ import numpy as np
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
 
-LEAST_SHARE = 1e-14
+LEAST_SHARE = 1e-12
 """Smallest share of its reference that a repaired variance keeps, and smallest pivot as a share of its variance."""
 
 
@@ -87,11 +87,11 @@ def repair(matrix, reference, factor):  # type: ignore[no-untyped-def]
             if not size <= largest:
                 matrix[r, c] = matrix[r, c] * (largest / size)
                 matrix[c, r] = np.conj(matrix[r, c])
-    share = 1e-12
-    while share < 1.0 and not is_definite(matrix, 1e-13, factor):
+    share = LEAST_SHARE
+    while share < 1.0 and not is_definite(matrix, 10.0 * LEAST_SHARE, factor):
         _scale_correlations(matrix, 1.0 - share)
         share *= 4.0
-    if not is_definite(matrix, 1e-13, factor):
+    if not is_definite(matrix, 10.0 * LEAST_SHARE, factor):
         _scale_correlations(matrix, 0.0)
 
 
