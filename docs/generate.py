@@ -22,7 +22,8 @@ import gymnasium as gym
 from PIL import Image
 
 from servotrack.baselines import create_agent
-from servotrack.baselines.evaluation.evaluate import show_belief
+from servotrack.baselines.agents.registry import agent_card
+from servotrack.baselines.evaluation.evaluate import make_single, show_belief
 from servotrack.envs.registration import ENVIRONMENTS
 
 FOLDER = Path(__file__).parent / "environments"
@@ -84,6 +85,7 @@ ANIMATIONS = {
     "UncalibServo-v0": Animation({"level": 3}, "lifted-kf", frames=72),
     "UncalibServoReach-v0": Animation({"level": 3}, "lifted-kf", frames=50, every=2),
     "UncalibServoPixels-v0": Animation({"level": 3}, "lifted-kf", frames=72),
+    "UncalibServo3D-v0": Animation({"level": 3, "arm": "so101"}, "ibvs", frames=60),
     "PedestrianServo-v0": Animation({"level": 2}, "phd-servo", frames=50),
     "ClutterTracking-v0": Animation({}, "pmb", first=20, frames=60, every=1, duration=120),
     "PedestrianTracking-v0": Animation({"level": 1}, "pmb", first=40, frames=40, every=5, duration=160),
@@ -232,7 +234,8 @@ def _attributes(documented: type) -> dict[str, str]:
 
 def _frames(env_id: str, arguments: dict[str, Any], agent_name: str) -> Iterator[Any]:
     """Yield the rendered frame after every step of an agent on train seed 0."""
-    env: Any = gym.make(env_id, render_mode="rgb_array", **arguments)
+    arguments = {"render_mode": "rgb_array", **arguments}
+    env: Any = make_single(env_id, arguments, privileged=agent_card(agent_name).privileged)
     agent = create_agent(agent_name, env)
     observation, _ = env.reset(seed=0)
     state: Any = None

@@ -93,11 +93,11 @@ class UncalibServo3DEnv(gym.Env[Observation, FloatArray]):
 
     ## Description
 
-    An arm of five to seven joints, and an uncalibrated camera: on the tool, looking at a board of points in
-    the world (`camera="hand"`), or fixed in the world, looking at a board on the tool (`camera="world"`). The agent
-    commands joint rates and has to bring the board's points to their goal in the image, which brings the tool to the
-    goal's pose. Kinematics, optics, mounting and board are unknown to the agent. Joint limits, rates and accelerations
-    are limited; one control period is 50 ms.
+    An arm of two or more joints (the named ones have five to seven), and an uncalibrated camera: on the tool, looking
+    at a board of points in the world (`camera="hand"`), or fixed in the world, looking at a board on the tool
+    (`camera="world"`). The agent commands joint rates and has to bring the board's points to their goal in the image,
+    which brings the tool to the goal's pose. Kinematics, optics, mounting and board are unknown to the agent. Joint
+    limits, rates and accelerations are limited; one control period is 50 ms.
 
     | level | adds |
     |---|---|
@@ -112,8 +112,8 @@ class UncalibServo3DEnv(gym.Env[Observation, FloatArray]):
     ## Action Space
 
     `Box(-1, 1, (n,), float32)`: the joint rates as fractions of `max_joint_rate` (1 rad/s), clipped joint by joint and
-    limited in their change. Joints stop at their limits. The public attributes `max_joint_rate`,
-    `max_joint_acceleration`, `joint_low` and `joint_high` are those of the arm's data sheet.
+    limited in their change. Motors stop at their limits; links may be outside by backlash and sag. The public
+    attributes `max_joint_rate`, `max_joint_acceleration`, `joint_low` and `joint_high` are those of the data sheet.
 
     ## Observation Space
 
@@ -135,8 +135,9 @@ class UncalibServo3DEnv(gym.Env[Observation, FloatArray]):
     between the tool's pose and the goal's. The reward is 0 at termination, so that ending an episode never pays.
 
     `info` is for evaluation, not for agents: `tip_error` (d, m), `tip_angle` (a, rad), `tracking_error` (e),
-    `feature_error` (mean distance of the true points from the goal, px), `at_limit` (a joint is at its limit),
-    `success` (d below 2 mm and a below 1 degree) and `truth` (`joint_angles`).
+    `feature_error` (mean distance of the true points from the goal, px), `at_limit` (a motor is at its limit),
+    `success` (d below 2 mm and a below 1 degree) and `truth` (`joint_angles`). With `points=1`, which leaves the pose
+    open, d is the point's distance from the goal's line of sight and a is 0.
 
     ## Starting State
 

@@ -20,6 +20,9 @@ class Servo3DConfig:
 
     Lengths of the scene scale with the arm's reach, so that the same level suits a toy arm and an industrial one.
 
+    Raises:
+        ValueError: A value outside its bounds; the message has the field, its value and the bounds.
+
     Attributes:
         arm: Name of `servotrack.envs.servo3d.arms.ARMS`, a `SerialArm`, or a mapping of its fields.
         camera: `hand`: on the tool, looking at a board in the world. `world`: fixed, looking at a board on the tool.
@@ -59,9 +62,6 @@ class Servo3DConfig:
         max_joint_rate: Limit of each joint rate, rad/s.
         max_joint_acceleration: Limit of each joint's acceleration, rad/s^2.
         horizon: Length of an episode, steps of 50 ms.
-
-    Raises:
-        ValueError: A value outside its bounds; the message has the field, its value and the bounds.
     """
 
     arm: str | SerialArm | Mapping[str, Any] = "so101"
