@@ -222,7 +222,7 @@ WORLDS: Mapping[str, World] = {
                 RankingMetric("settle", "settled after", "s", digits=1),
                 RankingMetric("tip", "tip", "mm", 1e3, 2),
             ),
-            anchors=ScoreAnchors("hold", "random", "ibvs", "ibvs"),
+            anchors=ScoreAnchors("hold", "random", "joint-oracle", "joint-oracle"),
             ranges=dict.fromkeys(("settle", "hold", "tip", "feature_error"), _SIZE),
         ),
         World(

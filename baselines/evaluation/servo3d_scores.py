@@ -16,6 +16,8 @@ APPROACH_SHARE, HOLDING_SHARE = 0.25, 0.5
 """Share of a full episode after which errors count (10 s of 40 s), and share at its end that decides on success."""
 LOST_DISTANCE, LOST_ANGLE, LOST_ERROR = 0.5, np.pi, 500.0
 """A step after an early end counts as at least this far away: m, rad, and in units of the bounds."""
+LEAST_ERROR = 0.01
+"""Smallest mean error that counts, in units of the bounds (0.02 mm, 0.01 degree): finer than any arm repeats."""
 
 
 class Servo3DScoreRecorder:
@@ -79,8 +81,8 @@ def servo3d_errors(time: Array, tip: Array, angle: Array, error: Array, start: f
 
     Returns:
         `settle`: time after which the tool stays within 2 mm and 1 degree to the end, the whole episode if it does not,
-        s; `hold`: mean of `error` after the first quarter; `tip`: median distance after it, m; `success`: in the second
-        half the mean distance is below 2 mm and the mean angle below 1 degree.
+        s; `hold`: mean of `error` after the first quarter, at least 0.01; `tip`: median distance after it, m;
+        `success`: in the second half the mean distance is below 2 mm and the mean angle below 1 degree.
     """
     period = (time[-1] - start) / len(time)
 
@@ -96,7 +98,7 @@ def servo3d_errors(time: Array, tip: Array, angle: Array, error: Array, start: f
     after, holding = round(APPROACH_SHARE * max_steps), round((1.0 - HOLDING_SHARE) * max_steps)
     return {
         "settle": steps * period,
-        "hold": float(errors[after:].mean()),
+        "hold": max(float(errors[after:].mean()), LEAST_ERROR),
         "tip": float(np.median(tips[after:])),
         "success": bool(tips[holding:].mean() < DISTANCE_BOUND and angles[holding:].mean() < ANGLE_BOUND),
     }

@@ -194,11 +194,10 @@ _LADDER: tuple[dict[str, Any], ...] = (
         "zoom": (1.25, 2.0),
         "shift": 0.2,
         "singular": True,
-        # Arms of five joints turn the board about the tool's axis only.
+        # Arms of five joints turn the board about the tool's axis only: the camera must look along it.
         "mounting_tilt": math.radians(5),
-        "board_tilt": math.radians(15),
     },
-    {"motion": 0.03, "latency": (0, 2), "stamped": False, "dropout": 0.05},
+    {"motion": 0.015, "latency": (0, 2), "stamped": False, "dropout": 0.05},
 )
 
 LEVEL_NAMES = ("plain", "noise", "hobby", "play", "hidden", "turns", "everything")
