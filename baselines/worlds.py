@@ -61,6 +61,7 @@ class ScoreAnchors:
         lower: Agent without skill.
         upper: Agent that knows the system.
         bound: Agent whose mean error the column "x bound" divides by.
+        upper_knows: Knowledge of `upper`, for captions.
         least_share: Share of the smallest error of `upper`'s episodes that an episode counts at least. Its logarithm
             would let a single tiny error carry the mean of all episodes; raising it weakens single episodes.
     """
@@ -69,6 +70,7 @@ class ScoreAnchors:
     lower: str
     upper: str
     bound: str
+    upper_knows: str
     least_share: float = 1e-3
 
 
@@ -133,7 +135,7 @@ WORLDS: Mapping[str, World] = {
             "ukf",
             f"{_RECORDERS}.servo_scores:ServoScoreRecorder",
             f"{_AGENTS}.servo.cards:CARDS",
-            anchors=ScoreAnchors("steady", "random", "oracle", "informed-bound"),
+            anchors=ScoreAnchors("steady", "random", "oracle", "informed-bound", "analytic Jacobian"),
             ranges={
                 **dict.fromkeys(("transient", "p95", "feature_error"), _SIZE),
                 "steady": _DISTANCE,
@@ -222,7 +224,7 @@ WORLDS: Mapping[str, World] = {
                 RankingMetric("settle", "settled after", "s", digits=1),
                 RankingMetric("tip", "tip", "mm", 1e3, 2),
             ),
-            anchors=ScoreAnchors("hold", "random", "joint-oracle", "joint-oracle"),
+            anchors=ScoreAnchors("hold", "random", "joint-oracle", "joint-oracle", "joint angles of the goal"),
             ranges=dict.fromkeys(("settle", "hold", "tip", "feature_error"), _SIZE),
         ),
         World(

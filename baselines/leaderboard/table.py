@@ -39,7 +39,7 @@ def note_of(tasks: Sequence[TaskSummary]) -> str:
     low, high = anchors.lower, anchors.upper
     return (
         f"Score: ln(e_{low}/e) / ln(e_{low}/e_{high}), with e the mean steady error: 0 is {low}, 1 is {high} (the "
-        "analytic Jacobian), more is possible. Worst tenth: mean score of the worst tenth of the episodes. "
+        f"{anchors.upper_knows}), more is possible. Worst tenth: mean score of the worst tenth of the episodes. "
         f"{BOUND_MARK}: mean steady error over that of {anchors.bound}. {_COMMON_NOTE}"
     )
 
