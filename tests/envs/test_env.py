@@ -17,7 +17,7 @@ import servotrack  # noqa: F401
 from servotrack.envs.registration import ENVIRONMENTS
 from servotrack.envs.servo.levels import NOISE_KINDS, TARGETS
 
-IDS = tuple(env_id for env_id in ENVIRONMENTS if env_id.startswith("UncalibServo"))
+IDS = tuple(name for name, entry in ENVIRONMENTS.items() if entry["entry_point"].startswith("servotrack.envs.servo."))
 LEVELS = range(7)
 EVERY = [(env_id, level) for env_id in IDS for level in LEVELS]
 

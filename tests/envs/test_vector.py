@@ -14,7 +14,7 @@ import servotrack  # noqa: F401
 from servotrack.envs.registration import ENVIRONMENTS
 from servotrack.envs.testing import check_vector_env, check_vector_matches_single
 
-IDS = tuple(env_id for env_id in ENVIRONMENTS if env_id.startswith("UncalibServo"))
+IDS = tuple(name for name, entry in ENVIRONMENTS.items() if entry["entry_point"].startswith("servotrack.envs.servo."))
 LEVELS = (0, 3, 6)
 
 
