@@ -333,7 +333,7 @@ def test_a_marked_folder_is_used_again(tmp_path):
     claim_folder(tmp_path, OUTPUTS, {"source": "b.avi"})
     assert json.loads((tmp_path / "track.json").read_text())["source"] == "b.avi"
     (tmp_path / "track.json").write_text("{}")
-    with pytest.raises(ResultsError, match="track.json is not of `servotrack track`; choose another --out"):
+    with pytest.raises(ResultsError, match=r"track\.json is not of `servotrack track`; choose another --out"):
         claim_folder(tmp_path, OUTPUTS, {})
 
 

@@ -114,7 +114,8 @@ def _runs(env_id: str, runs: int, seed: int, folder: Path, progress: Progress) -
         stored = part(path, setting, lambda number=number: run_once(number))  # type: ignore[misc]
         for name, done in found.items():
             columns: dict[str, Any] = {field.name: stored[f"{name}/{field.name}"] for field in fields(Run)}
-            done.append(Run(**{key: value if value.ndim else float(value) for key, value in columns.items()}))
+            values: dict[str, Any] = {key: value if value.ndim else float(value) for key, value in columns.items()}
+            done.append(Run(**values))
         progress.advance(bar)
     return found
 
