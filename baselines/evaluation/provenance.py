@@ -25,10 +25,7 @@ DECISIVE = (
     "baselines/evaluation/episodes.py",
     "baselines/evaluation/evaluate.py",
     "baselines/evaluation/seeds.py",
-    "baselines/evaluation/servo_scores.py",
-    "baselines/evaluation/set_scores.py",
-    "baselines/evaluation/box_scores.py",
-    "baselines/evaluation/follow_scores.py",
+    "baselines/evaluation/*_scores.py",
 )
 """Sources that decide what a row of results holds: worlds, estimators, agents with their networks, and scoring."""
 _CARRIED = {".py", ".json", ".onnx"}
@@ -49,9 +46,9 @@ def digest_of_sources() -> str:
     for name in DECISIVE:
         room, _, inner = name.partition("/")
         folder = Path(str(find_spec(f"servotrack.{room}").origin)).parent  # type: ignore[union-attr]
-        path = folder / inner
-        sources = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.suffix in _CARRIED)
-        for source in sources:
+        # A pattern stands for files, so that a new kind of world counts by itself; a folder for all that is in it.
+        pattern = f"{inner}/**/*" if (folder / inner).is_dir() else inner
+        for source in sorted(p for p in folder.glob(pattern.lstrip("/")) if p.is_file() and p.suffix in _CARRIED):
             digest.update(f"{room}/{source.relative_to(folder).as_posix()}".encode())
             digest.update(source.read_bytes())
     return digest.hexdigest()[:12]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from servotrack.baselines.evaluation.results import Row
+from servotrack.baselines.evaluation.servo_scores import episode_clock
 from servotrack.estimators.types import Array, Mask
 
 DISTANCE_BOUND, ANGLE_BOUND = 2e-3, np.radians(1.0)
@@ -33,15 +34,7 @@ class Servo3DScoreRecorder:
     """
 
     def __init__(self, rows: int, observation: Any, max_steps: int | None) -> None:
-        if not isinstance(observation, Mapping) or "time" not in observation:
-            raise ValueError(
-                "a servo's observation must be a dictionary with the entry `time`; evaluate the id without wrappers "
-                "that flatten observations"
-            )
-        if max_steps is None:
-            raise ValueError("a servo environment must have a limit of steps; register it with max_episode_steps")
-        self._max_steps = max_steps
-        self._start = float(np.asarray(observation["time"])[0, 0])
+        self._start, self._max_steps = episode_clock(observation, max_steps)
         self._samples: list[Array] = []
 
     def record(self, observation: Any, info: Mapping[str, Any], ending: Mask) -> None:

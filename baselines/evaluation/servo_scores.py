@@ -21,6 +21,26 @@ LOST_ERROR = 0.3
 _CLOCK_TOLERANCE = 1e-9
 
 
+def episode_clock(observation: Any, max_steps: int | None) -> tuple[float, int]:
+    """Return the time at the reset, s, and the number of steps of a full episode.
+
+    Args:
+        observation: First observation; its `time` is the clock, shape (N, 1), s.
+        max_steps: Steps of a full episode.
+
+    Raises:
+        ValueError: The observation has no clock, or the environment has no limit of steps.
+    """
+    if not isinstance(observation, Mapping) or "time" not in observation:
+        raise ValueError(
+            "a servo's observation must be a dictionary with the entry `time`; evaluate the id without wrappers "
+            "that flatten observations"
+        )
+    if max_steps is None:
+        raise ValueError("a servo environment must have a limit of steps; register it with max_episode_steps")
+    return float(np.asarray(observation["time"])[0, 0]), max_steps
+
+
 class ServoScoreRecorder:
     """Collects tracking and feature errors of a servo vector environment, step by step.
 
@@ -34,15 +54,7 @@ class ServoScoreRecorder:
     """
 
     def __init__(self, rows: int, observation: Any, max_steps: int | None) -> None:
-        if not isinstance(observation, Mapping) or "time" not in observation:
-            raise ValueError(
-                "a servo's observation must be a dictionary with the entry `time`; evaluate the id without wrappers "
-                "that flatten observations"
-            )
-        if max_steps is None:
-            raise ValueError("a servo environment must have a limit of steps; register it with max_episode_steps")
-        self._max_steps = max_steps
-        self._start = float(np.asarray(observation["time"])[0, 0])
+        self._start, self._max_steps = episode_clock(observation, max_steps)
         self._times: list[Array] = []
         self._tracking: list[Array] = []
         self._features: list[Array] = []

@@ -6,20 +6,18 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.error import ResetNeeded
-from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from servotrack.envs.arguments import RENDER_MODES, check_options, check_render_mode, check_seed
+from servotrack.envs.actions import check_actions
+from servotrack.envs.arguments import RENDER_MODES
 from servotrack.envs.servo.episode import LEAD
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.targets import PERIOD
-from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld, check_actions
-from servotrack.envs.streams import episode_seed
-from servotrack.estimators.types import FloatArray
+from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld
+from servotrack.envs.single_env import SingleEnv
+from servotrack.estimators.types import Array
 
 if TYPE_CHECKING:
-    from servotrack.envs.drawing.viewer import Viewer
     from servotrack.envs.servo.recorder import Recorder
 
 Observation = dict[str, NDArray[Any]]
@@ -67,7 +65,7 @@ def feature_observations(world: ServoWorld) -> Observation:
     }
 
 
-class UncalibServoEnv(gym.Env[Observation, FloatArray]):
+class UncalibServoEnv(SingleEnv):
     """An arm with an uncalibrated camera follows a moving target.
 
     ## Description
@@ -148,34 +146,22 @@ class UncalibServoEnv(gym.Env[Observation, FloatArray]):
 
     metadata: ClassVar[dict[str, Any]] = METADATA  # type: ignore[misc]
 
+    config: ServoConfig
+    world: ServoWorld
+
     def __init__(self, level: int = 3, *, render_mode: str | None = None, **axes: Any) -> None:
         self.config = self._configure(level, axes)
         self.level = level
-        self.render_mode = check_render_mode(render_mode)
-        self.world = self._make_world()
-        # Gymnasium types Dict as a space of spaces and Box without its dtype.
-        self.action_space = action_space()  # type: ignore[assignment]
-        self.observation_space = self._observation_space()  # type: ignore[assignment]
         self.max_joint_rate = self.config.max_joint_rate
-        self._running = False
-        self._recorder, self._viewer = self._make_screen()
+        # Observation spaces and recorders are made for a world.
+        self.world = self._make_world()
+        super().__init__(self.world, self._observation_space(), action_space(), render_mode, type(self).__name__)
 
     def _configure(self, level: int, axes: dict[str, Any]) -> ServoConfig:
         return servo_config(level, **axes)
 
     def _make_world(self) -> ServoWorld:
         return ServoWorld(self.config, 1)
-
-    def _make_screen(self) -> tuple[Recorder | None, Viewer | None]:
-        """Recorder and viewer for this render mode. OpenCV and pygame are imported only if needed."""
-        if self.render_mode is None:
-            return None, None
-        viewer = None
-        if self.render_mode == "human":
-            from servotrack.envs.drawing.viewer import Viewer
-
-            viewer = Viewer(type(self).__name__, METADATA["render_fps"])
-        return self._make_recorder(), viewer
 
     def _make_recorder(self) -> Recorder:
         from servotrack.envs.servo.recorder import Recorder, level_caption
@@ -196,86 +182,8 @@ class UncalibServoEnv(gym.Env[Observation, FloatArray]):
             "time": world.time[:1].copy(),
         }
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Start a new episode.
-
-        Args:
-            seed: Seed of this episode and, without further seeds, of all later ones.
-            options: Must be None or empty; there are no options.
-
-        Returns:
-            Observation and info.
-
-        Raises:
-            ValueError: `options` is not empty, or `seed` is negative.
-            TypeError: `seed` is not an integer.
-        """
-        check_options(options)
-        if seed is not None or self._np_random is None:
-            self._np_random, self._np_random_seed = seeding.np_random(check_seed(seed))
-        self.world.reset([0], [episode_seed(self.np_random)])
-        self._running = True
-        observation = self._observe()
-        self._show()
-        return observation, self._info()
-
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Command joint rates for one control period of 50 ms.
-
-        Args:
-            action: Joint rates as fractions of `max_joint_rate`, shape (2,).
-
-        Returns:
-            Observation, reward, terminated, truncated, info.
-
-        Raises:
-            ValueError: The action has a wrong shape or is not finite.
-            gymnasium.error.ResetNeeded: No episode is running.
-        """
-        values = check_actions(action, (2,))
-        if not self._running:
-            raise ResetNeeded("no episode is running: call reset() before the first step and after an episode's end")
-        world = self.world
-        world.step(values[None])
-        terminated, truncated = bool(world.terminated[0]), bool(world.truncated[0])
-        self._running = not (terminated or truncated)
-        observation = self._observe()
-        self._show()
-        return observation, float(world.reward[0]), terminated, truncated, self._info()
-
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """Draw the current state.
-
-        Returns:
-            With `rgb_array`, a new RGB frame, shape (416, 720, 3), uint8. With `human`, None: `reset` and `step` show
-            the frames. Without a render mode, None.
-
-        Raises:
-            gymnasium.error.ResetNeeded: Before the first reset.
-        """
-        if self._recorder is None:
-            gym.logger.warn('render() draws nothing without a render mode; try gym.make(id, render_mode="rgb_array")')
-            return None
-        if self.world.episodes[0] is None:
-            raise ResetNeeded("there is nothing to draw yet: call reset() before render()")
-        return self._recorder.frame(**self._pictured()) if self.render_mode == "rgb_array" else None
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._viewer is not None:
-            self._viewer.close()
-
-    def _pictured(self) -> dict[str, Any]:
-        """Sensor data for the picture: keywords of `Recorder.frame`."""
-        return {}
-
-    def _show(self) -> None:
-        if self._recorder is not None:
-            self._recorder.record()
-        if self._recorder is not None and self._viewer is not None:
-            self._viewer.show(self._recorder.frame(**self._pictured()))
+    def _checked(self, action: Any) -> Array:
+        return check_actions(action, (2,))
 
     def _info(self) -> dict[str, Any]:
         world = self.world
@@ -291,10 +199,6 @@ class UncalibServoEnv(gym.Env[Observation, FloatArray]):
                 "target_velocity": world.target[0, 2:].copy(),
             },
         }
-
-    def privileged(self) -> Observation:
-        """Entries that `PrivilegedObservation` adds: those of `ServoWorld.privileged`, without the leading axis."""
-        return {key: value[0] for key, value in self.world.privileged().items()}
 
 
 class UncalibServoReachEnv(UncalibServoEnv):

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import gymnasium as gym
 from gymnasium.vector import AutoresetMode
 
+from servotrack.envs.actions import check_actions
 from servotrack.envs.arguments import check_count
 from servotrack.envs.servo.env import METADATA, Observation, action_space, feature_observations, feature_space
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
-from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld, check_actions
+from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld
 from servotrack.envs.vector_env import BatchedVectorEnv, masked_infos
 from servotrack.estimators.types import Array, Mask
 

@@ -6,20 +6,18 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.error import ResetNeeded
-from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from servotrack.envs.arguments import RENDER_MODES, check_options, check_render_mode, check_seed
+from servotrack.envs.actions import check_actions
+from servotrack.envs.arguments import RENDER_MODES
 from servotrack.envs.servo3d.arms import SerialArm
 from servotrack.envs.servo3d.episode import LEAD, PERIOD
 from servotrack.envs.servo3d.levels import Servo3DConfig, servo3d_config
-from servotrack.envs.servo3d.world import Servo3DWorld, check_actions
-from servotrack.envs.streams import episode_seed
-from servotrack.estimators.types import FloatArray
+from servotrack.envs.servo3d.world import Servo3DWorld
+from servotrack.envs.single_env import SingleEnv
+from servotrack.estimators.types import Array
 
 if TYPE_CHECKING:
-    from servotrack.envs.drawing.viewer import Viewer
     from servotrack.envs.servo3d.recorder import Recorder
 
 Observation = dict[str, NDArray[Any]]
@@ -88,7 +86,7 @@ def all_infos(world: Servo3DWorld) -> dict[str, Any]:
     }
 
 
-class UncalibServo3DEnv(gym.Env[Observation, FloatArray]):
+class UncalibServo3DEnv(SingleEnv):
     """A serial arm of any number of joints with an uncalibrated camera reaches or follows a pose.
 
     ## Description
@@ -167,112 +165,30 @@ class UncalibServo3DEnv(gym.Env[Observation, FloatArray]):
 
     metadata: ClassVar[dict[str, Any]] = METADATA  # type: ignore[misc]
 
+    config: Servo3DConfig
+    world: Servo3DWorld
+
     def __init__(self, level: int = 2, *, render_mode: str | None = None, **axes: Any) -> None:
         self.config = servo3d_config(level, **axes)
         self.level = level
-        self.render_mode = check_render_mode(render_mode)
-        self.world = Servo3DWorld(self.config, 1)
-        arm = self.world.arm
-        # Gymnasium types Dict as a space of spaces and Box without its dtype.
-        self.action_space = action_space(arm.joints)  # type: ignore[assignment]
-        self.observation_space = observation_space(self.config, arm)  # type: ignore[assignment]
+        world = Servo3DWorld(self.config, 1)
         self.max_joint_rate = self.config.max_joint_rate
         self.max_joint_acceleration = self.config.max_joint_acceleration
         self.episode_steps = self.config.horizon
-        self.joint_low, self.joint_high = arm.low, arm.high
-        self._running = False
-        self._recorder, self._viewer = self._make_screen()
+        self.joint_low, self.joint_high = world.arm.low, world.arm.high
+        spaces = observation_space(self.config, world.arm), action_space(world.arm.joints)
+        super().__init__(world, *spaces, render_mode, type(self).__name__)
 
-    def _make_screen(self) -> tuple[Recorder | None, Viewer | None]:
-        """Recorder and viewer for this render mode. OpenCV and pygame are imported only if needed."""
-        if self.render_mode is None:
-            return None, None
+    def _make_recorder(self) -> Recorder:
         from servotrack.envs.servo3d.recorder import Recorder, level_caption
 
-        viewer = None
-        if self.render_mode == "human":
-            from servotrack.envs.drawing.viewer import Viewer
-
-            viewer = Viewer(type(self).__name__, METADATA["render_fps"])
-        return Recorder(self.world, caption=level_caption(self.config, self.level)), viewer
+        return Recorder(self.world, caption=level_caption(self.config, self.level))
 
     def _observe(self) -> Observation:
         return {key: value[0] for key, value in all_observations(self.world).items()}
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Start a new episode.
-
-        Args:
-            seed: Seed of this episode and, without further seeds, of all later ones.
-            options: Must be None or empty; there are no options.
-
-        Returns:
-            Observation and info.
-
-        Raises:
-            ValueError: `options` is not empty, or `seed` is negative.
-            TypeError: `seed` is not an integer.
-        """
-        check_options(options)
-        if seed is not None or self._np_random is None:
-            self._np_random, self._np_random_seed = seeding.np_random(check_seed(seed))
-        self.world.reset([0], [episode_seed(self.np_random)])
-        self._running = True
-        self._show()
-        return self._observe(), self._info()
-
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Command joint rates for one control period of 50 ms.
-
-        Args:
-            action: Joint rates as fractions of `max_joint_rate`, shape (n,).
-
-        Returns:
-            Observation, reward, terminated, truncated, info.
-
-        Raises:
-            ValueError: The action has a wrong shape or is not finite.
-            gymnasium.error.ResetNeeded: No episode is running.
-        """
-        values = check_actions(action, (self.world.arm.joints,))
-        if not self._running:
-            raise ResetNeeded("no episode is running: call reset() before the first step and after an episode's end")
-        world = self.world
-        world.step(values[None])
-        terminated, truncated = bool(world.terminated[0]), bool(world.truncated[0])
-        self._running = not (terminated or truncated)
-        self._show()
-        return self._observe(), float(world.reward[0]), terminated, truncated, self._info()
-
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """Draw the current state.
-
-        Returns:
-            With `rgb_array`, a new RGB frame, shape (540, 960, 3), uint8. With `human`, None: `reset` and `step` show
-            the frames. Without a render mode, None.
-
-        Raises:
-            gymnasium.error.ResetNeeded: Before the first reset.
-        """
-        if self._recorder is None:
-            gym.logger.warn('render() draws nothing without a render mode; try gym.make(id, render_mode="rgb_array")')
-            return None
-        if self.world.episodes[0] is None:
-            raise ResetNeeded("there is nothing to draw yet: call reset() before render()")
-        return self._recorder.frame() if self.render_mode == "rgb_array" else None
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._viewer is not None:
-            self._viewer.close()
-
-    def _show(self) -> None:
-        if self._recorder is not None:
-            self._recorder.record()
-        if self._recorder is not None and self._viewer is not None:
-            self._viewer.show(self._recorder.frame())
+    def _checked(self, action: Any) -> Array:
+        return check_actions(action, (self.world.arm.joints,))
 
     def _info(self) -> dict[str, Any]:
         info = all_infos(self.world)
@@ -281,7 +197,3 @@ class UncalibServo3DEnv(gym.Env[Observation, FloatArray]):
             **{key: bool(info[key][0]) for key in ("at_limit", "success")},
             "truth": {key: value[0].copy() for key, value in info["truth"].items()},
         }
-
-    def privileged(self) -> Observation:
-        """Entries that `PrivilegedObservation` adds: those of `Servo3DWorld.privileged`, without the leading axis."""
-        return {key: value[0] for key, value in self.world.privileged().items()}

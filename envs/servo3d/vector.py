@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from gymnasium.vector import AutoresetMode
 
+from servotrack.envs.actions import check_actions
 from servotrack.envs.arguments import check_count
 from servotrack.envs.servo3d.env import (
     METADATA,
@@ -16,7 +17,7 @@ from servotrack.envs.servo3d.env import (
     observation_space,
 )
 from servotrack.envs.servo3d.levels import servo3d_config
-from servotrack.envs.servo3d.world import Servo3DWorld, check_actions
+from servotrack.envs.servo3d.world import Servo3DWorld
 from servotrack.envs.vector_env import BatchedVectorEnv, masked_infos
 from servotrack.estimators.types import Array, Mask
 

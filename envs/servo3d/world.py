@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -195,17 +194,3 @@ class Servo3DWorld:
             f"tip error={1e3 * sample.tip_error[row]:.2f} mm, {math.degrees(sample.tip_angle[row]):.2f} deg  "
             f"feature error={sample.feature_error[row]:.1f} px  visible={sample.visible[row].astype(int)}"
         )
-
-
-def check_actions(actions: Any, shape: tuple[int, ...]) -> Array:
-    """Return actions as a float64 array, after checks.
-
-    Raises:
-        ValueError: A wrong shape, or a value that is not finite.
-    """
-    values = np.array(actions, dtype=np.float64, order="C")
-    if values.shape != shape:
-        raise ValueError(f"action must have shape {shape}, one rate for each joint, got {values.shape}")
-    if not np.isfinite(values).all():
-        raise ValueError(f"action must be finite, got {values.tolist()}; check the policy for NaN or overflow")
-    return values

@@ -466,6 +466,7 @@ def copied_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("baselines/agents/servo/jacobian_servo.py", True),
         ("baselines/agents/learned/networks/UncalibServo-v0-level3-ppo.onnx", True),
         ("baselines/evaluation/servo_scores.py", True),
+        ("baselines/evaluation/servo3d_scores.py", True),
         ("baselines/reporting/grid.py", False),
         ("baselines/leaderboard/table.py", False),
         ("baselines/papers/claims.py", False),
