@@ -1,0 +1,59 @@
+"""What results say of their origin, and the version that follows the sources which decide a row."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from servotrack.baselines.evaluation.provenance import digest_of_sources, provenance
+
+
+def test_provenance_says_with_what_where_and_how() -> None:
+    record = provenance()
+    assert {"python", "servotrack", "numpy", "gymnasium"} <= set(record["versions"])
+    assert record["machine"]["cores"] == os.cpu_count()
+    assert record["command"] and record["created"].endswith("+00:00")
+
+
+@pytest.fixture
+def copied_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the sources whose files a test may edit, read by `digest_of_sources`."""
+    import servotrack.baselines.evaluation.provenance as provenance
+
+    for room in ("envs", "estimators", "baselines"):
+        shutil.copytree(Path(str(find_spec(f"servotrack.{room}").origin)).parent, tmp_path / room)  # type: ignore[union-attr]
+    monkeypatch.setattr(
+        provenance,
+        "find_spec",
+        lambda name: SimpleNamespace(origin=str(tmp_path / name.rpartition(".")[2] / "__init__.py")),
+    )
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("source", "stale"),
+    [
+        ("estimators/jacobian/kf.py", True),
+        ("envs/servo/world.py", True),
+        ("baselines/agents/servo/jacobian_servo.py", True),
+        ("baselines/agents/learned/networks/UncalibServo-v0-level3-ppo.onnx", True),
+        ("baselines/evaluation/servo_scores.py", True),
+        ("baselines/evaluation/servo3d_scores.py", True),
+        ("baselines/reporting/grid.py", False),
+        ("baselines/leaderboard/table.py", False),
+        ("baselines/papers/claims.py", False),
+        ("baselines/track_command/run.py", False),
+        ("baselines/worlds.py", False),
+    ],
+)
+def test_the_version_follows_the_sources_that_decide_a_row(source: str, stale: bool, copied_package: Path) -> None:
+    before = digest_of_sources()
+    assert before == digest_of_sources()
+    with (copied_package / source).open("ab") as file:
+        file.write(b"\n")
+    assert (before != digest_of_sources()) == stale
