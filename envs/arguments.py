@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import difflib
 import math
+import numbers
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 import numpy as np
+
+Range = tuple[float, float]
+"""Lower and upper end of a uniform distribution."""
 
 RENDER_MODES = ("rgb_array", "human")
 
@@ -92,3 +96,23 @@ def check_fields(
             if int(value) != value:
                 raise ValueError(f"{name} must be a whole number, got {value!r}")
             object.__setattr__(config, name, int(value))
+
+
+def as_range(name: str, value: Any) -> Range:
+    """Return an argument as (low, high); a single number becomes (number, number).
+
+    Raises:
+        ValueError: Neither a finite number nor two of them in ascending order; the message has the argument's name.
+    """
+    if is_number(value):
+        return (float(value), float(value))
+    if isinstance(value, (tuple, list)) and len(value) == 2 and all(is_number(v) for v in value):
+        low, high = float(value[0]), float(value[1])
+        if low <= high:
+            return (low, high)
+    raise ValueError(f"{name} must be a number or (low, high) with low <= high, got {value!r}")
+
+
+def is_number(value: Any) -> bool:
+    """Return True for finite real numbers, NumPy's included; False for bool."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)

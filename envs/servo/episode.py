@@ -9,7 +9,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from servotrack.envs.servo.levels import Range, ServoConfig
+from servotrack.envs.arguments import Range
+from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.targets import PERIOD, START, draw_path, solvable
 from servotrack.envs.streams import Streams
 from servotrack.estimators.camera import pack_camera, project_ground, project_points

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
-from servotrack.envs.arguments import check_keywords, check_level
-
-Range = tuple[float, float]
+from servotrack.envs.arguments import Range, as_range, check_keywords, check_level, is_number
 
 TARGETS = ("paper", "paper_point", "point", "ellipse", "two_sine", "waypoints")
 NOISE_KINDS = ("gaussian", "uniform", "laplace", "quantized")
@@ -86,13 +83,13 @@ class ServoConfig:
     def __post_init__(self) -> None:
         """Check all fields; raises a ValueError with the argument, its value and the valid values."""
         for name in _RANGES:
-            object.__setattr__(self, name, self._range(name))
+            object.__setattr__(self, name, as_range(name, getattr(self, name)))
         for name, options in (("target", self.TARGETS), ("noise_kind", NOISE_KINDS)):
             if getattr(self, name) not in options:
                 raise ValueError(f"{name} must be one of {', '.join(options)}, got {getattr(self, name)!r}")
         for name, low, high in _BOUNDS:
             value = getattr(self, name)
-            if name not in _RANGES and not _is_number(value):
+            if name not in _RANGES and not is_number(value):
                 raise ValueError(f"{name} must be one number in [{low}, {high}], got {value!r}")
             if not all(low <= end <= high for end in (value if name in _RANGES else (value,))):
                 raise ValueError(f"{name} must lie in [{low}, {high}], got {value!r}")
@@ -110,17 +107,6 @@ class ServoConfig:
             raise ValueError(f"stamped must be True or False, got {self.stamped!r}")
         if not self.stamped and self.latency == (0, 0):
             raise ValueError("stamped=False with latency 0 hides nothing; give latency=(low, high) or stamped=True")
-
-    def _range(self, name: str) -> Range:
-        """Return a field as (low, high); a single number becomes (number, number)."""
-        value = getattr(self, name)
-        if _is_number(value):
-            return (float(value), float(value))
-        if isinstance(value, (tuple, list)) and len(value) == 2 and all(_is_number(v) for v in value):
-            low, high = float(value[0]), float(value[1])
-            if low <= high:
-                return (low, high)
-        raise ValueError(f"{name} must be a number or (low, high) with low <= high, got {value!r}")
 
 
 _RANGES = ("links", "focal", "depth", "distortion", "actuation_noise", "encoder_noise", "latency")
@@ -242,7 +228,3 @@ def reach_config(level: int = 3, **axes: Any) -> ServoConfig:
     """
     target = "paper_point" if level == 0 else "point"
     return servo_config(level, **({"target": target, "horizon": 100} | axes))
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)

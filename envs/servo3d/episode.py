@@ -8,7 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from servotrack.envs.servo.levels import Range
+from servotrack.envs.arguments import Range
 from servotrack.envs.servo3d.arms import SerialArm
 from servotrack.envs.servo3d.kinematics import axes_now, twist_columns
 from servotrack.envs.servo3d.layout import LayoutRules, accept_layouts

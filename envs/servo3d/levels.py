@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from servotrack.envs.arguments import check_fields
-from servotrack.envs.servo.levels import Range, rung
+from servotrack.envs.arguments import Range, as_range, check_fields
+from servotrack.envs.servo.levels import rung
 from servotrack.envs.servo3d.arms import SerialArm, arm_of
 
 CAMERAS = ("hand", "world")
@@ -109,7 +109,10 @@ class Servo3DConfig:
         for name, low, high in _RANGES:
             if name == "in_view" and self.in_view is None:
                 continue
-            object.__setattr__(self, name, _range(name, getattr(self, name), low, high))
+            ends = as_range(name, getattr(self, name))
+            if not low <= ends[0] <= ends[1] <= high:
+                raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {getattr(self, name)!r}")
+            object.__setattr__(self, name, ends)
         check_fields(self, _BOUNDS, _WHOLE)
         for name in ("latency", "encoder_age", "in_view"):
             if any(int(end) != end for end in getattr(self, name) or ()):
@@ -121,15 +124,6 @@ class Servo3DConfig:
         for name in ("singular", "stamped"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name} must be True or False, got {getattr(self, name)!r}")
-
-
-def _range(name: str, value: Any, low: float, high: float) -> Range:
-    """Return a field as (low, high); a single number becomes (number, number)."""
-    ends = tuple(value) if isinstance(value, (tuple, list)) else (value, value)
-    numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in ends)
-    if not (numbers and len(ends) == 2 and low <= ends[0] <= ends[1] <= high):
-        raise ValueError(f"{name} must be a number or (low, high) within [{low:g}, {high:g}], got {value!r}")
-    return float(ends[0]), float(ends[1])
 
 
 _RANGES: tuple[tuple[str, float, float], ...] = (

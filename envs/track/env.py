@@ -59,8 +59,8 @@ class TrackEnv(SingleEnv):
     """Tracking environment with one scene. Subclasses provide a batched world, the spaces and a recorder.
 
     The array `world.observations` holds the observations. The dictionaries returned by `world.truth()`,
-    `world.scores()` and `world.episode_scores()` are the content of `info`. `render` draws the observation that was last
-    answered, with the answer.
+    `world.scores()` and `world.episode_scores()` are the content of `info`. `render` draws the last observation and
+    the answer to it.
 
     Args:
         world: Batched world with one row.
