@@ -12,6 +12,7 @@ from servotrack.estimators.jacobian.contract import (
 )
 from servotrack.estimators.jacobian.controller import ServoController
 from servotrack.estimators.jacobian.excitation import Excitation
+from servotrack.estimators.jacobian.feature_wise import FeatureWise
 from servotrack.estimators.jacobian.full_kf import FullKalmanJacobian
 from servotrack.estimators.jacobian.informed import Geometry, InformedKalman, InformedMeasurement
 from servotrack.estimators.jacobian.kf import KalmanJacobian
@@ -37,6 +38,7 @@ __all__ = [
     "CorrentropyNoise",
     "DampedLeastSquares",
     "Excitation",
+    "FeatureWise",
     "FullKalmanJacobian",
     "Geometry",
     "HypothesisBank",

@@ -28,6 +28,9 @@ class AlignmentState(NamedTuple):
         frame_time: Instant of the newest usable frame, latency subtracted. Shape (*batch,), s.
         frame_joints: Joint angles at that instant. Shape (*batch, n), rad.
         frame_features: Features of that frame; the goal before the first usable frame. Shape (*batch, m), px.
+        waiting_time: Instants of frames that are newer than the newest reading, oldest first, -inf for none. Shape
+            (*batch, W), s; W is 0 while encoder readings have no stamps of their own.
+        waiting_features: Features of these frames. Shape (*batch, W, m), px.
     """
 
     history_time: Array
@@ -36,6 +39,19 @@ class AlignmentState(NamedTuple):
     frame_time: Array
     frame_joints: Array
     frame_features: Array
+    waiting_time: Array
+    waiting_features: Array
+
+
+class _Readings(NamedTuple):
+    """Rows of measurements, for the kernel; `stamp` is the instant of the frame, `read_at` that of the encoders."""
+
+    angles: Array
+    features: Array
+    visible: Mask
+    stamp: Array
+    read_at: Array
+    time: Array
 
 
 @dataclass(frozen=True)
@@ -44,15 +60,18 @@ class Alignment:
 
     A frame is not fresh if it is repeated, does not show the target, goes back in time, or is older than the history.
     After dropped frames the next increment spans the gap. The arm is assumed to be at rest before the first reading.
+    If encoder readings have stamps of their own (`joint_time`), a frame waits for the readings around its instant.
 
     Args:
         history: Number H of encoder readings kept, at least 2. It must cover the latency.
         latency: Age of a frame at its stamp, s, subtracted from `frame_time`. Use it for cameras that stamp frames on
             arrival.
+        revolute: True for each joint that turns, whose readings may jump by whole turns; None: all. Shape (n,).
     """
 
     history: int = 16
     latency: float = 0.0
+    revolute: tuple[bool, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.history < 2:
@@ -68,6 +87,8 @@ class Alignment:
         """
         measurement = checked(measurement)
         batch, n = measurement.joint_angles.shape[:-1], measurement.joint_angles.shape[-1]
+        self._turning(n)
+        waiting = 0 if measurement.joint_time is None else self.history
         return AlignmentState(
             history_time=np.full((*batch, self.history), -np.inf),
             history_angles=np.repeat(measurement.joint_angles[..., None, :], self.history, axis=-2).reshape(
@@ -77,6 +98,8 @@ class Alignment:
             frame_time=measurement.time.copy(),
             frame_joints=measurement.joint_angles.copy(),
             frame_features=measurement.goal.copy(),
+            waiting_time=np.full((*batch, waiting), -np.inf),
+            waiting_features=np.zeros((*batch, waiting, measurement.features.shape[-1])),
         )
 
     def step(self, state: AlignmentState, measurement: ServoMeasurement) -> tuple[AlignmentState, Increment]:
@@ -90,23 +113,40 @@ class Alignment:
         """
         measurement = checked(measurement)
         self._check_against(state, measurement)
-        batch = measurement.time.shape
+        batch, n, m = measurement.time.shape, measurement.joint_angles.shape[-1], measurement.features.shape[-1]
+        read_at = measurement.time if measurement.joint_time is None else measurement.joint_time
         rows = int(np.prod(batch, dtype=np.int64))
-        results = _align(
-            state.history_time.reshape(rows, -1),
-            state.history_angles.reshape(rows, self.history, -1),
+        waiting = state.waiting_time.shape[-1]
+        before = AlignmentState(
+            state.history_time.reshape(rows, self.history),
+            state.history_angles.reshape(rows, self.history, n),
             state.seen.reshape(rows),
             state.frame_time.reshape(rows),
-            state.frame_joints.reshape(rows, -1),
-            state.frame_features.reshape(rows, -1),
-            measurement.joint_angles.reshape(rows, -1),
-            measurement.features.reshape(rows, -1),
+            state.frame_joints.reshape(rows, n),
+            state.frame_features.reshape(rows, m),
+            state.waiting_time.reshape(rows, waiting),
+            state.waiting_features.reshape(rows, waiting, m),
+        )
+        readings = _Readings(
+            measurement.joint_angles.reshape(rows, n),
+            measurement.features.reshape(rows, m),
             measurement.visible.reshape(rows),
             measurement.frame_time.reshape(rows) - self.latency,
+            read_at.reshape(rows),
             measurement.time.reshape(rows),
         )
+        results = _align(before, readings, self._turning(n))
         shaped = [result.reshape((*batch, *result.shape[1:])) for result in results]
-        return AlignmentState(*shaped[:6]), Increment(*shaped[6:])
+        return AlignmentState(*shaped[:8]), Increment(*shaped[8:])
+
+    def _turning(self, joints: int) -> Mask:
+        """Mask of the joints that turn. Shape (n,)."""
+        turning = np.ones(joints, np.bool_) if self.revolute is None else np.asarray(self.revolute, np.bool_)
+        if turning.shape != (joints,):
+            raise ValueError(
+                f"revolute must have one entry per joint, got {turning.size} for {joints} joints; None: all turn"
+            )
+        return turning
 
     def _check_against(self, state: AlignmentState, measurement: ServoMeasurement) -> None:
         for name, value, known in (
@@ -124,21 +164,32 @@ class Alignment:
                 f"the state holds {state.history_time.shape[-1]} readings, this alignment keeps history={self.history}"
                 "; make a new state with initial(measurement)"
             )
-        check_clock(measurement.time, newest, "start a new episode with initial(measurement)")
+        if (measurement.joint_time is None) != (state.waiting_time.shape[-1] == 0):
+            given = "no joint_time" if measurement.joint_time is None else "a joint_time"
+            raise ValueError(
+                f"joint_time must be given at every step or at none, got {given}, unlike the first measurement; "
+                "make a new state with initial(measurement)"
+            )
+        if measurement.joint_time is None:
+            check_clock(measurement.time, newest, "start a new episode with initial(measurement)")
+        else:
+            late = "repeat the newest reading with its stamp, or start a new episode with initial(measurement)"
+            check_clock(measurement.joint_time, newest, late, "joint_time")
 
 
-def check_clock(time: Array, newest: Array, remedy: str) -> None:
+def check_clock(time: Array, newest: Array, remedy: str, name: str = "time") -> None:
     """Raise ValueError if a clock went backwards.
 
     Args:
         time: Present time. Any shape, s.
         newest: Time of the last measurement, -inf before the first. The same shape.
         remedy: End of the message.
+        name: Name of the field, with which the message begins.
     """
     backwards = time < newest
     if backwards.any():
         raise ValueError(
-            f"time must not go backwards, got {first_bad(time, backwards)} after {first_bad(newest, backwards)}; "
+            f"{name} must not go backwards, got {first_bad(time, backwards)} after {first_bad(newest, backwards)}; "
             f"{remedy}"
         )
 
@@ -170,18 +221,25 @@ def present_estimate(
 
 
 @njit(cache=True, nogil=True)
-def _align(  # type: ignore[no-untyped-def]
-    history_time, history_angles, seen, frame_time, frame_joints, frame_features, angles, features, visible, stamp, time
-):
+def _align(before, now, turning):  # type: ignore[no-untyped-def]
     """`Alignment.step` over rows. Returns the fields of an AlignmentState, then those of an Increment."""
-    rows, length, n = history_angles.shape
-    m = features.shape[1]
-    new_history_time = history_time.copy()
-    new_history_angles = history_angles.copy()
+    rows, length, n = before.history_angles.shape
+    m = now.features.shape[1]
+    places = before.waiting_time.shape[1]
+    seen, frame_time, frame_joints, frame_features = (
+        before.seen,
+        before.frame_time,
+        before.frame_joints,
+        before.frame_features,
+    )
+    new_history_time = before.history_time.copy()
+    new_history_angles = before.history_angles.copy()
     new_seen = seen.copy()
     new_frame_time = frame_time.copy()
     new_frame_joints = frame_joints.copy()
     new_frame_features = frame_features.copy()
+    new_waiting_time = before.waiting_time.copy()
+    new_waiting_features = before.waiting_features.copy()
     joints = np.zeros((rows, n))
     duration = np.zeros(rows)
     change = np.zeros((rows, m))
@@ -189,19 +247,33 @@ def _align(  # type: ignore[no-untyped-def]
     pending_joints = np.zeros((rows, n))
     pending_time = np.zeros(rows)
     at_frame = np.empty(n)
+    found = np.empty(m)
 
     for row in range(rows):
         times = new_history_time[row]
         readings = new_history_angles[row]
-        if time[row] > times[length - 1]:
+        if now.read_at[row] > times[length - 1]:
             for k in range(length - 1):
                 times[k] = times[k + 1]
                 readings[k] = readings[k + 1]
-        times[length - 1] = time[row]
-        readings[length - 1] = angles[row]
+        times[length - 1] = now.read_at[row]
+        for i in range(n):
+            reading = now.angles[row, i]
+            # No joint turns by half a turn between two readings: it is the encoder that has jumped.
+            jump = reading - readings[length - 2, i]
+            if turning[i] and abs(jump) > np.pi:
+                reading -= 2.0 * np.pi * np.rint(jump / (2.0 * np.pi))
+            readings[length - 1, i] = reading
 
-        instant = stamp[row]
-        if visible[row] and instant >= times[0] and (not seen[row] or instant > frame_time[row]):
+        instant = -np.inf
+        if now.visible[row] and now.stamp[row] >= times[0] and (not seen[row] or now.stamp[row] > frame_time[row]):
+            instant = now.stamp[row]
+            found[:] = now.features[row]
+        if places > 0:
+            instant = _next_frame(
+                new_waiting_time[row], new_waiting_features[row], instant, found, times[length - 1] + 1e-9
+            )
+        if instant > -np.inf:
             k = length - 1
             while times[k] > instant:
                 k -= 1
@@ -218,15 +290,18 @@ def _align(  # type: ignore[no-untyped-def]
                 for i in range(n):
                     joints[row, i] = at_frame[i] - frame_joints[row, i]
                 for i in range(m):
-                    change[row, i] = features[row, i] - frame_features[row, i]
+                    change[row, i] = found[i] - frame_features[row, i]
             new_seen[row] = True
             new_frame_time[row] = instant
             new_frame_joints[row] = at_frame
-            new_frame_features[row] = features[row]
+            new_frame_features[row] = found
         if new_seen[row]:
-            pending_time[row] = time[row] - new_frame_time[row]
+            pending_time[row] = now.time[row] - new_frame_time[row]
+            step, age = times[length - 1] - times[length - 2], now.time[row] - times[length - 1]
             for i in range(n):
-                pending_joints[row, i] = angles[row, i] - new_frame_joints[row, i]
+                pending_joints[row, i] = readings[length - 1, i] - new_frame_joints[row, i]
+                if age > 0.0 and step < np.inf:
+                    pending_joints[row, i] += age / step * (readings[length - 1, i] - readings[length - 2, i])
     return (
         new_history_time,
         new_history_angles,
@@ -234,6 +309,8 @@ def _align(  # type: ignore[no-untyped-def]
         new_frame_time,
         new_frame_joints,
         new_frame_features,
+        new_waiting_time,
+        new_waiting_features,
         joints,
         duration,
         change,
@@ -241,3 +318,26 @@ def _align(  # type: ignore[no-untyped-def]
         pending_joints,
         pending_time,
     )
+
+
+@njit(cache=True, nogil=True)
+def _next_frame(times, features, instant, found, newest):  # type: ignore[no-untyped-def]
+    """Put the frame of `instant` (-inf: none) with features `found` into the queue, and take one out.
+
+    Returns the instant of the newest frame that is not after `newest`, with its features in `found`; -inf if there is
+    none. Frames before it leave the queue, and the oldest one where the queue is full.
+    """
+    places = times.shape[0]
+    if instant > times[places - 1]:
+        for k in range(places - 1):
+            times[k] = times[k + 1]
+            features[k] = features[k + 1]
+        times[places - 1] = instant
+        features[places - 1] = found
+    taken = -np.inf
+    for k in range(places):
+        if -np.inf < times[k] <= newest:
+            taken = times[k]
+            found[:] = features[k]
+            times[k] = -np.inf
+    return taken

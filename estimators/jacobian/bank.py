@@ -56,7 +56,7 @@ def _repeated(measurement: ServoMeasurement, count: int) -> ServoMeasurement:
     """Repeat a measurement for `count` hypotheses along a new last batch axis."""
     measurement = checked(measurement)
     axis = measurement.time.ndim
-    repeated = [np.repeat(np.expand_dims(value, axis), count, axis) for value in measurement]
+    repeated = [None if value is None else np.repeat(np.expand_dims(value, axis), count, axis) for value in measurement]
     return ServoMeasurement(*repeated)  # type: ignore[arg-type]
 
 
@@ -179,7 +179,9 @@ def _chosen(estimates: Any, best: NDArray[np.intp]) -> Any:
         best: Index of the hypothesis. Shape (*batch,).
     """
 
-    def pick(values: Array) -> Array:
+    def pick(values: Array | None) -> Array | None:
+        if values is None:
+            return None
         index = best.reshape(*best.shape, *(1,) * (values.ndim - best.ndim))
         return np.take_along_axis(values, index, axis=best.ndim).squeeze(best.ndim)
 

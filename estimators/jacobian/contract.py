@@ -28,13 +28,15 @@ class ServoMeasurement(NamedTuple):
     """Readings of a robot's encoders and camera at one control instant.
 
     Attributes:
-        joint_angles: Encoder readings at `time`. Shape (*batch, n), rad.
+        joint_angles: Encoder readings at `joint_time`. Shape (*batch, n), rad; other units for joints that slide.
         features: Image features of the newest frame, captured at `frame_time`. Shape (*batch, m), px.
         goal: Desired features. Shape (*batch, m), px.
         visible: True if `features` come from a new frame that shows the target. If false, they repeat the last visible
-            ones with their old `frame_time`. Shape (*batch,), bool.
+            ones with their old `frame_time`. Shape (*batch,), or (*batch, g) for one entry per group of m / g features
+            in a row: (*batch, p) for p points in the plane, (*batch, m) for single features; bool.
         frame_time: Time stamp of the frame. Shape (*batch,), s.
         time: Present time. Shape (*batch,), s.
+        joint_time: Time stamp of the encoder readings. None: read at `time`. Shape (*batch,), s.
     """
 
     joint_angles: Array
@@ -43,6 +45,7 @@ class ServoMeasurement(NamedTuple):
     visible: Mask
     frame_time: Array
     time: Array
+    joint_time: Array | None = None
 
 
 class Increment(NamedTuple):
@@ -53,7 +56,8 @@ class Increment(NamedTuple):
         time: Time dt between the two frames. Shape (*batch,), s.
         features: Feature motion dy between the two frames. Shape (*batch, m), px.
         fresh: True if there is a new pair of frames. If false, the three fields above are zeros. Shape (*batch,), bool.
-        pending_joints: Joint motion from the newest frame to the present. Shape (*batch, n), rad.
+        pending_joints: Joint motion from the newest frame to the present. Where encoders are older than the present,
+            the joints' velocity is held. Shape (*batch, n), rad.
         pending_time: Age of the newest frame. Shape (*batch,), s.
     """
 
@@ -110,12 +114,18 @@ class LinearEstimate:
         jacobian: Total image Jacobian at present. Shape (*batch, m, n + 1), px/rad and px/s.
         log_likelihood: Log density of the newest measurement, 0 without a new frame. Shape (*batch,).
         nis: Normalized innovation squared divided by m, 0 without a new frame. Shape (*batch,).
+        covariance: Covariance of each row of `jacobian`; None from estimators without one. Shape (*batch, m, n + 1,
+            n + 1).
+        error_variance: Variance of each entry of `error`, infinite for a feature that was never seen; None from
+            estimators without one. Shape (*batch, m), px^2.
     """
 
     error: Array
     jacobian: Array
     log_likelihood: Array
     nis: Array
+    covariance: Array | None = None
+    error_variance: Array | None = None
 
     def predict_error(self, joint_motion: Array, duration: Array | float) -> Array:
         """Predict the error after a motion, to first order. Arguments as in `ServoEstimate.predict_error`."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from servotrack.estimators.jacobian.contract import ServoMeasurement
+from servotrack.estimators.types import Array, Mask
 from servotrack.estimators.validation import LIMITS, as_mask, as_numbers, check_within, first_bad
 
 CLOCK_TOLERANCE = 1e-6
-"""Rounding error by which a frame's stamp may exceed the present time, s."""
+"""Rounding error by which a stamp may exceed the present time, s."""
 
 
-def checked(measurement: ServoMeasurement) -> ServoMeasurement:
+def checked(measurement: ServoMeasurement, *, each_feature: bool = False) -> ServoMeasurement:
     """Check a measurement and convert it to float64 and bool arrays.
 
     Features of a frame that does not show the target, and its time stamp, may have any value, including NaN: they count
@@ -17,13 +20,16 @@ def checked(measurement: ServoMeasurement) -> ServoMeasurement:
 
     Args:
         measurement: Array-likes with the shapes that `ServoMeasurement` documents.
+        each_feature: True for estimators that use features one by one. `visible` is then repeated for all features, and
+            a NaN among them counts as unseen. False refuses features with entries of `visible` of their own.
 
     Returns:
-        The same values as arrays in C order.
+        The same values as arrays in C order; `joint_time` stays None. `visible` has shape (*batch,), or (*batch, m) if
+        `each_feature`.
 
     Raises:
         ValueError: A field is not numeric, shapes disagree, a value that is used is not finite or beyond its limit, or
-            a frame's stamp lies in the future. The message names the field, the value and the remedy.
+            a stamp lies in the future. The message names the field, the value and the remedy.
     """
     # Contiguous arrays, so that each kernel is compiled only once.
     joint_angles = as_numbers("joint_angles", measurement.joint_angles)
@@ -32,6 +38,7 @@ def checked(measurement: ServoMeasurement) -> ServoMeasurement:
     visible = as_mask("visible", measurement.visible)
     frame_time = as_numbers("frame_time", measurement.frame_time)
     time = as_numbers("time", measurement.time)
+    joint_time = None if measurement.joint_time is None else as_numbers("joint_time", measurement.joint_time)
 
     if joint_angles.ndim == 0:
         raise ValueError(
@@ -45,29 +52,60 @@ def checked(measurement: ServoMeasurement) -> ServoMeasurement:
             f"{joint_angles.shape} and {features.shape}"
         )
     batch = joint_angles.shape[:-1]
+    if each_feature:
+        visible = _of_each(visible, features, batch)
     wanted = {
         "features": (features, (*batch, features.shape[-1])),
         "goal": (goal, (*batch, features.shape[-1])),
-        "visible": (visible, batch),
+        "visible": (visible, (*batch, features.shape[-1]) if each_feature else batch),
         "frame_time": (frame_time, batch),
         "time": (time, batch),
     }
+    if joint_time is not None:
+        wanted["joint_time"] = (joint_time, batch)
     for name, (value, shape) in wanted.items():
         if value.shape != shape:
+            remedy = "give every field the same leading batch axes"
+            if name == "visible" and value.shape[:-1] == batch:
+                remedy = "wrap the estimator in FeatureWise, or pass visible.all(axis=-1) to use whole frames only"
             raise ValueError(
                 f"{name} must have shape {shape} beside joint_angles of shape {joint_angles.shape} and features of "
-                f"shape {features.shape}, got {value.shape}; give every field the same leading batch axes"
+                f"shape {features.shape}, got {value.shape}; {remedy}"
             )
     check_within("joint_angles", joint_angles, LIMITS.angles, "repeat the last good reading instead")
     check_within("goal", goal, LIMITS.pixels, "repeat the last goal instead")
     check_within("time", time, LIMITS.times, "pass the clock's reading")
     unseen = "set visible to false for a lost frame"
-    check_within("features", features, LIMITS.pixels, unseen, visible[..., None])
-    check_within("frame_time", frame_time, LIMITS.times, unseen, visible)
-    future = visible & (frame_time > time + CLOCK_TOLERANCE)
+    seen = visible.any(axis=-1) if each_feature else visible
+    check_within("features", features, LIMITS.pixels, unseen, visible if each_feature else visible[..., None])
+    check_within("frame_time", frame_time, LIMITS.times, unseen, seen)
+    future = seen & (frame_time > time + CLOCK_TOLERANCE)
     if future.any():
         raise ValueError(
             f"frame_time must not lie after time, got {first_bad(frame_time, future)} at time "
             f"{first_bad(time, future)}; stamp frames with the clock of the encoders"
         )
-    return ServoMeasurement(joint_angles, features, goal, visible, frame_time, time)
+    if joint_time is not None:
+        check_within("joint_time", joint_time, LIMITS.times, "pass the encoders' clock, or None for the present")
+        future = joint_time > time + CLOCK_TOLERANCE
+        if future.any():
+            raise ValueError(
+                f"joint_time must not lie after time, got {first_bad(joint_time, future)} at time "
+                f"{first_bad(time, future)}; stamp encoder readings with the clock of `time`"
+            )
+    return ServoMeasurement(joint_angles, features, goal, visible, frame_time, time, joint_time)
+
+
+def _of_each(visible: Mask, features: Array, batch: tuple[int, ...]) -> Mask:
+    """Mask of each feature, from one entry for all of them, one per group or one each; NaN counts as unseen."""
+    if visible.shape == batch:
+        visible = visible[..., None]
+    m, groups = features.shape[-1], visible.shape[-1] if visible.ndim else 0
+    if visible.shape[:-1] != batch or groups == 0 or m % groups:
+        raise ValueError(
+            f"visible must have one entry, one per feature, or one per group of features in a row, got shape "
+            f"{visible.shape} beside features of shape {features.shape}; pass {batch}, {(*batch, m)}, or "
+            f"{(*batch, 'p')} for p points of {m} / p features each"
+        )
+    repeated = np.repeat(visible, m // groups, axis=-1)
+    return repeated & ~np.isnan(features) if features.shape == repeated.shape else repeated

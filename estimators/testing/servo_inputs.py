@@ -141,7 +141,7 @@ class InformedInputs(ServoInputs):
         geometry = Geometry(camera, links, np.full(self.batch, 0.01), np.full(self.batch, 0.02))
 
         def informed(arguments: Arguments) -> Arguments:
-            return {"measurement": InformedMeasurement(**arguments["measurement"]._asdict(), geometry=geometry)}
+            return {"measurement": InformedMeasurement(*arguments["measurement"][:6], geometry)}
 
         return Sequence(informed(plain.start), tuple(informed(each) for each in plain.steps))
 

@@ -99,7 +99,7 @@ def test_rows_of_a_batch_do_not_know_of_each_other():
     batches = [b._replace(goal=np.zeros((2, 2, 3)), visible=np.ones((2, 2), bool)) for b in batches]
     state, increments = run(Alignment(), batches)
     for row in np.ndindex(2, 2):
-        single, alone = run(Alignment(), [ServoMeasurement(*(part[row] for part in b)) for b in batches])
+        single, alone = run(Alignment(), [ServoMeasurement(*(part[row] for part in b[:6])) for b in batches])
         for whole, part in zip([*state, *increments[-1]], [*single, *alone[-1]], strict=True):
             np.testing.assert_array_equal(whole[row], part)
 

@@ -54,7 +54,7 @@ class Seen:
         seen, visible = project_points(self.camera, links, joints, world.target(past))
         goal, _ = project_points(self.camera, links, joints, world._tool(joints))
         geometry = Geometry(self.camera, links, np.full(ROWS, self.latency), np.zeros(ROWS))
-        return InformedMeasurement(*plain._replace(features=seen, goal=goal, visible=visible), geometry)
+        return InformedMeasurement(*plain._replace(features=seen, goal=goal, visible=visible)[:6], geometry)
 
     def initial(self, plain):
         return self.estimator.initial(self.measurement(plain))

@@ -111,7 +111,7 @@ class _Recorder:
 
 
 def _row(measurement: ServoMeasurement, row: int) -> ServoMeasurement:
-    return ServoMeasurement(*(values[row] for values in measurement))
+    return ServoMeasurement(*(values[row] for values in measurement[:6]))
 
 
 def test_nis_is_one_on_average_when_the_model_holds():
