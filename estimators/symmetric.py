@@ -128,6 +128,24 @@ def _compose(vectors, values, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def eigenvectors(matrix, values):  # type: ignore[no-untyped-def]
+    """Decompose a symmetric matrix in compiled code.
+
+    Args:
+        matrix: Finite symmetric matrix; it stays as it is. Shape (n, n).
+        values: Filled with the eigenvalues, in no particular order. Shape (n,).
+
+    Returns:
+        Eigenvectors as rows. Shape (n, n).
+    """
+    vectors, beside = matrix.copy(), np.zeros(len(values))
+    _tridiagonalize(vectors, values, beside)
+    vectors = vectors.T.copy()
+    _diagonalize(vectors, values, beside)
+    return vectors
+
+
+@njit(cache=True, nogil=True)
 def _tridiagonalize(a, diagonal, beside):  # type: ignore[no-untyped-def]
     """Householder's reduction of a symmetric matrix, in place: A = Q T Q^T, and Q replaces A.
 

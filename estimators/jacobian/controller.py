@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 
-from servotrack.estimators.jacobian.contract import JacobianEstimator, ServoMeasurement
-from servotrack.estimators.jacobian.excitation import Excitation
+from servotrack.estimators.jacobian.adaptive import AdaptiveKalmanJacobian
+from servotrack.estimators.jacobian.cautious import Cautious
+from servotrack.estimators.jacobian.contract import JacobianEstimator, ServoEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.excitation import Excitation, Excite, ExploratoryMoves
+from servotrack.estimators.jacobian.exploration import Exploration
+from servotrack.estimators.jacobian.joint_limits import JointLimits
 from servotrack.estimators.jacobian.laws import ControlLaw, ProportionalIntegral, limiting_factor
-from servotrack.estimators.jacobian.supervisor import Supervisor, SupervisorState
+from servotrack.estimators.jacobian.progress import ProgressSupervisor
+from servotrack.estimators.jacobian.supervisor import Supervisor
 from servotrack.estimators.stateful import select_rows
-from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.types import Array
 
 
 class ControllerState(NamedTuple):
@@ -21,17 +26,15 @@ class ControllerState(NamedTuple):
     Attributes:
         estimator: State of the estimator.
         law: State of the law.
-        supervisor: State of the supervisor.
-        move: Index of the next exploratory move; exploration ends at `Excitation.steps`. Shape (*batch,), int.
-        direction: Direction of each joint in outward exploratory moves, +1 or -1. Shape (*batch, n).
+        excitation: State of the exploratory moves.
+        supervisor: State of the supervisor; None without one.
         commanded: Motion commanded at the last step. Shape (*batch, n), rad.
     """
 
     estimator: Any
     law: Any
-    supervisor: SupervisorState
-    move: Labels
-    direction: Array
+    excitation: Any
+    supervisor: Any
     commanded: Array
 
 
@@ -44,79 +47,121 @@ class ServoController:
     When the supervisor detects a wrong estimate, the controller resets the estimator's covariance (`forget(state) ->
     state`, if the estimator has it) and explores again.
 
-        controller = ServoController(KalmanJacobian())
+        controller = ServoController()
         state = controller.initial(measurement)
         while True:
             state, joint_rate = controller.step(state, measurement)
 
+    The default serves arms with any number of joints, with features that are seen one by one. An estimator that gives
+    covariances of its rows (`row_covariances`) is used with `Cautious`, `Exploration` and `ProgressSupervisor`; others
+    with `ProportionalIntegral`, `Excitation` and `Supervisor`.
+
     Args:
         estimator: Estimator of the total image Jacobian.
-        law: Control law.
-        excitation: Exploratory moves; `steps=0` disables them.
-        supervisor: Detector of a wrong estimate; None disables it.
+        law: Control law; None chooses by the estimator.
+        excitation: Exploratory moves, or None to choose by the estimator; `Excitation(steps=0)` makes none.
+        supervisor: Detector of a wrong estimate; "auto" chooses by the estimator, None disables it.
         max_joint_rate: Limit of each joint rate, rad/s. The whole vector is scaled, so that its direction stays.
+        limits: Joint limits and the limit of acceleration; None: there are none.
+        period: Control period of the parts that are chosen, s.
     """
 
-    estimator: JacobianEstimator
-    law: ControlLaw = field(default_factory=ProportionalIntegral)
-    excitation: Excitation = field(default_factory=Excitation)
-    supervisor: Supervisor | None = field(default_factory=Supervisor)
+    estimator: JacobianEstimator = field(default_factory=AdaptiveKalmanJacobian)
+    law: ControlLaw | None = None
+    excitation: ExploratoryMoves | None = None
+    supervisor: ProgressSupervisor | Supervisor | Literal["auto"] | None = "auto"
     max_joint_rate: float = 2.0
+    limits: JointLimits | None = None
+    period: float = 0.05
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.max_joint_rate < np.inf:
-            raise ValueError(f"max_joint_rate must be finite and > 0 rad/s, got {self.max_joint_rate}")
+        for name in ("max_joint_rate", "period"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                unit = "rad/s" if name == "max_joint_rate" else "s"
+                raise ValueError(f"{name} must be finite and > 0 {unit}, got {getattr(self, name)}")
+        certain = bool(getattr(self.estimator, "row_covariances", False))
+        parts = {
+            "law": Cautious(period=self.period) if certain else ProportionalIntegral(period=self.period),
+            "excitation": Exploration(period=self.period) if certain else Excitation(period=self.period),
+        }
+        for name, part in parts.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, part)
+        if self.supervisor == "auto":
+            object.__setattr__(self, "supervisor", ProgressSupervisor() if certain else Supervisor())
 
     def initial(self, measurement: ServoMeasurement) -> ControllerState:
         """State before the first `step`, to which the same measurement must be passed.
 
         Raises:
-            ValueError: As the estimator does for a bad measurement.
+            ValueError: As the estimator does for a bad measurement, or joint angles far outside the limits.
         """
+        law, excitation, supervisor = self._parts()
         estimator_state = self.estimator.initial(measurement)
-        shape = np.shape(measurement.joint_angles)
+        if self.limits is not None:
+            self.limits.check(np.asarray(measurement.joint_angles, np.float64))
         return ControllerState(
             estimator=estimator_state,
-            law=self.law.initial(measurement),
-            supervisor=(self.supervisor or Supervisor()).initial(measurement),
-            move=np.zeros(shape[:-1], dtype=np.int64),
-            direction=np.ones(shape),
-            commanded=np.zeros(shape),
+            law=law.initial(measurement),
+            excitation=excitation.initial(measurement),
+            supervisor=None if supervisor is None else supervisor.initial(measurement),
+            commanded=np.zeros(np.shape(measurement.joint_angles)),
         )
 
     def step(self, state: ControllerState, measurement: ServoMeasurement) -> tuple[ControllerState, Array]:
         """Update with one measurement and return the joint rates until the next one.
 
         Returns:
-            The new state, and joint rates within `max_joint_rate`. Shape (*batch, n), rad/s.
+            The new state, and joint rates within all limits. Shape (*batch, n), rad/s.
 
         Raises:
             ValueError: As the estimator does for a bad measurement.
         """
+        law, excitation, supervisor = self._parts()
         estimator_state, estimate = self.estimator.step(state.estimator, measurement)
-        law_state, rate = self.law.rate(state.law, estimate)
-        watch, move, direction = state.supervisor, state.move, state.direction
+        law_state, rate = law.rate(state.law, estimate)
+        watch, active = state.supervisor, excitation.active(state.excitation)
+        blocked, restart = np.zeros_like(rate), np.zeros(rate.shape[:-1], np.bool_)
 
-        if self.supervisor is not None:
-            watch, verdict = self.supervisor.step(watch, measurement, estimate, state.commanded)
-            back = (watch.last_seen_joints - np.asarray(measurement.joint_angles)) / self.law.period
+        if supervisor is not None:
+            watch, verdict = supervisor.step(watch, measurement, estimate, state.commanded, active)
+            back = (watch.last_seen_joints - np.asarray(measurement.joint_angles)) / law.period
             rate = np.where(verdict.lost[..., None], back, rate)
-            excite = verdict.excite & (move >= self.excitation.steps)
-            if excite.any():
+            restart, blocked = verdict.excite & ~active, verdict.blocked
+            if restart.any():
                 if hasattr(self.estimator, "forget"):
-                    estimator_state = select_rows(excite, self.estimator.forget(estimator_state), estimator_state)
-                law_state = select_rows(excite, self.law.initial(measurement), law_state)
-                move = np.where(excite, 0, move)
-                # A blocked joint is at its stop, so it explores in the opposite direction.
-                away = np.where(watch.blocked > 0, -np.sign(state.commanded), direction)
-                direction = np.where(excite[..., None] & (away != 0.0), away, direction)
-                watch = select_rows(excite, self.supervisor.initial(measurement), watch)
+                    estimator_state = select_rows(restart, self.estimator.forget(estimator_state), estimator_state)
+                law_state = select_rows(restart, law.initial(measurement), law_state)
+                watch = select_rows(restart, supervisor.renewed(watch, measurement), watch)
 
-        probing = move < self.excitation.steps
-        rate = np.where(probing[..., None], self.excitation.rate(move, direction), rate)
+        wish = Excite(restart, blocked, self.max_joint_rate)
+        excitation_state, exciting = excitation.step(state.excitation, measurement, estimate, wish)
+        rate = np.where(exciting.active[..., None], exciting.joint_rate, rate)
         rate = np.where(np.isfinite(rate), rate, 0.0)
         rate = limiting_factor(rate, self.max_joint_rate) * rate
-        new_state = ControllerState(
-            estimator_state, law_state, watch, np.where(probing, move + 1, move), direction, rate * self.law.period
-        )
+        if self.limits is not None:
+            rate = self._limited(rate, state, measurement, estimate)
+        new_state = ControllerState(estimator_state, law_state, excitation_state, watch, rate * law.period)
         return new_state, rate
+
+    def _limited(
+        self, rate: Array, state: ControllerState, measurement: ServoMeasurement, estimate: ServoEstimate
+    ) -> Array:
+        """Joint rates within the limits, as near to the wanted ones as the law sees it."""
+        law = self._parts()[0]
+        angles = np.asarray(measurement.joint_angles, np.float64)
+        low, high = cast(JointLimits, self.limits).bounds(
+            angles, state.commanded / law.period, self.max_joint_rate, law.period
+        )
+        beyond = ((rate < low) | (rate > high)).any(axis=-1)
+        if beyond.any() and isinstance(law, Cautious):
+            rate = law.within(rate, estimate, low, high, beyond)
+        return np.clip(rate, low, high)
+
+    def _parts(self) -> tuple[ControlLaw, ExploratoryMoves, ProgressSupervisor | Supervisor | None]:
+        """Law, exploratory moves and supervisor, which `__post_init__` has chosen where they were not given."""
+        return (
+            cast(ControlLaw, self.law),
+            cast(ExploratoryMoves, self.excitation),
+            cast("ProgressSupervisor | Supervisor | None", self.supervisor),
+        )

@@ -3,10 +3,65 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.jacobian.contract import ServoEstimate, ServoMeasurement
+from servotrack.estimators.types import Array, Labels, Mask
+
+
+class Excite(NamedTuple):
+    """Wishes of the controller for the next exploratory move.
+
+    Attributes:
+        restart: True for rows that begin to explore again. Shape (*batch,), bool.
+        blocked: Direction, +1 or -1, in which a joint is at its stop; else 0. Shape (*batch, n).
+        max_joint_rate: Limit of each joint rate, rad/s.
+    """
+
+    restart: Mask
+    blocked: Array
+    max_joint_rate: float
+
+
+class Exciting(NamedTuple):
+    """Exploratory moves of one step.
+
+    Attributes:
+        active: True for rows that explore. Shape (*batch,), bool.
+        joint_rate: Joint rates of these rows. Shape (*batch, n), rad/s.
+    """
+
+    active: Mask
+    joint_rate: Array
+
+
+class ExploratoryMoves(Protocol):
+    """Interface of `Excitation` and `Exploration`."""
+
+    def initial(self, measurement: ServoMeasurement) -> Any:
+        """Return the state before the first step, in which exploration begins."""
+
+    def active(self, state: Any) -> Mask:
+        """Rows that explore. Shape (*batch,), bool."""
+
+    def step(
+        self, state: Any, measurement: ServoMeasurement, estimate: ServoEstimate, wish: Excite
+    ) -> tuple[Any, Exciting]:
+        """Return the new state and the moves of this step."""
+
+
+class ExcitationState(NamedTuple):
+    """State of an `Excitation`.
+
+    Attributes:
+        move: Index of the next move; exploration ends at `Excitation.steps`. Shape (*batch,), int.
+        direction: Direction of each joint in outward moves, +1 or -1. Shape (*batch, n).
+    """
+
+    move: Labels
+    direction: Array
 
 
 @dataclass(frozen=True)
@@ -32,6 +87,36 @@ class Excitation:
         for name, value in (("amplitude", self.amplitude), ("period", self.period)):
             if not 0.0 < value < np.inf:
                 raise ValueError(f"{name} must be finite and > 0, got {value}")
+
+    def initial(self, measurement: ServoMeasurement) -> ExcitationState:
+        """Return the state before the first move."""
+        shape = np.shape(measurement.joint_angles)
+        return ExcitationState(np.zeros(shape[:-1], dtype=np.int64), np.ones(shape))
+
+    def active(self, state: ExcitationState) -> Mask:
+        """Rows that explore. Shape (*batch,), bool."""
+        return state.move < self.steps
+
+    def step(
+        self, state: ExcitationState, measurement: ServoMeasurement, estimate: ServoEstimate, wish: Excite
+    ) -> tuple[ExcitationState, Exciting]:
+        """Return the next move; neither measurement nor estimate are read.
+
+        Args:
+            state: State after the last step.
+            measurement: Measurement of this step.
+            estimate: Estimate of this step.
+            wish: Rows to restart, and joints at their stops, which explore away from them.
+
+        Returns:
+            The new state and the moves.
+        """
+        move = np.where(wish.restart, 0, state.move)
+        turned = wish.restart[..., None] & (wish.blocked != 0.0)
+        direction = np.where(turned, -wish.blocked, state.direction)
+        probing = move < self.steps
+        exciting = Exciting(probing, self.rate(move, direction))
+        return ExcitationState(np.where(probing, move + 1, move), direction), exciting
 
     def rate(self, move: Labels, direction: Array) -> Array:
         """Compute the joint rates of one move.

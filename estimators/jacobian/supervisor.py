@@ -40,10 +40,12 @@ class Verdict(NamedTuple):
     Attributes:
         excite: True if the estimate is wrong and needs exploratory moves. Shape (*batch,), bool.
         lost: True if the target has been out of view too long for a valid prediction. Shape (*batch,), bool.
+        blocked: Direction, +1 or -1, in which a joint was commanded and did not follow; else 0. Shape (*batch, n).
     """
 
     excite: Mask
     lost: Mask
+    blocked: Array
 
 
 @dataclass(frozen=True)
@@ -105,8 +107,17 @@ class Supervisor:
             last_seen_joints=joint_angles.copy(),
         )
 
+    def renewed(self, state: SupervisorState, measurement: ServoMeasurement) -> SupervisorState:
+        """Return the state with which a new exploration begins: that of a new run."""
+        return self.initial(measurement)
+
     def step(
-        self, state: SupervisorState, measurement: ServoMeasurement, estimate: ServoEstimate, commanded: Array
+        self,
+        state: SupervisorState,
+        measurement: ServoMeasurement,
+        estimate: ServoEstimate,
+        commanded: Array,
+        exploring: Mask | None = None,
     ) -> tuple[SupervisorState, Verdict]:
         """Judge one step.
 
@@ -115,6 +126,7 @@ class Supervisor:
             measurement: Measurement of this step.
             estimate: Estimate of this step.
             commanded: Joint motion commanded at the last step. Shape (*batch, n), rad.
+            exploring: Rows that explore; not read.
 
         Returns:
             The new state and the verdict.
@@ -152,7 +164,8 @@ class Supervisor:
             unseen=unseen,
             last_seen_joints=np.where(visible[..., None], joint_angles, state.last_seen_joints),
         )
-        return new_state, Verdict(visible & (symptoms >= self.symptom_limit), unseen >= self.unseen_limit)
+        away = np.where(blocked > 0, np.sign(commanded), 0.0)
+        return new_state, Verdict(visible & (symptoms >= self.symptom_limit), unseen >= self.unseen_limit, away)
 
     def _ill_conditioned(self, estimate: ServoEstimate) -> Mask:
         values = np.linalg.svd(finite_or_zero(estimate.jacobian[..., :-1]), compute_uv=False)

@@ -195,11 +195,12 @@ def test_a_joint_at_its_stop_is_noticed():
     estimator = KalmanJacobian(prior=firm, walk=RandomWalk(0.01, 0.01))
     probing = ServoController(estimator, excitation=Excitation(steps=4))
     measurement = world.reset()
-    state = probing.initial(measurement)._replace(move=np.array([4]))
+    state = probing.initial(measurement)
+    state = state._replace(excitation=state.excitation._replace(move=np.array([4])))
     moved_away = False
     for _ in range(40):
         state, rate = probing.step(state, measurement)
-        if state.move[0] == 1:
+        if state.excitation.move[0] == 1:
             moved_away = bool(rate[0, 0] > 0)
             break
         measurement = world.step(rate)
@@ -215,7 +216,7 @@ def test_a_good_loop_is_left_alone():
     for _ in range(260):
         state, rate = controller.step(state, measurement)
         measurement = world.step(rate)
-        moves.append(state.move.copy())
+        moves.append(state.excitation.move.copy())
     assert (np.array(moves)[6:] == 6).all()
 
 

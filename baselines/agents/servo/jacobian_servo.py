@@ -23,6 +23,7 @@ class PrivilegedMeasurement(NamedTuple):
         joint_angles, features, goal, visible, frame_time, time: See `ServoMeasurement`.
         geometry: True camera, links and latency.
         true_jacobian: Analytic total Jacobian of the present. Shape (*batch, m, n + 1), px/rad and px/s.
+        joint_time: See `ServoMeasurement`.
     """
 
     joint_angles: Array
@@ -33,6 +34,7 @@ class PrivilegedMeasurement(NamedTuple):
     time: Array
     geometry: Geometry
     true_jacobian: Array
+    joint_time: Array | None = None
 
 
 def servo_measurement(observation: Mapping[str, Any]) -> ServoMeasurement | PrivilegedMeasurement:

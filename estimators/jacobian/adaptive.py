@@ -1,0 +1,371 @@
+"""Kalman filter of the total image Jacobian whose noise follows from what the arm does and what the camera shows.
+
+The Jacobian of an arm changes because the arm moves, by about its own size within a radian. So process noise grows with
+the motion instead of with time, in proportion to the Jacobian's own size, and an increment is trusted the less the
+farther the arm moved in it. The noise of the features is measured while the arm rests. What is left to say are units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from servotrack.estimators.compilation import njit
+from servotrack.estimators.definite import is_definite, repair
+from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
+from servotrack.estimators.jacobian.contract import Increment, LinearEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.feature_wise import each_feature
+from servotrack.estimators.types import Array
+
+
+class AdaptiveState(NamedTuple):
+    """State of an `AdaptiveKalmanJacobian`.
+
+    Attributes:
+        alignment: Encoder history and newest frame of each feature, with batch axes (*batch, m).
+        jacobian: Mean of the total image Jacobian. Shape (*batch, m, n + 1).
+        covariance: Covariance of each of its rows. Shape (*batch, m, n + 1, n + 1).
+        resting_change: Change of each feature in its last increment, if the arm rested in it. Shape (*batch, m).
+        resting_time: Duration of that increment, 0 if the arm moved. Shape (*batch, m), s.
+        gathered: Motion of joints and time since the increment used last. Shape (*batch, m, n + 1).
+        gathered_change: Change of each feature since then. Shape (*batch, m).
+        squares: Sum of the squared noise of features at rest, in units of `feature_noise`. Shape (*batch,).
+        count: Number of terms in `squares`. Shape (*batch,).
+    """
+
+    alignment: AlignmentState
+    jacobian: Array
+    covariance: Array
+    resting_change: Array
+    resting_time: Array
+    gathered: Array
+    gathered_change: Array
+    squares: Array
+    count: Array
+
+
+@dataclass(frozen=True)
+class AdaptiveKalmanJacobian:
+    """Kalman filter of each row of the total image Jacobian (Zhang 2011, eq. 9), for arms with any number of joints.
+
+    Features are seen one by one (`ServoMeasurement.visible` with one entry per feature or point). Numbers may be given
+    once or for every feature or joint, so that features and joints may have different units.
+
+    Args:
+        feature_range: Change of a feature that one unit of a joint can cause, for rotations about the width of the
+            image. It sets the prior and must not be far too small. A number, or shape (m,), px.
+        feature_noise: Standard deviation of a feature before it has been measured. A number, or shape (m,), px.
+        joint_unit: Motion that changes the Jacobian by about its own size: 1 rad for a joint that turns, about the
+            distance of the target for one that slides. A number, or shape (n,).
+        joint_noise: Standard deviation of encoder readings, in joint units. Changes below twice that are rest. Larger
+            values trust small moves less.
+        least_motion: Motion after which an increment is used, in joint units; shorter ones are joined. Larger values
+            average less, and protect an arm at its goal from learning noise and the play of its gears.
+        longest_increment: Time after which an increment is used even so, s. Larger values see a target's motion later.
+        change: Share of its size by which the Jacobian changes within a joint unit. Larger values follow faster and
+            average fewer increments.
+        memory: Motion over which such changes keep their direction, in joint units. Larger values add uncertainty.
+        curvature: Error of the linear model in an increment, as a share of the Jacobian's size times the squared
+            motion. Larger values trust large moves less.
+        target_speed: Standard deviation of the features' own velocity before it is known, in feature ranges per s.
+        target_change: Standard deviation of its change within a second while the target seems to rest, in feature
+            ranges per s. Larger values notice sooner that it moves, and mistake the arm's motion for the target's.
+        target_turn: Standard deviation of its change within a second, as a share of the velocity that has been found.
+            Larger values follow targets that turn, and average less.
+        alignment: Pairing of joints and features by time stamps.
+    """
+
+    feature_range: float | tuple[float, ...] = 1000.0
+    feature_noise: float | tuple[float, ...] = 0.5
+    joint_unit: float | tuple[float, ...] = 1.0
+    joint_noise: float = 0.0005
+    least_motion: float = 0.01
+    longest_increment: float = 0.5
+    change: float = 0.2
+    memory: float = 0.2
+    curvature: float = 1.0
+    target_speed: float = 0.2
+    target_change: float = 0.0005
+    target_turn: float = 1.0
+    alignment: Alignment = field(default_factory=Alignment)
+
+    row_covariances: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        for name in ("feature_range", "feature_noise", "joint_unit"):
+            value = np.asarray(getattr(self, name), np.float64)
+            if value.ndim > 1 or not ((value > 0.0) & (value < np.inf)).all():
+                raise ValueError(f"{name} must be a finite number > 0, or a row of them, got {getattr(self, name)}")
+        for name in (
+            "joint_noise",
+            "least_motion",
+            "longest_increment",
+            "change",
+            "memory",
+            "curvature",
+            "target_speed",
+            "target_change",
+            "target_turn",
+        ):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must be finite and >= 0, got {getattr(self, name)}")
+
+    def initial(self, measurement: ServoMeasurement) -> AdaptiveState:
+        """State before the first increment. Raises ValueError as `checked` does, or if units do not fit n and m."""
+        single = each_feature(measurement)
+        *batch, m, n = single.joint_angles.shape
+        units = self._units(m, n)
+        mean = np.zeros((*batch, m, n + 1))
+        return AdaptiveState(
+            alignment=self.alignment.initial(single),
+            jacobian=mean,
+            covariance=np.tile(self._prior(units), (*batch, 1, 1, 1)),
+            resting_change=np.zeros((*batch, m)),
+            resting_time=np.zeros((*batch, m)),
+            gathered=np.zeros((*batch, m, n + 1)),
+            gathered_change=np.zeros((*batch, m)),
+            squares=np.zeros(batch),
+            count=np.zeros(batch),
+        )
+
+    def step(self, state: AdaptiveState, measurement: ServoMeasurement) -> tuple[AdaptiveState, LinearEstimate]:
+        """Update with one measurement. Raises ValueError as `Alignment.step` does."""
+        single = each_feature(measurement)
+        alignment, increment = self.alignment.step(state.alignment, single)
+        *batch, m, n = single.joint_angles.shape
+        units = self._units(m, n)
+        rows = int(np.prod(batch, dtype=np.int64))
+        offset = alignment.frame_features[..., 0] - single.goal[..., 0]
+        flat = _flat_rows((state, increment, offset, alignment.seen), rows, len(batch))
+        results = _step(*flat, units, self._noise())
+        shaped = [result.reshape((*batch, *result.shape[1:])) for result in results]
+        return AdaptiveState(alignment, *shaped[:8]), LinearEstimate(*shaped[8:])
+
+    def forget(self, state: AdaptiveState) -> AdaptiveState:
+        """Keep the mean and reset the covariances to the prior's."""
+        *batch, m, d = state.jacobian.shape
+        return state._replace(covariance=np.tile(self._prior(self._units(m, d - 1)), (*batch, 1, 1, 1)))
+
+    def _units(self, features: int, joints: int) -> _Units:
+        return _Units(
+            self._each("feature_range", features, "feature"),
+            self._each("feature_noise", features, "feature"),
+            self._each("joint_unit", joints, "joint"),
+        )
+
+    def _each(self, name: str, count: int, of: str) -> Array:
+        value = np.asarray(getattr(self, name), np.float64)
+        if value.ndim and value.shape != (count,):
+            raise ValueError(f"{name} must be one number or one per {of}, got {value.size} for {count} {of}s")
+        return np.full(count, value) if value.ndim == 0 else np.ascontiguousarray(value)
+
+    def _prior(self, units: _Units) -> Array:
+        """Covariance of each row before the first increment. Shape (m, n + 1, n + 1)."""
+        deviations = units.range[:, None] * np.append(1.0 / units.joint, self.target_speed)
+        return deviations[:, :, None] ** 2 * np.eye(deviations.shape[1])
+
+    def _noise(self) -> _Noise:
+        return _Noise(
+            self.joint_noise**2,
+            self.least_motion,
+            self.longest_increment,
+            self.change**2 * self.memory,
+            self.curvature**2,
+            self.target_change**2,
+            self.target_turn**2,
+        )
+
+
+class _Units(NamedTuple):
+    """Ranges and noise of features, and units of joints. Shapes (m,), (m,) and (n,)."""
+
+    range: Array
+    noise: Array
+    joint: Array
+
+
+class _Noise(NamedTuple):
+    """Variances and limits, in feature ranges and joint units.
+
+    Attributes:
+        reading: Variance of an encoder reading.
+        least_motion: Motion after which an increment is used.
+        longest: Time after which an increment is used, s.
+        change: Variance of an entry of J per motion.
+        curvature: Variance of an increment per fourth power of the motion.
+        drift: Variance of the features' own velocity per second, at rest.
+        turn: The same as a share of its square, if it is known.
+    """
+
+    reading: float
+    least_motion: float
+    longest: float
+    change: float
+    curvature: float
+    drift: float
+    turn: float
+
+
+class _Rows(NamedTuple):
+    """State of rows, without the alignment."""
+
+    jacobian: Array
+    covariance: Array
+    resting_change: Array
+    resting_time: Array
+    gathered: Array
+    gathered_change: Array
+    squares: Array
+    count: Array
+
+
+def _flat_rows(
+    parts: tuple[AdaptiveState, Increment, Array, Array], rows: int, axes: int
+) -> tuple[_Rows, Increment, Array, Array]:
+    """Merge the batch axes of the state and an increment to one."""
+
+    def flat(values: Array) -> Array:
+        return values.reshape((rows, *values.shape[axes:]))
+
+    state, increment, offset, seen = parts
+    return _Rows(*map(flat, state[1:])), Increment(*map(flat, increment)), flat(offset), flat(seen)
+
+
+@njit(cache=True, nogil=True)
+def _step(before, increment, offset, seen, units, noise):  # type: ignore[no-untyped-def]
+    """`AdaptiveKalmanJacobian.step` over rows.
+
+    Returns the fields of the state behind the alignment, then those of a `LinearEstimate`.
+    """
+    rows, m, d = before.jacobian.shape
+    n = d - 1
+    jacobian, covariance = before.jacobian.copy(), before.covariance.copy()
+    resting_change, resting_time = before.resting_change.copy(), before.resting_time.copy()
+    gathered, gathered_change = before.gathered.copy(), before.gathered_change.copy()
+    squares, count = before.squares.copy(), before.count.copy()
+    error, variance = np.zeros((rows, m)), np.full((rows, m), np.inf)
+    log_likelihood, nis = np.zeros(rows), np.zeros(rows)
+    direction = np.empty(d)
+    for row in range(rows):
+        for i in range(m):
+            if not increment.fresh[row, i]:
+                continue
+            duration, change = increment.time[row, i], increment.features[row, i, 0]
+            moved = 0.0
+            for j in range(n):
+                moved = max(moved, abs(increment.joints[row, i, j]) / units.joint[j])
+            if moved * moved > 4.0 * noise.reading:
+                resting_time[row, i] = 0.0
+                continue
+            if resting_time[row, i] > 0.0:
+                # The second difference knows nothing of a target in uniform motion.
+                ratio = duration / resting_time[row, i]
+                second = change - ratio * resting_change[row, i]
+                spread = units.noise[i] ** 2 * (1.0 + (1.0 + ratio) ** 2 + ratio**2)
+                squares[row] += second * second / spread
+                count[row] += 1.0
+            resting_change[row, i], resting_time[row, i] = change, duration
+        # One term is the number before it was measured.
+        level = (1.0 + squares[row]) / (1.0 + count[row])
+
+        size = 0.0
+        for i in range(m):
+            for j in range(n):
+                size += (jacobian[row, i, j] * units.joint[j] / units.range[i]) ** 2
+        size /= m * n
+        # At less than ten deviations, errors of the model look like a target that moves.
+        speed, doubt = 0.0, 0.0
+        for i in range(m):
+            speed += (jacobian[row, i, n] / units.range[i]) ** 2 / m
+            doubt += covariance[row, i, n, n] / units.range[i] ** 2 / m
+        turn = noise.turn * speed * speed / (speed + 100.0 * doubt) if speed > 0.0 else 0.0
+
+        used = 0
+        for i in range(m):
+            sensor = units.noise[i] ** 2 * level
+            if increment.fresh[row, i]:
+                for j in range(n):
+                    gathered[row, i, j] += increment.joints[row, i, j]
+                gathered[row, i, n] += increment.time[row, i]
+                gathered_change[row, i] += increment.features[row, i, 0]
+                far, squared = 0.0, 0.0
+                for j in range(n):
+                    part = gathered[row, i, j] / units.joint[j]
+                    far += abs(part)
+                    squared += part * part
+                if far >= noise.least_motion or gathered[row, i, n] >= noise.longest:
+                    scale = size * units.range[i] ** 2
+                    for j in range(n):
+                        covariance[row, i, j, j] += noise.change * far * scale / units.joint[j] ** 2
+                    covariance[row, i, n, n] += (noise.drift + turn) * units.range[i] ** 2 * gathered[row, i, n]
+                    total = 2.0 * sensor + scale * (2.0 * n * noise.reading + noise.curvature * squared * squared)
+                    innovation, total = _update(
+                        jacobian[row, i], covariance[row, i], gathered[row, i], gathered_change[row, i], total
+                    )
+                    gathered[row, i] = 0.0
+                    gathered_change[row, i] = 0.0
+                    used += 1
+                    nis[row] += innovation * innovation / total
+                    log_likelihood[row] -= 0.5 * (innovation * innovation / total + np.log(2.0 * np.pi * total))
+            if seen[row, i]:
+                for j in range(n):
+                    direction[j] = increment.pending_joints[row, i, j]
+                direction[n] = increment.pending_time[row, i]
+                error[row, i] = offset[row, i]
+                variance[row, i] = sensor
+                for j in range(d):
+                    error[row, i] += jacobian[row, i, j] * direction[j]
+                    for k in range(d):
+                        variance[row, i] += direction[j] * covariance[row, i, j, k] * direction[k]
+        nis[row] /= max(used, 1)
+    return (
+        jacobian,
+        covariance,
+        resting_change,
+        resting_time,
+        gathered,
+        gathered_change,
+        squares,
+        count,
+        error,
+        jacobian,
+        log_likelihood,
+        nis,
+        covariance,
+        variance,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _update(mean, covariance, direction, measured, variance):  # type: ignore[no-untyped-def]
+    """Update one row with z = mean . h + noise, in Joseph form. Returns the innovation and its variance."""
+    d = len(mean)
+    spread, gain = np.empty(d), np.empty(d)
+    half, factor, before = np.empty((d, d)), np.empty((d, d)), np.empty(d)
+    innovation, total = measured, variance
+    for i in range(d):
+        spread[i] = 0.0
+        for j in range(d):
+            spread[i] += covariance[i, j] * direction[j]
+        total += direction[i] * spread[i]
+        innovation -= mean[i] * direction[i]
+        before[i] = covariance[i, i]
+    for i in range(d):
+        gain[i] = spread[i] / total
+        mean[i] += gain[i] * innovation
+    for i in range(d):
+        for j in range(d):
+            half[i, j] = covariance[i, j] - gain[i] * spread[j]
+    for i in range(d):
+        projected = 0.0
+        for j in range(d):
+            projected += half[i, j] * direction[j]
+        for j in range(i + 1):
+            value = half[i, j] - projected * gain[j] + variance * gain[i] * gain[j]
+            covariance[i, j] = value
+            covariance[j, i] = value
+    if not is_definite(covariance, 0.0, factor):
+        repair(covariance, before, factor)
+    return innovation, total
