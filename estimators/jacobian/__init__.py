@@ -3,6 +3,7 @@
 from servotrack.estimators.jacobian.alignment import Alignment
 from servotrack.estimators.jacobian.bank import HypothesisBank, Latencies, Mountings
 from servotrack.estimators.jacobian.broyden import BroydenJacobian
+from servotrack.estimators.jacobian.chain import ChainEstimate, ChainJacobian
 from servotrack.estimators.jacobian.contract import (
     Increment,
     JacobianEstimator,
@@ -35,6 +36,8 @@ from servotrack.estimators.jacobian.ukf import UnscentedJacobian
 __all__ = [
     "Alignment",
     "BroydenJacobian",
+    "ChainEstimate",
+    "ChainJacobian",
     "CorrentropyNoise",
     "DampedLeastSquares",
     "Excitation",

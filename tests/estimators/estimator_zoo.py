@@ -40,6 +40,12 @@ class Kind(NamedTuple):
     skip: tuple[str, ...] = ()
 
 
+class UnseenInputs(ServoInputs):
+    """Measurements of estimators whose `error_variance` is infinite for features that were never seen."""
+
+    may_be_infinite = ServoInputs.may_be_infinite | {"error_variance"}
+
+
 def _servo(estimator: Any) -> Kind:
     return Kind(estimator, lambda rows: ServoInputs(batch=(rows,)))
 
@@ -95,6 +101,7 @@ ZOO: dict[str, Kind] = {
     "lifted": _servo(jacobian.LiftedKalman()),
     "lifted-swinging": _servo(jacobian.LiftedKalman(models=SWINGING_MODELS)),
     "latency-bank": _servo(jacobian.HypothesisBank(jacobian.KalmanJacobian(), jacobian.Latencies())),
+    "chain": Kind(jacobian.ChainJacobian(keyframes=8), lambda rows: UnseenInputs(joints=3, features=4, batch=(rows,))),
     "informed": Kind(jacobian.InformedKalman(), lambda rows: InformedInputs(batch=(rows,))),
     "controller-pi": _servo(jacobian.ServoController(jacobian.KalmanJacobian())),
     "controller-exact": _servo(jacobian.ServoController(jacobian.LiftedKalman(), jacobian.OneStepExact())),
