@@ -47,8 +47,8 @@ class ChainSettings(NamedTuple):
         least_pivot: Least pivot of a factorization, relative to the diagonal.
         least_gain: Expected decrease of the cost, a log likelihood, below which a fit is complete.
         small_gain: Decrease of the cost after which further iterations wait for the next frame.
-        decided: Difference of the costs of both orders above which the worse one has lost.
-        trial: Number of fits after which a worse chain has lost.
+        first_trial: Number of frames in which both orders are fitted side by side.
+        trial: Number of frames after which a worse chain has lost.
         rarely: Number of frames between two fits of the worse chain, once it has lost often.
         failed: Ratio of the mean squared errors of chain and linear filter that counts as a failure.
         outlier: Square of a residual, relative to the variance, that counts at most in the estimate of the noise.
@@ -82,7 +82,7 @@ class ChainSettings(NamedTuple):
     least_pivot: float = 1e-14
     least_gain: float = 1e-8
     small_gain: float = 0.1
-    decided: float = 30.0
+    first_trial: float = 20.0
     trial: float = 10.0
     rarely: float = 8.0
     failed: float = 4.0
@@ -706,8 +706,8 @@ def _challenge(memory, settings, row):  # type: ignore[no-untyped-def]
         return
     challenge, best = memory.challenge[row], _best(memory, row)
     challenge[1] += 1.0
-    gap = memory.cost[row, 1 - best] - memory.cost[row, best]
-    if challenge[1] < settings.trial or (challenge[0] == 0.0 and gap < settings.decided):
+    # At first both orders gather frames.
+    if challenge[1] < (settings.first_trial if challenge[0] == 0.0 else settings.trial):
         return
     joints, points = memory.origin.shape[1], memory.known.shape[1]
     kind = int(challenge[0]) % (joints + 3)
@@ -728,7 +728,7 @@ def _challenge(memory, settings, row):  # type: ignore[no-untyped-def]
     elif kind > 2:
         parameters[6 * (kind - 3) : 6 * (kind - 2)] = 0.0
     memory.damping[row, 1 - best] = settings.first_damping
-    memory.cost[row, 1 - best] = memory.cost[row, best] + settings.decided
+    memory.cost[row, 1 - best] = np.inf
     challenge[0] += 1.0
     challenge[1] = 0.0
 
