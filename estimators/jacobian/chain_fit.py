@@ -83,7 +83,7 @@ class ChainSettings(NamedTuple):
     least_gain: float = 1e-8
     small_gain: float = 0.1
     first_trial: float = 20.0
-    trial: float = 10.0
+    trial: float = 12.0
     rarely: float = 8.0
     failed: float = 4.0
     outlier: float = 9.0
@@ -525,7 +525,7 @@ def _noise_of(parameters, reverse, store, scatter, noise, settings):  # type: ig
 
 @njit(cache=True, nogil=True)
 def _improve(  # type: ignore[no-untyped-def]
-    parameters, reverse, store, frame, prior, settings, normal, slope, cost, damping
+    parameters, reverse, store, frame, prior, settings, normal, slope, cost, damping, iterations
 ):
     """Levenberg-Marquardt steps on the parameters, in place; return the new cost and damping.
 
@@ -540,12 +540,13 @@ def _improve(  # type: ignore[no-untyped-def]
         slope: Gradient of the cost. Shape (N,).
         cost: Cost at the parameters.
         damping: Damping, relative to the diagonal of the normal equations.
+        iterations: Largest number of steps.
     """
     excited, noise = prior
     size = parameters.shape[0]
     factor, step, trial = np.empty((size, size)), np.empty(size), np.empty(size)
     nothing, empty = np.zeros((0, 0)), np.zeros(0)
-    for iteration in range(settings.iterations):
+    for iteration in range(iterations):
         lower = np.inf
         if _factored(normal, damping, settings.least_pivot, factor):
             _descent(factor, slope, step)
@@ -567,7 +568,7 @@ def _improve(  # type: ignore[no-untyped-def]
         damping = max(0.2 * damping, settings.least_damping)
         if gained < settings.small_gain:
             break
-        if iteration + 1 < settings.iterations:
+        if iteration + 1 < iterations:
             normal[:] = 0.0
             slope[:] = 0.0
             _prior_cost(parameters, excited, settings, normal, slope)
@@ -636,6 +637,7 @@ def _update_row(memory, frame, settings, output, row):  # type: ignore[no-untype
             slope,
             cost,
             memory.damping[row, h],
+            settings.iterations if h == before or memory.challenge[row, 0] == 0.0 else 1,
         )
     if idle:
         memory.cost[row, 1 - before] = memory.cost[row, before] + gap
