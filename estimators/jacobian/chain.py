@@ -36,7 +36,7 @@ from servotrack.estimators.jacobian.chain_fit import (
     ChainSettings,
     update_chains,
 )
-from servotrack.estimators.jacobian.chain_kernel import chain_feature_rows
+from servotrack.estimators.jacobian.chain_kernel import chain_feature_rows, chain_goal_rows
 from servotrack.estimators.jacobian.contract import Increment, JacobianEstimator, LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.feature_wise import FeatureWise
 from servotrack.estimators.jacobian.kf import KalmanJacobian
@@ -104,6 +104,38 @@ class ChainEstimate(LinearEstimate):
         before = chain_feature_rows(self.parameters, self.angles, self.reverse, self.focal, points)
         after = chain_feature_rows(self.parameters, self.angles + motion, self.reverse, self.focal, points)
         return np.where(self.chained, self.error + (after - before), linear)
+
+    def motion_to_goal(self, low: Array | None = None, high: Array | None = None) -> tuple[Array, Array]:
+        """Find the joint motion that brings all features of the chain to their goal.
+
+        The search follows images between the present one and the goal's, turned and scaled about their center, so that
+        it also finds goals half a turn away, at which the steps of a law in the image end in a retreat of the camera.
+
+        Args:
+            low: Least motion of each joint, such as lower limits minus present angles; None: unbounded. Shape
+                (*batch, n), rad.
+            high: Largest motion of each joint. Shape (*batch, n), rad.
+
+        Returns:
+            The motion, shape (*batch, n), rad, and the root mean square of the errors that it leaves, shape (*batch,),
+            px: large where no posture within the bounds shows the goal, infinite where no feature follows the chain.
+        """
+        *batch, n = self.angles.shape
+        m, rows = self.error.shape[-1], self.reverse.size
+        ends = []
+        for value, default in ((low, -np.inf), (high, np.inf)):
+            bound = np.full(n, default) if value is None else np.asarray(value, np.float64)
+            ends.append(np.ascontiguousarray(np.broadcast_to(bound, self.angles.shape)).reshape(rows, n))
+        now = chain_feature_rows(self.parameters, self.angles, self.reverse, self.focal, m // 2)
+        chains = self.parameters.reshape(rows, -1), self.angles.reshape(rows, n), self.reverse.reshape(rows)
+        motions, left = chain_goal_rows(
+            (*chains, self.focal.reshape(rows)),
+            (now - self.error).reshape(rows, m),
+            self.chained.reshape(rows, m),
+            (ends[0], ends[1]),
+        )
+        left = np.where(self.chained.reshape(rows, m).any(axis=-1), left, np.inf)
+        return motions.reshape(*batch, n), left.reshape(self.reverse.shape)
 
 
 @dataclass(frozen=True)
