@@ -15,7 +15,7 @@ from mujoco_arm import mujoco  # imported there, after the choice of how to rend
 from so101_simulation import HEIGHT, PERIOD, WIDTH, Array, Image, SimulatedSO101
 
 from servotrack.baselines.reporting.film import write_film
-from servotrack.envs.drawing.glyphs import put_text
+from servotrack.envs.drawing.glyphs import put_text, text_width
 from servotrack.envs.drawing.palette import (
     FLOOR,
     INK,
@@ -90,9 +90,13 @@ class Painter:
         picture[:] = PAPER
         _SCENE.of(picture)[:] = self._outside(step.reading.time)
         scene = _SCENE.of(picture)
-        put_text(scene, "so-101 in mujoco: simulated", 16, 26, INK, height=10, weight=1.3)
-        put_text(scene, f"eye {'in' if self._robot.camera == 'hand' else 'to'} hand", 16, 46, SOFT_INK, height=9)
-        put_text(scene, f"{step.reading.time:.1f} s", scene.shape[1] - 16, 26, INK, height=10, align="right")
+        put_text(scene, "so-101 in mujoco: simulated", 18, 36, INK, height=15, weight=1.8)
+        put_text(
+            scene, f"eye {'in' if self._robot.camera == 'hand' else 'to'} hand", 18, 62, SOFT_INK, height=13, weight=1.6
+        )
+        put_text(
+            scene, f"{step.reading.time:.1f} s", scene.shape[1] - 18, 36, INK, height=15, weight=1.8, align="right"
+        )
         self._draw_camera(_CAMERA.of(picture), step)
         self._draw_error(_ERROR.of(picture), step)
         return picture
@@ -133,11 +137,11 @@ class Painter:
         _tag(panel, "camera", INK)
         hidden = int((~step.seen).sum())
         if hidden:
-            put_text(panel, f"{hidden} corners not seen", panel.shape[1] - 14, 24, VERMILION, height=9, align="right")
+            _tag(panel, f"{hidden} corners not seen", VERMILION, right=True)
 
     def _draw_error(self, panel: Image, step: Step) -> None:
         panel[:] = mix(PAPER, FLOOR, 0.5)
-        left, right, top, bottom = 56, panel.shape[1] - 20, 54, panel.shape[0] - 36
+        left, right, top, bottom = 68, panel.shape[1] - 24, 64, panel.shape[0] - 40
         low, high = _DECADES
 
         def row(error: Array | float) -> Array:
@@ -149,15 +153,15 @@ class Painter:
         for decade in range(low, high + 1):
             at = round(float(row(10.0**decade)))
             panel[at, left:right] = mix(PAPER, INK, 0.13)
-            put_text(panel, f"{10.0**decade:g}", left - 10, at + 4, SOFT_INK, height=8, align="right")
+            put_text(panel, f"{10.0**decade:g}", left - 10, at + 5, SOFT_INK, height=11, weight=1.4, align="right")
         for second in range(0, math.floor(self._seconds) + 1, 2):
-            put_text(panel, f"{second}", float(column(second)), bottom + 20, SOFT_INK, height=8, align="center")
+            put_text(panel, f"{second}", float(column(second)), bottom + 24, SOFT_INK, 11.0, 1.4, align="center")
         at = round(float(row(self._on_target)))
         panel[at, left:right:3] = TEAL
-        put_text(panel, "mean corner error px", 16, 28, INK, height=9)
+        put_text(panel, "mean corner error px", 18, 34, INK, height=13, weight=1.6)
         if not math.isnan(step.error):
             color: Color = TEAL if step.error < self._on_target else VERMILION
-            put_text(panel, f"{step.error:.1f}", panel.shape[1] - 20, 28, color, height=11, weight=1.4, align="right")
+            put_text(panel, f"{step.error:.1f}", panel.shape[1] - 24, 36, color, height=17, weight=2.2, align="right")
         curve = np.array([point for point in self._errors if not math.isnan(point[1]) and point[0] >= 0.0])
         if len(curve) > 1:
             large = cv2.resize(panel, None, fx=_SCALE, fy=_SCALE, interpolation=cv2.INTER_NEAREST)
@@ -167,8 +171,9 @@ class Painter:
             cv2.resize(large, (panel.shape[1], panel.shape[0]), dst=panel, interpolation=cv2.INTER_AREA)
 
 
-def _tag(panel: Image, text: str, color: Color) -> None:
-    """Write a title on a plate, because the image behind it has any brightness."""
-    plate = panel[8:34, 8 : 24 + 8 * len(text)]
-    plate[:] = mix(IVORY, PAPER, 0.5)
-    put_text(panel, text, 16, 26, color, height=9)
+def _tag(panel: Image, text: str, color: Color, right: bool = False) -> None:
+    """Write into an upper corner, on a plate, because the image behind it has any brightness."""
+    width = round(text_width(text, 13.0)) + 20
+    left = panel.shape[1] - width - 8 if right else 8
+    panel[8:40, left : left + width] = mix(IVORY, PAPER, 0.5)
+    put_text(panel, text, left + 10, 30, color, height=13, weight=1.6)
