@@ -181,8 +181,9 @@ class ChainJacobian:
             serves. Larger values prefer the chain.
         offset_time: Correlation time of the features' offsets from the chain, s. Offsets from backlash, sag and lens
             distortion are filtered as far as they are correlated.
-        patience: Number of frames in a row with twice the linear filter's errors after which the chain forgets its
-            keyframes, as after a bump. Larger values keep them during longer disturbances.
+        patience: Number of frames in a row with twice the errors of the linear filter, or four times the chain's own
+            least, after which a chain that has served as long forgets its keyframes, as after a bump. Larger values
+            keep them during longer disturbances.
         drift: Standard deviation of the features' velocity that is not the arm's while the chain serves, px/s; it only
             enters `covariance`.
         alignment: Pairing of joints and features by time stamps; use the linear filter's.
@@ -190,7 +191,7 @@ class ChainJacobian:
 
     linear: JacobianEstimator = field(default_factory=_linear_filter)
     focal: float = 600.0
-    focal_spread: float = 0.4
+    focal_spread: float = 0.3
     center: tuple[float, float] | None = (320.0, 240.0)
     center_spread: float = 30.0
     revolute: tuple[bool, ...] | None = None
@@ -357,9 +358,13 @@ class ChainJacobian:
             offset=np.zeros((*batch, m)),
             offset_variance=np.zeros((*batch, m)),
             offset_power=np.zeros(batch),
+            residual_power=np.full(batch, float(self.noise) ** 2),
+            white=np.full(batch, float(self.noise) ** 2),
             residual=np.zeros((*batch, m)),
             errors=np.zeros((*batch, 2)),
             failures=np.zeros(batch),
+            served=np.zeros(batch),
+            least_error=np.full(batch, ChainSettings._field_defaults["no_error"]),
             frames=np.zeros(batch),
         )
 

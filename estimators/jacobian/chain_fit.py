@@ -50,7 +50,9 @@ class ChainSettings(NamedTuple):
         first_trial: Number of frames in which both orders are fitted side by side.
         trial: Number of frames after which a worse chain has lost.
         rarely: Number of frames between two fits of the worse chain, once it has lost often.
-        failed: Ratio of the mean squared errors of chain and linear filter that counts as a failure.
+        failed: Ratio of the mean squared errors of chain and linear filter that counts as a failure; its square is that
+            of the chain's to their own least value.
+        no_error: Least error before there is one, px^2.
         outlier: Square of a residual, relative to the variance, that counts at most in the estimate of the noise.
         difference: Change of a parameter for the derivatives of the Jacobian.
     """
@@ -86,6 +88,7 @@ class ChainSettings(NamedTuple):
     trial: float = 12.0
     rarely: float = 8.0
     failed: float = 4.0
+    no_error: float = 1e12
     outlier: float = 9.0
     difference: float = 1e-6
 
@@ -109,9 +112,13 @@ class ChainMemory(NamedTuple):
     offset: Array
     offset_variance: Array
     offset_power: Array
+    residual_power: Array
+    white: Array
     residual: Array
     errors: Array
     failures: Array
+    served: Array
+    least_error: Array
     frames: Array
 
 
@@ -650,10 +657,17 @@ def _update_row(memory, frame, settings, output, row):  # type: ignore[no-untype
         )
         memory.noise[row] = _noise_of(parameters, reverse, store, memory.scatter[row], noise, settings)
         memory.frames[row] += 1.0
-        failed = memory.errors[row, 1] > settings.failed * memory.errors[row, 0]
+        linear, chained = memory.errors[row]
+        serves = chained < settings.margin * linear
+        if serves and memory.frames[row] > 2.0 * settings.memory:
+            memory.least_error[row] = min(memory.least_error[row], chained)
+        # Much worse than the linear filter, or than it was itself.
+        failed = chained > settings.failed * min(linear, settings.failed * memory.least_error[row])
         memory.failures[row] = memory.failures[row] + 1.0 if failed else 0.0
-        if memory.failures[row] >= settings.patience:
-            _restart(memory, row)
+        memory.served[row] += 1.0 if serves else 0.0
+        # A chain that has never been good has not been bumped: it has too little data, or the arm is not rigid.
+        if memory.failures[row] >= settings.patience and memory.served[row] >= settings.patience:
+            _restart(memory, settings, row)
     output.best[row] = best
     output.chained[row] = memory.errors[row, 1] < settings.margin * memory.errors[row, 0]
     _present(memory, frame, settings, output, normals[best], row)
@@ -736,12 +750,13 @@ def _challenge(memory, settings, row):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _restart(memory, row):  # type: ignore[no-untyped-def]
+def _restart(memory, settings, row):  # type: ignore[no-untyped-def]
     """Forget all frames of a row, as after a bump; the joints' axes stay as a start."""
     best = _best(memory, row)
     memory.weights[row] = 0.0
     memory.known[row] = False
-    memory.scatter[row], memory.failures[row], memory.frames[row] = 0.0, 0.0, 0.0
+    memory.scatter[row], memory.frames[row] = 0.0, 0.0
+    memory.failures[row], memory.served[row], memory.least_error[row] = 0.0, 0.0, settings.no_error
     memory.cost[row] = 0.0
     memory.challenge[row] = 0.0
     memory.reverse[row, 0], memory.reverse[row, 1] = False, True
@@ -751,6 +766,8 @@ def _restart(memory, row):  # type: ignore[no-untyped-def]
     memory.offset[row] = 0.0
     memory.offset_variance[row] = 0.0
     memory.offset_power[row] = 0.0
+    memory.residual_power[row] = memory.noise[row]
+    memory.white[row] = memory.noise[row]
 
 
 @njit(cache=True, nogil=True)
@@ -772,7 +789,7 @@ def _score(memory, frame, settings, output, normal, newest, old, row):  # type: 
         if not old[i]:
             continue
         innovation = newest[1][0, i] - predicted[i] - fading * memory.offset[row, i]
-        variance = memory.noise[row] + memory.offset_variance[row, i]
+        variance = memory.white[row] + memory.offset_variance[row, i]
         for a in range(size):
             variance += columns[a, i] ** 2
         normalized += innovation * innovation / variance
@@ -796,7 +813,8 @@ def _score(memory, frame, settings, output, normal, newest, old, row):  # type: 
 def _follow_offsets(memory, frame, settings, newest, row):  # type: ignore[no-untyped-def]
     """Filter what the chain leaves of the features: an offset of its own for each, with a decaying correlation.
 
-    White noise has no offsets: their variance is the mean product of successive residuals. Outliers are bounded.
+    White noise has no offsets: their variance is the mean product of successive residuals, and the rest of the
+    residuals' variance is white noise. Outliers are bounded.
     """
     m = frame.features.shape[1]
     residual = np.empty(m)
@@ -804,17 +822,23 @@ def _follow_offsets(memory, frame, settings, newest, row):  # type: ignore[no-un
     parameters, reverse = memory.parameters[row, best], memory.reverse[row, best]
     _residuals(parameters, reverse, newest[0][0], newest[1][0], settings, residual)
     fading = math.exp(-frame.duration[row] / settings.offset_time)
-    noise, product, count = memory.noise[row], 0.0, 0
-    largest = math.sqrt(settings.outlier * noise)
+    product, square, count = 0.0, 0.0, 0
+    largest = math.sqrt(settings.outlier * memory.noise[row])
     for i in range(m):
         if frame.seen[row, i]:
             bounded = min(max(residual[i], -largest), largest)
             product += bounded * memory.residual[row, i]
+            square += bounded * bounded
             memory.residual[row, i] = bounded
             count += 1
     if count > 0:
         memory.offset_power[row] += (product / count - memory.offset_power[row]) / settings.memory
-    power = max(memory.offset_power[row], 0.0)
+        memory.residual_power[row] += (square / count - memory.residual_power[row]) / settings.memory
+    # Two standard deviations of the mean product of white residuals count as none.
+    chance = 2.0 * memory.residual_power[row] / math.sqrt(2.0 * settings.memory * max(count, 1))
+    power = memory.offset_power[row] if memory.offset_power[row] > chance else 0.0
+    noise = max(memory.residual_power[row] - power, settings.least_noise**2)
+    memory.white[row] = noise
     for i in range(m):
         variance = fading * fading * memory.offset_variance[row, i] + (1.0 - fading * fading) * power
         offset = fading * memory.offset[row, i]
