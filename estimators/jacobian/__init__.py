@@ -1,8 +1,10 @@
 """Online estimation of the total image Jacobian (Zhang 2011), and the control laws that use it."""
 
+from servotrack.estimators.jacobian.adaptive import AdaptiveKalmanJacobian
 from servotrack.estimators.jacobian.alignment import Alignment
 from servotrack.estimators.jacobian.bank import HypothesisBank, Latencies, Mountings
 from servotrack.estimators.jacobian.broyden import BroydenJacobian
+from servotrack.estimators.jacobian.cautious import Cautious
 from servotrack.estimators.jacobian.chain import ChainEstimate, ChainJacobian
 from servotrack.estimators.jacobian.contract import (
     Increment,
@@ -13,9 +15,11 @@ from servotrack.estimators.jacobian.contract import (
 )
 from servotrack.estimators.jacobian.controller import ServoController
 from servotrack.estimators.jacobian.excitation import Excitation
+from servotrack.estimators.jacobian.exploration import Exploration
 from servotrack.estimators.jacobian.feature_wise import FeatureWise
 from servotrack.estimators.jacobian.full_kf import FullKalmanJacobian
 from servotrack.estimators.jacobian.informed import Geometry, InformedKalman, InformedMeasurement
+from servotrack.estimators.jacobian.joint_limits import JointLimits
 from servotrack.estimators.jacobian.kf import KalmanJacobian
 from servotrack.estimators.jacobian.laws import (
     DampedLeastSquares,
@@ -28,19 +32,23 @@ from servotrack.estimators.jacobian.lifted import LiftedEstimate, LiftedKalman, 
 from servotrack.estimators.jacobian.parametric import ParametricKalman
 from servotrack.estimators.jacobian.pf import ParticleJacobian
 from servotrack.estimators.jacobian.prior import JacobianPrior, RandomWalk
+from servotrack.estimators.jacobian.progress import ProgressSupervisor
 from servotrack.estimators.jacobian.rls import RecursiveLeastSquares
 from servotrack.estimators.jacobian.robust import CorrentropyNoise, OutlierModel, StudentTNoise
 from servotrack.estimators.jacobian.supervisor import Supervisor
 from servotrack.estimators.jacobian.ukf import UnscentedJacobian
 
 __all__ = [
+    "AdaptiveKalmanJacobian",
     "Alignment",
     "BroydenJacobian",
+    "Cautious",
     "ChainEstimate",
     "ChainJacobian",
     "CorrentropyNoise",
     "DampedLeastSquares",
     "Excitation",
+    "Exploration",
     "FeatureWise",
     "FullKalmanJacobian",
     "Geometry",
@@ -50,6 +58,7 @@ __all__ = [
     "InformedMeasurement",
     "JacobianEstimator",
     "JacobianPrior",
+    "JointLimits",
     "KalmanJacobian",
     "Latencies",
     "LevelKalmanJacobian",
@@ -61,6 +70,7 @@ __all__ = [
     "OutlierModel",
     "ParametricKalman",
     "ParticleJacobian",
+    "ProgressSupervisor",
     "Proportional",
     "ProportionalIntegral",
     "RandomWalk",

@@ -7,7 +7,7 @@ farther the arm moved in it. The noise of the features is measured while the arm
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from servotrack.estimators.definite import is_definite, repair
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
 from servotrack.estimators.jacobian.contract import Increment, LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.feature_wise import each_feature
+from servotrack.estimators.jacobian.goal_motion import GoalState, begin_goal, goal_velocity
 from servotrack.estimators.types import Array
 
 
@@ -33,6 +34,8 @@ class AdaptiveState(NamedTuple):
         gathered_change: Change of each feature since then. Shape (*batch, m).
         squares: Sum of the squared noise of features at rest, in units of `feature_noise`. Shape (*batch,).
         count: Number of terms in `squares`. Shape (*batch,).
+        excess: Mean square of innovations beyond their predicted variance, in squared feature ranges. Shape (*batch,).
+        goal: Goal of the last step, from which its velocity follows.
     """
 
     alignment: AlignmentState
@@ -44,6 +47,8 @@ class AdaptiveState(NamedTuple):
     gathered_change: Array
     squares: Array
     count: Array
+    excess: Array
+    goal: GoalState
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,8 @@ class AdaptiveKalmanJacobian:
     """Kalman filter of each row of the total image Jacobian (Zhang 2011, eq. 9), for arms with any number of joints.
 
     Features are seen one by one (`ServoMeasurement.visible` with one entry per feature or point). Numbers may be given
-    once or for every feature or joint, so that features and joints may have different units.
+    once or for every feature or joint, so that features and joints may have different units. The time column of the
+    estimate is that of the error: the velocity of a goal that moves smoothly is subtracted.
 
     Args:
         feature_range: Change of a feature that one unit of a joint can cause, for rotations about the width of the
@@ -74,6 +80,11 @@ class AdaptiveKalmanJacobian:
             ranges per s. Larger values notice sooner that it moves, and mistake the arm's motion for the target's.
         target_turn: Standard deviation of its change within a second, as a share of the velocity that has been found.
             Larger values follow targets that turn, and average less.
+        excess: Weight of an increment in the running mean of the errors that these variances do not explain: play of
+            gears, sag, late motors. That mean is added to the noise. Larger values notice them sooner; 0 trusts the
+            variances.
+        excess_target: Share of these errors that the target's own motion may explain. Larger values follow targets that
+            turn, and mistake the arm's errors for the target's motion.
         alignment: Pairing of joints and features by time stamps.
     """
 
@@ -89,6 +100,8 @@ class AdaptiveKalmanJacobian:
     target_speed: float = 0.2
     target_change: float = 0.0005
     target_turn: float = 1.0
+    excess: float = 0.05
+    excess_target: float = 0.03
     alignment: Alignment = field(default_factory=Alignment)
 
     row_covariances: ClassVar[bool] = True
@@ -108,6 +121,8 @@ class AdaptiveKalmanJacobian:
             "target_speed",
             "target_change",
             "target_turn",
+            "excess",
+            "excess_target",
         ):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be finite and >= 0, got {getattr(self, name)}")
@@ -128,6 +143,8 @@ class AdaptiveKalmanJacobian:
             gathered_change=np.zeros((*batch, m)),
             squares=np.zeros(batch),
             count=np.zeros(batch),
+            excess=np.zeros(batch),
+            goal=begin_goal(single.goal[..., 0], single.time[..., 0]),
         )
 
     def step(self, state: AdaptiveState, measurement: ServoMeasurement) -> tuple[AdaptiveState, LinearEstimate]:
@@ -141,12 +158,21 @@ class AdaptiveKalmanJacobian:
         flat = _flat_rows((state, increment, offset, alignment.seen), rows, len(batch))
         results = _step(*flat, units, self._noise())
         shaped = [result.reshape((*batch, *result.shape[1:])) for result in results]
-        return AdaptiveState(alignment, *shaped[:8]), LinearEstimate(*shaped[8:])
+        goal, velocity = goal_velocity(state.goal, single.goal[..., 0], single.time[..., 0])
+        estimate = LinearEstimate(*shaped[9:])
+        relative = estimate.jacobian.copy()
+        relative[..., -1] -= velocity
+        return AdaptiveState(alignment, *shaped[:9], goal), replace(estimate, jacobian=relative)
 
     def forget(self, state: AdaptiveState) -> AdaptiveState:
-        """Keep the mean and reset the covariances to the prior's."""
-        *batch, m, d = state.jacobian.shape
-        return state._replace(covariance=np.tile(self._prior(self._units(m, d - 1)), (*batch, 1, 1, 1)))
+        """Keep the mean, and doubt it: add half of the Jacobian's typical size to the deviations of its entries."""
+        *_, m, d = state.jacobian.shape
+        units = self._units(m, d - 1)
+        scale = units.range[:, None] / units.joint
+        sizes = np.mean((state.jacobian[..., :-1] / scale) ** 2, axis=(-2, -1), keepdims=True)
+        covariance = state.covariance.copy()
+        np.einsum("...ii->...i", covariance)[..., :-1] += 0.25 * sizes * scale**2
+        return state._replace(covariance=covariance)
 
     def _units(self, features: int, joints: int) -> _Units:
         return _Units(
@@ -175,6 +201,8 @@ class AdaptiveKalmanJacobian:
             self.curvature**2,
             self.target_change**2,
             self.target_turn**2,
+            self.excess,
+            self.excess_target,
         )
 
 
@@ -197,6 +225,8 @@ class _Noise(NamedTuple):
         curvature: Variance of an increment per fourth power of the motion.
         drift: Variance of the features' own velocity per second, at rest.
         turn: The same as a share of its square, if it is known.
+        excess: Weight of an increment in the mean of unexplained errors.
+        target: Share of these errors that the target's motion may explain.
     """
 
     reading: float
@@ -206,6 +236,8 @@ class _Noise(NamedTuple):
     curvature: float
     drift: float
     turn: float
+    excess: float
+    target: float
 
 
 class _Rows(NamedTuple):
@@ -219,6 +251,7 @@ class _Rows(NamedTuple):
     gathered_change: Array
     squares: Array
     count: Array
+    excess: Array
 
 
 def _flat_rows(
@@ -230,7 +263,7 @@ def _flat_rows(
         return values.reshape((rows, *values.shape[axes:]))
 
     state, increment, offset, seen = parts
-    return _Rows(*map(flat, state[1:])), Increment(*map(flat, increment)), flat(offset), flat(seen)
+    return _Rows(*map(flat, state[1:10])), Increment(*map(flat, increment)), flat(offset), flat(seen)
 
 
 @njit(cache=True, nogil=True)
@@ -245,6 +278,7 @@ def _step(before, increment, offset, seen, units, noise):  # type: ignore[no-unt
     resting_change, resting_time = before.resting_change.copy(), before.resting_time.copy()
     gathered, gathered_change = before.gathered.copy(), before.gathered_change.copy()
     squares, count = before.squares.copy(), before.count.copy()
+    excess = before.excess.copy()
     error, variance = np.zeros((rows, m)), np.full((rows, m), np.inf)
     log_likelihood, nis = np.zeros(rows), np.zeros(rows)
     direction = np.empty(d)
@@ -282,7 +316,7 @@ def _step(before, increment, offset, seen, units, noise):  # type: ignore[no-unt
             doubt += covariance[row, i, n, n] / units.range[i] ** 2 / m
         turn = noise.turn * speed * speed / (speed + 100.0 * doubt) if speed > 0.0 else 0.0
 
-        used = 0
+        used, beyond = 0, 0.0
         for i in range(m):
             sensor = units.noise[i] ** 2 * level
             if increment.fresh[row, i]:
@@ -301,12 +335,15 @@ def _step(before, increment, offset, seen, units, noise):  # type: ignore[no-unt
                         covariance[row, i, j, j] += noise.change * far * scale / units.joint[j] ** 2
                     covariance[row, i, n, n] += (noise.drift + turn) * units.range[i] ** 2 * gathered[row, i, n]
                     total = 2.0 * sensor + scale * (2.0 * n * noise.reading + noise.curvature * squared * squared)
+                    total += excess[row] * units.range[i] ** 2
+                    covariance[row, i, n, n] += noise.target * excess[row] * (units.range[i] / gathered[row, i, n]) ** 2
                     innovation, total = _update(
                         jacobian[row, i], covariance[row, i], gathered[row, i], gathered_change[row, i], total
                     )
                     gathered[row, i] = 0.0
                     gathered_change[row, i] = 0.0
                     used += 1
+                    beyond += (innovation * innovation - total) / units.range[i] ** 2
                     nis[row] += innovation * innovation / total
                     log_likelihood[row] -= 0.5 * (innovation * innovation / total + np.log(2.0 * np.pi * total))
             if seen[row, i]:
@@ -320,6 +357,8 @@ def _step(before, increment, offset, seen, units, noise):  # type: ignore[no-unt
                     for k in range(d):
                         variance[row, i] += direction[j] * covariance[row, i, j, k] * direction[k]
         nis[row] /= max(used, 1)
+        if used > 0:
+            excess[row] = max(0.0, excess[row] + noise.excess * beyond / used)
     return (
         jacobian,
         covariance,
@@ -329,6 +368,7 @@ def _step(before, increment, offset, seen, units, noise):  # type: ignore[no-unt
         gathered_change,
         squares,
         count,
+        excess,
         error,
         jacobian,
         log_likelihood,

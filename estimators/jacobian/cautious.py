@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.jacobian.contract import ServoEstimate, ServoMeasurement
-from servotrack.estimators.jacobian.laws import NoLawState
+from servotrack.estimators.jacobian.laws import IntegralState
 from servotrack.estimators.symmetric import eigenvectors
 from servotrack.estimators.types import Array, Mask
 
@@ -28,6 +28,8 @@ class Cautious:
     Args:
         gain: Share g of the error to remove in one period, in (0, 1]. Larger values converge faster, amplify noise, and
             oscillate with motors that lag.
+        integral_gain: Gain of the time integral of the error, 1/s, which counts while the target moves: it removes what
+            the estimate of the target's velocity lags behind. Larger values remove it faster and may oscillate.
         period: Control period, s.
         risk: Largest expected error from the uncertainty of J, as a share of the error that is to be removed. Larger
             values move faster along a poor estimate.
@@ -36,6 +38,7 @@ class Cautious:
     """
 
     gain: float = 0.2
+    integral_gain: float = 0.5
     period: float = 0.05
     risk: float = 0.5
     certain: float = 25.0
@@ -44,24 +47,26 @@ class Cautious:
     def __post_init__(self) -> None:
         if not 0.0 < self.gain <= 1.0:
             raise ValueError(f"gain must be in (0, 1] (fraction of the error removed in one period), got {self.gain}")
+        if not 0.0 <= self.integral_gain < np.inf:
+            raise ValueError(f"integral_gain must be finite and >= 0 1/s, got {self.integral_gain}")
         for name in ("period", "risk", "significance"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be finite and > 0, got {getattr(self, name)}")
         if not 0.0 <= self.certain < np.inf:
             raise ValueError(f"certain must be finite and >= 0, got {self.certain}")
 
-    def initial(self, measurement: ServoMeasurement) -> NoLawState:
-        """Return the empty state."""
-        return NoLawState()
+    def initial(self, measurement: ServoMeasurement) -> IntegralState:
+        """Return a zero integral."""
+        return IntegralState(np.zeros(np.shape(measurement.goal)))
 
-    def rate(self, state: NoLawState, estimate: ServoEstimate) -> tuple[NoLawState, Array]:
-        """Return the unchanged state and the joint rates. Shape (*batch, n), rad/s.
+    def rate(self, state: IntegralState, estimate: ServoEstimate) -> tuple[IntegralState, Array]:
+        """Return the new integral of the error and the joint rates. Shape (*batch, n), rad/s.
 
         Raises:
             ValueError: An estimate without covariances.
         """
-        motion, _ = self._solve(estimate)
-        return state, motion / self.period
+        motion, _, integral = self._solve(estimate, state.integral)
+        return IntegralState(integral), motion / self.period
 
     def within(self, rate: Array, estimate: ServoEstimate, low: Array, high: Array, rows: Mask) -> Array:
         """Joint rates within bounds whose expected squared error is smallest.
@@ -76,7 +81,7 @@ class Cautious:
         Returns:
             Joint rates. Shape (*batch, n), rad/s.
         """
-        _, curvature = self._solve(estimate)
+        _, curvature, _ = self._solve(estimate, np.zeros_like(estimate.error))
         rate = np.array(rate)
         for row in map(tuple, np.argwhere(rows)):
             sizes = np.diagonal(curvature[row])
@@ -89,23 +94,28 @@ class Cautious:
             rate[row] = found.x
         return rate
 
-    def _solve(self, estimate: ServoEstimate) -> tuple[Array, Array]:
-        """Motion of one period, and the matrix of the quadratic form that it minimizes.
+    def _solve(self, estimate: ServoEstimate, integral: Array) -> tuple[Array, Array, Array]:
+        """Motion of one period, the matrix of the quadratic form that it minimizes, and the new integral.
 
-        Shapes (*batch, n) and (*batch, n, n).
+        Shapes (*batch, n), (*batch, n, n) and (*batch, m).
         """
         covariance, variance = uncertainty(estimate)
         *batch, m, d = estimate.jacobian.shape
         rows = int(np.prod(batch, dtype=np.int64))
-        motion, curvature = _motions(
+        motion, curvature, integral = _motions(
+            integral.reshape(rows, m),
             np.ascontiguousarray(estimate.error).reshape(rows, m),
             np.ascontiguousarray(variance).reshape(rows, m),
             np.ascontiguousarray(estimate.jacobian).reshape(rows, m, d),
             np.ascontiguousarray(covariance).reshape(rows, m, d, d),
             self.period,
-            (self.gain, self.risk, self.certain, self.significance**2),
+            (self.gain, self.integral_gain, self.risk, self.certain, self.significance**2),
         )
-        return motion.reshape(*batch, d - 1), curvature.reshape(*batch, d - 1, d - 1)
+        return (
+            motion.reshape(*batch, d - 1),
+            curvature.reshape(*batch, d - 1, d - 1),
+            integral.reshape(*batch, m),
+        )
 
 
 def uncertainty(estimate: Any) -> tuple[Array, Array]:
@@ -146,9 +156,10 @@ def row_weights(jacobian, covariance, variance):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _motions(errors, variances, jacobians, covariances, period, tuning):  # type: ignore[no-untyped-def]
+def _motions(integrals, errors, variances, jacobians, covariances, period, tuning):  # type: ignore[no-untyped-def]
     """Motion of each row within a period, see `Cautious`, and its quadratic form. Shapes (rows, n), (rows, n, n)."""
-    gain, risk, certain, significance = tuning
+    gain, integral_gain, risk, certain, significance = tuning
+    integrals = integrals.copy()
     rows, m, d = jacobians.shape
     n = d - 1
     motions, curvatures = np.zeros((rows, n)), np.zeros((rows, n, n))
@@ -162,12 +173,16 @@ def _motions(errors, variances, jacobians, covariances, period, tuning):  # type
             if weights[i] > 0.0:
                 drift += weights[i] * jacobian[i, n] ** 2 / variance[i]
                 drift_doubt += weights[i] * covariance[i, n, n] / variance[i]
-        known = drift / (drift + 9.0 * drift_doubt) if drift > 0.0 else 0.0
+        # Steep in the ratio, whose mean over many features hardly passes 2 by chance.
+        ratio = min(drift / (4.0 * drift_doubt), 1e3) ** 4 if drift_doubt > 0.0 else 0.0
+        known = ratio / (1.0 + ratio)
         for i in range(m):
             if weights[i] == 0.0:
                 continue
             weight = weights[i] / variance[i]
-            wanted = -gain * errors[row, i] - known * jacobian[i, n] * period
+            # The integral stands for what the estimate of the target's velocity lags behind.
+            integrals[row, i] = known * (integrals[row, i] + period * errors[row, i])
+            wanted = -gain * errors[row, i] - known * jacobian[i, n] * period - integral_gain * integrals[row, i]
             length += weight * wanted * wanted
             counted += weights[i]
             for j in range(n):
@@ -181,7 +196,7 @@ def _motions(errors, variances, jacobians, covariances, period, tuning):  # type
         rules = (risk**2 * length, 9.0 * counted, certain, significance)
         motions[row], brake = _motion(gram, doubt, pull, along, rules)
         curvatures[row] = gram + brake * doubt
-    return motions, curvatures
+    return motions, curvatures, integrals
 
 
 @njit(cache=True, nogil=True)

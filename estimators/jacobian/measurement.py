@@ -20,8 +20,8 @@ def checked(measurement: ServoMeasurement, *, each_feature: bool = False) -> Ser
 
     Args:
         measurement: Array-likes with the shapes that `ServoMeasurement` documents.
-        each_feature: True for estimators that use features one by one. `visible` is then repeated for all features, and
-            a NaN among them counts as unseen. False refuses features with entries of `visible` of their own.
+        each_feature: True for estimators that use features one by one. `visible` is then repeated for all features;
+            where it has entries along their axis, a NaN counts as unseen. False refuses such entries.
 
     Returns:
         The same values as arrays in C order; `joint_time` stays None. `visible` has shape (*batch,), or (*batch, m) if
@@ -75,7 +75,7 @@ def checked(measurement: ServoMeasurement, *, each_feature: bool = False) -> Ser
     check_within("joint_angles", joint_angles, LIMITS.angles, "repeat the last good reading instead")
     check_within("goal", goal, LIMITS.pixels, "repeat the last goal instead")
     check_within("time", time, LIMITS.times, "pass the clock's reading")
-    unseen = "set visible to false for a lost frame"
+    unseen = "set visible to false for a lost frame, or give each point or feature its own entry"
     seen = visible.any(axis=-1) if each_feature else visible
     check_within("features", features, LIMITS.pixels, unseen, visible if each_feature else visible[..., None])
     check_within("frame_time", frame_time, LIMITS.times, unseen, seen)
@@ -97,11 +97,13 @@ def checked(measurement: ServoMeasurement, *, each_feature: bool = False) -> Ser
 
 
 def _of_each(visible: Mask, features: Array, batch: tuple[int, ...]) -> Mask:
-    """Mask of each feature, from one entry for all of them, one per group or one each; NaN counts as unseen."""
+    """Mask of each feature. Where `visible` has entries along the features' axis, a NaN counts as unseen."""
     if visible.shape == batch:
-        visible = visible[..., None]
-    m, groups = features.shape[-1], visible.shape[-1] if visible.ndim else 0
-    if visible.shape[:-1] != batch or groups == 0 or m % groups:
+        return np.repeat(visible[..., None], features.shape[-1], axis=-1)
+    if visible.shape[:-1] != batch or visible.ndim != len(batch) + 1:
+        return visible
+    m, groups = features.shape[-1], visible.shape[-1]
+    if groups == 0 or m % groups:
         raise ValueError(
             f"visible must have one entry, one per feature, or one per group of features in a row, got shape "
             f"{visible.shape} beside features of shape {features.shape}; pass {batch}, {(*batch, m)}, or "

@@ -32,7 +32,7 @@ class ServoInputs(Inputs):
     batch: tuple[int, ...] = ()
     period: float = 0.05
 
-    may_be_infinite: ClassVar[frozenset[str]] = frozenset({"history_time"})
+    may_be_infinite: ClassVar[frozenset[str]] = frozenset({"history_time", "waiting_time", "error_variance", "best"})
 
     @property
     def rows(self) -> int:

@@ -103,6 +103,9 @@ ZOO: dict[str, Kind] = {
     "latency-bank": _servo(jacobian.HypothesisBank(jacobian.KalmanJacobian(), jacobian.Latencies())),
     "chain": Kind(jacobian.ChainJacobian(keyframes=8), lambda rows: UnseenInputs(joints=3, features=4, batch=(rows,))),
     "informed": Kind(jacobian.InformedKalman(), lambda rows: InformedInputs(batch=(rows,))),
+    "adaptive": Kind(jacobian.AdaptiveKalmanJacobian(), lambda rows: ServoInputs(joints=3, features=4, batch=(rows,))),
+    "feature-wise": _servo(jacobian.FeatureWise(jacobian.KalmanJacobian())),
+    "controller-any": Kind(jacobian.ServoController(), lambda rows: ServoInputs(joints=5, features=8, batch=(rows,))),
     "controller-pi": _servo(jacobian.ServoController(jacobian.KalmanJacobian())),
     "controller-exact": _servo(jacobian.ServoController(jacobian.LiftedKalman(), jacobian.OneStepExact())),
     "controller-damped": _servo(

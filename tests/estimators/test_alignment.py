@@ -142,3 +142,83 @@ def test_a_measurement_that_does_not_belong_to_the_state_is_refused():
 def test_impossible_parameters_are_refused(arguments):
     with pytest.raises(ValueError, match=next(iter(arguments))):
         Alignment(**arguments)
+
+
+def turning(rng, steps, period=0.05):
+    """Joint angles of a moving arm on a fine clock, as a function of time."""
+    speed = rng.normal(0.0, 1.0, (steps, 2))
+    angles = np.vstack([np.zeros(2), np.cumsum(speed * period, axis=0)])
+    clock = np.arange(steps + 1) * period
+    return lambda t: np.array([np.interp(t, clock, column) for column in angles.T])
+
+
+@pytest.mark.parametrize("age", [0.05, 0.1, 0.125])
+def test_frames_wait_for_encoders_with_a_clock_of_their_own(age):
+    """Late encoder readings with stamps give the increments of a fresh clock, only later."""
+    rng = np.random.default_rng(0)
+    arm, jacobian = turning(rng, 40), rng.normal(0.0, 200.0, (3, 2))
+    alignment, state, pairs = Alignment(), None, []
+    for k in range(40):
+        now = 0.05 * k
+        late = ServoMeasurement(
+            arm(max(now - age, 0.0)), jacobian @ arm(now), np.zeros(3), np.array(True), now, now, np.array(now - age)
+        )
+        state = alignment.initial(late) if state is None else state
+        state, increment = alignment.step(state, late)
+        if increment.fresh:
+            pairs.append((increment.features, jacobian @ increment.joints, increment.pending_time))
+    # The first readings, from before the start, are those of a resting arm.
+    for seen, predicted, pending in pairs[3:]:
+        np.testing.assert_allclose(seen, predicted, atol=40.0 if age % 0.05 > 1e-9 else 1e-9)
+        assert age - 1e-9 <= pending <= age + 0.05 + 1e-9
+    assert len(pairs) > 30
+
+
+def test_encoders_that_jump_by_whole_turns_are_followed():
+    alignment, jacobian = Alignment(), np.array([[100.0, -50.0]])
+    state = None
+    for k in range(30):
+        angles = np.array([3.0 + 0.02 * k, -3.0 - 0.03 * k])
+        wrapped = (angles + np.pi) % (2.0 * np.pi) - np.pi
+        seen = ServoMeasurement(wrapped, jacobian @ angles, np.zeros(1), np.array(True), 0.05 * k, 0.05 * k)
+        state = alignment.initial(seen) if state is None else state
+        state, increment = alignment.step(state, seen)
+        if k:
+            np.testing.assert_allclose(increment.joints, [0.02, -0.03], atol=1e-12)
+
+
+def test_joints_that_slide_may_move_far():
+    alignment = Alignment(revolute=(False, True))
+    state = None
+    for k in range(3):
+        far = ServoMeasurement(np.array([10.0 * k, 0.0]), np.zeros(1), np.zeros(1), np.array(True), 0.1 * k, 0.1 * k)
+        state = alignment.initial(far) if state is None else state
+        state, increment = alignment.step(state, far)
+    np.testing.assert_array_equal(increment.joints, [10.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "message"),
+    [
+        (0.0, -0.1, "joint_time must not go backwards"),
+        (0.0, 0.2, "joint_time must not lie after time"),
+        (0.0, np.nan, "joint_time must be finite"),
+        (None, 0.0, "joint_time must be given at every step or at none"),
+        (0.0, None, "joint_time must be given at every step or at none"),
+    ],
+)
+def test_a_bad_clock_of_encoders_is_named(first, then, message):
+    def at(time, joint_time):
+        stamp = None if joint_time is None else np.array(joint_time)
+        return ServoMeasurement(np.zeros(2), np.zeros(2), np.zeros(2), np.array(True), time, time, stamp)
+
+    alignment = Alignment()
+    state, _ = alignment.step(alignment.initial(at(0.0, first)), at(0.0, first))
+    with pytest.raises(ValueError, match=message):
+        alignment.step(state, at(0.1, then))
+
+
+def test_a_wrong_number_of_revolute_entries_is_named():
+    seen = ServoMeasurement(np.zeros(3), np.zeros(2), np.zeros(2), np.array(True), 0.0, 0.0)
+    with pytest.raises(ValueError, match="revolute must have one entry per joint, got 2 for 3"):
+        Alignment(revolute=(True, False)).initial(seen)
