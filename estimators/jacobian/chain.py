@@ -119,7 +119,8 @@ class ChainEstimate(LinearEstimate):
         Returns:
             The motion, shape (*batch, n), rad, and the root mean square of the errors that it leaves, shape (*batch,),
             px: large where no posture within the bounds shows the goal, infinite where no feature follows the chain. A
-            law in the image, with `error` and `jacobian`, is better where it exceeds a few deviations of the noise.
+            law in the image, with `error` and `jacobian`, is better where it exceeds both a few deviations of the noise
+            and a quarter of the present errors.
         """
         *batch, n = self.angles.shape
         m, rows = self.error.shape[-1], self.reverse.size
