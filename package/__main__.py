@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from typing import Annotated
 
 import typer
@@ -51,8 +53,14 @@ def main() -> None:
     """
     from servotrack.baselines.running.stopping import GO_ON, program
 
-    with program(f"finished files are kept; {GO_ON}"):
-        _run()
+    try:
+        with program(f"finished files are kept; {GO_ON}"):
+            _run()
+    finally:
+        # All work is done or said: a signal while the interpreter ends must not print a traceback.
+        main_thread = threading.current_thread() is threading.main_thread()
+        if main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _run() -> None:
