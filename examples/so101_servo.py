@@ -26,8 +26,7 @@ from so101_film import Painter, write
 from so101_simulation import BOARD, PERIOD, Array, Image, Reading, SimulatedSO101
 
 from servotrack.baselines.evaluation.seeds import take
-from servotrack.estimators.jacobian import ServoController, ServoMeasurement
-from servotrack.estimators.jacobian.adaptive import AdaptiveKalmanJacobian
+from servotrack.estimators.jacobian import AdaptiveKalmanJacobian, ServoController, ServoMeasurement
 
 MAX_JOINT_RATE = 0.8
 ENCODER_STEP = 2.0 * np.pi / 4096.0

@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.estimators.jacobian import ServoController, ServoMeasurement
-from servotrack.estimators.jacobian.adaptive import AdaptiveKalmanJacobian
+from servotrack.estimators.jacobian import AdaptiveKalmanJacobian, ServoController, ServoMeasurement
 
 Array = NDArray[np.float64]
 
