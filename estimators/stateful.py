@@ -18,7 +18,7 @@ def select_rows(mask: Mask, chosen: State, otherwise: State) -> State:
 
     Args:
         mask: Mask of the rows taken from `chosen`. Shape (*batch,), bool.
-        chosen: Array with leading axes `batch`, or nested tuples and NamedTuples of such arrays.
+        chosen: Array with leading axes `batch`, or nested tuples and NamedTuples of such arrays; None stays.
         otherwise: Values with the structure and shapes of `chosen`.
 
     Returns:
@@ -27,6 +27,8 @@ def select_rows(mask: Mask, chosen: State, otherwise: State) -> State:
     if isinstance(chosen, tuple):
         parts = [select_rows(mask, a, b) for a, b in zip(chosen, otherwise, strict=True)]  # type: ignore[call-overload]
         return type(chosen)(*parts) if hasattr(chosen, "_fields") else type(chosen)(parts)  # type: ignore[return-value]
+    if chosen is None:
+        return otherwise
     a, b = np.asarray(chosen), np.asarray(otherwise)
     return np.where(mask.reshape(mask.shape + (1,) * (a.ndim - mask.ndim)), a, b)  # type: ignore[return-value]
 

@@ -2,7 +2,8 @@
 
 from servotrack.estimators.jacobian.adaptive import AdaptiveKalmanJacobian
 from servotrack.estimators.jacobian.alignment import Alignment
-from servotrack.estimators.jacobian.bank import HypothesisBank, Latencies, Mountings
+from servotrack.estimators.jacobian.any_arm import AnyArm, chain_bank
+from servotrack.estimators.jacobian.bank import EstimatorBank, HypothesisBank, Latencies, Mountings
 from servotrack.estimators.jacobian.broyden import BroydenJacobian
 from servotrack.estimators.jacobian.cautious import Cautious
 from servotrack.estimators.jacobian.chain import ChainEstimate, ChainJacobian
@@ -20,6 +21,7 @@ from servotrack.estimators.jacobian.feature_wise import FeatureWise
 from servotrack.estimators.jacobian.full_kf import FullKalmanJacobian
 from servotrack.estimators.jacobian.informed import Geometry, InformedKalman, InformedMeasurement
 from servotrack.estimators.jacobian.joint_limits import JointLimits
+from servotrack.estimators.jacobian.joint_space import JointSpace
 from servotrack.estimators.jacobian.kf import KalmanJacobian
 from servotrack.estimators.jacobian.laws import (
     DampedLeastSquares,
@@ -41,12 +43,14 @@ from servotrack.estimators.jacobian.ukf import UnscentedJacobian
 __all__ = [
     "AdaptiveKalmanJacobian",
     "Alignment",
+    "AnyArm",
     "BroydenJacobian",
     "Cautious",
     "ChainEstimate",
     "ChainJacobian",
     "CorrentropyNoise",
     "DampedLeastSquares",
+    "EstimatorBank",
     "Excitation",
     "Exploration",
     "FeatureWise",
@@ -59,6 +63,7 @@ __all__ = [
     "JacobianEstimator",
     "JacobianPrior",
     "JointLimits",
+    "JointSpace",
     "KalmanJacobian",
     "Latencies",
     "LevelKalmanJacobian",
@@ -82,4 +87,5 @@ __all__ = [
     "Supervisor",
     "TargetModel",
     "UnscentedJacobian",
+    "chain_bank",
 ]

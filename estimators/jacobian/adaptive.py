@@ -7,7 +7,7 @@ farther the arm moved in it. The noise of the features is measured while the arm
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -17,7 +17,6 @@ from servotrack.estimators.definite import is_definite, repair
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
 from servotrack.estimators.jacobian.contract import Increment, LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.feature_wise import each_feature
-from servotrack.estimators.jacobian.goal_motion import GoalState, begin_goal, goal_velocity
 from servotrack.estimators.types import Array
 
 
@@ -35,7 +34,6 @@ class AdaptiveState(NamedTuple):
         squares: Sum of the squared noise of features at rest, in units of `feature_noise`. Shape (*batch,).
         count: Number of terms in `squares`. Shape (*batch,).
         excess: Mean square of innovations beyond their predicted variance, in squared feature ranges. Shape (*batch,).
-        goal: Goal of the last step, from which its velocity follows.
     """
 
     alignment: AlignmentState
@@ -48,7 +46,6 @@ class AdaptiveState(NamedTuple):
     squares: Array
     count: Array
     excess: Array
-    goal: GoalState
 
 
 @dataclass(frozen=True)
@@ -56,8 +53,7 @@ class AdaptiveKalmanJacobian:
     """Kalman filter of each row of the total image Jacobian (Zhang 2011, eq. 9), for arms with any number of joints.
 
     Features are seen one by one (`ServoMeasurement.visible` with one entry per feature or point). Numbers may be given
-    once or for every feature or joint, so that features and joints may have different units. The time column of the
-    estimate is that of the error: the velocity of a goal that moves smoothly is subtracted.
+    once or for every feature or joint, so that features and joints may have different units.
 
     Args:
         feature_range: Change of a feature that one unit of a joint can cause, for rotations about the width of the
@@ -144,7 +140,6 @@ class AdaptiveKalmanJacobian:
             squares=np.zeros(batch),
             count=np.zeros(batch),
             excess=np.zeros(batch),
-            goal=begin_goal(single.goal[..., 0], single.time[..., 0]),
         )
 
     def step(self, state: AdaptiveState, measurement: ServoMeasurement) -> tuple[AdaptiveState, LinearEstimate]:
@@ -158,11 +153,7 @@ class AdaptiveKalmanJacobian:
         flat = _flat_rows((state, increment, offset, alignment.seen), rows, len(batch))
         results = _step(*flat, units, self._noise())
         shaped = [result.reshape((*batch, *result.shape[1:])) for result in results]
-        goal, velocity = goal_velocity(state.goal, single.goal[..., 0], single.time[..., 0])
-        estimate = LinearEstimate(*shaped[9:])
-        relative = estimate.jacobian.copy()
-        relative[..., -1] -= velocity
-        return AdaptiveState(alignment, *shaped[:9], goal), replace(estimate, jacobian=relative)
+        return AdaptiveState(alignment, *shaped[:9]), LinearEstimate(*shaped[9:])
 
     def forget(self, state: AdaptiveState) -> AdaptiveState:
         """Keep the mean, and doubt it: add half of the Jacobian's typical size to the deviations of its entries."""
@@ -263,7 +254,7 @@ def _flat_rows(
         return values.reshape((rows, *values.shape[axes:]))
 
     state, increment, offset, seen = parts
-    return _Rows(*map(flat, state[1:10])), Increment(*map(flat, increment)), flat(offset), flat(seen)
+    return _Rows(*map(flat, state[1:])), Increment(*map(flat, increment)), flat(offset), flat(seen)
 
 
 @njit(cache=True, nogil=True)
@@ -316,14 +307,25 @@ def _step(before, increment, offset, seen, units, noise):  # type: ignore[no-unt
             doubt += covariance[row, i, n, n] / units.range[i] ** 2 / m
         turn = noise.turn * speed * speed / (speed + 100.0 * doubt) if speed > 0.0 else 0.0
 
-        used, beyond = 0, 0.0
+        used, updated, beyond = 0, 0, 0.0
         for i in range(m):
             sensor = units.noise[i] ** 2 * level
             if increment.fresh[row, i]:
                 for j in range(n):
-                    gathered[row, i, j] += increment.joints[row, i, j]
-                gathered[row, i, n] += increment.time[row, i]
+                    direction[j] = increment.joints[row, i, j]
+                direction[n] = increment.time[row, i]
+                gathered[row, i] += direction
                 gathered_change[row, i] += increment.features[row, i, 0]
+                # Judged by every frame, however rarely the increments are used.
+                innovation, total = increment.features[row, i, 0], 2.0 * sensor
+                total += units.range[i] ** 2 * (excess[row] + 2.0 * n * size * noise.reading)
+                for j in range(d):
+                    innovation -= jacobian[row, i, j] * direction[j]
+                    for k in range(d):
+                        total += direction[j] * covariance[row, i, j, k] * direction[k]
+                used += 1
+                nis[row] += innovation * innovation / total
+                log_likelihood[row] -= 0.5 * (innovation * innovation / total + np.log(2.0 * np.pi * total))
                 far, squared = 0.0, 0.0
                 for j in range(n):
                     part = gathered[row, i, j] / units.joint[j]
@@ -342,23 +344,22 @@ def _step(before, increment, offset, seen, units, noise):  # type: ignore[no-unt
                     )
                     gathered[row, i] = 0.0
                     gathered_change[row, i] = 0.0
-                    used += 1
+                    updated += 1
                     beyond += (innovation * innovation - total) / units.range[i] ** 2
-                    nis[row] += innovation * innovation / total
-                    log_likelihood[row] -= 0.5 * (innovation * innovation / total + np.log(2.0 * np.pi * total))
             if seen[row, i]:
                 for j in range(n):
                     direction[j] = increment.pending_joints[row, i, j]
                 direction[n] = increment.pending_time[row, i]
                 error[row, i] = offset[row, i]
-                variance[row, i] = sensor
+                # What an encoder cannot tell apart, no servo removes.
+                variance[row, i] = sensor + size * units.range[i] ** 2 * n * noise.reading
                 for j in range(d):
                     error[row, i] += jacobian[row, i, j] * direction[j]
                     for k in range(d):
                         variance[row, i] += direction[j] * covariance[row, i, j, k] * direction[k]
         nis[row] /= max(used, 1)
-        if used > 0:
-            excess[row] = max(0.0, excess[row] + noise.excess * beyond / used)
+        if updated > 0:
+            excess[row] = max(0.0, excess[row] + noise.excess * beyond / updated)
     return (
         jacobian,
         covariance,

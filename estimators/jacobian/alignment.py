@@ -67,13 +67,19 @@ class Alignment:
         latency: Age of a frame at its stamp, s, subtracted from `frame_time`. Use it for cameras that stamp frames on
             arrival.
         revolute: True for each joint that turns, whose readings may jump by whole turns; None: all. Shape (n,).
+        play: Play of the gears between encoders and links: links follow only when it is used up, and all joint angles
+            of the state are those of the links. A number, or shape (n,), rad.
     """
 
     history: int = 16
     latency: float = 0.0
     revolute: tuple[bool, ...] | None = None
+    play: float | tuple[float, ...] = 0.0
 
     def __post_init__(self) -> None:
+        play = np.asarray(self.play, np.float64)
+        if play.ndim > 1 or not ((play >= 0.0) & (play < np.inf)).all():
+            raise ValueError(f"play must be a finite number >= 0 rad, or one per joint, got {self.play}")
         if self.history < 2:
             raise ValueError(f"history must be at least 2 readings, got {self.history}")
         if not 0.0 <= self.latency < np.inf:
@@ -88,6 +94,7 @@ class Alignment:
         measurement = checked(measurement)
         batch, n = measurement.joint_angles.shape[:-1], measurement.joint_angles.shape[-1]
         self._turning(n)
+        self._half_play(n)
         waiting = 0 if measurement.joint_time is None else self.history
         return AlignmentState(
             history_time=np.full((*batch, self.history), -np.inf),
@@ -135,7 +142,7 @@ class Alignment:
             read_at.reshape(rows),
             measurement.time.reshape(rows),
         )
-        results = _align(before, readings, self._turning(n))
+        results = _align(before, readings, self._turning(n), self._half_play(n))
         shaped = [result.reshape((*batch, *result.shape[1:])) for result in results]
         return AlignmentState(*shaped[:8]), Increment(*shaped[8:])
 
@@ -147,6 +154,13 @@ class Alignment:
                 f"revolute must have one entry per joint, got {turning.size} for {joints} joints; None: all turn"
             )
         return turning
+
+    def _half_play(self, joints: int) -> Array:
+        """Half of the play of each joint. Shape (n,), rad."""
+        play = np.asarray(self.play, np.float64)
+        if play.ndim and play.shape != (joints,):
+            raise ValueError(f"play must be one number or one per joint, got {play.size} for {joints} joints")
+        return np.full(joints, 0.5 * play) if play.ndim == 0 else 0.5 * play
 
     def _check_against(self, state: AlignmentState, measurement: ServoMeasurement) -> None:
         for name, value, known in (
@@ -221,7 +235,7 @@ def present_estimate(
 
 
 @njit(cache=True, nogil=True)
-def _align(before, now, turning):  # type: ignore[no-untyped-def]
+def _align(before, now, turning, half_play):  # type: ignore[no-untyped-def]
     """`Alignment.step` over rows. Returns the fields of an AlignmentState, then those of an Increment."""
     rows, length, n = before.history_angles.shape
     m = now.features.shape[1]
@@ -263,7 +277,8 @@ def _align(before, now, turning):  # type: ignore[no-untyped-def]
             jump = reading - readings[length - 2, i]
             if turning[i] and abs(jump) > np.pi:
                 reading -= 2.0 * np.pi * np.rint(jump / (2.0 * np.pi))
-            readings[length - 1, i] = reading
+            link = readings[length - 2, i]
+            readings[length - 1, i] = min(max(link, reading - half_play[i]), reading + half_play[i])
 
         instant = -np.inf
         if now.visible[row] and now.stamp[row] >= times[0] and (not seen[row] or now.stamp[row] > frame_time[row]):

@@ -148,10 +148,12 @@ class HypothesisBank(Generic[Member]):
     floor: float = -30.0
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.forgetting <= 1.0:
-            raise ValueError(f"forgetting must be in (0, 1], got {self.forgetting}")
-        if not self.floor < 0.0:
-            raise ValueError(f"floor must be negative (logarithm of a weight relative to the best), got {self.floor}")
+        _check_memory(self.forgetting, self.floor)
+
+    @property
+    def row_covariances(self) -> bool:
+        """True if the estimator gives covariances of its rows."""
+        return bool(getattr(self.estimator, "row_covariances", False))
 
     def initial(self, measurement: ServoMeasurement) -> BankState:
         """Return the state with equally likely hypotheses. Raises ValueError as the estimator does."""
@@ -161,14 +163,102 @@ class HypothesisBank(Generic[Member]):
     def step(self, state: BankState, measurement: ServoMeasurement) -> tuple[BankState, ServoEstimate]:
         """Update every hypothesis with one measurement. Raises ValueError as the estimator does."""
         members, estimates = self.estimator.step(state.members, self.hypotheses.measurement(measurement))
-        log_weight = self.forgetting * state.log_weight + estimates.log_likelihood
-        log_weight = np.maximum(log_weight - log_weight.max(axis=-1, keepdims=True), self.floor)
+        log_weight = _weighted(state.log_weight, estimates.log_likelihood, self.forgetting, self.floor)
         return BankState(members, log_weight), _chosen(estimates, log_weight.argmax(axis=-1))
 
     def forget(self, state: BankState) -> BankState:
         """Reset the covariance of every hypothesis and make all hypotheses equally likely; the means stay."""
         members = self.estimator.forget(state.members) if hasattr(self.estimator, "forget") else state.members
         return BankState(members, np.zeros_like(state.log_weight))
+
+
+class EstimatorBankState(NamedTuple):
+    """State of an `EstimatorBank`.
+
+    Attributes:
+        members: State of each estimator.
+        log_weight: Logarithms of the estimators' weights; the largest is 0. Shape (*batch, K).
+    """
+
+    members: tuple[Any, ...]
+    log_weight: Array
+
+
+@dataclass(frozen=True)
+class EstimatorBank:
+    """Estimator that returns the estimate of the one of K estimators with the highest predictive likelihood.
+
+    `HypothesisBank` is faster where the members differ only in what they assume of the measurement.
+
+    Args:
+        members: Estimators with the same kind of estimate, for example with gears of different play.
+        forgetting: Memory of the weights per frame, in (0, 1]. Smaller values switch sooner.
+        floor: Smallest logarithm of a weight relative to the best, negative. Values nearer to 0 let a member recover
+            sooner.
+    """
+
+    members: tuple[JacobianEstimator, ...]
+    forgetting: float = 0.98
+    floor: float = -30.0
+
+    def __post_init__(self) -> None:
+        if not self.members:
+            raise ValueError("members must have at least one estimator, got ()")
+        _check_memory(self.forgetting, self.floor)
+
+    @property
+    def row_covariances(self) -> bool:
+        """True if all members give covariances of their rows."""
+        return all(getattr(member, "row_covariances", False) for member in self.members)
+
+    def initial(self, measurement: ServoMeasurement) -> EstimatorBankState:
+        """Return the state with equally likely members. Raises ValueError as the members do."""
+        states = tuple(member.initial(measurement) for member in self.members)
+        return EstimatorBankState(states, np.zeros((*np.shape(measurement.time), len(states))))
+
+    def step(self, state: EstimatorBankState, measurement: ServoMeasurement) -> tuple[EstimatorBankState, Any]:
+        """Update every member with one measurement. Raises ValueError as the members do."""
+        results = [member.step(before, measurement) for member, before in zip(self.members, state.members, strict=True)]
+        estimates = [estimate for _, estimate in results]
+        log_likelihood = np.stack([estimate.log_likelihood for estimate in estimates], axis=-1)
+        log_weight = _weighted(state.log_weight, log_likelihood, self.forgetting, self.floor)
+        stacked = _stacked(estimates, log_likelihood.ndim - 1)
+        return EstimatorBankState(tuple(s for s, _ in results), log_weight), _chosen(
+            stacked, log_weight.argmax(axis=-1)
+        )
+
+    def forget(self, state: EstimatorBankState) -> EstimatorBankState:
+        """Let every member forget that can; the weights stay."""
+        return EstimatorBankState(
+            tuple(
+                member.forget(before) if hasattr(member, "forget") else before
+                for member, before in zip(self.members, state.members, strict=True)
+            ),
+            state.log_weight,
+        )
+
+
+def _check_memory(forgetting: float, floor: float) -> None:
+    if not 0.0 < forgetting <= 1.0:
+        raise ValueError(f"forgetting must be in (0, 1], got {forgetting}")
+    if not floor < 0.0:
+        raise ValueError(f"floor must be negative (logarithm of a weight relative to the best), got {floor}")
+
+
+def _weighted(log_weight: Array, log_likelihood: Array, forgetting: float, floor: float) -> Array:
+    """Logarithms of the weights after a frame. Shapes (*batch, K)."""
+    updated = forgetting * log_weight + log_likelihood
+    return np.maximum(updated - updated.max(axis=-1, keepdims=True), floor)
+
+
+def _stacked(estimates: list[Any], axis: int) -> Any:
+    """Stack the arrays of estimates of one kind along a new axis; what is None in one is None."""
+
+    def stack(name: str) -> Array | None:
+        values = [getattr(estimate, name) for estimate in estimates]
+        return None if any(value is None for value in values) else np.stack(values, axis=axis)
+
+    return replace(estimates[0], **{field.name: stack(field.name) for field in fields(estimates[0])})
 
 
 def _chosen(estimates: Any, best: NDArray[np.intp]) -> Any:

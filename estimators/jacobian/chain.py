@@ -24,10 +24,11 @@ prior about a given center.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from servotrack.estimators.jacobian.adaptive import AdaptiveKalmanJacobian
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
 from servotrack.estimators.jacobian.chain_fit import (
     ChainFrame,
@@ -38,18 +39,9 @@ from servotrack.estimators.jacobian.chain_fit import (
 )
 from servotrack.estimators.jacobian.chain_kernel import chain_feature_rows, chain_goal_rows
 from servotrack.estimators.jacobian.contract import Increment, JacobianEstimator, LinearEstimate, ServoMeasurement
-from servotrack.estimators.jacobian.feature_wise import FeatureWise
-from servotrack.estimators.jacobian.kf import KalmanJacobian
 from servotrack.estimators.jacobian.measurement import checked
-from servotrack.estimators.jacobian.prior import JacobianPrior, RandomWalk
 from servotrack.estimators.types import Array, Mask
 from servotrack.estimators.validation import as_mask, as_numbers
-
-
-def _linear_filter() -> FeatureWise:
-    return FeatureWise(
-        KalmanJacobian(walk=RandomWalk(20.0, 5.0), measurement_noise=1.5, prior=JacobianPrior(1000.0, 50.0))
-    )
 
 
 class ChainState(NamedTuple):
@@ -191,7 +183,7 @@ class ChainJacobian:
         alignment: Pairing of joints and features by time stamps; use the linear filter's.
     """
 
-    linear: JacobianEstimator = field(default_factory=_linear_filter)
+    linear: JacobianEstimator = field(default_factory=AdaptiveKalmanJacobian)
     focal: float = 600.0
     focal_spread: float = 0.3
     center: tuple[float, float] | None = (320.0, 240.0)
@@ -217,6 +209,8 @@ class ChainJacobian:
     drift: float = 5.0
     alignment: Alignment = field(default_factory=Alignment)
 
+    row_covariances: ClassVar[bool] = True
+
     def __post_init__(self) -> None:
         for name in _POSITIVE:
             if not 0.0 < getattr(self, name) < np.inf:
@@ -241,7 +235,8 @@ class ChainJacobian:
         batch, n = tuple(shape), whole.joint_angles.shape[-1]
         if m % 2:
             raise ValueError(
-                f"features must hold two coordinates of each point, got {m}; pass columns and rows of whole points"
+                f"features must hold two coordinates of each point, got {m}; pass columns and rows of whole points, or "
+                "use AdaptiveKalmanJacobian for other features"
             )
         self._settings(n)
         center = np.empty((*batch, 2))

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 
-from servotrack.estimators.jacobian.adaptive import AdaptiveKalmanJacobian
+from servotrack.estimators.jacobian.any_arm import AnyArm
 from servotrack.estimators.jacobian.cautious import Cautious
 from servotrack.estimators.jacobian.contract import JacobianEstimator, ServoEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.excitation import Excitation, Excite, ExploratoryMoves
 from servotrack.estimators.jacobian.exploration import Exploration
+from servotrack.estimators.jacobian.goal_motion import GoalState, begin_goal, goal_velocity
 from servotrack.estimators.jacobian.joint_limits import JointLimits
+from servotrack.estimators.jacobian.joint_space import JointSpace
 from servotrack.estimators.jacobian.laws import ControlLaw, ProportionalIntegral, limiting_factor
 from servotrack.estimators.jacobian.progress import ProgressSupervisor
 from servotrack.estimators.jacobian.supervisor import Supervisor
@@ -29,6 +31,7 @@ class ControllerState(NamedTuple):
         excitation: State of the exploratory moves.
         supervisor: State of the supervisor; None without one.
         commanded: Motion commanded at the last step. Shape (*batch, n), rad.
+        goal: Goal of the last step, from which its velocity follows; None where it is not followed.
     """
 
     estimator: Any
@@ -36,6 +39,7 @@ class ControllerState(NamedTuple):
     excitation: Any
     supervisor: Any
     commanded: Array
+    goal: GoalState | None
 
 
 @dataclass(frozen=True)
@@ -53,11 +57,13 @@ class ServoController:
             state, joint_rate = controller.step(state, measurement)
 
     The default serves arms with any number of joints, with features that are seen one by one. An estimator that gives
-    covariances of its rows (`row_covariances`) is used with `Cautious`, `Exploration` and `ProgressSupervisor`; others
-    with `ProportionalIntegral`, `Excitation` and `Supervisor`.
+    covariances of its rows (`row_covariances`) is used with `JointSpace` on top of `Cautious`, `Exploration` and
+    `ProgressSupervisor`, and a goal that moves smoothly is followed with its velocity; others are used with
+    `ProportionalIntegral`, `Excitation` and `Supervisor`.
 
     Args:
-        estimator: Estimator of the total image Jacobian.
+        estimator: Estimator of the total image Jacobian. The default takes some milliseconds a step for image points;
+            `AdaptiveKalmanJacobian()` is less accurate and ten times as fast.
         law: Control law; None chooses by the estimator.
         excitation: Exploratory moves, or None to choose by the estimator; `Excitation(steps=0)` makes none.
         supervisor: Detector of a wrong estimate; "auto" chooses by the estimator, None disables it.
@@ -66,7 +72,7 @@ class ServoController:
         period: Control period of the parts that are chosen, s.
     """
 
-    estimator: JacobianEstimator = field(default_factory=AdaptiveKalmanJacobian)
+    estimator: JacobianEstimator = field(default_factory=AnyArm)
     law: ControlLaw | None = None
     excitation: ExploratoryMoves | None = None
     supervisor: ProgressSupervisor | Supervisor | Literal["auto"] | None = "auto"
@@ -81,7 +87,9 @@ class ServoController:
                 raise ValueError(f"{name} must be finite and > 0 {unit}, got {getattr(self, name)}")
         certain = bool(getattr(self.estimator, "row_covariances", False))
         parts = {
-            "law": Cautious(period=self.period) if certain else ProportionalIntegral(period=self.period),
+            "law": JointSpace(image=Cautious(period=self.period))
+            if certain
+            else ProportionalIntegral(period=self.period),
             "excitation": Exploration(period=self.period) if certain else Excitation(period=self.period),
         }
         for name, part in parts.items():
@@ -106,6 +114,7 @@ class ServoController:
             excitation=excitation.initial(measurement),
             supervisor=None if supervisor is None else supervisor.initial(measurement),
             commanded=np.zeros(np.shape(measurement.joint_angles)),
+            goal=begin_goal(*_goal(measurement)) if isinstance(law, JointSpace | Cautious) else None,
         )
 
     def step(self, state: ControllerState, measurement: ServoMeasurement) -> tuple[ControllerState, Array]:
@@ -119,7 +128,15 @@ class ServoController:
         """
         law, excitation, supervisor = self._parts()
         estimator_state, estimate = self.estimator.step(state.estimator, measurement)
-        law_state, rate = law.rate(state.law, estimate)
+        goal = state.goal
+        if goal is not None:
+            goal, velocity = goal_velocity(goal, *_goal(measurement))
+            estimate = _relative(estimate, velocity)
+        if isinstance(law, JointSpace) and self.limits is not None:
+            room = self.limits.room(np.asarray(measurement.joint_angles, np.float64))
+            law_state, rate = law.rate(state.law, estimate, *room)
+        else:
+            law_state, rate = law.rate(state.law, estimate)
         watch, active = state.supervisor, excitation.active(state.excitation)
         blocked, restart = np.zeros_like(rate), np.zeros(rate.shape[:-1], np.bool_)
 
@@ -141,7 +158,7 @@ class ServoController:
         rate = limiting_factor(rate, self.max_joint_rate) * rate
         if self.limits is not None:
             rate = self._limited(rate, state, measurement, estimate)
-        new_state = ControllerState(estimator_state, law_state, excitation_state, watch, rate * law.period)
+        new_state = ControllerState(estimator_state, law_state, excitation_state, watch, rate * law.period, goal)
         return new_state, rate
 
     def _limited(
@@ -154,7 +171,7 @@ class ServoController:
             angles, state.commanded / law.period, self.max_joint_rate, law.period
         )
         beyond = ((rate < low) | (rate > high)).any(axis=-1)
-        if beyond.any() and isinstance(law, Cautious):
+        if beyond.any() and isinstance(law, JointSpace | Cautious):
             rate = law.within(rate, estimate, low, high, beyond)
         return np.clip(rate, low, high)
 
@@ -165,3 +182,15 @@ class ServoController:
             cast(ExploratoryMoves, self.excitation),
             cast("ProgressSupervisor | Supervisor | None", self.supervisor),
         )
+
+
+def _goal(measurement: ServoMeasurement) -> tuple[Array, Array]:
+    """Goal (*batch, m) and present time (*batch,)."""
+    return np.asarray(measurement.goal, np.float64), np.asarray(measurement.time, np.float64)
+
+
+def _relative(estimate: Any, velocity: Array) -> Any:
+    """Estimate whose time column is that of the error: the velocity of the goal is subtracted."""
+    jacobian = estimate.jacobian.copy()
+    jacobian[..., -1] -= velocity
+    return replace(estimate, jacobian=jacobian)

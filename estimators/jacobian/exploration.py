@@ -21,6 +21,7 @@ class ExplorationState(NamedTuple):
         active: True while exploring. Shape (*batch,), bool.
         steps: Steps since exploration began. Shape (*batch,), int.
         moves: Moves of each joint. Shape (*batch, n), int.
+        again: True where exploration has begun again. Shape (*batch,), bool.
         rest: Steps until each joint may be chosen again. Shape (*batch, n), int.
         amplitude: Size of the last move of each joint, 0 before the first one. Shape (*batch, n), rad.
         left: Rest of the present move. Shape (*batch, n), rad.
@@ -30,6 +31,7 @@ class ExplorationState(NamedTuple):
     active: Mask
     steps: Labels
     moves: Labels
+    again: Mask
     rest: Labels
     amplitude: Array
     left: Array
@@ -47,8 +49,8 @@ class Exploration:
         resting: Frames to watch before the first move.
         signal: Image motion of a move, in standard deviations of the features' noise. Larger moves teach more and
             disturb more.
-        image_share: Largest image motion of a move, as a share of the features' range. It bounds `signal` where noise
-            is large.
+        largest_image_motion: Largest image motion of a move, root of the mean square of the features, px. It bounds
+            `signal` where noise is large.
         known: Standard deviation of a column of J, as a share of a typical column, at which it counts as known. Smaller
             values explore longer.
         first_move: Size of the first move of a joint, rad.
@@ -60,7 +62,7 @@ class Exploration:
 
     resting: int = 5
     signal: float = 40.0
-    image_share: float = 0.125
+    largest_image_motion: float = 80.0
     known: float = 0.3
     first_move: float = 0.02
     largest_move: float = 0.1
@@ -74,7 +76,7 @@ class Exploration:
                 raise ValueError(f"{name} must be >= 0 steps, got {getattr(self, name)}")
         if self.most_moves < 1:
             raise ValueError(f"most_moves must be at least 1 per joint, got {self.most_moves}")
-        for name in ("signal", "image_share", "known", "first_move", "largest_move", "period"):
+        for name in ("signal", "largest_image_motion", "known", "first_move", "largest_move", "period"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be finite and > 0, got {getattr(self, name)}")
 
@@ -86,6 +88,7 @@ class Exploration:
             active=np.ones(batch, np.bool_),
             steps=np.zeros(batch, np.int64),
             moves=np.zeros(joint_angles.shape, np.int64),
+            again=np.zeros(batch, np.bool_),
             rest=np.zeros(joint_angles.shape, np.int64),
             amplitude=np.zeros(joint_angles.shape),
             left=np.zeros(joint_angles.shape),
@@ -124,12 +127,22 @@ class Exploration:
             np.ascontiguousarray(estimate.jacobian).reshape(rows, m, d),
             np.ascontiguousarray(covariance).reshape(rows, m, d, d),
             np.ascontiguousarray(variance).reshape(rows, m),
+            np.ascontiguousarray(estimate.error).reshape(rows, m),
             Excite(
                 np.ascontiguousarray(wish.restart, np.bool_).reshape(rows),
                 np.ascontiguousarray(wish.blocked, np.float64).reshape(rows, d - 1),
                 wish.max_joint_rate * self.period,
             ),
-            (self.resting, self.signal, self.known, self.first_move, self.largest_move, self.most_moves, self.spacing),
+            (
+                self.resting,
+                self.signal,
+                self.largest_image_motion,
+                self.known,
+                self.first_move,
+                self.largest_move,
+                self.most_moves,
+                self.spacing,
+            ),
         )
         shaped = [part.reshape((*batch, *part.shape[1:])) for part in results]
         new_state = ExplorationState(*shaped[:-1])
@@ -137,15 +150,15 @@ class Exploration:
 
 
 @njit(cache=True, nogil=True)
-def _explore(before, angles, jacobians, covariances, variances, wish, tuning):  # type: ignore[no-untyped-def]
+def _explore(before, angles, jacobians, covariances, variances, errors, wish, tuning):  # type: ignore[no-untyped-def]
     """`Exploration.step` over rows. Returns the fields of the state, then the motion of this period."""
-    resting, signal, known, first_move, largest_move, most_moves, spacing = tuning
+    resting, signal, most_image, known, first_move, largest_move, most_moves, spacing = tuning
     restart, blocked, fastest = wish
     rows, n = angles.shape
     m = variances.shape[1]
     active, steps, moves = before.active.copy(), before.steps.copy(), before.moves.copy()
     rest, amplitude, left = before.rest.copy(), before.amplitude.copy(), before.left.copy()
-    center = before.center.copy()
+    center, again = before.center.copy(), before.again.copy()
     motion = np.zeros((rows, n))
     columns, doubts = np.empty(n), np.empty(n)
     for row in range(rows):
@@ -155,6 +168,7 @@ def _explore(before, angles, jacobians, covariances, variances, wish, tuning):  
             moves[row] = 0
             rest[row] = 0
             left[row] = 0.0
+            again[row] = True
             center[row] = angles[row]
         if not active[row]:
             continue
@@ -169,18 +183,24 @@ def _explore(before, angles, jacobians, covariances, variances, wish, tuning):  
                 moving = True
         if moving:
             continue
-        seen = 0
+        seen, deviation, error = 0, 0.0, 0.0
         columns[:] = 0.0
         doubts[:] = 0.0
         for i in range(m):
             if variances[row, i] < np.inf:
                 seen += 1
+                deviation += variances[row, i]
+                error += errors[row, i] ** 2
                 for j in range(n):
                     columns[j] += jacobians[row, i, j] ** 2 / variances[row, i]
                     doubts[j] += covariances[row, i, j, j] / variances[row, i]
         if seen == 0:
             continue
-        typical = 0.0
+        deviation = np.sqrt(deviation / seen)
+        typical, wanted = 0.0, min(signal, most_image / deviation)
+        if again[row]:
+            # Near the goal, the moves are no larger than what is left to go, as far as they stand out of the noise.
+            wanted = min(wanted, max(0.25 * signal, np.sqrt(error / seen) / deviation))
         for j in range(n):
             columns[j] /= seen
             doubts[j] /= seen
@@ -207,9 +227,9 @@ def _explore(before, angles, jacobians, covariances, variances, wish, tuning):  
             # The response to the moves so far, as far as it is known.
             response = np.sqrt(columns[j])
             certain = columns[j] > doubts[j]
-            size = signal / response if certain else 2.0 * amplitude[row, j]
+            size = wanted / response if certain else 2.0 * amplitude[row, j]
         elif typical > 0.0:
-            size = signal / np.sqrt(max(typical, doubts[j] * 1e-6))
+            size = wanted / np.sqrt(typical)
         size = min(max(size, 0.25 * first_move), largest_move)
         away = angles[row, j] - center[row, j]
         sign = -1.0 if away > 0.25 * size else 1.0
@@ -220,4 +240,4 @@ def _explore(before, angles, jacobians, covariances, variances, wish, tuning):  
         amplitude[row, j] = size
         moves[row, j] += 1
         rest[row, j] = spacing
-    return active, steps, moves, rest, amplitude, left, center, motion
+    return active, steps, moves, again, rest, amplitude, left, center, motion

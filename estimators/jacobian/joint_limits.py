@@ -61,6 +61,11 @@ class JointLimits:
                 f"has [{low[joint]:g}, {high[joint]:g}] rad; check unit, sign and zero of the encoder"
             )
 
+    def room(self, joint_angles: Array) -> tuple[Array, Array]:
+        """Motions to the lower and upper limits, margin excluded; they include 0. Shapes (*batch, n), rad."""
+        below = np.minimum(np.asarray(self.low) + self.margin - joint_angles, 0.0)
+        return below, np.maximum(np.asarray(self.high) - self.margin - joint_angles, 0.0)
+
     def bounds(
         self, joint_angles: Array, joint_rate: Array, max_joint_rate: float, period: float
     ) -> tuple[Array, Array]:

@@ -45,6 +45,8 @@ class ProgressSupervisor:
     Args:
         settled: Error, root of the mean square in standard deviations, below which the goal counts as reached. Larger
             values tolerate a lasting error.
+        tolerance: Error, root of the mean square in the features' unit, that is near enough in any case: play, sag and
+            encoders leave one that no exploration removes. A number or shape (m,), px.
         progress: Share by which the error must fall below its best to count as progress, in (0, 1).
         patience: Steps without progress after which the arm explores again. Larger values explore later.
         least_motion: Commanded motion in one step above which a joint is expected to follow, rad.
@@ -54,6 +56,7 @@ class ProgressSupervisor:
     """
 
     settled: float = 4.0
+    tolerance: float | tuple[float, ...] = 3.0
     progress: float = 0.2
     patience: int = 40
     least_motion: float = 0.005
@@ -67,6 +70,8 @@ class ProgressSupervisor:
                 raise ValueError(f"{name} must be at least 1 step, got {getattr(self, name)}")
         if not 0.0 < self.settled < np.inf:
             raise ValueError(f"settled must be finite and > 0 standard deviations, got {self.settled}")
+        if not (np.asarray(self.tolerance, np.float64) >= 0.0).all():
+            raise ValueError(f"tolerance must be >= 0 in the features' unit, got {self.tolerance}")
         if not 0.0 < self.progress < 1.0:
             raise ValueError(f"progress must be in (0, 1), got {self.progress}")
 
@@ -117,7 +122,8 @@ class ProgressSupervisor:
         seen = visible.any(axis=-1) if visible.ndim == joint_angles.ndim else visible
 
         known = variance < np.inf
-        squares = np.where(known, estimate.error**2 / variance, 0.0).sum(axis=-1)
+        least = np.maximum(variance, (np.asarray(self.tolerance, np.float64) / self.settled) ** 2)
+        squares = np.where(known, estimate.error**2 / least, 0.0).sum(axis=-1)
         error = np.sqrt(squares / np.maximum(known.sum(axis=-1), 1))
         near = (error < self.settled) & known.any(axis=-1)
         better = seen & ~exploring & (error < (1.0 - self.progress) * state.best)
