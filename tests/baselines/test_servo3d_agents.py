@@ -8,6 +8,7 @@ import pytest
 
 import servotrack  # noqa: F401
 from servotrack.baselines.agents.registry import create_agent
+from servotrack.baselines.agents.servo3d.model_free import create_model_free_servo
 from servotrack.baselines.evaluation.bench import default_agents, suite_of
 from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.servo3d_scores import LOST_ERROR, servo3d_errors
@@ -15,6 +16,7 @@ from servotrack.envs.wrappers import PrivilegedObservation
 
 ENV_ID = "UncalibServo3D-v0"
 AGENTS = ["ibvs", "ibvs-desired", "ibvs-mean", "pbvs", "joint-oracle"]
+MODEL_FREE = ["any-arm", "chain", "adaptive-kf", "expert-kf"]
 ARMS = [("so101", "hand"), ("panda", "world"), ("ur5e", "world")]
 
 
@@ -55,9 +57,43 @@ def test_single_and_batched_answers_agree():
         assert np.abs(alone).max() <= 1.0
 
 
-def test_the_suite_offers_the_random_and_the_calibrated_agents():
-    assert default_agents(ENV_ID) == ["random", *AGENTS]
-    assert {cell.agent for cell in suite_of(ENV_ID, levels=[1])} == {"random", *AGENTS}
+def test_the_suite_offers_the_random_the_calibrated_and_the_model_free_agents():
+    assert sorted(default_agents(ENV_ID)) == sorted(["random", *AGENTS, *MODEL_FREE])
+    assert {cell.agent for cell in suite_of(ENV_ID, levels=[1])} == {"random", *AGENTS, *MODEL_FREE}
+
+
+@pytest.mark.parametrize(("arm", "camera"), [("so101", "hand"), ("panda", "world")])
+def test_an_arm_of_which_nothing_is_known_reaches_its_goal(arm, camera):
+    """With homing errors, coarse encoders, motors that lag, backlash, and encoders of another age than the frames."""
+    arguments = {"level": 3, "arm": arm, "camera": camera}
+    rows = evaluate(ENV_ID, "any-arm", range(100_020, 100_024), env_kwargs=arguments, timing=False).rows
+    assert sum(row["success"] for row in rows) >= 3
+
+
+@pytest.mark.parametrize("agent", ["adaptive-kf", "chain"])
+def test_the_other_servos_reach_it_with_less_in_their_way(agent):
+    rows = evaluate(ENV_ID, agent, range(100_020, 100_024), env_kwargs={"level": 1, "horizon": 400}, timing=False).rows
+    assert sum(row["feature_error"] < 5.0 for row in rows) >= 3
+
+
+def test_model_free_agents_refuse_other_worlds():
+    with pytest.raises(ValueError, match=r"adaptive-kf.* UncalibServo-v0 lacks them: choose UncalibServo3D-v0"):
+        create_model_free_servo(gym.make("UncalibServo-v0"), "adaptive-kf")
+
+
+def test_a_model_free_agent_acts_alone_as_in_a_batch():
+    env = gym.make(ENV_ID, level=3)
+    observation, _ = env.reset(seed=100_000)
+    batch = {key: np.stack([value, value]) for key, value in observation.items()}
+    for name in MODEL_FREE:
+        agent = create_agent(name, env)
+        alone, together = None, None
+        for _ in range(12):
+            action, alone = agent.predict(observation, alone)
+            both, together = agent.predict(batch, together)
+            np.testing.assert_array_equal(both, np.stack([action, action]))
+            observation, *_ = env.step(action)
+            batch = {key: np.stack([value, value]) for key, value in observation.items()}
 
 
 def test_scores_of_a_servo_that_settles_after_half_the_time():

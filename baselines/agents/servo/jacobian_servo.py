@@ -51,8 +51,12 @@ def servo_measurement(observation: Mapping[str, Any]) -> ServoMeasurement | Priv
     fields: dict[str, Any] = {key: observation[key] for key in OBSERVATION_KEYS}
     for key in ("frame_time", "time"):
         fields[key] = np.asarray(fields[key])[..., 0]
-    fields["visible"] = np.asarray(fields["visible"])[..., 0] > 0.5
-    if "true_jacobian" not in observation:
+    visible = np.asarray(fields["visible"]) > 0.5
+    # One entry for all features, or one per point.
+    fields["visible"] = visible[..., 0] if visible.shape[-1] == 1 else visible
+    if "joint_time" in observation:
+        fields["joint_time"] = np.asarray(observation["joint_time"])[..., 0]
+    if "true_camera" not in observation:
         return ServoMeasurement(**fields)
     geometry = Geometry(
         camera=observation["true_camera"],

@@ -1,1 +1,1 @@
-"""Calibrated agents for serial arms: image-based, position-based, and with known joint angles of the goal."""
+"""Agents for serial arms: calibrated ones by image, pose or joint angles, and ones that know neither camera nor arm."""
