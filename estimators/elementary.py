@@ -1,7 +1,8 @@
-"""Elementary functions that call the C library for each element.
+"""Elementary functions that call the C library for each element, and a sum from the first to the last.
 
 NumPy's own `exp`, `log`, `power`, `arctan2` and others choose an implementation by processor, and have changed it from
-version to version, with other last bits. What decides the bits of an environment or of an answer uses these.
+version to version, with other last bits. Python's own `sum` compensates its rounding from Python 3.12 on, and the order
+of NumPy's depends on the processor. What decides the bits of an environment or of an answer uses these.
 """
 
 from __future__ import annotations
@@ -45,6 +46,12 @@ def direction(y: ArrayLike, x: ArrayLike) -> Array:
     out = np.empty_like(across)
     _direction(across.reshape(-1), along.reshape(-1), out.reshape(-1))
     return out.reshape(np.shape(y))
+
+
+def sum_in_order(values: ArrayLike) -> float:
+    """Sum of numbers, added one after the other from the first on; 0 for an empty array. Shape (n,)."""
+    x = np.asarray(values, np.float64)
+    return float(np.cumsum(x)[-1]) if x.size else 0.0
 
 
 @njit(cache=True, nogil=True)

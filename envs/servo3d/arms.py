@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.envs.servo3d.kinematics import ArmTables
+from servotrack.estimators.elementary import sum_in_order
 from servotrack.estimators.types import Array
 
 
@@ -98,7 +99,7 @@ class SerialArm:
     def reach(self) -> float:
         """Length of the chain from the second joint to the tool, m: the scale of cameras and targets."""
         points = [*self.points[1:], self.tool[:3, 3]]
-        return float(sum(math.dist(a, b) for a, b in itertools.pairwise(points)))
+        return sum_in_order([math.dist(a, b) for a, b in itertools.pairwise(points)])
 
     def tables(self, margin: float = 0.0) -> ArmTables:
         """Return the arm for the compiled kernels.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.compilation import njit
-from servotrack.estimators.elementary import cosine
+from servotrack.estimators.elementary import cosine, sum_in_order
 from servotrack.estimators.symmetric import weighted_rows
 from servotrack.estimators.types import Array, ComplexArray
 
@@ -94,7 +94,7 @@ def shading_weights(array: LineArray, shading: Shading = "conventional") -> Arra
     if shading == "conventional":
         return np.full(array.elements, 1.0 / np.sqrt(array.elements), np.float64)
     weights = _chebyshev_weights(array.elements)
-    return np.asarray(weights / math.sqrt(sum((weights**2).tolist())), np.float64)
+    return np.asarray(weights / math.sqrt(sum_in_order(weights**2)), np.float64)
 
 
 def steering(array: LineArray, frequencies: ArrayLike, bearings_deg: ArrayLike) -> ComplexArray:
@@ -304,7 +304,7 @@ def _pattern_of_offset(
 
 def _dirichlet_power(array: LineArray, frequencies: Array, power: Array, offset: Array, w: Array) -> Array:
     """1/F sum_f power_f |sum_n w_n exp(2 pi j f d n offset / c)|^2, by lags. Shape of offset."""
-    lags = np.array([sum((w[: len(w) - lag] * w[lag:]).tolist()) * (2.0 if lag else 1.0) for lag in range(len(w))])
+    lags = np.array([sum_in_order(w[: len(w) - lag] * w[lag:]) * (2.0 if lag else 1.0) for lag in range(len(w))])
     total = np.zeros(offset.size)
     rates = 2.0 * np.pi * frequencies * array.spacing / array.sound_speed
     _add_cosine_series(rates, np.ascontiguousarray(power), lags, np.ascontiguousarray(offset).reshape(-1), total)
@@ -369,7 +369,7 @@ def _chebyshev_weights(elements: int) -> Array:
         outside = math.copysign(1.0, x) ** order * math.cosh(order * math.acosh(max(abs(x), 1.0)))
         response.append(inside if abs(x) <= 1.0 else outside)
     weights = [
-        sum(r * math.cos(2.0 * math.pi * k * (n - order / 2.0) / elements) for k, r in enumerate(response))
+        sum_in_order([r * math.cos(2.0 * math.pi * k * (n - order / 2.0) / elements) for k, r in enumerate(response)])
         for n in range(elements)
     ]
     return np.array(weights) / max(weights)

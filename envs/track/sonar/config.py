@@ -10,6 +10,7 @@ from typing import Any, get_args
 import numpy as np
 
 from servotrack.envs.arguments import check_fields, check_keywords, check_level
+from servotrack.estimators.elementary import sum_in_order
 from servotrack.estimators.sonar.array import Band, LineArray, Shading, bearings
 from servotrack.estimators.types import Array
 
@@ -143,7 +144,7 @@ class SonarConfig:
         octaves = [math.log2(ratio) for ratio in (self.band.frequencies / self.band_low).tolist()]
         # NumPy's own power and logarithm differ in the last bit between versions and processors.
         power = np.array([10.0 ** (-self.ambient_slope / 10.0 * octave) for octave in octaves])
-        return power / (sum(power.tolist()) / len(power))
+        return power / (sum_in_order(power) / len(power))
 
     @property
     def averages(self) -> int:
@@ -163,7 +164,7 @@ class SonarConfig:
             loudest = [DRAWN_SNR[1]] * self.max_targets
         if self.variant == "trial":
             loudest[0] = LOUD_SNR
-        elements = sum(10.0 ** ((snr + self.snr_offset) / 10.0) for snr in loudest)
+        elements = sum_in_order([10.0 ** ((snr + self.snr_offset) / 10.0) for snr in loudest])
         return 2.0 + 2.0 * self.elements * self.noise_bins * elements / len(self.band.frequencies)
 
     @property
