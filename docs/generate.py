@@ -85,7 +85,7 @@ ANIMATIONS = {
     "UncalibServo-v0": Animation({"level": 3}, "lifted-kf", frames=72),
     "UncalibServoReach-v0": Animation({"level": 3}, "lifted-kf", frames=50, every=2),
     "UncalibServoPixels-v0": Animation({"level": 3}, "lifted-kf", frames=72),
-    "UncalibServo3D-v0": Animation({"level": 3, "arm": "so101"}, "ibvs", frames=60),
+    "UncalibServo3D-v0": Animation({"level": 3, "arm": "so101"}, "any-arm", frames=60),
     "PedestrianServo-v0": Animation({"level": 2}, "phd-servo", frames=50),
     "ClutterTracking-v0": Animation({}, "pmb", first=20, frames=60, every=1, duration=120),
     "PedestrianTracking-v0": Animation({"level": 1}, "pmb", first=40, frames=40, every=5, duration=160),

@@ -48,6 +48,14 @@ def direction(y: ArrayLike, x: ArrayLike) -> Array:
     return out.reshape(np.shape(y))
 
 
+def power(base: ArrayLike, exponents: ArrayLike) -> Array:
+    """Powers of numbers, element by element; both arrays have the same shape."""
+    x, y = np.ascontiguousarray(base, np.float64), np.ascontiguousarray(exponents, np.float64)
+    out = np.empty_like(x)
+    _power(x.reshape(-1), y.reshape(-1), out.reshape(-1))
+    return out.reshape(np.shape(base))
+
+
 def sum_in_order(values: ArrayLike) -> float:
     """Sum of numbers, added one after the other from the first on; 0 for an empty array. Shape (n,)."""
     x = np.asarray(values, np.float64)
@@ -76,3 +84,9 @@ def _hyperbolic_tangent(x, out):  # type: ignore[no-untyped-def]
 def _direction(y, x, out):  # type: ignore[no-untyped-def]
     for i in range(len(x)):
         out[i] = math.atan2(y[i], x[i])
+
+
+@njit(cache=True, nogil=True)
+def _power(x, y, out):  # type: ignore[no-untyped-def]
+    for i in range(len(x)):
+        out[i] = math.pow(x[i], y[i])

@@ -36,7 +36,7 @@ def select_rows(mask: Mask, chosen: State, otherwise: State) -> State:
 def add_axis(tree: State) -> State:
     """Return the nested NamedTuples with a leading batch axis of length 1 in every array; None stays."""
     if isinstance(tree, tuple):
-        return type(tree)(*[leaf if leaf is None else add_axis(leaf) for leaf in tree])
+        return type(tree)(*[leaf if leaf is None else add_axis(leaf) for leaf in tree])  # type: ignore[arg-type]
     return np.ascontiguousarray(np.asarray(tree)[None])  # type: ignore[return-value]
 
 

@@ -26,11 +26,9 @@ from so101_film import Painter, write
 from so101_simulation import BOARD, PERIOD, Array, Image, Reading, SimulatedSO101
 
 from servotrack.baselines.evaluation.seeds import take
-from servotrack.estimators.jacobian import AdaptiveKalmanJacobian, ServoController, ServoMeasurement
+from servotrack.estimators.jacobian import ServoController, ServoMeasurement
 
 MAX_JOINT_RATE = 0.8
-ENCODER_STEP = 2.0 * np.pi / 4096.0
-"""The only number from the arm's data sheet: smaller motions are not reported, so they are not taken for news, rad."""
 SECONDS = 10.0
 SETTLED = 1.0
 """Last part of an episode in which the corners' error is averaged, s."""
@@ -88,8 +86,7 @@ def servo(robot: SimulatedSO101, goal: Array, seconds: float = SECONDS) -> Itera
     Yields:
         Each control step.
     """
-    estimator = AdaptiveKalmanJacobian(joint_noise=ENCODER_STEP)
-    controller = ServoController(estimator, max_joint_rate=MAX_JOINT_RATE, period=PERIOD)
+    controller = ServoController(max_joint_rate=MAX_JOINT_RATE, period=PERIOD)
     state, features = None, goal
     reading = robot.read()
     while reading.time < seconds:

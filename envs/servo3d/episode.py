@@ -14,6 +14,7 @@ from servotrack.envs.servo3d.kinematics import axes_now, twist_columns
 from servotrack.envs.servo3d.layout import LayoutRules, accept_layouts
 from servotrack.envs.servo3d.levels import Servo3DConfig
 from servotrack.envs.streams import Streams
+from servotrack.estimators.elementary import power
 from servotrack.estimators.types import Array, Mask
 
 PERIOD = 0.05
@@ -221,7 +222,7 @@ def _draw_offsets(config: Servo3DConfig, streams: Streams) -> Array:
     offsets[:, 0:2] = rng.uniform(-config.shift, config.shift, (_BLOCK, 2))
     offsets[:, 2:4] = rng.uniform(-config.lean, config.lean, (_BLOCK, 2))
     offsets[:, 4] = rng.uniform(*config.turn, _BLOCK) * rng.choice((-1.0, 1.0), _BLOCK)
-    offsets[:, 5] = rng.uniform(*config.zoom, _BLOCK) ** rng.choice((-1.0, 1.0), _BLOCK)
+    offsets[:, 5] = power(rng.uniform(*config.zoom, _BLOCK), rng.choice((-1.0, 1.0), _BLOCK))
     return offsets
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.detect.appearance import box_histograms
+from servotrack.estimators.elementary import exponential
 from servotrack.estimators.types import Array, Image, Labels
 
 
@@ -44,7 +45,7 @@ def color_weights(similarity: Array, variance: float) -> Array:
     """
     squared = np.maximum(1.0 - similarity, 0.0)
     # The nearest candidate has exponent 0, so that not all weights underflow.
-    weights = np.exp((squared.min() - squared) / variance)
+    weights = exponential((squared.min() - squared) / variance)
     return weights / weights.sum()
 
 

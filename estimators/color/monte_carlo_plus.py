@@ -18,6 +18,7 @@ from servotrack.estimators.color.contract import (
     start,
 )
 from servotrack.estimators.color.histogram import color_histogram
+from servotrack.estimators.elementary import exponential
 from servotrack.estimators.types import Array, FloatArray, Image
 
 
@@ -190,7 +191,7 @@ class MonteCarloColorPlus:
         drawn = np.empty((len(noise), 3))
         drawn[:, :2] = last.within(center + spread * noise[:, :2])
         deviation = min(width, 1.0) * self.scale_deviation
-        drawn[:, 2] = last.bounded(scale * np.exp(deviation * noise[:, 2]))
+        drawn[:, 2] = last.bounded(scale * exponential(deviation * noise[:, 2]))
         return drawn
 
     def _similarity(self, view: View, state: PlusState, boxes: Array) -> tuple[Array, FloatArray, Array]:
@@ -256,5 +257,5 @@ class MonteCarloColorPlus:
 
 
 def _weights(similarity: Array, sharpness: float) -> Array:
-    weights = np.exp(sharpness * (similarity - similarity.max()))
+    weights = exponential(sharpness * (similarity - similarity.max()))
     return weights / weights.sum()

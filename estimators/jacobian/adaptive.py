@@ -8,7 +8,7 @@ farther the arm moved in it. The noise of the features is measured while the arm
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from servotrack.estimators.definite import is_definite, repair
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
 from servotrack.estimators.jacobian.contract import Increment, LinearEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.feature_wise import each_feature
-from servotrack.estimators.types import Array
+from servotrack.estimators.types import Array, Mask
 
 
 class AdaptiveState(NamedTuple):
@@ -32,7 +32,7 @@ class AdaptiveState(NamedTuple):
         gathered: Motion of joints and time since the increment used last. Shape (*batch, m, n + 1).
         gathered_change: Change of each feature since then. Shape (*batch, m).
         squares: Sum of the squared noise of features at rest, in units of `feature_noise`. Shape (*batch,).
-        count: Number of terms in `squares`. Shape (*batch,).
+        terms: Number of terms in `squares`. Shape (*batch,).
         excess: Mean square of innovations beyond their predicted variance, in squared feature ranges. Shape (*batch,).
     """
 
@@ -44,7 +44,7 @@ class AdaptiveState(NamedTuple):
     gathered: Array
     gathered_change: Array
     squares: Array
-    count: Array
+    terms: Array
     excess: Array
 
 
@@ -138,7 +138,7 @@ class AdaptiveKalmanJacobian:
             gathered=np.zeros((*batch, m, n + 1)),
             gathered_change=np.zeros((*batch, m)),
             squares=np.zeros(batch),
-            count=np.zeros(batch),
+            terms=np.zeros(batch),
             excess=np.zeros(batch),
         )
 
@@ -241,16 +241,16 @@ class _Rows(NamedTuple):
     gathered: Array
     gathered_change: Array
     squares: Array
-    count: Array
+    terms: Array
     excess: Array
 
 
 def _flat_rows(
-    parts: tuple[AdaptiveState, Increment, Array, Array], rows: int, axes: int
-) -> tuple[_Rows, Increment, Array, Array]:
+    parts: tuple[AdaptiveState, Increment, Array, Mask], rows: int, axes: int
+) -> tuple[_Rows, Increment, Array, Mask]:
     """Merge the batch axes of the state and an increment to one."""
 
-    def flat(values: Array) -> Array:
+    def flat(values: Any) -> Any:
         return values.reshape((rows, *values.shape[axes:]))
 
     state, increment, offset, seen = parts
@@ -268,7 +268,7 @@ def _step(before, increment, offset, seen, units, noise):  # type: ignore[no-unt
     jacobian, covariance = before.jacobian.copy(), before.covariance.copy()
     resting_change, resting_time = before.resting_change.copy(), before.resting_time.copy()
     gathered, gathered_change = before.gathered.copy(), before.gathered_change.copy()
-    squares, count = before.squares.copy(), before.count.copy()
+    squares, terms = before.squares.copy(), before.terms.copy()
     excess = before.excess.copy()
     error, variance = np.zeros((rows, m)), np.full((rows, m), np.inf)
     log_likelihood, nis = np.zeros(rows), np.zeros(rows)
@@ -290,10 +290,10 @@ def _step(before, increment, offset, seen, units, noise):  # type: ignore[no-unt
                 second = change - ratio * resting_change[row, i]
                 spread = units.noise[i] ** 2 * (1.0 + (1.0 + ratio) ** 2 + ratio**2)
                 squares[row] += second * second / spread
-                count[row] += 1.0
+                terms[row] += 1.0
             resting_change[row, i], resting_time[row, i] = change, duration
         # One term is the number before it was measured.
-        level = (1.0 + squares[row]) / (1.0 + count[row])
+        level = (1.0 + squares[row]) / (1.0 + terms[row])
 
         size = 0.0
         for i in range(m):
@@ -368,7 +368,7 @@ def _step(before, increment, offset, seen, units, noise):  # type: ignore[no-unt
         gathered,
         gathered_change,
         squares,
-        count,
+        terms,
         excess,
         error,
         jacobian,

@@ -149,7 +149,7 @@ class ServoController:
                 if hasattr(self.estimator, "forget"):
                     estimator_state = select_rows(restart, self.estimator.forget(estimator_state), estimator_state)
                 law_state = select_rows(restart, law.initial(measurement), law_state)
-                watch = select_rows(restart, supervisor.renewed(watch, measurement), watch)
+                watch = select_rows(restart, supervisor.renewed(cast(Any, watch), measurement), watch)
 
         wish = Excite(restart, blocked, self.max_joint_rate)
         excitation_state, exciting = excitation.step(state.excitation, measurement, estimate, wish)
@@ -170,7 +170,7 @@ class ServoController:
         low, high = cast(JointLimits, self.limits).bounds(
             angles, state.commanded / law.period, self.max_joint_rate, law.period
         )
-        beyond = ((rate < low) | (rate > high)).any(axis=-1)
+        beyond = np.asarray(((rate < low) | (rate > high)).any(axis=-1))
         if beyond.any() and isinstance(law, JointSpace | Cautious):
             rate = law.within(rate, estimate, low, high, beyond)
         return np.clip(rate, low, high)

@@ -76,7 +76,7 @@ def checked(measurement: ServoMeasurement, *, each_feature: bool = False) -> Ser
     check_within("goal", goal, LIMITS.pixels, "repeat the last goal instead")
     check_within("time", time, LIMITS.times, "pass the clock's reading")
     unseen = "set visible to false for a lost frame, or give each point or feature its own entry"
-    seen = visible.any(axis=-1) if each_feature else visible
+    seen: Mask = np.asarray(visible.any(axis=-1)) if each_feature else visible
     check_within("features", features, LIMITS.pixels, unseen, visible if each_feature else visible[..., None])
     check_within("frame_time", frame_time, LIMITS.times, unseen, seen)
     future = seen & (frame_time > time + CLOCK_TOLERANCE)

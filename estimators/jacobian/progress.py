@@ -119,7 +119,7 @@ class ProgressSupervisor:
         variance = uncertainty(estimate)[1]
         joint_angles = np.asarray(measurement.joint_angles, dtype=np.float64)
         visible = np.asarray(measurement.visible, dtype=np.bool_)
-        seen = visible.any(axis=-1) if visible.ndim == joint_angles.ndim else visible
+        seen = np.asarray(visible.any(axis=-1)) if visible.ndim == joint_angles.ndim else visible
 
         known = variance < np.inf
         least = np.maximum(variance, (np.asarray(self.tolerance, np.float64) / self.settled) ** 2)

@@ -141,7 +141,9 @@ class InformedInputs(ServoInputs):
         geometry = Geometry(camera, links, np.full(self.batch, 0.01), np.full(self.batch, 0.02))
 
         def informed(arguments: Arguments) -> Arguments:
-            return {"measurement": InformedMeasurement(*arguments["measurement"][:6], geometry)}
+            seen = arguments["measurement"]
+            shared = {name: getattr(seen, name) for name in InformedMeasurement._fields if name != "geometry"}
+            return {"measurement": InformedMeasurement(**shared, geometry=geometry)}
 
         return Sequence(informed(plain.start), tuple(informed(each) for each in plain.steps))
 

@@ -11,6 +11,7 @@ from servotrack.baselines.agents.hyper_parameters import with_values
 from servotrack.baselines.agents.servo.catalog import servo_controller
 from servotrack.baselines.worlds import public_attribute
 from servotrack.estimators.follow import PersonFollower
+from servotrack.estimators.jacobian import Supervisor
 
 UNSEEN_LIMIT = 60
 """Steps without the person after which the servo returns from the predicted to the last seen position."""
@@ -48,7 +49,7 @@ def create_follow_agent(
     if "jacobian" in oracles:
         estimator, law = "oracle", "pi"
     controller = servo_controller(estimator, law, float(max_joint_rate))
-    if controller.supervisor is not None:
+    if isinstance(controller.supervisor, Supervisor):
         controller = replace(controller, supervisor=replace(controller.supervisor, unseen_limit=UNSEEN_LIMIT))
     return FollowServo(
         controller,
