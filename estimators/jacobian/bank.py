@@ -54,7 +54,8 @@ class Hypotheses(Protocol[Member_contra]):
 
 def _repeated(measurement: ServoMeasurement, count: int) -> ServoMeasurement:
     """Repeat a measurement for `count` hypotheses along a new last batch axis."""
-    measurement = checked(measurement)
+    single = np.ndim(measurement.visible) > np.ndim(measurement.time)
+    measurement = checked(measurement, each_feature=single)
     axis = measurement.time.ndim
     repeated = [None if value is None else np.repeat(np.expand_dims(value, axis), count, axis) for value in measurement]
     return ServoMeasurement(*repeated)  # type: ignore[arg-type]
@@ -62,28 +63,38 @@ def _repeated(measurement: ServoMeasurement, count: int) -> ServoMeasurement:
 
 @dataclass(frozen=True)
 class Latencies:
-    """Hypotheses about the unknown latency of a camera whose frames are stamped on arrival.
+    """Hypotheses about the unknown latencies of a camera and of encoders whose readings are stamped on arrival.
 
     Args:
         ages: Assumed ages of a frame at its stamp, s. The default covers two control periods, in steps fine enough for
             a camera whose readout takes part of a period.
+        encoder_ages: Assumed ages of the encoder readings at their stamps, s. Every pair of ages is a hypothesis. Where
+            both are late by the same time, nothing but the age of the answer differs.
     """
 
     ages: tuple[float, ...] = (0.0, 0.03, 0.06, 0.09, 0.12)
+    encoder_ages: tuple[float, ...] = (0.0,)
 
     def __post_init__(self) -> None:
-        if not self.ages or not all(0.0 <= age < np.inf for age in self.ages):
-            raise ValueError(f"ages must have at least one value, all finite and >= 0 s, got {self.ages}")
+        for name in ("ages", "encoder_ages"):
+            values = getattr(self, name)
+            if not values or not all(0.0 <= age < np.inf for age in values):
+                raise ValueError(f"{name} must have at least one value, all finite and >= 0 s, got {values}")
 
     @property
     def count(self) -> int:
         """Number K of hypotheses."""
-        return len(self.ages)
+        return len(self.ages) * len(self.encoder_ages)
 
     def measurement(self, measurement: ServoMeasurement) -> ServoMeasurement:
-        """Return the measurement with `frame_time` moved back by each assumed age."""
+        """Return the measurement with `frame_time` and `joint_time` moved back by each pair of assumed ages."""
         spread = _repeated(measurement, self.count)
-        return spread._replace(frame_time=spread.frame_time - np.asarray(self.ages))
+        frames, encoders = np.repeat(self.ages, len(self.encoder_ages)), np.tile(self.encoder_ages, len(self.ages))
+        spread = spread._replace(frame_time=spread.frame_time - frames)
+        if self.encoder_ages == (0.0,):
+            return spread
+        read_at = spread.time if spread.joint_time is None else spread.joint_time
+        return spread._replace(joint_time=read_at - encoders)
 
     def initial(self, estimator: JacobianEstimator, measurement: ServoMeasurement) -> Any:
         """Return the state of any estimator; the ages are already part of the measurement."""

@@ -8,17 +8,24 @@ import pytest
 from servotrack.estimators.jacobian import (
     AdaptiveKalmanJacobian,
     Alignment,
+    AnyArm,
     Cautious,
+    EstimatorBank,
     Exploration,
     FeatureWise,
+    HypothesisBank,
     JacobianPrior,
     JointLimits,
+    JointSpace,
     KalmanJacobian,
+    Latencies,
     LinearEstimate,
     ProgressSupervisor,
     ServoController,
     ServoMeasurement,
 )
+from servotrack.estimators.jacobian.adaptive import AdaptiveState
+from servotrack.estimators.jacobian.bank import EstimatorBankState
 
 PERIOD = 0.05
 
@@ -372,6 +379,94 @@ def test_a_goal_that_moves_smoothly_is_followed_and_a_new_one_is_no_velocity():
     state, _ = estimator.step(estimator.initial(seen), seen)
     jump = seen._replace(time=seen.time + PERIOD, frame_time=seen.time + PERIOD, goal=seen.goal + 100.0)
     np.testing.assert_array_equal(estimator.step(state, jump)[1].jacobian[..., -1], 0.0)
+
+
+@pytest.mark.parametrize("age", [0.0, 0.05, 0.1])
+def test_encoders_of_unknown_age_are_found_by_a_bank(age):
+    """Frames are fresh, encoder readings old, and no stamp says so."""
+    world = LinearWorld(4, rows=10, seed=16, noise=0.5)
+    bank = HypothesisBank(AdaptiveKalmanJacobian(), Latencies((0.0, 0.05), (0.0, 0.05, 0.1)))
+    controller, state, past = ServoController(bank, max_joint_rate=1.0), None, []
+    for _ in range(300):
+        seen = world.measurement()
+        past.append(seen.joint_angles)
+        late = seen._replace(joint_angles=past[max(len(past) - 1 - round(age / PERIOD), 0)])
+        state = controller.initial(late) if state is None else state
+        state, rate = controller.step(state, late)
+        world.step(rate)
+    assert np.mean(np.abs(world.error).mean(axis=-1) < 1.0) >= 0.9
+    best = state.estimator.log_weight.argmax(axis=-1)
+    frames, encoders = np.repeat((0.0, 0.05), 3), np.tile((0.0, 0.05, 0.1), 2)
+    assert np.mean(np.isclose((encoders - frames)[best], age)) >= 0.9
+
+
+def test_the_play_of_gears_is_found_by_a_bank():
+    world = LinearWorld(3, rows=10, seed=17, noise=0.5)
+    members = tuple(AdaptiveKalmanJacobian(alignment=Alignment(play=play)) for play in (0.0, 0.02, 0.04))
+    controller, state, links = ServoController(EstimatorBank(members), max_joint_rate=1.0), None, np.zeros((10, 3))
+    for _ in range(300):
+        links = np.clip(links, world.joints - 0.01, world.joints + 0.01)
+        error = np.einsum("bij,bj->bi", world.jacobian, links - world.goal_joints)
+        seen = world.measurement()._replace(features=error + world.rng.normal(0.0, 0.5, error.shape))
+        state = controller.initial(seen) if state is None else state
+        state, rate = controller.step(state, seen)
+        world.step(rate)
+    assert np.mean(state.estimator.log_weight.argmax(axis=-1) == 1) >= 0.9
+    assert np.mean(np.abs(error).mean(axis=-1) < 2.0) >= 0.9
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: EstimatorBank(()), "members must have at least one"),
+        (lambda: EstimatorBank((KalmanJacobian(),), forgetting=0.0), "forgetting"),
+        (lambda: Latencies(encoder_ages=()), "encoder_ages"),
+        (lambda: Alignment(play=-0.1), "play"),
+        (lambda: JointSpace(gain=0.0), "gain"),
+        (lambda: JointSpace(share=-1.0), "share"),
+    ],
+)
+def test_bad_parameters_of_banks_and_laws_are_named(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_a_wrong_number_of_plays_is_named():
+    with pytest.raises(ValueError, match="play must be one number or one per joint, got 2 for 3 joints"):
+        Alignment(play=(0.0, 0.0)).initial(LinearWorld(3).measurement()._replace(visible=np.ones(1, np.bool_)))
+
+
+def test_points_are_told_by_their_entries_of_visible():
+    estimator, world = AnyArm(), LinearWorld(3, 8)
+    seen = world.measurement()
+    assert isinstance(estimator.initial(seen), AdaptiveState)
+    assert isinstance(estimator.initial(seen._replace(visible=np.ones((1, 4), np.bool_))), EstimatorBankState)
+    few = LinearWorld(3, 4).measurement()
+    assert isinstance(estimator.initial(few._replace(visible=np.ones((1, 2), np.bool_))), AdaptiveState)
+
+
+def test_a_law_in_joint_space_goes_straight_where_the_goal_is_found():
+    """The estimate knows the motion; a second row knows none, and a third one that leaves too much."""
+
+    @dataclasses.dataclass(frozen=True)
+    class Searching(LinearEstimate):
+        motion: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
+
+        def motion_to_goal(self, low=None, high=None):
+            return np.clip(self.motion, low, high), np.array([0.1, np.inf, 40.0])
+
+    rng = np.random.default_rng(0)
+    jacobian = rng.normal(0.0, 300.0, (4, 2))
+    one = exact(jacobian, 1e-3)
+    rows = {field.name: np.stack([getattr(one, field.name)] * 3) for field in dataclasses.fields(one)}
+    estimate = Searching(**rows, motion=np.array([[0.4, -0.2]] * 3))
+    law = JointSpace(gain=0.5)
+    seen = ServoMeasurement(*[np.zeros((3, k)) for k in (2, 4, 4)], np.ones(3, np.bool_), np.zeros(3), np.zeros(3))
+    state = law.initial(seen)
+    _, rate = law.rate(state, estimate, np.full((3, 2), -1.0), np.full((3, 2), 0.3))
+    _, in_the_image = law.image.rate(state, LinearEstimate(**rows))
+    np.testing.assert_allclose(rate[0] * law.period, [0.15, -0.1])
+    np.testing.assert_array_equal(rate[1:], in_the_image[1:])
 
 
 def test_a_prior_can_be_given_to_the_filter_of_each_feature():
