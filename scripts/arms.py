@@ -1,0 +1,124 @@
+"""Success and accuracy of servos on arms that they do not know, beside a calibrated one: writes docs/arms.md.
+
+    python scripts/arms.py [--episodes 20] [--jobs 1] [--results results/arms] [--output docs/arms.md]
+
+Seeds of the test range, the same for all agents. Finished cells in the folder of results are kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from servotrack.baselines.evaluation.bench import bench
+from servotrack.baselines.reporting.files import atomic_path
+
+ENV_ID = "UncalibServo3D-v0"
+ARMS = ("ur5e", "panda", "so101")
+CAMERAS = ("hand", "world")
+AGENTS = ("any-arm", "adaptive-kf", "expert-kf", "ibvs")
+
+
+class Axis(NamedTuple):
+    """A difficulty of its own on top of level 1."""
+
+    name: str
+    settings: Mapping[str, Any]
+
+
+AXES = (
+    Axis("3 of 4 points in view at the start", {"in_view": (3, 3), "shift": 0.6}),
+    Axis("2 of 4 points in view at the start", {"in_view": (2, 2), "shift": 0.6}),
+    Axis("2 px of noise", {"pixel_noise": 2.0}),
+    Axis("turns of 2 to 3 rad", {"turn": (2.0, 3.0), "mounting_tilt": math.radians(5)}),
+    Axis("encoders 0 to 2 periods old, stamped", {"encoder_age": (0, 2)}),
+    Axis("a goal that moves", {"motion": 0.015}),
+)
+
+
+def main() -> None:
+    """Run what is missing and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--episodes", type=int, default=20, help="episodes per cell")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--results", type=Path, default=Path("results/arms"), help="folder of results")
+    parser.add_argument("--output", type=Path, default=Path("docs/arms.md"), help="page to write")
+    arguments = parser.parse_args()
+
+    def cells(agents: tuple[str, ...], level: int, name: str, settings: Mapping[str, Any]) -> list[dict[str, list]]:
+        """Rows by agent, one dictionary per arm and camera."""
+        found = []
+        for arm in ARMS:
+            for camera in CAMERAS:
+                results = bench(
+                    ENV_ID,
+                    agents,
+                    [level],
+                    folder=arguments.results / f"{name}-{arm}-{camera}",
+                    episodes=arguments.episodes,
+                    jobs=arguments.jobs,
+                    settings={"arm": arm, "camera": camera, **settings},
+                )
+                found.append({cell.agent: cell.rows[: arguments.episodes] for cell in results})
+                print(name, arm, camera, _line(found[-1], agents), flush=True)
+        return found
+
+    text = [_head(arguments.episodes)]
+    text += ["## Levels\n", _table_head(AGENTS)]
+    for level in (1, 2, 3, 4, 5):
+        found = cells(AGENTS, level, f"level-{level}", {})
+        text += [_row(f"level {level}, {place}", rows, AGENTS) for place, rows in zip(_places(), found, strict=True)]
+    pair = ("any-arm", "ibvs")
+    text += ["\n## Single difficulties\n", "Level 1 with one difficulty more; all arms and cameras together.\n"]
+    text += [_table_head(pair)]
+    for number, axis in enumerate(AXES):
+        found = cells(pair, 1, f"axis-{number}", axis.settings)
+        together = {agent: [row for each in found for row in each[agent]] for agent in pair}
+        text.append(_row(axis.name, together, pair))
+    with atomic_path(arguments.output) as path:
+        path.write_text("\n".join(text) + "\n", encoding="utf-8")
+    print(f"wrote {arguments.output}")
+
+
+def _places() -> list[str]:
+    return [f"{arm}, camera in {'hand' if camera == 'hand' else 'the world'}" for arm in ARMS for camera in CAMERAS]
+
+
+def _head(episodes: int) -> str:
+    return f"""# Arms that nobody calibrated
+
+[`UncalibServo3D-v0`](environments/UncalibServo3D-v0.md), {episodes} episodes of 40 s per row, seeds of the test range.
+`any-arm` is `ServoController()` as it is; `adaptive-kf` the same with `AdaptiveKalmanJacobian`; `expert-kf` a Kalman
+filter of the Jacobian (Zhang 2011) with a prior, a gain and a number of moves chosen for six joints; `ibvs` knows
+camera, mounting, board and arm. Success: mean distance of the tool below 2 mm and mean angle below 1 degree in the
+last 20 s. Tip: median over the episodes of the median distance after 10 s.
+
+Written by `python scripts/arms.py`.
+"""
+
+
+def _table_head(agents: tuple[str, ...]) -> str:
+    titles = [f"{agent}: success | tip, mm" for agent in agents]
+    return f"| | {' | '.join(titles)} |\n|---|{'---|' * 2 * len(agents)}"
+
+
+def _row(name: str, rows: Mapping[str, list], agents: tuple[str, ...]) -> str:
+    parts = []
+    for agent in agents:
+        success = np.mean([row["success"] for row in rows[agent]])
+        tip = 1e3 * np.median([row["tip"] for row in rows[agent]])
+        parts.append(f"{success:.2f} | {tip:.2f}")
+    return f"| {name} | {' | '.join(parts)} |"
+
+
+def _line(rows: Mapping[str, list], agents: tuple[str, ...]) -> str:
+    return ", ".join(f"{agent} {np.mean([row['success'] for row in rows[agent]]):.2f}" for agent in agents)
+
+
+if __name__ == "__main__":
+    main()
