@@ -9,6 +9,7 @@ import numpy as np
 
 from servotrack.estimators.jacobian.cautious import Cautious
 from servotrack.estimators.jacobian.contract import ServoEstimate, ServoMeasurement
+from servotrack.estimators.jacobian.laws import damped_inverse
 from servotrack.estimators.types import Array, Mask
 
 
@@ -34,17 +35,20 @@ class JointSpace:
         image: Law in the image.
         tolerance: Error that the motion may leave, px, if it is more than `share` of the present one.
         share: Share of the present error that the motion may leave. Larger values trust the search more.
+        detour: Largest length of the motion, as a multiple of the step that the linearized image asks for. A longer one
+            leads to another posture that shows the same image. Larger values follow longer ways around.
     """
 
     gain: float = 0.2
     image: Cautious = field(default_factory=Cautious)
     tolerance: float = 5.0
     share: float = 0.25
+    detour: float = 3.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.gain <= 1.0:
             raise ValueError(f"gain must be in (0, 1] (fraction of the motion made in one period), got {self.gain}")
-        for name in ("tolerance", "share"):
+        for name in ("tolerance", "share", "detour"):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be finite and >= 0, got {getattr(self, name)}")
 
@@ -74,7 +78,10 @@ class JointSpace:
             return state, rate
         motion, left = estimate.motion_to_goal(low, high)
         present = np.sqrt(np.mean(estimate.error**2, axis=-1))
-        reached = left <= np.maximum(self.tolerance, self.share * present)
+        step = np.einsum("...ij,...j->...i", damped_inverse(estimate.jacobian[..., :-1], 0.01), estimate.error)
+        longest = self.detour * np.sqrt(np.sum(step**2, axis=-1))
+        direct = np.sqrt(np.sum(motion**2, axis=-1)) <= longest
+        reached = direct & (left <= np.maximum(self.tolerance, self.share * present))
         # What moves by itself, target or goal, is followed as in the image.
         still: Any = replace(estimate, error=np.zeros_like(estimate.error))
         following = self.image.rate(self.image.initial(_goals(estimate.error)), still)[1]

@@ -1,0 +1,141 @@
+"""The default controller on arms by their makers' tables, with kinematics and a camera that are written here.
+
+Nothing of `servotrack.envs` is used: what serves here serves a world that this package does not know.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from servotrack.estimators.jacobian import ServoController, ServoMeasurement
+
+RIGHT = np.pi / 2.0
+PERIOD, FOCAL, ROWS, STEPS = 0.05, 600.0, 6, 240
+# Rows of a, d and alpha. Universal Robots: the joint turns before the link; Franka Emika (after Craig): behind it.
+UR5 = (
+    (0, 0.089159, RIGHT),
+    (-0.425, 0, 0),
+    (-0.39225, 0, 0),
+    (0, 0.10915, RIGHT),
+    (0, 0.09465, -RIGHT),
+    (0, 0.0823, 0),
+)
+PANDA = (
+    (0, 0.333, 0),
+    (0, 0, -RIGHT),
+    (0, 0.316, RIGHT),
+    (0.0825, 0, RIGHT),
+    (-0.0825, 0.384, -RIGHT),
+    (0, 0, RIGHT),
+    (0.088, 0, RIGHT),
+)
+# A hobby arm of the SO-101's lengths (TheRobotStudio, SO-ARM100): base, shoulder, elbow, wrist, roll.
+HOBBY = ((0.03, 0.117, -RIGHT), (0.116, 0, 0), (0.135, 0, 0), (0, 0, -RIGHT), (0, 0.16, 0))
+READY = {
+    "ur5": (0.0, -RIGHT, RIGHT, -RIGHT, -RIGHT, 0.0),
+    "panda": (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785),
+    "hobby": (0.0, -1.2, 1.5, -1.9, 0.0),
+}
+
+
+def _pose(turn, rise, length, twist):
+    """Transforms: turn about z, rise along z, length along x, twist about x. Shape (rows, 4, 4)."""
+    c, s, ca, sa = np.cos(turn), np.sin(turn), np.cos(twist), np.sin(twist)
+    zero, one = np.zeros_like(c), np.ones_like(c)
+    flat = [c, -s * ca, s * sa, length * c, s, c * ca, -c * sa, length * s, zero, sa * one, ca * one, rise * one]
+    flat += [zero, zero, zero, one]
+    return np.stack(flat, axis=-1).reshape(*c.shape, 4, 4)
+
+
+def tool(arm, joints):
+    """Pose of the tool. Shape (rows, 4, 4)."""
+    pose = np.tile(np.eye(4), (len(joints), 1, 1))
+    none = np.zeros(len(joints))
+    if arm == "panda":
+        for (length, rise, twist), turn in zip(PANDA, joints.T, strict=True):
+            pose = pose @ _pose(none, 0.0, length, twist) @ _pose(turn, rise, 0.0, 0.0)
+        return pose @ _pose(none, 0.107, 0.0, 0.0)
+    for (length, rise, twist), turn in zip(UR5 if arm == "ur5" else HOBBY, joints.T, strict=True):
+        pose = pose @ _pose(turn, rise, length, twist)
+    return pose
+
+
+class ForeignArm:
+    """Rows of one arm with a camera of unknown mounting in the hand or in the world, and a board of four points."""
+
+    def __init__(self, arm, camera, seed, noise=0.5):
+        self.arm, self.camera, self.noise = arm, camera, noise
+        self.rng = rng = np.random.default_rng(seed)
+        n = len(READY[arm])
+        self.goal_joints = np.asarray(READY[arm]) + rng.uniform(-0.15, 0.15, (ROWS, n))
+        # In view at the start: the hobby arm's board is near.
+        far = 0.06 if arm == "hobby" else 0.12
+        self.joints = self.goal_joints + rng.uniform(-far, far, (ROWS, n))
+        self.homing = rng.uniform(-0.05, 0.05, (ROWS, n))
+        side, depth = (0.08, 0.2) if arm == "hobby" else (0.15, 0.45)
+        self.board = side * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) / 2.0
+        tilt, roll = rng.uniform(-0.3, 0.3, (ROWS, 2)), rng.uniform(-np.pi, np.pi, ROWS)
+        none = np.zeros(ROWS)
+        # The camera looks at the middle of the board, turned about its axis by any angle; the board is tilted.
+        ahead = (
+            _pose(roll, depth, 0.0, 0.0) @ _pose(none, 0.0, 0.0, tilt[:, 0]) @ _pose(tilt[:, 1], 0.0, 0.0, RIGHT / 3)
+        )
+        self.view = ahead
+        self.goal_tool = tool(arm, self.goal_joints)
+        self.time = 0.0
+        self.goal = self.features(self.goal_joints)
+
+    def features(self, joints):
+        """Image points of the board. Shape (rows, 8), px."""
+        now = tool(self.arm, joints)
+        # The displacement of the tool moves the camera over the board, or the board under the camera.
+        moved = np.linalg.inv(self.goal_tool) @ now
+        pose = np.linalg.inv(moved) @ self.view if self.camera == "hand" else self.view @ moved
+        points = np.einsum("rij,pj->rpi", pose[:, :3, :3], self.board) + pose[:, None, :3, 3]
+        return (320.0 + FOCAL * points[..., :2] / np.maximum(points[..., 2:], 0.02)).reshape(len(joints), -1)
+
+    def measurement(self, visible=None):
+        time = np.full(ROWS, self.time)
+        seen = self.features(self.joints)
+        seen = seen + self.noise * self.rng.normal(size=seen.shape)
+        mask = np.ones((ROWS, 4), np.bool_) if visible is None else visible
+        return ServoMeasurement(self.joints + self.homing, seen, self.goal, mask, time, time)
+
+    def move(self, rate):
+        self.joints = self.joints + PERIOD * rate
+        self.time += PERIOD
+
+    def tip_error(self):
+        """Distance of the tool from its place at the goal. Shape (rows,), m."""
+        return np.linalg.norm((tool(self.arm, self.joints) - self.goal_tool)[:, :3, 3], axis=-1)
+
+
+@pytest.mark.parametrize("camera", ["hand", "world"])
+@pytest.mark.parametrize("arm", READY)
+def test_the_untouched_controller_arrives(arm, camera):
+    """Half a pixel of noise, homing errors of 3 degrees, a camera turned by any angle."""
+    world, controller, state = ForeignArm(arm, camera, seed=0), ServoController(max_joint_rate=1.0), None
+    errors, tips = [], []
+    for _ in range(STEPS):
+        seen = world.measurement()
+        state = controller.initial(seen) if state is None else state
+        state, rate = controller.step(state, seen)
+        assert np.abs(rate).max() <= 1.0 + 1e-12
+        world.move(rate)
+        errors.append(np.abs(world.features(world.joints) - world.goal).mean(axis=-1))
+        tips.append(world.tip_error())
+    assert np.mean(np.array(errors[-60:]).mean(axis=0) < 5.0) == 1.0
+    assert np.median(tips[-1]) < 1e-3
+
+
+def test_points_behind_the_camera_hold_the_arm():
+    """A board that nobody sees: after the moves that explore, the arm rests, and nothing is invented."""
+    world, controller, state = ForeignArm("ur5", "hand", seed=1), ServoController(max_joint_rate=1.0), None
+    for step in range(120):
+        seen = world.measurement(np.full((ROWS, 4), step < 60))
+        state = controller.initial(seen) if state is None else state
+        state, rate = controller.step(state, seen)
+        world.move(rate)
+    assert np.isfinite(rate).all()
+    assert np.abs(rate).max() < 0.05
