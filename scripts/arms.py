@@ -90,7 +90,7 @@ def _places() -> list[str]:
 
 
 def _head(episodes: int) -> str:
-    return f"""# Arms that nobody calibrated
+    return f"""# Arms without calibration
 
 [`UncalibServo3D-v0`](environments/UncalibServo3D-v0.md), {episodes} episodes of 40 s per row, seeds of the test range.
 `any-arm` is `ServoController()` as it is; `adaptive-kf` the same with `AdaptiveKalmanJacobian`; `expert-kf` a Kalman

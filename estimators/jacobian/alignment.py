@@ -6,6 +6,7 @@ estimator. Therefore the latest encoder readings are kept and interpolated at th
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -80,6 +81,9 @@ class Alignment:
         play = np.asarray(self.play, np.float64)
         if play.ndim > 1 or not ((play >= 0.0) & (play < np.inf)).all():
             raise ValueError(f"play must be a finite number >= 0 rad, or one per joint, got {self.play}")
+        object.__setattr__(self, "play", float(play) if play.ndim == 0 else tuple(play.tolist()))
+        if self.revolute is not None:
+            object.__setattr__(self, "revolute", tuple(bool(turns) for turns in self.revolute))
         if self.history < 2:
             raise ValueError(f"history must be at least 2 readings, got {self.history}")
         if not 0.0 <= self.latency < np.inf:
@@ -93,8 +97,7 @@ class Alignment:
         """
         measurement = checked(measurement)
         batch, n = measurement.joint_angles.shape[:-1], measurement.joint_angles.shape[-1]
-        self._turning(n)
-        self._half_play(n)
+        _gears(self.revolute, self.play, n)
         waiting = 0 if measurement.joint_time is None else self.history
         return AlignmentState(
             history_time=np.full((*batch, self.history), -np.inf),
@@ -142,25 +145,9 @@ class Alignment:
             read_at.reshape(rows),
             measurement.time.reshape(rows),
         )
-        results = _align(before, readings, self._turning(n), self._half_play(n))
+        results = _align(before, readings, *_gears(self.revolute, self.play, n))
         shaped = [result.reshape((*batch, *result.shape[1:])) for result in results]
         return AlignmentState(*shaped[:8]), Increment(*shaped[8:])
-
-    def _turning(self, joints: int) -> Mask:
-        """Mask of the joints that turn. Shape (n,)."""
-        turning = np.ones(joints, np.bool_) if self.revolute is None else np.asarray(self.revolute, np.bool_)
-        if turning.shape != (joints,):
-            raise ValueError(
-                f"revolute must have one entry per joint, got {turning.size} for {joints} joints; None: all turn"
-            )
-        return turning
-
-    def _half_play(self, joints: int) -> Array:
-        """Half of the play of each joint. Shape (n,), rad."""
-        play = np.asarray(self.play, np.float64)
-        if play.ndim and play.shape != (joints,):
-            raise ValueError(f"play must be one number or one per joint, got {play.size} for {joints} joints")
-        return np.full(joints, 0.5 * play) if play.ndim == 0 else 0.5 * play
 
     def _check_against(self, state: AlignmentState, measurement: ServoMeasurement) -> None:
         for name, value, known in (
@@ -189,6 +176,22 @@ class Alignment:
         else:
             late = "repeat the newest reading with its stamp, or start a new episode with initial(measurement)"
             check_clock(measurement.joint_time, newest, late, "joint_time")
+
+
+@functools.lru_cache(maxsize=256)
+def _gears(revolute: tuple[bool, ...] | None, play: float | tuple[float, ...], joints: int) -> tuple[Mask, Array]:
+    """Mask of the joints that turn, and half of the play of each. Shapes (n,).
+
+    Raises:
+        ValueError: Another number of joints.
+    """
+    for name, value in (("revolute", revolute), ("play", play)):
+        if isinstance(value, tuple) and len(value) != joints:
+            kind = "have one entry per joint" if name == "revolute" else "be one number or one per joint"
+            none = "; None: all turn" if name == "revolute" else ""
+            raise ValueError(f"{name} must {kind}, got {len(value)} for {joints} joints{none}")
+    turning = np.ones(joints, np.bool_) if revolute is None else np.array(revolute, np.bool_)
+    return turning, 0.5 * np.broadcast_to(np.asarray(play, np.float64), joints).copy()
 
 
 def check_clock(time: Array, newest: Array, remedy: str, name: str = "time") -> None:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from servotrack.estimators.jacobian.contract import JacobianEstimator, ServoEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.measurement import checked
 from servotrack.estimators.types import Array
+from servotrack.estimators.validation import as_mask, as_numbers
 
 
 class MountedEstimator(JacobianEstimator, Protocol):
@@ -54,7 +55,7 @@ class Hypotheses(Protocol[Member_contra]):
 
 def _repeated(measurement: ServoMeasurement, count: int) -> ServoMeasurement:
     """Repeat a measurement for `count` hypotheses along a new last batch axis."""
-    single = np.ndim(measurement.visible) > np.ndim(measurement.time)
+    single = as_mask("visible", measurement.visible).ndim > as_numbers("time", measurement.time).ndim
     measurement = checked(measurement, each_feature=single)
     axis = measurement.time.ndim
     repeated = [None if value is None else np.repeat(np.expand_dims(value, axis), count, axis) for value in measurement]
