@@ -184,10 +184,13 @@ class _Stop:
         self._writer.setblocking(False)
         self._descriptor = signal.set_wakeup_fd(self._writer.fileno(), warn_on_full_buffer=False)
         self._before = _handle(self._on_signal)
+        self._unraisable = sys.unraisablehook
+        sys.unraisablehook = self._on_unraisable
         threading.Thread(target=self._watch, name="servotrack-stopping", daemon=True).start()
 
     def close(self) -> None:
         """Restore the handlers and end the thread."""
+        sys.unraisablehook = self._unraisable
         _restore(self._before)
         signal.set_wakeup_fd(self._descriptor)
         self._writer.close()
@@ -199,7 +202,19 @@ class _Stop:
         self.number = self.number or number
         # Raised earlier, it would make the executor kill workers that are removing their files.
         self._workers_ended.wait(GRACE + 0.5)
-        raise Stopped(number)
+        raise Stopped(self.number)
+
+    def _on_unraisable(self, unraisable: sys.UnraisableHookArgs) -> None:
+        """Raise again what was raised in a finalizer, from which nothing can be raised."""
+        if not isinstance(unraisable.exc_value, Stopped):
+            self._unraisable(unraisable)
+            return
+        self._raised = False
+        # Not SIGINT, if there is a choice: a second one ends by force. A little later, outside of the finalizer.
+        number = next((each for each in self._before if each != signal.SIGINT), signal.SIGINT)
+        timer = threading.Timer(0.02, os.kill, (os.getpid(), number))
+        timer.daemon = True
+        timer.start()
 
     def _watch(self) -> None:
         received = self._received(None)

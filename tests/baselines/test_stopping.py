@@ -309,6 +309,24 @@ def test_signals_at_random_times(
     assert command.content(folder) == content
 
 
+def test_a_signal_in_a_finalizer_stops_the_command_nevertheless(tmp_path: Path) -> None:
+    code = (
+        "import os, signal, time\n"
+        "from servotrack.baselines.running import stopping\n"
+        "class Body:\n"
+        "    def __del__(self):\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "        for _ in range(1000): pass\n"
+        "with stopping.program('files are kept'):\n"
+        "    body = Body()\n    del body\n    time.sleep(30)\n"
+    )
+    begin = time.monotonic()
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 128 + signal.SIGTERM, done.stderr
+    assert done.stderr == "servotrack: stopped by SIGTERM; files are kept\n"
+    assert time.monotonic() - begin < 20.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["bench", "train in workers", "reproduce in workers"])
 def test_workers_of_commands_killed_at_random_times_end(name: str, tmp_path: Path) -> None:
