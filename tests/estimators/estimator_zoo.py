@@ -105,6 +105,12 @@ ZOO: dict[str, Kind] = {
     "informed": Kind(jacobian.InformedKalman(), lambda rows: InformedInputs(batch=(rows,))),
     "adaptive": Kind(jacobian.AdaptiveKalmanJacobian(), lambda rows: ServoInputs(joints=3, features=4, batch=(rows,))),
     "feature-wise": _servo(jacobian.FeatureWise(jacobian.KalmanJacobian())),
+    "play-bank": Kind(
+        jacobian.EstimatorBank(
+            tuple(jacobian.AdaptiveKalmanJacobian(alignment=jacobian.Alignment(play=play)) for play in (0.0, 0.02))
+        ),
+        lambda rows: ServoInputs(joints=3, features=4, batch=(rows,)),
+    ),
     "controller-any": Kind(jacobian.ServoController(), lambda rows: ServoInputs(joints=5, features=8, batch=(rows,))),
     "controller-pi": _servo(jacobian.ServoController(jacobian.KalmanJacobian())),
     "controller-exact": _servo(jacobian.ServoController(jacobian.LiftedKalman(), jacobian.OneStepExact())),
