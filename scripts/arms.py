@@ -98,7 +98,8 @@ filter of the Jacobian (Zhang 2011) with a prior, a gain and a number of moves c
 camera, mounting, board and arm. Success: mean distance of the tool below 2 mm and mean angle below 1 degree in the
 last 20 s. Tip: median over the episodes of the median distance after 10 s.
 
-Written by `python scripts/arms.py`.
+Written by `python scripts/arms.py`. The calibrated servo's interaction matrix is that of ViSP 3.5.0 to a relative
+difference of 3.3e-16 (`scripts/check-visp`).
 """
 
 
