@@ -16,7 +16,7 @@ from servotrack.envs.wrappers import PrivilegedObservation
 
 ENV_ID = "UncalibServo3D-v0"
 AGENTS = ["ibvs", "ibvs-desired", "ibvs-mean", "pbvs", "joint-oracle"]
-MODEL_FREE = ["any-arm", "chain", "adaptive-kf", "expert-kf"]
+MODEL_FREE = ["any-arm", "chain", "adaptive-kf", "latency-bank-adaptive-kf", "expert-kf"]
 ARMS = [("so101", "hand"), ("panda", "world"), ("ur5e", "world")]
 
 
@@ -74,6 +74,15 @@ def test_an_arm_of_which_nothing_is_known_reaches_its_goal(arm, camera):
 def test_the_other_servos_reach_it_with_less_in_their_way(agent):
     rows = evaluate(ENV_ID, agent, range(100_020, 100_024), env_kwargs={"level": 1, "horizon": 400}, timing=False).rows
     assert sum(row["feature_error"] < 5.0 for row in rows) >= 3
+
+
+def test_late_encoders_without_stamps_need_the_bank():
+    arguments = {"level": 1, "encoder_age": (0, 2), "stamped": False}
+    arrived = {}
+    for agent in ("latency-bank-adaptive-kf", "adaptive-kf"):
+        rows = evaluate(ENV_ID, agent, range(100_000, 100_006), arguments, timing=False).rows
+        arrived[agent] = sum(row["feature_error"] < 5.0 for row in rows)
+    assert arrived["latency-bank-adaptive-kf"] >= 5 > arrived["adaptive-kf"]
 
 
 def test_model_free_agents_refuse_other_worlds():

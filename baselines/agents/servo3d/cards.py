@@ -36,6 +36,9 @@ CARDS = (
     _model_free("any-arm", "the default servo: a bank of rigid chains whose gears have different play", "structure"),
     _model_free("chain", "rigid chain without play, beside an adaptive Kalman filter", "structure"),
     _model_free("adaptive-kf", "Kalman filter whose noise follows from motion, with a cautious law"),
+    _model_free(
+        "latency-bank-adaptive-kf", "the same, one per hypothesis on the unstamped ages of frames and encoder readings"
+    ),
     _model_free("expert-kf", "Kalman filter of the total Jacobian with prior, gain and moves for six joints"),
     _calibrated("ibvs", "image-based servo with the true interaction matrix of the present", law="current"),
     _calibrated("ibvs-desired", "image-based servo with the interaction matrix of the goal", law="desired"),

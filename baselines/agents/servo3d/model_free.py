@@ -15,9 +15,11 @@ from servotrack.estimators.jacobian import (
     ChainJacobian,
     Excitation,
     FeatureWise,
+    HypothesisBank,
     JacobianPrior,
     JointLimits,
     KalmanJacobian,
+    Latencies,
     Proportional,
     RandomWalk,
     ServoController,
@@ -25,6 +27,8 @@ from servotrack.estimators.jacobian import (
 
 HOMING_MARGIN = 0.06
 """Distance that joints keep from their limits, rad: encoders of hobby servos have homing errors of some degrees."""
+AGES = (0.0, 0.05, 0.1)
+"""Assumed ages of frames and of encoder readings without stamps, s: up to two control periods."""
 _ATTRIBUTES = ("max_joint_rate", "max_joint_acceleration", "joint_low", "joint_high")
 
 
@@ -43,6 +47,7 @@ PARTS: Mapping[str, Callable[[], dict[str, Any]]] = {
     "any-arm": lambda: {"estimator": AnyArm()},
     "chain": lambda: {"estimator": ChainJacobian()},
     "adaptive-kf": lambda: {"estimator": AdaptiveKalmanJacobian()},
+    "latency-bank-adaptive-kf": lambda: {"estimator": HypothesisBank(AdaptiveKalmanJacobian(), Latencies(AGES, AGES))},
     "expert-kf": _expert,
 }
 """Parts of `ServoController` by agent."""
