@@ -6,7 +6,8 @@ from servotrack.estimators.jacobian.any_arm import AnyArm, chain_bank
 from servotrack.estimators.jacobian.bank import EstimatorBank, HypothesisBank, Latencies, Mountings
 from servotrack.estimators.jacobian.broyden import BroydenJacobian
 from servotrack.estimators.jacobian.cautious import Cautious
-from servotrack.estimators.jacobian.chain import ChainEstimate, ChainJacobian
+from servotrack.estimators.jacobian.chain import ChainJacobian
+from servotrack.estimators.jacobian.chain_estimate import ChainEstimate
 from servotrack.estimators.jacobian.contract import (
     Increment,
     JacobianEstimator,

@@ -1,0 +1,150 @@
+"""Records of the fit of a rigid chain: parameters, state, newest frame and results."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from servotrack.estimators.types import Array, Labels, Mask
+
+
+class ChainSettings(NamedTuple):
+    """Parameters of the fit.
+
+    Attributes:
+        focal: Expected focal length, px.
+        turning: True for joints that turn. Shape (n,).
+        axis_spread: Prior standard deviation of the components of w.
+        moment_spread: Prior standard deviation of the components of v, mean depths.
+        relief_spread: Prior standard deviation of a point's depth about the mean, mean depths.
+        focal_spread: Prior standard deviation of log f.
+        center_spread: Prior standard deviation of the principal point, focal lengths.
+        rigidity: Least standard deviation of |w|^2 - 1 and of w . v.
+        noise: Prior standard deviation of a feature, px.
+        least_noise: Least estimate of it, px.
+        freedom: Degrees of freedom of the noise.
+        most_frames: Number of frames at one posture that count, the others add nothing.
+        spacing: Largest difference of joint angles of frames that are merged at once, rad.
+        reach: Largest difference of joint angles of keyframes that are merged for lack of space, rad.
+        caution: Factor of the constraints' standard deviations that what a joint has moved the image leaves open.
+        iterations: Iterations of the fit per step.
+        memory: Memory of the comparison with the linear filter, and of the offsets' size, frames.
+        offset_time: Correlation time of the offsets, s.
+        margin: Factor of the mean squared errors that the chain must not exceed.
+        patience: Frames of failure after which the chain starts anew.
+        drift: Standard deviation of the features' velocity at rest, px/s.
+        first_damping: Damping of the first fit, relative to the diagonal of the normal equations.
+        least_damping: Least damping.
+        largest_damping: Largest damping.
+        least_pivot: Least pivot of a factorization, relative to the diagonal.
+        least_gain: Expected decrease of the cost, a log likelihood, below which a fit is complete.
+        small_gain: Decrease of the cost after which further iterations wait for the next frame.
+        first_trial: Number of frames in which both orders are fitted side by side.
+        trial: Number of frames after which a worse chain has lost.
+        rarely: Number of frames between two fits of the worse chain, once it has lost often.
+        failed: Ratio of the mean squared errors of chain and linear filter that counts as a failure; its square is that
+            of the chain's to their own least value.
+        no_error: Least error before there is one, px^2.
+        outlier: Square of a residual, relative to the variance, that counts at most in the estimate of the noise.
+        difference: Change of a parameter for the derivatives of the Jacobian.
+    """
+
+    focal: float
+    turning: Mask
+    axis_spread: float
+    moment_spread: float
+    relief_spread: float
+    focal_spread: float
+    center_spread: float
+    rigidity: float
+    noise: float
+    least_noise: float
+    freedom: float
+    most_frames: float
+    spacing: float
+    reach: float
+    caution: float
+    iterations: int
+    memory: float
+    offset_time: float
+    margin: float
+    patience: float
+    drift: float
+    first_damping: float = 1e-3
+    least_damping: float = 1e-6
+    largest_damping: float = 1e6
+    least_pivot: float = 1e-14
+    least_gain: float = 1e-8
+    small_gain: float = 0.1
+    first_trial: float = 20.0
+    trial: float = 12.0
+    rarely: float = 8.0
+    failed: float = 4.0
+    no_error: float = 1e12
+    outlier: float = 9.0
+    difference: float = 1e-6
+
+
+class ChainMemory(NamedTuple):
+    """State of the chain, see `ChainState`."""
+
+    started: Mask
+    origin: Array
+    angles: Array
+    features: Array
+    weights: Array
+    scatter: Array
+    known: Mask
+    parameters: Array
+    damping: Array
+    cost: Array
+    reverse: Mask
+    challenge: Array
+    noise: Array
+    offset: Array
+    offset_variance: Array
+    offset_power: Array
+    residual_power: Array
+    white: Array
+    residual: Array
+    errors: Array
+    failures: Array
+    served: Array
+    least_error: Array
+    frames: Array
+
+
+class ChainFrame(NamedTuple):
+    """Newest frame and the present posture of each row.
+
+    Attributes:
+        fresh: True for a new frame. Shape (B,).
+        angles: Joint angles at the frame's instant. Shape (B, n), rad.
+        features: Features, 0 where unseen. Shape (B, m), px.
+        seen: Mask of the features. Shape (B, m).
+        duration: Time since the previous frame. Shape (B,), s.
+        linear_error: Innovation of the linear filter. Shape (B, m), px.
+        compared: Mask of the features that have such an innovation. Shape (B, m).
+        present: Joint angles at present. Shape (B, n), rad.
+    """
+
+    fresh: Mask
+    angles: Array
+    features: Array
+    seen: Mask
+    duration: Array
+    linear_error: Array
+    compared: Mask
+    present: Array
+
+
+class ChainOutput(NamedTuple):
+    """Results of each row: features, Jacobian by the joints, covariances and scores, see `ChainEstimate`."""
+
+    features: Array
+    jacobian: Array
+    covariance: Array
+    variance: Array
+    log_likelihood: Array
+    nis: Array
+    best: Labels
+    chained: Mask

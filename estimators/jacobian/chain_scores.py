@@ -1,0 +1,144 @@
+"""Predictions of a rigid chain: how well it foresees a new frame, what is left of it, and the present."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from servotrack.estimators.compilation import njit
+from servotrack.estimators.jacobian.chain_equations import factored, whiten
+from servotrack.estimators.jacobian.chain_kernel import chain_derivatives
+from servotrack.estimators.jacobian.chain_keyframes import chain_residuals
+
+
+@njit(cache=True, nogil=True)
+def better_chain(memory, row):  # type: ignore[no-untyped-def]
+    """Return the index of the chain with the lower cost."""
+    return 1 if memory.cost[row, 1] < memory.cost[row, 0] else 0
+
+
+@njit(cache=True, nogil=True)
+def score_frame(memory, frame, settings, output, normal, newest, old, row):  # type: ignore[no-untyped-def]
+    """Score the prediction of a new frame by the chain so far, beside that of the linear filter."""
+    n, m = frame.angles.shape[1], frame.features.shape[1]
+    best = better_chain(memory, row)
+    size = normal.shape[0]
+    parameters, reverse = memory.parameters[row, best], memory.reverse[row, best]
+    predicted, by_angles, derivatives = np.empty(m), np.empty((m, n)), np.zeros((m, size))
+    chain_derivatives(parameters, newest[0][0], reverse, settings.focal, predicted, by_angles, derivatives)
+    factor, columns = np.empty((size, size)), derivatives.T.copy()
+    if factored(normal, settings.least_damping, settings.least_pivot, factor):
+        whiten(factor, columns)
+    fading = math.exp(-frame.duration[row] / settings.offset_time)
+    squares, linear, both = 0.0, 0.0, 0
+    normalized, density, used = 0.0, 0.0, 0
+    for i in range(m):
+        if not old[i]:
+            continue
+        innovation = newest[1][0, i] - predicted[i] - fading * memory.offset[row, i]
+        variance = memory.white[row] + memory.offset_variance[row, i]
+        for a in range(size):
+            variance += columns[a, i] ** 2
+        normalized += innovation * innovation / variance
+        density -= 0.5 * (innovation * innovation / variance + math.log(2.0 * math.pi * variance))
+        used += 1
+        if frame.compared[row, i]:
+            squares += innovation * innovation
+            linear += frame.linear_error[row, i] ** 2
+            both += 1
+    if used > 0:
+        output.nis[row] = normalized / used
+        output.log_likelihood[row] = density
+    if both > 0:
+        keep = 1.0 - 1.0 / settings.memory
+        errors = memory.errors[row]
+        errors[0] = keep * errors[0] + (1.0 - keep) * linear / both
+        errors[1] = keep * errors[1] + (1.0 - keep) * squares / both
+
+
+@njit(cache=True, nogil=True)
+def follow_offsets(memory, frame, settings, newest, row):  # type: ignore[no-untyped-def]
+    """Filter what the chain leaves of the features: an offset of its own for each, with a decaying correlation.
+
+    White noise has no offsets: their variance is the mean product of successive residuals, and the rest of the
+    residuals' variance is white noise. Outliers are bounded.
+    """
+    m = frame.features.shape[1]
+    residual = np.empty(m)
+    best = better_chain(memory, row)
+    parameters, reverse = memory.parameters[row, best], memory.reverse[row, best]
+    chain_residuals(parameters, reverse, newest[0][0], newest[1][0], settings, residual)
+    fading = math.exp(-frame.duration[row] / settings.offset_time)
+    product, square, count = 0.0, 0.0, 0
+    largest = math.sqrt(settings.outlier * memory.noise[row])
+    for i in range(m):
+        if frame.seen[row, i]:
+            bounded = min(max(residual[i], -largest), largest)
+            product += bounded * memory.residual[row, i]
+            square += bounded * bounded
+            memory.residual[row, i] = bounded
+            count += 1
+    if count > 0:
+        memory.offset_power[row] += (product / count - memory.offset_power[row]) / settings.memory
+        memory.residual_power[row] += (square / count - memory.residual_power[row]) / settings.memory
+    # Two standard deviations of the mean product of white residuals count as none.
+    chance = 2.0 * memory.residual_power[row] / math.sqrt(2.0 * settings.memory * max(count, 1))
+    power = memory.offset_power[row] if memory.offset_power[row] > chance else 0.0
+    noise = max(memory.residual_power[row] - power, settings.least_noise**2)
+    memory.white[row] = noise
+    for i in range(m):
+        variance = fading * fading * memory.offset_variance[row, i] + (1.0 - fading * fading) * power
+        offset = fading * memory.offset[row, i]
+        if frame.seen[row, i]:
+            innovation = residual[i] - offset
+            excess = innovation * innovation / (settings.outlier * (variance + noise))
+            gain = variance / (variance + noise * max(1.0, excess))
+            offset += gain * innovation
+            variance *= 1.0 - gain
+        memory.offset[row, i], memory.offset_variance[row, i] = offset, variance
+
+
+@njit(cache=True, nogil=True)
+def write_present(memory, frame, settings, output, normal, row):  # type: ignore[no-untyped-def]
+    """Write features and Jacobian at the present posture, and their covariances."""
+    n, m = frame.angles.shape[1], frame.features.shape[1]
+    best = output.best[row]
+    parameters = memory.parameters[row, best].copy()
+    size = parameters.shape[0]
+    theta = frame.present[row] - memory.origin[row]
+    reverse, focal_unit = memory.reverse[row, best], settings.focal
+    jacobian, derivatives = np.empty((m, n)), np.zeros((m, size))
+    chain_derivatives(parameters, theta, reverse, focal_unit, output.features[row], jacobian, derivatives)
+    columns, none = np.empty((size, m * n + m)), np.zeros((0, size))
+    changed, ignored = np.empty((m, n)), np.empty(m)
+    for a in range(size):
+        kept = parameters[a]
+        parameters[a] = kept + settings.difference
+        chain_derivatives(parameters, theta, reverse, focal_unit, ignored, changed, none)
+        parameters[a] = kept
+        for i in range(m):
+            for k in range(n):
+                columns[a, i * n + k] = (changed[i, k] - jacobian[i, k]) / settings.difference
+            columns[a, m * n + i] = derivatives[i, a]
+    factor = np.empty((size, size))
+    if factored(normal, settings.least_damping, settings.least_pivot, factor):
+        whiten(factor, columns)
+    for i in range(m):
+        output.features[row, i] += memory.offset[row, i]
+        total = memory.offset_variance[row, i]
+        for a in range(size):
+            total += columns[a, m * n + i] ** 2
+        output.variance[row, i] = total
+        covariance = output.covariance[row, i]
+        covariance[:] = 0.0
+        for a in range(size):
+            part = columns[a, i * n : (i + 1) * n]
+            for k in range(n):
+                for j in range(n):
+                    covariance[k, j] += part[k] * part[j]
+        covariance[n, n] = settings.drift**2
+        for k in range(n):
+            # The differences have rounding errors.
+            covariance[k, k] *= 1.0 + 1e-9
+            output.jacobian[row, i, k] = jacobian[i, k]
