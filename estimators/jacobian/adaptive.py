@@ -20,11 +20,10 @@ from servotrack.estimators.jacobian.feature_wise import each_feature
 from servotrack.estimators.types import Array, Mask
 
 
-class AdaptiveState(NamedTuple):
-    """State of an `AdaptiveKalmanJacobian`.
+class AdaptiveFilter(NamedTuple):
+    """Part of an `AdaptiveState` that the increments change.
 
     Attributes:
-        alignment: Encoder history and newest frame of each feature, with batch axes (*batch, m).
         jacobian: Mean of the total image Jacobian. Shape (*batch, m, n + 1).
         covariance: Covariance of each of its rows. Shape (*batch, m, n + 1, n + 1).
         resting_change: Change of each feature in its last increment, if the arm rested in it. Shape (*batch, m).
@@ -36,7 +35,6 @@ class AdaptiveState(NamedTuple):
         excess: Mean square of innovations beyond their predicted variance, in squared feature ranges. Shape (*batch,).
     """
 
-    alignment: AlignmentState
     jacobian: Array
     covariance: Array
     resting_change: Array
@@ -46,6 +44,18 @@ class AdaptiveState(NamedTuple):
     squares: Array
     terms: Array
     excess: Array
+
+
+class AdaptiveState(NamedTuple):
+    """State of an `AdaptiveKalmanJacobian`.
+
+    Attributes:
+        alignment: Encoder history and newest frame of each feature, with batch axes (*batch, m).
+        filter: Mean, covariance and noise.
+    """
+
+    alignment: AlignmentState
+    filter: AdaptiveFilter
 
 
 @dataclass(frozen=True)
@@ -128,10 +138,8 @@ class AdaptiveKalmanJacobian:
         single = each_feature(measurement)
         *batch, m, n = single.joint_angles.shape
         units = self._units(m, n)
-        mean = np.zeros((*batch, m, n + 1))
-        return AdaptiveState(
-            alignment=self.alignment.initial(single),
-            jacobian=mean,
+        start = AdaptiveFilter(
+            jacobian=np.zeros((*batch, m, n + 1)),
             covariance=np.tile(self._prior(units), (*batch, 1, 1, 1)),
             resting_change=np.zeros((*batch, m)),
             resting_time=np.zeros((*batch, m)),
@@ -141,6 +149,7 @@ class AdaptiveKalmanJacobian:
             terms=np.zeros(batch),
             excess=np.zeros(batch),
         )
+        return AdaptiveState(self.alignment.initial(single), start)
 
     def step(self, state: AdaptiveState, measurement: ServoMeasurement) -> tuple[AdaptiveState, LinearEstimate]:
         """Update with one measurement. Raises ValueError as `Alignment.step` does."""
@@ -150,20 +159,20 @@ class AdaptiveKalmanJacobian:
         units = self._units(m, n)
         rows = int(np.prod(batch, dtype=np.int64))
         offset = alignment.frame_features[..., 0] - single.goal[..., 0]
-        flat = _flat_rows((state, increment, offset, alignment.seen), rows, len(batch))
+        flat = _flat_rows((state.filter, increment, offset, alignment.seen), rows, len(batch))
         results = _step(*flat, units, self._noise())
         shaped = [result.reshape((*batch, *result.shape[1:])) for result in results]
-        return AdaptiveState(alignment, *shaped[:9]), LinearEstimate(*shaped[9:])
+        return AdaptiveState(alignment, AdaptiveFilter(*shaped[:9])), LinearEstimate(*shaped[9:])
 
     def forget(self, state: AdaptiveState) -> AdaptiveState:
         """Keep the mean, and doubt it: add half of the Jacobian's typical size to the deviations of its entries."""
-        *_, m, d = state.jacobian.shape
+        jacobian, covariance = state.filter.jacobian, state.filter.covariance.copy()
+        *_, m, d = jacobian.shape
         units = self._units(m, d - 1)
         scale = units.range[:, None] / units.joint
-        sizes = np.mean((state.jacobian[..., :-1] / scale) ** 2, axis=(-2, -1), keepdims=True)
-        covariance = state.covariance.copy()
+        sizes = np.mean((jacobian[..., :-1] / scale) ** 2, axis=(-2, -1), keepdims=True)
         np.einsum("...ii->...i", covariance)[..., :-1] += 0.25 * sizes * scale**2
-        return state._replace(covariance=covariance)
+        return state._replace(filter=state.filter._replace(covariance=covariance))
 
     def _units(self, features: int, joints: int) -> _Units:
         return _Units(
@@ -231,37 +240,23 @@ class _Noise(NamedTuple):
     target: float
 
 
-class _Rows(NamedTuple):
-    """State of rows, without the alignment."""
-
-    jacobian: Array
-    covariance: Array
-    resting_change: Array
-    resting_time: Array
-    gathered: Array
-    gathered_change: Array
-    squares: Array
-    terms: Array
-    excess: Array
-
-
 def _flat_rows(
-    parts: tuple[AdaptiveState, Increment, Array, Mask], rows: int, axes: int
-) -> tuple[_Rows, Increment, Array, Mask]:
+    parts: tuple[AdaptiveFilter, Increment, Array, Mask], rows: int, axes: int
+) -> tuple[AdaptiveFilter, Increment, Array, Mask]:
     """Merge the batch axes of the state and an increment to one."""
 
     def flat(values: Any) -> Any:
         return values.reshape((rows, *values.shape[axes:]))
 
     state, increment, offset, seen = parts
-    return _Rows(*map(flat, state[1:])), Increment(*map(flat, increment)), flat(offset), flat(seen)
+    return AdaptiveFilter(*map(flat, state)), Increment(*map(flat, increment)), flat(offset), flat(seen)
 
 
 @njit(cache=True, nogil=True)
 def _step(before, increment, offset, seen, units, noise):  # type: ignore[no-untyped-def]
     """`AdaptiveKalmanJacobian.step` over rows.
 
-    Returns the fields of the state behind the alignment, then those of a `LinearEstimate`.
+    Returns the fields of an `AdaptiveFilter`, then those of a `LinearEstimate`.
     """
     rows, m, d = before.jacobian.shape
     n = d - 1
