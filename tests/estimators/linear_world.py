@@ -1,4 +1,4 @@
-"""A world without geometry for tests: features that are exactly linear in joints and time."""
+"""Worlds without geometry for tests: features that are exactly linear in joints and time, open loop and closed."""
 
 import numpy as np
 
@@ -28,3 +28,44 @@ def run(estimator, measurements):
         state, estimate = estimator.step(state, each)
         estimates.append(estimate)
     return state, estimates
+
+
+class LinearWorld:
+    """Rows of worlds with y = A (q - q*) and goal 0; A and q* are random."""
+
+    def __init__(self, joints, features=8, rows=1, seed=0, scale=300.0, noise=0.0, far=0.3):
+        rng = np.random.default_rng(seed)
+        self.jacobian = rng.normal(0.0, scale, (rows, features, joints))
+        self.goal_joints = rng.uniform(-far, far, (rows, joints))
+        self.joints, self.noise, self.rng, self.time = np.zeros((rows, joints)), noise, rng, 0.0
+        self.visible = np.ones((rows, features), np.bool_)
+
+    @property
+    def error(self):
+        return np.einsum("bij,bj->bi", self.jacobian, self.joints - self.goal_joints)
+
+    def measurement(self):
+        rows, features = self.visible.shape
+        noise = self.noise * self.rng.normal(size=(rows, features))
+        time = np.full(rows, self.time)
+        return ServoMeasurement(
+            self.joints.copy(), self.error + noise, np.zeros((rows, features)), self.visible.copy(), time, time
+        )
+
+    def step(self, rate):
+        self.joints = self.joints + rate * PERIOD
+        self.time += PERIOD
+
+
+def served(controller, world, steps):
+    """Joint rates, mean errors and exploring rows of all steps."""
+    state, rates, errors, exploring = None, [], [], []
+    for _ in range(steps):
+        seen = world.measurement()
+        state = controller.initial(seen) if state is None else state
+        state, rate = controller.step(state, seen)
+        world.step(rate)
+        rates.append(rate)
+        errors.append(np.abs(world.error).mean(axis=-1))
+        exploring.append(state.excitation.active)
+    return np.array(rates), np.array(errors), np.array(exploring)
