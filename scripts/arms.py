@@ -36,6 +36,8 @@ AXES = (
     Axis("2 of 4 points in view at the start", {"in_view": (2, 2), "shift": 0.6}),
     Axis("2 px of noise", {"pixel_noise": 2.0}),
     Axis("turns of 2 to 3 rad", {"turn": (2.0, 3.0), "mounting_tilt": math.radians(5)}),
+    Axis("encoders 0 to 2 periods old, stamped", {"encoder_age": (0, 2)}),
+    Axis("a goal that moves", {"motion": 0.015}),
 )
 
 

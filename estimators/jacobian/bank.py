@@ -200,7 +200,8 @@ class EstimatorBankState(NamedTuple):
 class EstimatorBank:
     """Estimator that returns the estimate of the one of K estimators with the highest predictive likelihood.
 
-    `HypothesisBank` is faster where the members differ only in what they assume of the measurement.
+    A frame counts with its mean log likelihood per feature. `HypothesisBank` is faster where the members differ only in
+    what they assume of the measurement.
 
     Args:
         members: Estimators with the same kind of estimate, for example with gears of different play.
@@ -232,7 +233,9 @@ class EstimatorBank:
         """Update every member with one measurement. Raises ValueError as the members do."""
         results = [member.step(before, measurement) for member, before in zip(self.members, state.members, strict=True)]
         estimates = [estimate for _, estimate in results]
-        log_likelihood = np.stack([estimate.log_likelihood for estimate in estimates], axis=-1)
+        # The errors of a frame have few causes, the joints, however many features show them.
+        features = estimates[0].error.shape[-1]
+        log_likelihood = np.stack([estimate.log_likelihood for estimate in estimates], axis=-1) / features
         log_weight = _weighted(state.log_weight, log_likelihood, self.forgetting, self.floor)
         stacked = _stacked(estimates, log_likelihood.ndim - 1)
         return EstimatorBankState(tuple(s for s, _ in results), log_weight), _chosen(

@@ -33,7 +33,8 @@ class JointSpace:
         gain: Share of the motion to make in one period, in (0, 1]. Larger values converge faster and oscillate with
             motors that lag.
         image: Law in the image.
-        tolerance: Error that the motion may leave, px, if it is more than `share` of the present one.
+        tolerance: Error, root of the mean square, below which the law in the image serves, and which the motion may
+            leave if it is more than `share` of the present one, px. Larger values leave joint space sooner.
         share: Share of the present error that the motion may leave. Larger values trust the search more.
         detour: Largest length of the motion, as a multiple of the step that the linearized image asks for. A longer one
             leads to another posture that shows the same image. Larger values follow longer ways around.
@@ -81,7 +82,8 @@ class JointSpace:
         step = np.einsum("...ij,...j->...i", damped_inverse(estimate.jacobian[..., :-1], 0.01), estimate.error)
         longest = self.detour * np.sqrt(np.sum(step**2, axis=-1))
         direct = np.sqrt(np.sum(motion**2, axis=-1)) <= longest
-        reached = direct & (left <= np.maximum(self.tolerance, self.share * present))
+        # Near the goal, a search answers to every change of the estimate, and the image is as good as straight.
+        reached = (present > self.tolerance) & direct & (left <= np.maximum(self.tolerance, self.share * present))
         # What moves by itself, target or goal, is followed as in the image.
         still: Any = replace(estimate, error=np.zeros_like(estimate.error))
         following = self.image.rate(self.image.initial(_goals(estimate.error)), still)[1]
