@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.jacobian.contract import ServoEstimate, ServoMeasurement
@@ -81,6 +80,9 @@ class Cautious:
         Returns:
             Joint rates. Shape (*batch, n), rad/s.
         """
+        # Only arms at their limits need it, and it takes a while to import.
+        from scipy.optimize import lsq_linear
+
         _, curvature, _ = self._solve(estimate, np.zeros_like(estimate.error))
         rate = np.array(rate)
         for row in map(tuple, np.argwhere(rows)):

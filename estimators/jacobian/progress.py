@@ -20,6 +20,7 @@ class ProgressState(NamedTuple):
         best: Smallest error since the last exploration, in standard deviations. Shape (*batch,).
         stalled: Steps since the error became clearly smaller. Shape (*batch,), int.
         patience: Steps without progress after which the arm explores. Shape (*batch,), int.
+        turned: Way of each joint since then. Shape (*batch, n), rad.
         joint_angles: Joint angles at the last step. Shape (*batch, n), rad.
         blocked: Consecutive steps in which each joint has not followed its command. Shape (*batch, n), int.
         unseen: Steps since the last frame that showed the target. Shape (*batch,), int.
@@ -29,6 +30,7 @@ class ProgressState(NamedTuple):
     best: Array
     stalled: Labels
     patience: Labels
+    turned: Array
     joint_angles: Array
     blocked: Labels
     unseen: Labels
@@ -49,6 +51,9 @@ class ProgressSupervisor:
             encoders leave one that no exploration removes. A number or shape (m,), px.
         progress: Share by which the error must fall below its best to count as progress, in (0, 1).
         patience: Steps without progress after which the arm explores again. Larger values explore later.
+        max_excursion: Way of a joint without progress after which the arm explores again in any case: a servo with a
+            wrong Jacobian turns on and on. A number or shape (n,), rad; other units for joints that slide. Larger
+            values allow longer ways around.
         least_motion: Commanded motion in one step above which a joint is expected to follow, rad.
         followed: Share of the commanded motion that counts as following, in [0, 1].
         blocked_limit: Consecutive steps without following after which a joint counts as blocked.
@@ -59,6 +64,7 @@ class ProgressSupervisor:
     tolerance: float | tuple[float, ...] = 3.0
     progress: float = 0.2
     patience: int = 40
+    max_excursion: float | tuple[float, ...] = 3.0
     least_motion: float = 0.005
     followed: float = 0.2
     blocked_limit: int = 5
@@ -72,6 +78,8 @@ class ProgressSupervisor:
             raise ValueError(f"settled must be finite and > 0 standard deviations, got {self.settled}")
         if not (np.asarray(self.tolerance, np.float64) >= 0.0).all():
             raise ValueError(f"tolerance must be >= 0 in the features' unit, got {self.tolerance}")
+        if not (np.asarray(self.max_excursion, np.float64) > 0.0).all():
+            raise ValueError(f"max_excursion must be > 0 rad, or infinite for none, got {self.max_excursion}")
         if not 0.0 < self.progress < 1.0:
             raise ValueError(f"progress must be in (0, 1), got {self.progress}")
 
@@ -83,6 +91,7 @@ class ProgressSupervisor:
             best=np.full(batch, np.inf),
             stalled=np.zeros(batch, dtype=np.int64),
             patience=np.full(batch, self.patience),
+            turned=np.zeros(joint_angles.shape),
             joint_angles=joint_angles,
             blocked=np.zeros(joint_angles.shape, dtype=np.int64),
             unseen=np.zeros(batch, dtype=np.int64),
@@ -131,7 +140,10 @@ class ProgressSupervisor:
         # A step without a frame carries no new evidence.
         counted = seen & ~exploring & ~near & ~better
         stalled = np.where(exploring | near | better, 0, state.stalled + counted)
-        excite = stalled >= state.patience
+        rested = exploring | near | better
+        way = np.abs(np.remainder(joint_angles - state.joint_angles + np.pi, 2.0 * np.pi) - np.pi)
+        turned = np.where(rested[..., None], 0.0, state.turned + way)
+        excite = (stalled >= state.patience) | (turned > np.asarray(self.max_excursion)).any(axis=-1)
         patience = np.where(near, self.patience, np.where(excite, 2 * state.patience, state.patience))
 
         stuck = (np.abs(commanded) > self.least_motion) & (
@@ -143,6 +155,7 @@ class ProgressSupervisor:
             best=best,
             stalled=np.where(excite, 0, stalled),
             patience=patience,
+            turned=np.where(excite[..., None], 0.0, turned),
             joint_angles=joint_angles,
             blocked=blocked,
             unseen=unseen,

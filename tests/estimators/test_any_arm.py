@@ -11,6 +11,7 @@ from servotrack.estimators.jacobian import (
     EstimatorBank,
     HypothesisBank,
     Latencies,
+    ProgressSupervisor,
     ServoController,
 )
 from servotrack.estimators.jacobian.adaptive import AdaptiveState
@@ -81,6 +82,26 @@ def test_half_of_the_features_at_the_start_suffice():
         assert np.isfinite(rate).all()
         world.step(rate)
     assert np.abs(world.error).mean(axis=-1).max() < 1.0
+
+
+def test_an_arm_that_turns_on_and_on_without_progress_explores():
+    """Four joints whose encoders show the way, and features that do not follow it: 3 rad, however patient."""
+    world, supervisor = LinearWorld(4, rows=2, seed=18), ProgressSupervisor(patience=10_000)
+    controller, state = ServoController(supervisor=supervisor, max_joint_rate=2.0), None
+    turned, begun = np.zeros((2, 4)), None
+    for _ in range(400):
+        seen = world.measurement()
+        if begun is not None:
+            seen = seen._replace(features=np.full((2, 8), 200.0) + world.rng.normal(0.0, 0.1, (2, 8)))
+        state = controller.initial(seen) if state is None else state
+        state, rate = controller.step(state, seen)
+        if begun is not None and state.excitation.active.any():
+            break
+        begun = True if begun is None and not state.excitation.active.any() else begun
+        turned += PERIOD * np.abs(rate) if begun else 0.0
+        world.step(rate)
+    assert state.excitation.active.any()
+    assert 2.5 < turned.max() < 3.5
 
 
 def test_a_goal_out_of_reach_does_not_keep_the_arm_exploring():

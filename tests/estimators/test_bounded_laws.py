@@ -136,6 +136,7 @@ def test_a_joint_outside_its_limits_only_moves_inward():
         (lambda: Exploration(resting=-1), "resting"),
         (lambda: ProgressSupervisor(patience=0), "patience"),
         (lambda: ProgressSupervisor(progress=1.0), "progress"),
+        (lambda: ProgressSupervisor(max_excursion=0.0), "max_excursion"),
         (lambda: ProgressSupervisor(settled=0.0), "settled"),
         (lambda: AdaptiveKalmanJacobian(feature_range=0.0), "feature_range"),
         (lambda: AdaptiveKalmanJacobian(change=-1.0), "change"),
