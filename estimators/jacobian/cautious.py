@@ -58,8 +58,16 @@ class Cautious:
         """Return a zero integral."""
         return IntegralState(np.zeros(np.shape(measurement.goal)))
 
-    def rate(self, state: IntegralState, estimate: ServoEstimate) -> tuple[IntegralState, Array]:
+    def rate(
+        self, state: IntegralState, estimate: ServoEstimate, low: Array | None = None, high: Array | None = None
+    ) -> tuple[IntegralState, Array]:
         """Return the new integral of the error and the joint rates. Shape (*batch, n), rad/s.
+
+        Args:
+            state: State after the last step.
+            estimate: Estimate at present, with covariances.
+            low: Motion to the lower limits; not read, since the law looks no farther than a period.
+            high: Motion to the upper limits; not read.
 
         Raises:
             ValueError: An estimate without covariances.

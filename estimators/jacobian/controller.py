@@ -15,7 +15,7 @@ from servotrack.estimators.jacobian.exploration import Exploration
 from servotrack.estimators.jacobian.goal_motion import GoalState, begin_goal, goal_velocity
 from servotrack.estimators.jacobian.joint_limits import JointLimits
 from servotrack.estimators.jacobian.joint_space import JointSpace
-from servotrack.estimators.jacobian.laws import ControlLaw, ProportionalIntegral, limiting_factor
+from servotrack.estimators.jacobian.laws import BoundedLaw, ControlLaw, ProportionalIntegral, limiting_factor
 from servotrack.estimators.jacobian.progress import ProgressSupervisor
 from servotrack.estimators.jacobian.supervisor import Supervisor
 from servotrack.estimators.stateful import select_rows
@@ -64,7 +64,7 @@ class ServoController:
     Args:
         estimator: Estimator of the total image Jacobian. The default takes some milliseconds a step for image points;
             `AdaptiveKalmanJacobian()` is less accurate and ten times as fast.
-        law: Control law; None chooses by the estimator.
+        law: Control law, a `BoundedLaw` to heed limits and moving goals; None chooses by the estimator.
         excitation: Exploratory moves, or None to choose by the estimator; `Excitation(steps=0)` makes none.
         supervisor: Detector of a wrong estimate; "auto" chooses by the estimator, None disables it.
         max_joint_rate: Limit of each joint rate, rad/s. The whole vector is scaled, so that its direction stays.
@@ -86,15 +86,14 @@ class ServoController:
                 unit = "rad/s" if name == "max_joint_rate" else "s"
                 raise ValueError(f"{name} must be finite and > 0 {unit}, got {getattr(self, name)}")
         certain = bool(getattr(self.estimator, "row_covariances", False))
-        parts = {
-            "law": JointSpace(image=Cautious(period=self.period))
-            if certain
-            else ProportionalIntegral(period=self.period),
-            "excitation": Exploration(period=self.period) if certain else Excitation(period=self.period),
-        }
-        for name, part in parts.items():
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, part)
+        law: ControlLaw = ProportionalIntegral(period=self.period)
+        excitation: ExploratoryMoves = Excitation(period=self.period)
+        if certain:
+            law, excitation = JointSpace(image=Cautious(period=self.period)), Exploration(period=self.period)
+        if self.law is None:
+            object.__setattr__(self, "law", law)
+        if self.excitation is None:
+            object.__setattr__(self, "excitation", excitation)
         if self.supervisor == "auto":
             object.__setattr__(self, "supervisor", ProgressSupervisor() if certain else Supervisor())
 
@@ -114,7 +113,7 @@ class ServoController:
             excitation=excitation.initial(measurement),
             supervisor=None if supervisor is None else supervisor.initial(measurement),
             commanded=np.zeros(np.shape(measurement.joint_angles)),
-            goal=begin_goal(*_goal(measurement)) if isinstance(law, JointSpace | Cautious) else None,
+            goal=begin_goal(*_goal(measurement)) if isinstance(law, BoundedLaw) else None,
         )
 
     def step(self, state: ControllerState, measurement: ServoMeasurement) -> tuple[ControllerState, Array]:
@@ -132,7 +131,7 @@ class ServoController:
         if goal is not None:
             goal, velocity = goal_velocity(goal, *_goal(measurement))
             estimate = _relative(estimate, velocity)
-        if isinstance(law, JointSpace) and self.limits is not None:
+        if self.limits is not None and isinstance(law, BoundedLaw):
             room = self.limits.room(np.asarray(measurement.joint_angles, np.float64))
             law_state, rate = law.rate(state.law, estimate, *room)
         else:
@@ -171,7 +170,7 @@ class ServoController:
             angles, state.commanded / law.period, self.max_joint_rate, law.period
         )
         beyond = np.asarray(((rate < low) | (rate > high)).any(axis=-1))
-        if beyond.any() and isinstance(law, JointSpace | Cautious):
+        if beyond.any() and isinstance(law, BoundedLaw):
             rate = law.within(rate, estimate, low, high, beyond)
         return np.clip(rate, low, high)
 

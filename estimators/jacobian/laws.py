@@ -7,12 +7,12 @@ joint_rate)`. All of them return finite rates at a singular Jacobian: motion alo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from servotrack.estimators.jacobian.contract import ServoEstimate, ServoMeasurement
-from servotrack.estimators.types import Array
+from servotrack.estimators.types import Array, Mask
 
 
 class ControlLaw(Protocol):
@@ -27,6 +27,41 @@ class ControlLaw(Protocol):
 
     def rate(self, state: Any, estimate: ServoEstimate) -> tuple[Any, Array]:
         """Return the new state, and the joint rates to hold for one period. Shape (*batch, n), rad/s."""
+
+
+@runtime_checkable
+class BoundedLaw(Protocol):
+    """Interface of laws that heed joint limits, and the velocity of a goal that moves (in the estimate's J_t)."""
+
+    @property
+    def period(self) -> float:
+        """Control period, s."""
+
+    def initial(self, measurement: ServoMeasurement) -> Any:
+        """Return the state before the first command: arrays with the measurement's batch axes."""
+
+    def rate(
+        self, state: Any, estimate: ServoEstimate, low: Array | None = None, high: Array | None = None
+    ) -> tuple[Any, Array]:
+        """Return the new state and the wanted joint rates. Shape (*batch, n), rad/s.
+
+        Args:
+            state: State after the last step.
+            estimate: Estimate at present.
+            low: Motion of each joint to its lower limit, at most 0; None: unbounded. Shape (*batch, n), rad.
+            high: Motion of each joint to its upper limit, at least 0. Shape (*batch, n), rad.
+        """
+
+    def within(self, rate: Array, estimate: ServoEstimate, low: Array, high: Array, rows: Mask) -> Array:
+        """Return joint rates within bounds, as near to the wanted ones as the law sees it. Shape (*batch, n), rad/s.
+
+        Args:
+            rate: Wanted joint rates. Shape (*batch, n), rad/s.
+            estimate: Estimate at present.
+            low: Least joint rates. Shape (*batch, n), rad/s.
+            high: Largest joint rates. Shape (*batch, n), rad/s.
+            rows: Rows whose rates are beyond the bounds; the others stay. Shape (*batch,), bool.
+        """
 
 
 class NoLawState(NamedTuple):
