@@ -143,7 +143,7 @@ class PedestrianServoEnv(UncalibServoEnv):
         return follow_config(level, **axes)
 
     def _make_world(self) -> FollowWorld:
-        return FollowWorld(self.config, 1)
+        return FollowWorld(self.config, 1, self.engine)
 
     def _make_recorder(self) -> Recorder:  # type: ignore[override]
         from servotrack.envs.follow.recorder import Recorder

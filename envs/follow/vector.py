@@ -51,7 +51,7 @@ class PedestrianServoVectorEnv(UncalibServoVectorEnv):
         return follow_config(level, **axes)
 
     def _make_world(self, count: int) -> FollowWorld:
-        world = FollowWorld(self.config, count)
+        world = FollowWorld(self.config, count, self.engine)
         self._sensors = FollowSensors(world, *self._sensor_arguments)
         return world
 

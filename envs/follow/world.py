@@ -32,6 +32,7 @@ class FollowWorld(ServoWorld):
     Args:
         config: Parameters of the world.
         count: Number of arms N.
+        engine: Name of the engine that moves the arms.
 
     Attributes:
         people: Positions and velocities of all people at all samples, (N, K, P, 4) m, m/s.
@@ -47,8 +48,8 @@ class FollowWorld(ServoWorld):
 
     config: FollowConfig
 
-    def __init__(self, config: FollowConfig, count: int) -> None:
-        super().__init__(config, count, LOST_SAMPLES)
+    def __init__(self, config: FollowConfig, count: int, engine: str = "pymunk") -> None:
+        super().__init__(config, count, LOST_SAMPLES, engine)
         table = count, samples(config), config.people
         self.people, self.hidden = np.zeros((*table, 4)), np.zeros(table, np.bool_)
         self.identity_error, self.lost = np.zeros(count, np.bool_), np.zeros(count, np.bool_)

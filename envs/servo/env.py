@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from servotrack.envs.actions import check_actions
 from servotrack.envs.arguments import RENDER_MODES
+from servotrack.envs.servo.engine import chosen_engine
 from servotrack.envs.servo.episode import LEAD
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.targets import PERIOD
@@ -149,7 +150,10 @@ class UncalibServoEnv(SingleEnv):
     config: ServoConfig
     world: ServoWorld
 
-    def __init__(self, level: int = 3, *, render_mode: str | None = None, **axes: Any) -> None:
+    def __init__(
+        self, level: int = 3, *, render_mode: str | None = None, engine: str | None = None, **axes: Any
+    ) -> None:
+        self.engine = chosen_engine(engine, "pymunk")
         self.config = self._configure(level, axes)
         self.level = level
         self.max_joint_rate = self.config.max_joint_rate
@@ -161,7 +165,7 @@ class UncalibServoEnv(SingleEnv):
         return servo_config(level, **axes)
 
     def _make_world(self) -> ServoWorld:
-        return ServoWorld(self.config, 1)
+        return ServoWorld(self.config, 1, engine=self.engine)
 
     def _make_recorder(self) -> Recorder:
         from servotrack.envs.servo.recorder import Recorder, level_caption

@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode
 
 from servotrack.envs.actions import check_actions
 from servotrack.envs.arguments import check_count
+from servotrack.envs.servo.engine import chosen_engine
 from servotrack.envs.servo.env import METADATA, Observation, action_space, feature_observations, feature_space
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld
@@ -28,6 +29,8 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
         render_mode: None or `rgb_array`; `render` returns a tuple of N frames.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as a Gymnasium `AutoresetMode` or its value.
         max_episode_steps: Largest number of steps of an episode, like the argument of `gym.make`.
+        engine: `pymunk`, `compiled` (same bits, many times as fast), or None for `compiled` where a check at first use
+            finds that its bits are pymunk's on this machine, and `pymunk` elsewhere.
         **axes: Fields of `ServoConfig` that override the level's values.
     """
 
@@ -42,9 +45,11 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
+        engine: str | None = None,
         **axes: Any,
     ) -> None:
         count = check_count(num_envs)
+        self.engine = chosen_engine(engine, "compiled")
         self.config = self._configure(level, axes)
         self.level = level
         self.max_joint_rate = self.config.max_joint_rate
@@ -63,7 +68,7 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
         return servo_config(level, **axes)
 
     def _make_world(self, count: int) -> ServoWorld:
-        return ServoWorld(self.config, count)
+        return ServoWorld(self.config, count, engine=self.engine)
 
     def _single_observation_space(self) -> gym.spaces.Dict:
         return feature_space(self.config)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from servotrack.envs.servo.arm import ArmSpace
+from servotrack.envs.servo.engine import ENGINES
 from servotrack.envs.servo.episode import LEAD, Episode, draw_episode, samples
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
@@ -125,6 +125,7 @@ class ServoWorld:
         config: Parameters of the world.
         count: Number of arms N.
         lost_after: Number of consecutive samples out of view that ends an episode.
+        engine: Name of the engine that moves the arms, see `engine.ENGINES`.
 
     Attributes:
         joint_angles: Encoder readings, (N, 2) rad.
@@ -145,11 +146,12 @@ class ServoWorld:
         captured: Index into the episode's tables of the newest frame that arrived with an image, (N,) int.
     """
 
-    def __init__(self, config: ServoConfig, count: int, lost_after: int = LOST_SAMPLES) -> None:
+    def __init__(self, config: ServoConfig, count: int, lost_after: int = LOST_SAMPLES, engine: str = "pymunk") -> None:
         self.config = config
         self.count = count
+        self.engine = engine
         length = samples(config)
-        self.arms = ArmSpace(config, count)
+        self.arms = ENGINES[engine](config, count)
         self.joints = self.arms.angles
         self.episodes: list[Episode | None] = [None] * count
         self.links, self.cameras = np.ones((count, 2)), np.ones((count, CAMERA_SIZE))

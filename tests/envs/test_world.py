@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from servo_history import QUANTITIES, run, wiggle
 
-from servotrack.envs.servo.arm import ArmSpace
 from servotrack.envs.servo.episode import draw_episode
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
+from servotrack.envs.servo.pymunk_arms import PymunkArms
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
 from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.camera import project_points
@@ -18,7 +18,7 @@ from servotrack.estimators.camera import project_points
 
 def test_strong_motors_follow_the_commanded_rates() -> None:
     """A motor reacts one substep late; otherwise, the joints are the integral of their rates, over 10 s."""
-    arm = ArmSpace(ServoConfig(), 1)
+    arm = PymunkArms(ServoConfig(), 1)
     arm.reset(0, np.array([0.5, 0.5]))
     wanted, late, drift = START.copy(), PERIOD / 5, 0.0
     for step in range(200):

@@ -1,0 +1,213 @@
+"""Planar two-link arms in one pymunk Space: the reference engine.
+
+Arms share the Space but do not interact. Constraints are solved in the order in which they were added: motors, stops,
+pivots last, so that a motor never pulls a joint apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pymunk
+import pymunk.batch
+from numpy.typing import NDArray
+
+from servotrack.envs.servo.arm import PIVOT_BIAS, rods_at_rest
+from servotrack.envs.servo.levels import ServoConfig
+from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
+from servotrack.estimators.types import Array
+
+_ANGLES = pymunk.batch.BodyFields.BODY_ID | pymunk.batch.BodyFields.ANGLE
+_FEW_BODIES = 16
+"""Up to this number of bodies, angles are read one by one; more are read in one call, which costs as much as twenty."""
+_KEPT = 512
+"""Number of steps whose rates are kept before those from before the oldest reset are dropped."""
+_set_rate = pymunk.SimpleMotor.rate.fset  # type: ignore[attr-defined]
+"""Setter behind `motor.rate = ...`; pymunk's own `__setattr__` would double the time."""
+
+
+class _Arm:
+    """One arm in a Space: two permanent bodies, and constraints that every start creates anew."""
+
+    def __init__(self, space: pymunk.Space, max_motor_torque: float) -> None:
+        self._space = space
+        self._max_motor_torque = max_motor_torque
+        self.bodies = (pymunk.Body(1.0, 1.0), pymunk.Body(1.0, 1.0))
+        self.motors: tuple[pymunk.SimpleMotor, ...] = ()
+        self.pivots: tuple[pymunk.PivotJoint, ...] = ()
+        self._constraints: tuple[pymunk.Constraint, ...] = ()
+        space.add(*self.bodies)
+
+    def start(self, links: Array) -> None:
+        """Rest at the start pose with links (2,) m. The motion that follows is bit-identical to that in a new Space."""
+        # Removing a constraint moves the Space's last one into its slot. In reverse order, a whole arm moves in order.
+        for constraint in reversed(self._constraints):
+            self._space.remove(constraint)
+        rods = rods_at_rest(links)
+        upper, lower = self.bodies
+        for body, mass, moment, angle, position in zip(
+            self.bodies, rods.masses, rods.moments, rods.angles, rods.positions, strict=True
+        ):
+            body.mass, body.moment = mass, moment
+            body.angle, body.position = angle, position
+            body.velocity, body.angular_velocity = (0.0, 0.0), 0.0
+            body.force, body.torque = (0.0, 0.0), 0.0
+        # Constraints keep impulses that cannot be cleared, so new ones are created.
+        ground = self._space.static_body
+        self.motors = (pymunk.SimpleMotor(ground, upper, 0.0), pymunk.SimpleMotor(upper, lower, 0.0))
+        for motor in self.motors:
+            motor.max_force = self._max_motor_torque
+        stops = (
+            pymunk.RotaryLimitJoint(ground, upper, JOINT_LOW[0], JOINT_HIGH[0]),
+            pymunk.RotaryLimitJoint(upper, lower, JOINT_LOW[1], JOINT_HIGH[1]),
+        )
+        self.pivots = (
+            pymunk.PivotJoint(ground, upper, (0.0, 0.0), (-rods.half, 0.0)),
+            pymunk.PivotJoint(upper, lower, (rods.half, 0.0), (-rods.center, 0.0)),
+        )
+        for pivot in self.pivots:
+            pivot.error_bias = PIVOT_BIAS
+        self._constraints = (*self.motors, *stops, *self.pivots)
+        self._space.add(*self._constraints)
+
+
+class PymunkArms:
+    """N arms in one Space, driven by joint rates, one control period per step.
+
+    A Space cannot be copied with its solver's state, so the rates since the resets are kept: a copy (`copy.deepcopy`,
+    `pickle`) and `restore` drive new arms with them, and go on with the same bits.
+
+    Args:
+        config: Torque limit, substeps and solver iterations.
+        count: Number of arms N.
+
+    Attributes:
+        angles: True joint angles, shape (N, 2), rad; updated by every `step`, never replaced.
+    """
+
+    def __init__(self, config: ServoConfig, count: int) -> None:
+        self._config = config
+        self.angles = np.tile(START, (count, 1))
+        self._links = np.zeros((count, 2))
+        self._clear()
+
+    def _clear(self) -> None:
+        """Make an empty Space."""
+        count = len(self.angles)
+        self._space = pymunk.Space()
+        self._space.gravity = (0.0, 0.0)
+        self._space.iterations = self._config.solver_iterations
+        self._substep = PERIOD / self._config.substeps
+        self._arms: list[_Arm | None] = [None] * count
+        self._not_started = count
+        self._bodies: list[Any] = [None] * (2 * count)
+        self._motors: list[pymunk.SimpleMotor | None] = [None] * (2 * count)
+        self._body_ids = np.zeros((count, 2), np.int64)
+        self._places: NDArray[np.intp] | None = None
+        self._buffer = pymunk.batch.Buffer()
+        self._driven: list[Array] = []
+        self._since = [0] * count
+        self._most_kept = _KEPT
+
+    def reset(self, row: int, links: Array) -> None:
+        """Restart one arm with links (2,) m at the start pose. The other arms are not changed."""
+        arm = self._arms[row]
+        if arm is None:
+            arm = self._arms[row] = _Arm(self._space, self._config.max_motor_torque)
+            self._bodies[2 * row : 2 * row + 2] = arm.bodies
+            self._body_ids[row] = [body.id for body in arm.bodies]
+            self._places = None
+            self._not_started -= 1
+        arm.start(links)
+        self._motors[2 * row : 2 * row + 2] = arm.motors
+        self.angles[row], self._links[row] = START, links
+        self._since[row] = len(self._driven)
+
+    def step(self, rates: Array) -> None:
+        """Drive all joints at `rates` (N, 2) rad/s for one control period and read the angles."""
+        if self._not_started:
+            raise RuntimeError(f"arms {[row for row, arm in enumerate(self._arms) if arm is None]} were never reset")
+        self._drive(rates)
+        self._driven.append(rates.copy())
+        if len(self._driven) > self._most_kept:
+            first = min(self._since)
+            del self._driven[:first]
+            self._since = [start - first for start in self._since]
+            self._most_kept = max(_KEPT, 2 * len(self._driven))
+        if len(self._bodies) <= _FEW_BODIES:
+            for row, (upper, lower) in enumerate(zip(self._bodies[::2], self._bodies[1::2], strict=True)):
+                first = upper.angle
+                self.angles[row, 0], self.angles[row, 1] = first, lower.angle - first
+        else:
+            angles = self._all_angles()
+            self.angles[:, 0] = angles[:, 0]
+            self.angles[:, 1] = angles[:, 1] - angles[:, 0]
+
+    def _drive(self, rates: Array) -> None:
+        """Move the arms that have been reset."""
+        # Chipmunk's motors turn the second body against the sign of their rate.
+        for motor, rate in zip(self._motors, rates.ravel().tolist(), strict=True):
+            if motor is not None:
+                _set_rate(motor, -rate)
+        for _ in range(self._config.substeps):
+            self._space.step(self._substep)
+
+    def state(self) -> dict[str, Array]:
+        """Return what `restore` needs besides the links.
+
+        Returns:
+            `driven`, the rates of the steps since the oldest reset, shape (steps, N, 2), rad/s; `since`, the step of
+            each arm's reset, shape (N,).
+        """
+        first = min(self._since)
+        driven = np.array(self._driven[first:]).reshape(-1, *self.angles.shape)
+        return {"driven": driven, "since": np.array(self._since) - first}
+
+    def restore(self, state: Mapping[str, Array], links: Array) -> None:
+        """Bring all arms into a state that `state` returned, with links (N, 2) m."""
+        self._clear()
+        driven, since = state["driven"], state["since"].tolist()
+        for step in range(len(driven) + 1):
+            for row in [row for row, start in enumerate(since) if start == step]:
+                self.reset(row, links[row])
+            if step < len(driven):
+                self._drive(driven[step])
+        self._driven, self._since = [rates.copy() for rates in driven], since
+        for row, arm in enumerate(self._arms):
+            if arm is not None and since[row] < len(driven):
+                upper, lower = arm.bodies
+                self.angles[row] = upper.angle, lower.angle - upper.angle
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Configuration, angles, links and the rates since the resets: a Space itself cannot be copied."""
+        never = [row for row, arm in enumerate(self._arms) if arm is None]
+        kept = {"config": self._config, "angles": self.angles, "links": self._links, "never": never}
+        return kept | self.state()
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        """Drive new arms to the state of the copied ones."""
+        self._config, self.angles, self._links = kept["config"], kept["angles"], kept["links"]
+        since = kept["since"].copy()
+        since[kept["never"]] = -1
+        self.restore(kept | {"since": since}, self._links)
+
+    def _all_angles(self) -> Array:
+        """Angles of all bodies, read in one call and reordered: the Space lists bodies in its own order."""
+        self._buffer.clear()
+        pymunk.batch.get_space_bodies(self._space, _ANGLES, self._buffer)
+        if self._places is None:
+            ids = np.frombuffer(self._buffer.int_buf(), np.int64)
+            order = np.argsort(ids)
+            self._places = order[np.searchsorted(ids[order], self._body_ids)]
+        return np.frombuffer(self._buffer.float_buf(), np.float64)[self._places]
+
+    def tool_gap(self) -> float:
+        """Largest gap between two ends that a pivot holds together, m: the solver's error."""
+        worst = 0.0
+        for arm in filter(None, self._arms):
+            for pivot in arm.pivots:
+                gap = pivot.a.local_to_world(pivot.anchor_a) - pivot.b.local_to_world(pivot.anchor_b)
+                worst = max(worst, gap.length)
+        return worst
