@@ -38,20 +38,22 @@ class Streams:
 
 
 class _Seed(ISeedSequence):
-    """Bit-identical to `numpy.random.SeedSequence(seed, spawn_key=key)`, but three times as fast."""
+    """Bit-identical to `numpy.random.SeedSequence(seed, spawn_key=key)`, but many times as fast."""
 
     def __init__(self, seed: int, key: tuple[int, ...]) -> None:
-        words = _words(seed)
-        # Short seeds are padded: the key begins after the words that fill the pool.
-        words += [0] * (_POOL - len(words))
-        for part in key:
-            words += _words(part)
-        self._entropy = np.array(words, dtype=np.uint32)
+        self._seed, self._key = seed, key
 
     def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[Any]:
         """Same as `numpy.random.SeedSequence.generate_state`."""
+        if n_words == 4 and dtype is np.uint64 and len(self._key) == 1 and self._seed < 2**64 > self._key[0]:
+            return np.array(_seed_words(self._seed, self._key[0]), np.uint64)
+        words = _words(self._seed)
+        # Short seeds are padded: the key begins after the words that fill the pool.
+        words += [0] * (_POOL - len(words))
+        for part in self._key:
+            words += _words(part)
         size = np.dtype(dtype).itemsize // 4
-        return _state(self._entropy, n_words * size).astype("<u4").view(dtype)
+        return _state(np.array(words, dtype=np.uint32), n_words * size).astype("<u4").view(dtype)
 
 
 def _words(number: int) -> list[int]:
@@ -101,6 +103,79 @@ def _state(entropy, count):  # type: ignore[no-untyped-def]
     for k in range(count):
         out[k], constant = _hashed(pool[k % _POOL], constant, _FACTOR_OUT)
     return out
+
+
+@njit(cache=True, nogil=True)
+def _seed_words(seed, stream):  # type: ignore[no-untyped-def]
+    """Four words of 64 bits for a seed and a stream below 2^64, see `_Seed`."""
+    long_key = np.uint64(stream) >> _WORD > np.uint64(0)
+    entropy = np.zeros(_POOL + 2 if long_key else _POOL + 1, np.uint32)
+    entropy[0], entropy[1] = np.uint32(np.uint64(seed) & _LOW), np.uint32(np.uint64(seed) >> _WORD)
+    entropy[_POOL] = np.uint32(np.uint64(stream) & _LOW)
+    if long_key:
+        entropy[_POOL + 1] = np.uint32(np.uint64(stream) >> _WORD)
+    out = _state(entropy, 8)
+    return (
+        np.uint64(out[0]) | np.uint64(out[1]) << _WORD,
+        np.uint64(out[2]) | np.uint64(out[3]) << _WORD,
+        np.uint64(out[4]) | np.uint64(out[5]) << _WORD,
+        np.uint64(out[6]) | np.uint64(out[7]) << _WORD,
+    )
+
+
+_WORD, _LOW = np.uint64(32), np.uint64(0xFFFFFFFF)
+_ONE, _ALL_BITS, _UNUSED_BITS, _TURN = np.uint64(1), np.uint64(63), np.uint64(11), np.uint64(58)
+_MULTIPLIER_HIGH, _MULTIPLIER_LOW = np.uint64(0x2360ED051FC65DA4), np.uint64(0x4385DF649FCCF645)
+
+
+@njit(cache=True, nogil=True)
+def start_stream(seed, stream, state):  # type: ignore[no-untyped-def]
+    """Start a stream for compiled draws: the same numbers as `Streams(seed)[stream]`.
+
+    Args:
+        seed: Seed of the episode, below 2^64.
+        stream: Number of the stream.
+        state: Output: state and increment of PCG64 (O'Neill 2014), high and low words each. Shape (4,), uint64.
+    """
+    first, second, third, fourth = _seed_words(seed, stream)
+    state[2], state[3] = third << _ONE | fourth >> _ALL_BITS, fourth << _ONE | _ONE
+    # From zero, the first step gives the increment.
+    state[0], state[1] = _sum(state[2], state[3], first, second)
+    _advance(state)
+
+
+@njit(cache=True, nogil=True)
+def _sum(high, low, other_high, other_low):  # type: ignore[no-untyped-def]
+    """Sum of two numbers of 128 bits."""
+    total = low + other_low
+    return high + other_high + np.uint64(total < low), total
+
+
+@njit(cache=True, nogil=True)
+def _advance(state):  # type: ignore[no-untyped-def]
+    """Multiply by PCG64's factor and add the increment, modulo 2^128."""
+    low, factor = state[1], _MULTIPLIER_LOW
+    a, b, c, d = low >> _WORD, low & _LOW, factor >> _WORD, factor & _LOW
+    middle = a * d + (b * d >> _WORD)
+    carry = (middle & _LOW) + b * c
+    high = a * c + (middle >> _WORD) + (carry >> _WORD)
+    high += state[0] * factor + low * _MULTIPLIER_HIGH
+    state[0], state[1] = _sum(high, low * factor, state[2], state[3])
+
+
+@njit(cache=True, nogil=True)
+def draw_share(state):  # type: ignore[no-untyped-def]
+    """Draw from [0, 1): `Generator.random()`."""
+    _advance(state)
+    word, turn = state[0] ^ state[1], state[0] >> _TURN
+    word = word >> turn | word << (np.uint64(64) - turn & _ALL_BITS)
+    return (word >> _UNUSED_BITS) * (1.0 / 9007199254740992.0)
+
+
+@njit(cache=True, nogil=True)
+def draw_uniform(state, low, high):  # type: ignore[no-untyped-def]
+    """Draw from [low, high): `Generator.uniform(low, high)`."""
+    return low + (high - low) * draw_share(state)
 
 
 def episode_seed(rng: np.random.Generator) -> int:

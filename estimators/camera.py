@@ -51,22 +51,32 @@ def pack_camera(
     Returns:
         Packed cameras. Shape (*batch, CAMERA_SIZE).
     """
-    focal, depth, mounting, aspect, distortion = np.broadcast_arrays(
-        *(np.asarray(a, dtype=np.float64) for a in (focal, depth, mounting, aspect, distortion))
-    )
-    center, tilt = np.asarray(center, dtype=np.float64), np.asarray(tilt, dtype=np.float64)
-    packed = np.zeros((*focal.shape, CAMERA_SIZE))
-    packed[..., 0], packed[..., 1] = focal, focal * (1.0 + aspect)
-    packed[..., 2], packed[..., 3] = center[..., 0], center[..., 1]
-    packed[..., 4] = depth
-    packed[..., 5], packed[..., 6] = np.cos(mounting), np.sin(mounting)
-    cx, sx = np.cos(tilt[..., 0]), np.sin(tilt[..., 0])
-    cy, sy = np.cos(tilt[..., 1]), np.sin(tilt[..., 1])
-    packed[..., 7], packed[..., 8], packed[..., 9] = cy, 0.0, sy
-    packed[..., 10], packed[..., 11], packed[..., 12] = sx * sy, cx, -sx * cy
-    packed[..., 13], packed[..., 14], packed[..., 15] = -cx * sy, sx, cx * cy
-    packed[..., 16], packed[..., 17] = distortion, 1.0 / half_width
-    return packed
+    single = [np.asarray(a, dtype=np.float64)[..., None] for a in (focal, depth, mounting, aspect, distortion)]
+    batch, rows = _rows(*np.broadcast_arrays(*single), center, tilt)
+    packed = np.zeros((len(rows[0]), CAMERA_SIZE))
+    _pack_rows(*rows, half_width, packed)
+    return packed.reshape(*batch, CAMERA_SIZE)
+
+
+@njit(cache=True, nogil=True)
+def pack_into(focal, depth, mounting, cu, cv, tilt_x, tilt_y, aspect, distortion, half_width, out):  # type: ignore[no-untyped-def]
+    """Write one packed camera to `out` (CAMERA_SIZE,). Arguments: see `pack_camera`."""
+    cx, sx, cy, sy = math.cos(tilt_x), math.sin(tilt_x), math.cos(tilt_y), math.sin(tilt_y)
+    out[0], out[1], out[2], out[3], out[4] = focal, focal * (1.0 + aspect), cu, cv, depth
+    out[5], out[6] = math.cos(mounting), math.sin(mounting)
+    out[7], out[8], out[9] = cy, 0.0, sy
+    out[10], out[11], out[12] = sx * sy, cx, -sx * cy
+    out[13], out[14], out[15] = -cx * sy, sx, cx * cy
+    out[16], out[17] = distortion, 1.0 / half_width
+
+
+@njit(cache=True, nogil=True)
+def _pack_rows(focal, depth, mounting, aspect, distortion, center, tilt, half_width, out):  # type: ignore[no-untyped-def]
+    for i in range(out.shape[0]):
+        pack_into(
+            focal[i, 0], depth[i, 0], mounting[i, 0], center[i, 0], center[i, 1], tilt[i, 0], tilt[i, 1], aspect[i, 0],
+            distortion[i, 0], half_width, out[i],
+        )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)

@@ -22,8 +22,7 @@ from servotrack.baselines.training.supervised import (
     servo_environments,
     take_turns,
 )
-from servotrack.envs.servo.episode import LEAD
-from servotrack.envs.servo.targets import PERIOD
+from servotrack.envs.servo.targets import LEAD, PERIOD
 from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.stateful import select_rows
 

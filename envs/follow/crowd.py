@@ -9,8 +9,7 @@ import numpy as np
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.streams import FollowStream
-from servotrack.envs.servo.episode import LEAD
-from servotrack.envs.servo.targets import PERIOD, reachable_place, solvable
+from servotrack.envs.servo.targets import LEAD, PERIOD, reachable_place, solvable
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.pedestrians.movement import gait
 from servotrack.envs.track.pedestrians.social_force import LEG_NUMBERS, Plans, Progress, drive

@@ -11,7 +11,7 @@ from servotrack.envs.follow.streams import FollowStream
 from servotrack.envs.follow.world import FollowWorld
 from servotrack.envs.servo.arrivals import Arrivals
 from servotrack.envs.servo.episode import samples
-from servotrack.envs.servo.world import capture
+from servotrack.envs.servo.sensing import capture
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.counts import poisson_quantile
 from servotrack.estimators.camera import project_ground

@@ -12,7 +12,7 @@ from servotrack.envs.follow.sensors import FollowSensors
 from servotrack.envs.follow.world import ON_TARGET_DISTANCE, FollowWorld
 from servotrack.envs.servo.env import METADATA as SERVO_METADATA
 from servotrack.envs.servo.env import Observation, UncalibServoEnv
-from servotrack.envs.servo.episode import LEAD
+from servotrack.envs.servo.targets import LEAD
 from servotrack.estimators.types import Array
 
 if TYPE_CHECKING:

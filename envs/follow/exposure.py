@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from servotrack.envs.follow.figures import POSE_NUMBERS, pose
 from servotrack.envs.follow.painting import CrowdTables, find_boxes, paint_crowd, paint_shadows
 from servotrack.envs.servo.exposure import NOISE_SIDE, Floors, Rays, SensorNoise, look_down, row_view
-from servotrack.envs.servo.world import interpolate_path
+from servotrack.envs.servo.sensing import interpolate_path
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import FloatArray
 

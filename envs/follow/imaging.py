@@ -11,12 +11,12 @@ from servotrack.envs.follow.episode import FollowEpisode
 from servotrack.envs.follow.exposure import expose_crowd
 from servotrack.envs.follow.painting import CrowdTables
 from servotrack.envs.follow.world import FollowWorld
-from servotrack.envs.servo.episode import LEAD, Episode, samples
+from servotrack.envs.servo.episode import samples
 from servotrack.envs.servo.exposure import Arms, Floors, SensorNoise, trace_rays
 from servotrack.envs.servo.floor import floor_texture
 from servotrack.envs.servo.imaging import FloorCamera, floor_of, no_rays, noise_offsets, noise_tile
-from servotrack.envs.servo.targets import START
-from servotrack.envs.servo.world import RING
+from servotrack.envs.servo.records import RING
+from servotrack.envs.servo.targets import LEAD, START
 from servotrack.envs.track.pedestrians.outfits import OUTFIT_NUMBERS
 from servotrack.estimators.camera import project
 from servotrack.estimators.types import Array, Mask
@@ -52,9 +52,9 @@ class CrowdCamera(FloorCamera):
         config = world.config
         self._crowds = _no_crowds(world.count, samples(config), config.people, config.lamps)
 
-    def _begin(self, row: int, episode: Episode) -> None:
-        super()._begin(row, episode)
-        self._floor_pose[row], self._floor_color[row] = _floor(episode)
+    def _begin(self, row: int) -> None:
+        super()._begin(row)
+        self._floor_pose[row], self._floor_color[row] = _floor(int(self._world.seeds[row]))
         _enlarge(self._rays.detail[row])
         _put(self._crowds, row, self._world.episode(row))
 
@@ -96,7 +96,7 @@ class CloseUp:
         world, config, one = self._world, self._world.config, slice(self._row, self._row + 1)
         episode = world.episode(self._row)
         if episode is not self._episode:
-            self._episode, self._floor = episode, _floor(episode)
+            self._episode, self._floor = episode, _floor(episode.streams.seed)
             trace_rays(episode.camera, self._step, *(table[0] for table in self._rays))
             _enlarge(self._rays.detail)
             _put(self._crowd, 0, episode)
@@ -154,13 +154,13 @@ def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) 
         episode = world.episode(row)
         frame = LEAD - episode.latency
         camera, step = _close_up(episode, frame)
-        pose, color = _floor(episode)
+        pose, color = _floor(episode.streams.seed)
         trace_rays(camera, step, *(table[0] for table in rays))
         _enlarge(rays.detail)
         crowd = _no_crowds(1, 1, len(episode.outfits.people), 0)
         _put(crowd, 0, episode, slice(frame, frame + 1))
         crowd.umbrella[:] = 0.0
-        offset = noise_offsets(episode, frame + 1)[None, frame:]
+        offset = noise_offsets(episode.streams.seed, frame + 1)[None, frame:]
         expose_crowd(
             one, np.zeros(1, np.int64), 0.0, step, float(world.config.shadows),
             Arms(camera[None], episode.links[None], history), episode.crowd.paths[None, frame : frame + 1],
@@ -182,8 +182,8 @@ def _close_up(episode: FollowEpisode, frame: int) -> tuple[Array, float]:
     return camera, side / PATCH_SIZE
 
 
-def _floor(episode: Episode) -> tuple[Array, Array]:
-    pose, color = floor_of(episode)
+def _floor(seed: int) -> tuple[Array, Array]:
+    pose, color = floor_of(seed)
     pose[:2] /= 2.0**_FLOOR_DOUBLED
     return pose, color
 

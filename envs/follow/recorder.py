@@ -8,9 +8,10 @@ from servotrack.envs.follow.imaging import CloseUp
 from servotrack.envs.follow.render import FollowScene, draw
 from servotrack.envs.follow.world import FollowWorld
 from servotrack.envs.servo.backdrop import CAMERA_PANEL
-from servotrack.envs.servo.episode import LEAD, samples
+from servotrack.envs.servo.episode import samples
 from servotrack.envs.servo.footprint import camera_footprint
-from servotrack.envs.servo.world import RING
+from servotrack.envs.servo.records import RING
+from servotrack.envs.servo.targets import LEAD
 from servotrack.estimators.camera import CAMERA_SIZE, project_points
 from servotrack.estimators.types import Array, Image
 

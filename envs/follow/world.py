@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import cast
 
 import numpy as np
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.episode import FollowEpisode, draw_follow_episode
-from servotrack.envs.servo.episode import LEAD, samples
+from servotrack.envs.servo.episode import samples
+from servotrack.envs.servo.targets import LEAD
 from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Labels, Mask
@@ -50,6 +50,7 @@ class FollowWorld(ServoWorld):
 
     def __init__(self, config: FollowConfig, count: int, engine: str = "pymunk") -> None:
         super().__init__(config, count, LOST_SAMPLES, engine)
+        self._episodes: list[FollowEpisode | None] = [None] * count
         table = count, samples(config), config.people
         self.people, self.hidden = np.zeros((*table, 4)), np.zeros(table, np.bool_)
         self.identity_error, self.lost = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
@@ -57,6 +58,7 @@ class FollowWorld(ServoWorld):
         self.kept, self.time_on_target = np.zeros(count, np.bool_), np.zeros(count)
         self._on_target = np.zeros(count, np.int64)
         self._last_errors = np.zeros((count, KEPT_SAMPLES))
+        self._old_features, self._old_time = np.zeros((count, 2)), np.zeros(count)
 
     @property
     def now(self) -> Labels:
@@ -65,23 +67,27 @@ class FollowWorld(ServoWorld):
 
     def episode(self, row: int) -> FollowEpisode:
         """The episode of a row that has been reset."""
-        return cast(FollowEpisode, self.episodes[row])
+        episode = self._episodes[row]
+        assert episode is not None, "a row has no episode before its first reset"
+        return episode
 
-    def _draw(self, seed: int) -> FollowEpisode:
-        return draw_follow_episode(self.config, seed)
+    def _draw(self, rows: Labels, seeds: Labels) -> None:
+        for row, seed in zip(rows.tolist(), seeds.tolist(), strict=True):
+            episode = draw_follow_episode(self.config, seed)
+            self._load(row, episode)
+            self._episodes[row] = episode
+            self.people[row], self.hidden[row] = episode.crowd.paths, episode.hidden
 
-    def _begin(self, row: int, seed: int) -> None:
-        super()._begin(row, seed)
-        episode = self.episode(row)
-        self.people[row], self.hidden[row] = episode.crowd.paths, episode.hidden
-
-    def _observe(self, rows: Mask) -> None:
+    def _before_sensing(self) -> None:
         if self.config.lamps or self.config.umbrellas:
-            before = self.features.copy(), self.frame_time.copy()
-            super()._observe(rows)
-            _cover(rows, self.captured, self.hidden, *before, self.visible, self.features, self.frame_time)
-        else:
-            super()._observe(rows)
+            self._old_features[:], self._old_time[:] = self.features, self.frame_time
+
+    def _after_sensing(self, rows: Mask) -> None:
+        if self.config.lamps or self.config.umbrellas:
+            _cover(
+                rows, self.captured, self.hidden, self._old_features, self._old_time, self.visible, self.features,
+                self.frame_time,
+            )  # fmt: skip
         _follow(
             rows, self.steps, self.people, self.tool, self._last_errors, self._on_target, self.identity_error,
             self.lost, self.losses, self.reacquisitions, self.kept, self.time_on_target,

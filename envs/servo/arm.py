@@ -7,12 +7,14 @@ There is no gravity. Two engines solve for its motion: pymunk (`pymunk_arms`), t
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from servotrack.envs.servo.targets import START
-from servotrack.estimators.types import Array
+from servotrack.estimators.compilation import njit
+from servotrack.estimators.types import Array, Labels
 
 LINK_MASS = 1.0
 """Mass of each link, kg."""
@@ -42,23 +44,48 @@ class Rods(NamedTuple):
     positions: tuple[tuple[float, float], tuple[float, float]]
 
 
-def rods_at_rest(links: Array) -> Rods:
-    """Return the rods of an arm with links (2,) m at the start pose."""
-    l1, l2 = float(links[0]), float(links[1])
-    # The camera sits at the far end of link 2: center of gravity and moment of inertia move with it.
-    mass = LINK_MASS + CAMERA_MASS
-    center = (LINK_MASS * l2 / 2 + CAMERA_MASS * l2) / mass
-    # Interpreted, not compiled: the two round powers differently, and all engines must start from the same bits.
-    moment = LINK_MASS * (l2 * l2 / 12 + (center - l2 / 2) ** 2) + CAMERA_MASS * (l2 - center) ** 2
-    theta1, theta2 = float(START[0]), float(START[1])
-    c1, s1, c2, s2 = np.cos(theta1), np.sin(theta1), np.cos(theta1 + theta2), np.sin(theta1 + theta2)
+LOWER_MASS = LINK_MASS + CAMERA_MASS
+"""Mass of the second rod with the camera at its far end, kg."""
+
+
+@njit(cache=True, nogil=True)
+def lower_center(l2):  # type: ignore[no-untyped-def]
+    """Distance from the elbow to the center of gravity of a second rod of length l2, m."""
+    return (LINK_MASS * l2 / 2 + CAMERA_MASS * l2) / LOWER_MASS
+
+
+def squared_offsets(links: Array) -> Array:
+    """Squared distances of the second rods' centers of gravity from their middles and from their cameras.
+
+    These are powers of Python floats. Compiled code and NumPy multiply instead, which rounds otherwise now and then.
+
+    Args:
+        links: Link lengths, shape (n, 2), m.
+
+    Returns:
+        Squares, shape (n, 2), m^2.
+    """
+    out = np.empty((len(links), 2))
+    for row, (_, l2) in enumerate(links.tolist()):
+        center = lower_center.py_func(l2)
+        out[row] = (center - l2 / 2) ** 2, (l2 - center) ** 2
+    return out
+
+
+@njit(cache=True, nogil=True)
+def rods_at_rest(l1, l2, from_middle, from_camera):  # type: ignore[no-untyped-def]
+    """Return the `Rods` of an arm at the start pose: link lengths, m, and a row of `squared_offsets`, m^2."""
+    center = lower_center(l2)
+    moment = LINK_MASS * (l2 * l2 / 12 + from_middle) + CAMERA_MASS * from_camera
+    theta1, theta2 = START[0], START[0] + START[1]
+    c1, s1, c2, s2 = math.cos(theta1), math.sin(theta1), math.cos(theta2), math.sin(theta2)
     return Rods(
-        masses=(LINK_MASS, mass),
-        moments=(LINK_MASS * l1 * l1 / 12, moment),
-        half=l1 / 2,
-        center=center,
-        angles=(theta1, theta1 + theta2),
-        positions=((l1 / 2 * c1, l1 / 2 * s1), (l1 * c1 + center * c2, l1 * s1 + center * s2)),
+        (LINK_MASS, LOWER_MASS),
+        (LINK_MASS * l1 * l1 / 12, moment),
+        l1 / 2,
+        center,
+        (theta1, theta2),
+        ((l1 / 2 * c1, l1 / 2 * s1), (l1 * c1 + center * c2, l1 * s1 + center * s2)),
     )
 
 
@@ -71,8 +98,8 @@ class Arms(Protocol):
 
     angles: Array
 
-    def reset(self, row: int, links: Array) -> None:
-        """Restart one arm with links (2,) m at the start pose. The other arms are not changed."""
+    def reset(self, rows: Labels, links: Array) -> None:
+        """Restart the arms of rows (n,) with links (n, 2) m at the start pose. The other arms are not changed."""
 
     def step(self, rates: Array) -> None:
         """Drive all joints at `rates` (N, 2) rad/s for one control period and read the angles."""

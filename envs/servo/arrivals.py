@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from operator import is_not
-
 import numpy as np
 
-from servotrack.envs.servo.episode import LEAD, Episode
-from servotrack.envs.servo.targets import PERIOD
+from servotrack.envs.servo.targets import LEAD, PERIOD
 from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.compilation import njit
 
@@ -25,7 +22,7 @@ class Arrivals:
 
     def __init__(self, world: ServoWorld) -> None:
         self._world = world
-        self._episodes: list[Episode | None] = [None] * world.count
+        self._begun = np.zeros(world.count, np.int64)
         self._captured = np.full(world.count, -1)
         self.rows, self.frame_time = np.zeros(world.count, np.bool_), np.zeros(world.count)
 
@@ -36,11 +33,9 @@ class Arrivals:
             Rows whose episode began since the last update.
         """
         world, config = self._world, self._world.config
-        # Episodes are frozen, so another object means another episode.
-        fresh = [row for row, another in enumerate(map(is_not, self._episodes, world.episodes)) if another]
-        for row in fresh:
-            self._episodes[row] = world.episodes[row]
-            self._captured[row] = -1
+        fresh: list[int] = np.flatnonzero(self._begun != world.begun).tolist()
+        self._begun[fresh] = world.begun[fresh]
+        self._captured[fresh] = -1
         _register(
             self._captured, world.captured, LEAD + config.warmup, float(config.rolling_shutter), config.stamped,
             world.time, self.rows, self.frame_time,

@@ -19,11 +19,11 @@ from typing import NamedTuple
 import numpy as np
 import pymunk
 
-from servotrack.envs.servo.arm import PIVOT_BIAS, rods_at_rest
+from servotrack.envs.servo.arm import PIVOT_BIAS, rods_at_rest, squared_offsets
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
 from servotrack.estimators.compilation import njit
-from servotrack.estimators.types import Array
+from servotrack.estimators.types import Array, Labels
 
 LANES = 16
 """Number of arms side by side in a block of the table."""
@@ -104,22 +104,13 @@ class CompiledArms:
         self.solver = solver(config)
         self.angles = np.tile(START, (count, 1))
         self.blocks = np.zeros((-(-count // LANES), _FIELDS * LANES))
-        self._started = np.zeros(count, np.bool_)
+        self._started, self._waiting = np.zeros(count, np.bool_), True
 
-    def reset(self, row: int, links: Array) -> None:
-        """Restart one arm with links (2,) m at the start pose. The other arms are not changed."""
-        rods = rods_at_rest(links)
-        (m1, m2), (i1, i2) = rods.masses, rods.moments
-        lane = self._lane(row)
-        lane[:] = 0.0
-        for body, (angle, position) in enumerate(zip(rods.angles, rods.positions, strict=True)):
-            lane[6 * body : 6 * body + 3] = *position, angle
-        inverse1, inverse2 = 1.0 / i1, 1.0 / i2
-        lane[MOVING : MOVING + 8] = (
-            1.0 / m1, inverse1, 1.0 / m2, inverse2, rods.half, rods.center, 1.0 / inverse1, 1.0 / (inverse1 + inverse2)
-        )  # fmt: skip
-        self.angles[row] = START
-        self._started[row] = True
+    def reset(self, rows: Labels, links: Array) -> None:
+        """Restart the arms of rows (n,) with links (n, 2) m at the start pose. The other arms are not changed."""
+        _start(rows, links, squared_offsets(links), self.blocks, self.angles)
+        self._started[rows] = True
+        self._waiting = not self._started.all()
 
     def _lane(self, row: int) -> Array:
         """View of all quantities of an arm, shape (fields,)."""
@@ -127,9 +118,13 @@ class CompiledArms:
 
     def step(self, rates: Array) -> None:
         """Drive all joints at `rates` (N, 2) rad/s for one control period and read the angles."""
-        if not self._started.all():
-            raise RuntimeError(f"arms {np.flatnonzero(~self._started).tolist()} were never reset")
+        self.check_started()
         _move(self.blocks, rates, self.angles, self.solver)
+
+    def check_started(self) -> None:
+        """Raise a RuntimeError if an arm was never reset."""
+        if self._waiting:
+            raise RuntimeError(f"arms {np.flatnonzero(~self._started).tolist()} were never reset")
 
     def state(self) -> dict[str, Array]:
         """Return what `restore` needs besides the links: `bodies`, positions, velocities and impulses, (N, MOVING)."""
@@ -137,8 +132,8 @@ class CompiledArms:
 
     def restore(self, state: Mapping[str, Array], links: Array) -> None:
         """Bring all arms into a state that `state` returned, with links (N, 2) m."""
+        self.reset(np.arange(len(links)), links)
         for row, bodies in enumerate(state["bodies"]):
-            self.reset(row, links[row])
             self._lane(row)[:MOVING] = bodies
             self.angles[row] = bodies[2], bodies[8] - bodies[2]
 
@@ -153,6 +148,25 @@ class CompiledArms:
             elbow = math.hypot(x2 - center * c2 - x1 - half * c1, y2 - center * s2 - y1 - half * s1)
             worst = max(worst, base, elbow)
         return worst
+
+
+@njit(cache=True, nogil=True)
+def _start(rows, links, squares, blocks, angles):  # type: ignore[no-untyped-def]
+    """Write arms at rest into their lanes."""
+    for n in range(len(rows)):
+        row = rows[n]
+        s, k = blocks[row // LANES], row % LANES
+        rods = rods_at_rest(links[n, 0], links[n, 1], squares[n, 0], squares[n, 1])
+        for field in range(_FIELDS):
+            s[field * LANES + k] = 0.0
+        s[_X1 + k], s[_Y1 + k] = rods.positions[0]
+        s[_X2 + k], s[_Y2 + k] = rods.positions[1]
+        s[_A1 + k], s[_A2 + k] = rods.angles
+        i1, i2 = 1.0 / rods.moments[0], 1.0 / rods.moments[1]
+        s[_M1 + k], s[_I1 + k], s[_M2 + k], s[_I2 + k] = 1.0 / rods.masses[0], i1, 1.0 / rods.masses[1], i2
+        s[_HALF + k], s[_CENTER + k] = rods.half, rods.center
+        s[_FELT1 + k], s[_FELT2 + k] = 1.0 / i1, 1.0 / (i1 + i2)
+        angles[row, 0], angles[row, 1] = START[0], START[1]
 
 
 @njit(cache=True, nogil=True)

@@ -47,10 +47,10 @@ def same_bits() -> bool:
     both = [make(config, _CHECKED_ARMS) for make in ENGINES.values()]
     for step in range(_CHECKED_STEPS):
         rates = rng.uniform(-2.0, 2.0, (_CHECKED_ARMS, 2)) + np.where(step < _CHECKED_STEPS // 2, 2.0, -2.0)
-        started = range(_CHECKED_ARMS) if step == 0 else [step % _CHECKED_ARMS] if step == _CHECKED_STEPS // 3 else []
         for arms in both:
-            for row in started:
-                arms.reset(row, links[row])
+            if step in (0, _CHECKED_STEPS // 3):
+                started = np.arange(_CHECKED_ARMS if step == 0 else 1)
+                arms.reset(started, links[started])
             arms.step(rates)
         if not np.array_equal(both[0].angles, both[1].angles):
             return False

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from servotrack.envs.actions import check_actions
 from servotrack.envs.arguments import RENDER_MODES
 from servotrack.envs.servo.engine import chosen_engine
-from servotrack.envs.servo.episode import LEAD
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
-from servotrack.envs.servo.targets import PERIOD
+from servotrack.envs.servo.targets import LEAD, PERIOD
 from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld
 from servotrack.envs.single_env import SingleEnv
 from servotrack.estimators.types import Array

@@ -4,47 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
-from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servotrack.envs.arguments import Range
+from servotrack.envs.servo.layout import (
+    MAX_DRAWS,
+    accepted,
+    draw_arm,
+    draw_gains,
+    draw_layouts,
+    never_rejected,
+    no_layout,
+    ranges_of,
+    start_streams,
+)
 from servotrack.envs.servo.levels import ServoConfig
-from servotrack.envs.servo.targets import PERIOD, START, draw_path, solvable
+from servotrack.envs.servo.records import CONSTANTS
+from servotrack.envs.servo.streams import Stream
+from servotrack.envs.servo.targets import LEAD, PERIOD, draw_waypoints
 from servotrack.envs.streams import Streams
-from servotrack.estimators.camera import pack_camera, project_ground, project_points
 from servotrack.estimators.types import Array, Mask
-
-LEAD = 6
-"""Number of samples before the reset in an episode's tables, for frames taken before the reset."""
-_MAX_DRAWS = 2000  # of a layout, until one is solvable
-_PAPER_TARGETS = ("paper", "paper_point")
-
-
-class Stream(IntEnum):
-    """Stream numbers of an episode's seed. A new stream does not change the others; the numbers must never change."""
-
-    LINKS = 0
-    FOCAL = 1
-    DEPTH = 2
-    MOUNTING = 3
-    PRINCIPAL_POINT = 4
-    DISTORTION = 5
-    TILT = 6
-    ASPECT = 7
-    TARGET = 8
-    PIXEL_NOISE = 9
-    OUTLIER = 10
-    OUTLIER_OFFSET = 11
-    DROPOUT = 12
-    LATENCY = 13
-    ACTUATION_NOISE = 14
-    ACTUATION_GAIN = 15
-    ENCODER_NOISE = 16
-    DISTRACTOR = 17
-    IMAGE_NOISE = 18
-    FLOOR = 19
 
 
 class ServoStreams(Streams):
@@ -120,96 +102,74 @@ def draw_episode(config: ServoConfig, seed: int, motion: Motion | None = None) -
         ValueError: No solvable layout was found in many draws: the ranges contradict each other.
     """
     streams = ServoStreams(seed)
-    links, camera, path = _draw_layout(config, streams, motion)
-    count = samples(config)
-    u, v, _ = project_ground(camera, 0.0, 0.0)
-    encoder_noise, encoder_level = _gaussian_block(streams, Stream.ENCODER_NOISE, config.encoder_noise, count)
-    rate_noise, rate_level = _gaussian_block(streams, Stream.ACTUATION_NOISE, config.actuation_noise, count)
-    low, high = config.latency
+    constants, paths = np.zeros(1, CONSTANTS), np.zeros((1, samples(config), 4))
+    if motion is None and config.target != "waypoints":
+        found = draw_layouts(_FIRST, np.array([seed]), ranges_of(config), never_rejected(config), constants, paths)
+        if found >= 0:
+            raise no_layout(config)
+    else:
+        _draw_moving_layout(config, streams, motion or _waypoints(config), constants, paths)
+    draw_gains(_FIRST, np.array([seed]), config.actuation_gain, constants)
+    noise = draw_noise(config, streams)
+    links, camera, goal, gain, _, _ = constants[0].item()
     return Episode(
         streams=streams,
-        links=links,
-        camera=camera,
-        goal=np.array([u, v]),
-        path=path,
+        links=np.array(links),
+        camera=np.array(camera),
+        goal=np.array(goal),
+        path=paths[0],
+        gain=np.array(gain),
+        **noise._asdict(),
+    )
+
+
+_FIRST = np.zeros(1, np.int64)
+_NEVER = np.zeros(0, dtype=np.bool_)
+_NONE = np.zeros((0, 2))
+
+
+class Noise(NamedTuple):
+    """Noise of one episode. Fields: see `Episode`."""
+
+    feature_noise: Array
+    dropped: Mask
+    latency: int
+    rate_noise: Array
+    encoder_noise: Array
+    noise_levels: Array
+
+
+def draw_noise(config: ServoConfig, streams: ServoStreams) -> Noise:
+    """Draw the noise of one episode."""
+    count, (low, high) = samples(config), config.latency
+    encoder_noise, encoder_level = _gaussian_block(streams, Stream.ENCODER_NOISE, config.encoder_noise, count)
+    rate_noise, rate_level = _gaussian_block(streams, Stream.ACTUATION_NOISE, config.actuation_noise, count)
+    return Noise(
         feature_noise=_feature_noise(config, streams, count),
         dropped=streams[Stream.DROPOUT].random(count) < config.dropout if config.dropout else _NEVER,
         latency=int(low) if low == high else int(streams[Stream.LATENCY].integers(int(low), int(high) + 1)),
-        gain=1.0
-        + np.asarray(streams.uniform(Stream.ACTUATION_GAIN, (-config.actuation_gain, config.actuation_gain), 2)),
         rate_noise=rate_noise,
         encoder_noise=encoder_noise,
         noise_levels=np.array([encoder_level, rate_level]),
     )
 
 
-_NEVER = np.zeros(0, dtype=np.bool_)
-_NONE = np.zeros((0, 2))
-
-
-def _draw_layout(config: ServoConfig, streams: ServoStreams, motion: Motion | None) -> tuple[Array, Array, Array]:
-    if _is_fixed(config):
-        return _fixed_layout(config)
+def _waypoints(config: ServoConfig) -> Motion:
     times = sample_times(config)
-    for _ in range(_MAX_DRAWS):
-        links = np.asarray(streams.uniform(Stream.LINKS, config.links, 2))
-        camera = _draw_camera(config, streams)
-        if motion is not None:
-            path = motion(streams, links)
-        else:
-            rng = None if config.target in _PAPER_TARGETS else streams[Stream.TARGET]
-            path = draw_path(config, rng, links, times)
-        if not solvable(path[LEAD + config.warmup :], links[0], links[1], config.max_joint_rate):
-            continue
-        start, seen = project_points(camera, links, START, path[LEAD, :2])
-        u, v, before_fold = project_ground(camera, 0.0, 0.0)
-        # With a goal outside the image, the agent would have to steer the target out of view.
-        if seen and before_fold and _in_image(config, *start) and _in_image(config, u, v):
-            return links, camera, path
-    raise ValueError(
-        f"no solvable layout among {_MAX_DRAWS} draws: the arm cannot follow a {config.target!r} target with "
-        f"links={config.links} at max_joint_rate={config.max_joint_rate}, or the camera (focal={config.focal}, "
-        f"depth={config.depth}, tilt={config.tilt}) does not see both it and the goal at the start; change these"
-    )
+    return lambda streams, links: draw_waypoints(config, streams[Stream.TARGET], links, times)
 
 
-def _in_image(config: ServoConfig, u: float, v: float) -> bool:
-    return bool(0.0 <= u < config.camera_size and 0.0 <= v < config.camera_size)
-
-
-def _is_fixed(config: ServoConfig) -> bool:
-    """Return True if layout and target are the paper's fixed ones, which are never rejected."""
-    ranges = (config.links, config.focal, config.depth, config.distortion)
-    offsets = (config.mounting, config.principal_offset, config.tilt, config.aspect)
-    return config.target in _PAPER_TARGETS and all(low == high for low, high in ranges) and not any(offsets)
-
-
-@lru_cache(maxsize=32)
-def _fixed_layout(config: ServoConfig) -> tuple[Array, Array, Array]:
-    links = np.full(2, config.links[0])
-    camera = _draw_camera(config, ServoStreams(0))
-    path = draw_path(config, None, links, sample_times(config))
-    for table in (links, camera, path):
-        table.setflags(write=False)
-    return links, camera, path
-
-
-def _draw_camera(config: ServoConfig, streams: ServoStreams) -> Array:
-    middle = config.camera_size / 2.0
-
-    def around(stream: Stream, half: float, size: int | None = None) -> float | Array:
-        return streams.uniform(stream, (-half, half), size)
-
-    return pack_camera(
-        focal=streams.uniform(Stream.FOCAL, config.focal),
-        depth=streams.uniform(Stream.DEPTH, config.depth),
-        mounting=around(Stream.MOUNTING, config.mounting),
-        center=middle + np.asarray(around(Stream.PRINCIPAL_POINT, config.principal_offset, 2)),
-        tilt=around(Stream.TILT, config.tilt, 2),
-        aspect=around(Stream.ASPECT, config.aspect),
-        distortion=streams.uniform(Stream.DISTORTION, config.distortion),
-        half_width=middle,
-    )
+def _draw_moving_layout(
+    config: ServoConfig, streams: ServoStreams, motion: Motion, constants: NDArray[np.void], paths: Array
+) -> None:
+    """Draw a layout whose target's path is not drawn in compiled code."""
+    ranges, states = ranges_of(config), start_streams(streams.seed)
+    for _ in range(MAX_DRAWS):
+        draw_arm(ranges, states, constants[0])
+        paths[0] = motion(streams, constants["links"][0])
+        if accepted(ranges, constants[0], paths[0]):
+            return
+    raise no_layout(config)
 
 
 def _gaussian_block(streams: ServoStreams, stream: Stream, level: Range, count: int) -> tuple[Array, float]:

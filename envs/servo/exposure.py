@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.servo.floor import SIDE, TILE
+from servotrack.envs.servo.sensing import interpolate_path
 from servotrack.envs.servo.targets import PERIOD
-from servotrack.envs.servo.world import interpolate_path
 from servotrack.estimators.camera import ground_point, project_ground
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, FloatArray, Labels

@@ -12,10 +12,13 @@ from functools import lru_cache
 import numpy as np
 
 from servotrack.envs.servo.arrivals import Arrivals
-from servotrack.envs.servo.episode import LEAD, Episode, Stream, Streams, sample_times, samples
+from servotrack.envs.servo.episode import sample_times, samples
 from servotrack.envs.servo.exposure import NOISE_SIDE, Arms, Floors, Rays, SensorNoise, expose, trace_rays
 from servotrack.envs.servo.floor import floor_texture
+from servotrack.envs.servo.streams import Stream
+from servotrack.envs.servo.targets import LEAD
 from servotrack.envs.servo.world import ServoWorld
+from servotrack.envs.streams import Streams
 from servotrack.estimators.types import Array, FloatArray, Labels, Mask
 
 
@@ -51,17 +54,16 @@ class FloorCamera:
     def update(self) -> None:
         """Render the frames that have arrived since the last call."""
         for row in self._arrivals.update():
-            episode = self._world.episodes[row]
-            assert episode is not None
-            self._begin(row, episode)
+            self._begin(row)
         self._expose(self._arrivals.rows)
 
-    def _begin(self, row: int, episode: Episode) -> None:
+    def _begin(self, row: int) -> None:
         """Load a row's new episode."""
-        self.goal[row] = episode.goal * self._scale
-        self._noise.offset[row] = noise_offsets(episode, self._noise.offset.shape[1])
-        self._floor_pose[row], self._floor_color[row] = floor_of(episode)
-        trace_rays(episode.camera, 1.0 / self._scale, *(table[row] for table in self._rays))
+        world, seed = self._world, int(self._world.seeds[row])
+        self.goal[row] = world.goal[row] * self._scale
+        self._noise.offset[row] = noise_offsets(seed, self._noise.offset.shape[1])
+        self._floor_pose[row], self._floor_color[row] = floor_of(seed)
+        trace_rays(world.cameras[row], 1.0 / self._scale, *(table[row] for table in self._rays))
 
     def _expose(self, rows: Mask) -> None:
         """Render the frames that arrived in these rows."""
@@ -79,9 +81,10 @@ class ImageSensor(FloorCamera):
         """True current position of one row's distractor, (2,) m."""
         return self._distractors[row, self._world.steps[row] + LEAD, :2]
 
-    def _begin(self, row: int, episode: Episode) -> None:
-        super()._begin(row, episode)
-        self._distractors[row] = _distractor_path(episode, sample_times(self._world.config))
+    def _begin(self, row: int) -> None:
+        super()._begin(row)
+        world = self._world
+        self._distractors[row] = _distractor_path(int(world.seeds[row]), world.paths[row], sample_times(world.config))
 
     def _expose(self, rows: Mask) -> None:
         world = self._world
@@ -103,18 +106,18 @@ def no_rays(count: int, image_size: int) -> Rays:
     )
 
 
-def floor_of(episode: Episode) -> tuple[Array, Array]:
-    """Pose of an episode's floor (cos, sin, shift in tiles; (4,)) and its color at brightness 1 (3,)."""
-    rng = _stream(episode, Stream.FLOOR)
+def floor_of(seed: int) -> tuple[Array, Array]:
+    """Pose of the floor of a seed (cos, sin, shift in tiles; (4,)) and its color at brightness 1 (3,)."""
+    rng = Streams(seed)[Stream.FLOOR]
     angle, brightness, warmth = rng.uniform((0.0, 105.0, -0.06), (2.0 * math.pi, 165.0, 0.08))
     shift = rng.uniform(0.0, 1.0, 2)
     color = brightness * (1.0 + warmth * np.array([1.0, 0.4, -1.0]))
     return np.array([math.cos(angle), math.sin(angle), *shift]), color
 
 
-def noise_offsets(episode: Episode, length: int) -> Labels:
-    """First row and column in the noise tile of each of an episode's frames, (length, 2)."""
-    return _stream(episode, Stream.IMAGE_NOISE).integers(0, NOISE_SIDE, (length, 2))
+def noise_offsets(seed: int, length: int) -> Labels:
+    """First row and column in the noise tile of each frame in the episode of a seed, (length, 2)."""
+    return Streams(seed)[Stream.IMAGE_NOISE].integers(0, NOISE_SIDE, (length, 2))
 
 
 @lru_cache(maxsize=16)
@@ -125,15 +128,10 @@ def noise_tile(level: float, image_size: int) -> FloatArray:
     return (level * tile[:, columns]).astype(np.float32)
 
 
-def _stream(episode: Episode, stream: Stream) -> np.random.Generator:
-    """Return a fresh copy of a stream, so that a second sensor on the same episode sees the same floor."""
-    return Streams(episode.streams.seed)[stream]
-
-
-def _distractor_path(episode: Episode, times: Array) -> Array:
+def _distractor_path(seed: int, path: Array, times: Array) -> Array:
     """Draw positions and velocities of the distractor, (K, 4). It circles slowly near the target's path, or rests."""
-    rng = _stream(episode, Stream.DISTRACTOR)
-    low, high = episode.path[:, :2].min(axis=0) - 0.1, episode.path[:, :2].max(axis=0) + 0.1
+    rng = Streams(seed)[Stream.DISTRACTOR]
+    low, high = path[:, :2].min(axis=0) - 0.1, path[:, :2].max(axis=0) + 0.1
     center = rng.uniform(low, high)
     radii = rng.uniform(0.02, 0.15, 2) * (rng.random() < 0.7)
     rate, phases = rng.uniform(0.1, 0.6), rng.uniform(0.0, 2.0 * math.pi, 2)

@@ -14,10 +14,10 @@ import pymunk
 import pymunk.batch
 from numpy.typing import NDArray
 
-from servotrack.envs.servo.arm import PIVOT_BIAS, rods_at_rest
+from servotrack.envs.servo.arm import PIVOT_BIAS, Rods, rods_at_rest, squared_offsets
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
-from servotrack.estimators.types import Array
+from servotrack.estimators.types import Array, Labels
 
 _ANGLES = pymunk.batch.BodyFields.BODY_ID | pymunk.batch.BodyFields.ANGLE
 _FEW_BODIES = 16
@@ -40,12 +40,11 @@ class _Arm:
         self._constraints: tuple[pymunk.Constraint, ...] = ()
         space.add(*self.bodies)
 
-    def start(self, links: Array) -> None:
-        """Rest at the start pose with links (2,) m. The motion that follows is bit-identical to that in a new Space."""
+    def start(self, rods: Rods) -> None:
+        """Rest at the start pose. The motion that follows is bit-identical to that in a new Space."""
         # Removing a constraint moves the Space's last one into its slot. In reverse order, a whole arm moves in order.
         for constraint in reversed(self._constraints):
             self._space.remove(constraint)
-        rods = rods_at_rest(links)
         upper, lower = self.bodies
         for body, mass, moment, angle, position in zip(
             self.bodies, rods.masses, rods.moments, rods.angles, rods.positions, strict=True
@@ -111,8 +110,12 @@ class PymunkArms:
         self._since = [0] * count
         self._most_kept = _KEPT
 
-    def reset(self, row: int, links: Array) -> None:
-        """Restart one arm with links (2,) m at the start pose. The other arms are not changed."""
+    def reset(self, rows: Labels, links: Array) -> None:
+        """Restart the arms of rows (n,) with links (n, 2) m at the start pose. The other arms are not changed."""
+        for row, own, squares in zip(rows.tolist(), links.tolist(), squared_offsets(links).tolist(), strict=True):
+            self._restart(row, own, rods_at_rest(*own, *squares))
+
+    def _restart(self, row: int, links: list[float], rods: Rods) -> None:
         arm = self._arms[row]
         if arm is None:
             arm = self._arms[row] = _Arm(self._space, self._config.max_motor_torque)
@@ -120,7 +123,7 @@ class PymunkArms:
             self._body_ids[row] = [body.id for body in arm.bodies]
             self._places = None
             self._not_started -= 1
-        arm.start(links)
+        arm.start(rods)
         self._motors[2 * row : 2 * row + 2] = arm.motors
         self.angles[row], self._links[row] = START, links
         self._since[row] = len(self._driven)
@@ -170,8 +173,8 @@ class PymunkArms:
         self._clear()
         driven, since = state["driven"], state["since"].tolist()
         for step in range(len(driven) + 1):
-            for row in [row for row, start in enumerate(since) if start == step]:
-                self.reset(row, links[row])
+            started = np.flatnonzero(state["since"] == step)
+            self.reset(started, links[started])
             if step < len(driven):
                 self._drive(driven[step])
         self._driven, self._since = [rates.copy() for rates in driven], since

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from servotrack.envs.servo.episode import LEAD, samples
+from servotrack.envs.servo.episode import samples
 from servotrack.envs.servo.footprint import camera_footprint, floor_lines
 from servotrack.envs.servo.levels import LEVEL_NAMES
 from servotrack.envs.servo.render import ServoScene, draw
+from servotrack.envs.servo.targets import LEAD
 from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.types import Array, Image
 

@@ -16,6 +16,8 @@ JOINT_LOW = np.array([-math.pi / 2, 0.0])
 """Lower joint stops (Zhang 2011, section 3.1), rad."""
 JOINT_HIGH = np.array([math.pi / 2, math.pi])
 """Upper joint stops, rad."""
+LEAD = 6
+"""Number of samples before the reset in an episode's tables, for frames taken before the reset."""
 START = np.array([0.0, math.pi / 2])
 """Joint angles at reset, rad."""
 
@@ -60,63 +62,6 @@ def solvable(path, l1, l2, max_joint_rate):  # type: ignore[no-untyped-def]
     return True
 
 
-def draw_path(config: ServoConfig, rng: np.random.Generator | None, links: Array, times: Array) -> Array:
-    """Draw the target's path.
-
-    Args:
-        config: Parameters of the world. `config.target` is the kind of motion; lengths scale with the arm's reach.
-        rng: Random stream of the target; None for the motions of the paper.
-        links: Link lengths, shape (2,), m.
-        times: Sample times, shape (samples,), s. With a warm-up, the target rests before time 0.
-
-    Returns:
-        Positions and velocities, shape (samples, 4): m, m, m/s, m/s.
-    """
-    resting = times < 0 if config.warmup > 0 else np.zeros(len(times), dtype=bool)
-    clock = np.where(resting, 0.0, times)
-    reach = float(links.sum())
-    if config.target == "waypoints":
-        assert rng is not None
-        path = _waypoints(rng, links, clock, config.max_joint_rate)
-    else:
-        path = np.empty((len(times), 4))
-        for axis, (center, waves) in enumerate(_waves(config.target, rng, links)):
-            path[:, axis], path[:, 2 + axis] = reach * center, 0.0
-            for amplitude, rate, phase in waves:
-                angle = rate * clock + phase
-                path[:, axis] += reach * amplitude * np.cos(angle)
-                path[:, 2 + axis] -= reach * amplitude * rate * np.sin(angle)
-    path[resting, 2:] = 0.0
-    return path
-
-
-Wave = tuple[float, float, float]
-
-
-def _waves(kind: str, rng: np.random.Generator | None, links: Array) -> list[tuple[float, list[Wave]]]:
-    """Draw center and (amplitude, angular rate, phase) of cosines along x and y, lengths as fractions of the reach."""
-    if kind == "paper":
-        return [(0.5, [(0.3, 1.0, 0.0)]), (0.5, [(0.2, 1.0, -math.pi / 2)])]
-    if kind == "paper_point":
-        return [(0.6, []), (0.6, [])]
-    assert rng is not None
-    if kind == "point":
-        x, y = reachable_point(rng, links) / links.sum()
-        return [(x, []), (y, [])]
-    cx, cy = rng.uniform(0.4, 0.6, 2)
-    if kind == "ellipse":
-        ax, ay = rng.uniform(0.1, 0.3, 2)
-        rate, phase = rng.uniform(0.5, 1.5), rng.uniform(0.0, 2.0 * math.pi)
-        turn = math.copysign(math.pi / 2, rng.random() - 0.5)
-        return [(cx, [(ax, rate, phase)]), (cy, [(ay, rate, phase + turn)])]
-    axes = []
-    for center in (cx, cy):
-        slow = (rng.uniform(0.08, 0.20), rng.uniform(0.4, 1.0), rng.uniform(0.0, 2.0 * math.pi))
-        fast = (rng.uniform(0.03, 0.10), rng.uniform(1.0, 2.0), rng.uniform(0.0, 2.0 * math.pi))
-        axes.append((center, [slow, fast]))
-    return axes
-
-
 def reachable_point(rng: np.random.Generator, links: Array) -> Array:
     """Draw a point that the arm reaches well inside its joint range."""
     return np.array(reachable_place(rng.random(), rng.random(), links[0], links[1]))
@@ -132,8 +77,20 @@ def reachable_place(share1, share2, l1, l2):  # type: ignore[no-untyped-def]
     )
 
 
-def _waypoints(rng: np.random.Generator, links: Array, clock: Array, max_joint_rate: float) -> Array:
-    """Draw straight runs at constant speed between random points; the arm can follow each run."""
+def draw_waypoints(config: ServoConfig, rng: np.random.Generator, links: Array, times: Array) -> Array:
+    """Draw a path of straight runs at constant speed between random points. The arm can follow each run.
+
+    Args:
+        config: Parameters of the world.
+        rng: Random stream of the target.
+        links: Link lengths, shape (2,), m.
+        times: Sample times, shape (samples,), s. With a warm-up, the target rests before time 0.
+
+    Returns:
+        Positions and velocities, shape (samples, 4): m, m, m/s, m/s.
+    """
+    resting = times < 0 if config.warmup > 0 else np.zeros(len(times), dtype=bool)
+    clock = np.where(resting, 0.0, times)
     points, instants = [reachable_point(rng, links)], [0.0]
     while instants[-1] < clock[-1]:
         here = points[-1]
@@ -141,7 +98,7 @@ def _waypoints(rng: np.random.Generator, links: Array, clock: Array, max_joint_r
         for _ in range(50):
             candidate, speed = reachable_point(rng, links), rng.uniform(0.1, 0.35) * links.sum()
             samples = max(3, int(np.hypot(*(candidate - here)) / (speed * PERIOD)))
-            if solvable(np.linspace(here, candidate, samples), links[0], links[1], max_joint_rate):
+            if solvable(np.linspace(here, candidate, samples), links[0], links[1], config.max_joint_rate):
                 there = candidate
                 break
         length = float(np.hypot(*(there - here)))
@@ -154,4 +111,5 @@ def _waypoints(rng: np.random.Generator, links: Array, clock: Array, max_joint_r
     path = np.empty((len(clock), 4))
     path[:, 2:] = np.where(clock[:, None] < 0, 0.0, velocities[run])
     path[:, :2] = corners[run] + velocities[run] * since[:, None]
+    path[resting, 2:] = 0.0
     return path

@@ -54,8 +54,7 @@ def drive(arms: list[Arms], rng: np.random.Generator, steps: int, links: Array, 
             rates = rng.uniform(-fast, fast, (count, 2))
         again = np.flatnonzero(rng.random(count) < 0.01)
         for each in arms:
-            for row in again.tolist():
-                each.reset(row, links[row])
+            each.reset(again, links[again])
             each.step(rates + 0.1 * np.sin(step + np.arange(2)))
             assert_equal(each.angles, arms[0].angles, f"step {step}")
         seen.append(arms[0].angles.copy())
@@ -69,8 +68,7 @@ def test_engines_agree_to_the_bit(settings: dict[str, Any]) -> None:
     links = rng.uniform(0.1, 4.0, (count, 2))
     arms = [make(config, count) for make in ENGINES.values()]
     for each in arms:
-        for row in range(count):
-            each.reset(row, links[row])
+        each.reset(np.arange(count), links)
     seen = drive(arms, rng, 200, links, fast=config.max_joint_rate)
     assert ((seen < JOINT_LOW) | (seen > JOINT_HIGH)).any(axis=(0, 1)).all()
     assert arms[0].tool_gap() == pytest.approx(arms[1].tool_gap(), rel=1e-6, abs=1e-12)
@@ -84,8 +82,7 @@ def test_engines_agree_over_a_million_steps() -> None:
         links = rng.uniform(0.1, 4.0, (count, 2))
         arms = [make(config, count) for make in ENGINES.values()]
         for each in arms:
-            for row in range(count):
-                each.reset(row, links[row])
+            each.reset(np.arange(count), links)
         drive(arms, rng, 1000, links, fast=config.max_joint_rate)
 
 
@@ -141,10 +138,9 @@ def test_copied_arms_go_on_to_the_bit(engine: str, way: str) -> None:
     config, rng, count = ServoConfig(), np.random.default_rng(3), LANES + 3
     links = rng.uniform(0.35, 0.65, (count, 2))
     arms = ENGINES[engine](config, count)
-    for row in range(count):
-        arms.reset(row, links[row])
+    arms.reset(np.arange(count), links)
     drive([arms], rng, 50, links)
-    arms.reset(2, links[2])
+    arms.reset(np.array([2]), links[2:3])
     if way == "state":
         other = ENGINES[engine](config, count)
         other.restore(arms.state(), links)
@@ -154,7 +150,7 @@ def test_copied_arms_go_on_to_the_bit(engine: str, way: str) -> None:
     for step in range(60):
         if step == 30:
             for each in (arms, other):
-                each.reset(1, links[1])
+                each.reset(np.array([1]), links[1:2])
         rates = rng.uniform(-2.0, 2.0, (count, 2))
         arms.step(rates)
         other.step(rates)
@@ -165,9 +161,9 @@ def test_kept_rates_do_not_grow_without_bound() -> None:
     arms = PymunkArms(ServoConfig(), 2)
     for step in range(5000):
         if step % 100 == 0:
-            arms.reset(0, np.array([0.5, 0.5]))
+            arms.reset(np.array([0]), np.full((1, 2), 0.5))
         if step % 150 == 0:
-            arms.reset(1, np.array([0.5, 0.5]))
+            arms.reset(np.array([1]), np.full((1, 2), 0.5))
         arms.step(np.zeros((1, 2)).repeat(2, axis=0))
     assert len(arms._driven) < 1200
     assert len(arms.state()["driven"]) <= 150
@@ -176,6 +172,6 @@ def test_kept_rates_do_not_grow_without_bound() -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 def test_arms_are_not_driven_before_their_reset(engine: str) -> None:
     arms = ENGINES[engine](ServoConfig(), 2)
-    arms.reset(0, np.array([0.5, 0.5]))
+    arms.reset(np.array([0]), np.full((1, 2), 0.5))
     with pytest.raises(RuntimeError, match=r"arms \[1\] were never reset"):
         arms.step(np.zeros((2, 2)))

@@ -10,8 +10,7 @@ from servotrack.envs.follow.crowd import BODY_RADIUS
 from servotrack.envs.follow.detections import DetectionSensor, capacity
 from servotrack.envs.follow.episode import draw_follow_episode
 from servotrack.envs.follow.world import FOLLOWED_DISTANCE, LOST_DISTANCE, LOST_SAMPLES, ON_TARGET_DISTANCE, FollowWorld
-from servotrack.envs.servo.episode import LEAD
-from servotrack.envs.servo.targets import solvable
+from servotrack.envs.servo.targets import LEAD, solvable
 from servotrack.estimators.camera import project_points
 
 SEEDS = range(40)

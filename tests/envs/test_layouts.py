@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from servotrack.envs.servo.episode import LEAD, draw_episode
+from servotrack.envs.servo.episode import draw_episode
 from servotrack.envs.servo.levels import servo_config
-from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START, solvable
+from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, LEAD, PERIOD, START, solvable
 from servotrack.estimators.camera import project_points
 
 

@@ -19,7 +19,7 @@ from servotrack.estimators.camera import project_points
 def test_strong_motors_follow_the_commanded_rates() -> None:
     """A motor reacts one substep late; otherwise, the joints are the integral of their rates, over 10 s."""
     arm = PymunkArms(ServoConfig(), 1)
-    arm.reset(0, np.array([0.5, 0.5]))
+    arm.reset(np.array([0]), np.full((1, 2), 0.5))
     wanted, late, drift = START.copy(), PERIOD / 5, 0.0
     for step in range(200):
         rates = np.array([1.2 * math.cos(2.0 * step * PERIOD), -math.cos(1.7 * step * PERIOD)])

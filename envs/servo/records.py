@@ -1,0 +1,105 @@
+"""Records of a servo world: for each arm one of its constants in an episode and one of its newest sample.
+
+One array of records per kind keeps compiled calls cheap: each array handed over costs a tenth of a microsecond.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from servotrack.estimators.camera import CAMERA_SIZE
+from servotrack.estimators.types import Array, Mask
+
+RING = 8
+"""Number of past joint angles that a world stores, for frames that arrive late."""
+
+CONSTANTS = np.dtype(
+    [
+        ("links", np.float64, 2),
+        ("camera", np.float64, CAMERA_SIZE),
+        ("goal", np.float64, 2),
+        ("gain", np.float64, 2),
+        ("noise_levels", np.float64, 2),
+        ("latency", np.int64),
+    ],
+    align=True,
+)
+"""Constants of an arm's episode, written at reset.
+
+`links` m; `camera` as `pack_camera` packs it; `goal` features, px; `gain`, factors on the joint rates; `noise_levels`,
+standard deviations of encoders (rad) and joint rates (rad/s); `latency`, age of a frame when it arrives, samples.
+"""
+
+SAMPLE = np.dtype(
+    [
+        ("steps", np.int64),
+        ("out_of_view", np.int64),
+        ("captured", np.int64),
+        ("rates", np.float64, 2),
+        ("time", np.float64),
+        ("tool", np.float64, 2),
+        ("target", np.float64, 4),
+        ("tracking_error", np.float64),
+        ("feature_error", np.float64),
+        ("reward", np.float64),
+        ("joint_angles", np.float64, 2),
+        ("features", np.float64, 2),
+        ("visible", np.float64),
+        ("frame_time", np.float64),
+        ("terminated", np.bool_),
+        ("truncated", np.bool_),
+    ],
+    align=True,
+)
+"""Newest sample of an arm, written at every step.
+
+`steps` since the reset; `out_of_view`, samples since the target was last in view; `captured`, index into the tables of
+the newest frame that arrived with an image; `rates` of the joints in the last period, rad/s; the others as attributes
+of `ServoWorld`.
+"""
+
+
+class Settings(NamedTuple):
+    """Parameters of a world that its motion, sensors and scores depend on.
+
+    Attributes:
+        max_joint_rate: Joint rate at action 1, rad/s.
+        substep: Duration of a substep of the physics, s.
+        warmup: Number of unscored steps at the start of an episode.
+        horizon: Number of scored steps; the episode is truncated after them.
+        lost_after: Number of consecutive samples out of view that ends an episode.
+        camera_size: Width and height of the camera's image, px.
+        shutter: Duration of the rolling shutter's readout, s; 0 is a global shutter.
+        stamped: True if frames carry the time when they were taken, False if they carry the time of their arrival.
+        quantized: True if features are rounded to the centers of pixels.
+    """
+
+    max_joint_rate: float
+    substep: float
+    warmup: int
+    horizon: int
+    lost_after: int
+    camera_size: float
+    shutter: float
+    stamped: bool
+    quantized: bool
+
+
+class Tables(NamedTuple):
+    """Draws of the episodes of N arms, with K samples each. Written at reset. A table with 0 samples is unused.
+
+    Attributes:
+        paths: The target's positions and velocities, (N, K, 4) m, m/s.
+        feature_noise: Noise of the features, (N, K or 0, 2) px.
+        rate_noise: Noise of the joint rates, (N, K or 0, 2) rad/s.
+        encoder_noise: Noise of the encoders, (N, K or 0, 2) rad.
+        dropped: Mask of the lost frames, (N, K or 0).
+    """
+
+    paths: Array
+    feature_noise: Array
+    rate_noise: Array
+    encoder_noise: Array
+    dropped: Mask

@@ -1,0 +1,175 @@
+"""Compiled kernels of a servo world: commands to the motors, camera and encoders, scores."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from servotrack.envs.servo.compiled_arms import LANES, move_blocks
+from servotrack.envs.servo.records import RING
+from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, LEAD, PERIOD
+from servotrack.estimators.camera import project
+from servotrack.estimators.compilation import njit
+
+_REWARD_SCALE = 0.002  # tracking error at which the reward's slope becomes logarithmic, m
+_REWARD_RANGE = 2.0  # tracking error from which on the reward is 0, m
+_REWARD_LOGARITHM = math.log1p(_REWARD_RANGE / _REWARD_SCALE)
+
+
+@njit(cache=True, nogil=True)
+def tracking_reward(distance):  # type: ignore[no-untyped-def]
+    """Reward for a distance (m) between tool and target: 1 at 0, 0 from 2 m on, logarithmic in between."""
+    near = 1.0 - math.log1p(distance / _REWARD_SCALE) / _REWARD_LOGARITHM
+    return min(max(near, 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True)
+def advance(  # type: ignore[no-untyped-def]
+    blocks, solver, rows, actions, settings, constants, tables, joints, history, samples, first, last
+):
+    """Command, move and observe the arms of some blocks for one control period: a whole step in one call.
+
+    Args:
+        blocks: Quantities of all arms, see `CompiledArms`.
+        solver: Constants of the solver.
+        rows: Mask of the rows whose episode is running, (N,) bool.
+        actions: Fractions of the largest joint rate, (N, 2).
+        settings: Parameters of the world, `Settings`.
+        constants: Constants of the episodes, (N,) records `CONSTANTS`.
+        tables: Draws of the episodes, `Tables`.
+        joints: True joint angles, overwritten, (N, 2) rad.
+        history: Ring buffer of the last joint angles, overwritten, (N, RING, 2) rad.
+        samples: Newest samples, overwritten, (N,) records `SAMPLE`.
+        first: First block.
+        last: Block after the last one.
+    """
+    start, stop = first * LANES, min(last * LANES, rows.shape[0])
+    for i in range(start, stop):
+        _command(rows[i], actions[i], settings, constants[i], tables.rate_noise[i], joints[i], samples[i])
+    move_blocks(blocks, samples["rates"], joints, solver, first, last)
+    for i in range(start, stop):
+        if rows[i]:
+            _sense(i, settings, constants[i], tables, joints[i], history[i], samples[i])
+
+
+@njit(cache=True, nogil=True)
+def command(rows, actions, settings, constants, tables, joints, samples):  # type: ignore[no-untyped-def]
+    """Command the motors of all arms and count the steps of the chosen rows. Arguments: see `advance`."""
+    for i in range(rows.shape[0]):
+        _command(rows[i], actions[i], settings, constants[i], tables.rate_noise[i], joints[i], samples[i])
+
+
+@njit(cache=True, nogil=True)
+def sense(rows, settings, constants, tables, joints, history, samples):  # type: ignore[no-untyped-def]
+    """Observe the chosen rows. Arguments: see `advance`."""
+    for i in range(rows.shape[0]):
+        if rows[i]:
+            _sense(i, settings, constants[i], tables, joints[i], history[i], samples[i])
+
+
+@njit(cache=True, nogil=True)
+def _command(running, action, settings, constants, rate_noise, joints, sample):  # type: ignore[no-untyped-def]
+    """Compute an arm's joint rates: clipped, with gain error and noise, limited so that joints stop at their stops.
+
+    `sample.rates` holds the last period's rates and is overwritten. The steps of running episodes are counted.
+    """
+    rates = sample.rates
+    for j in range(2):
+        rate = min(max(action[j], -1.0), 1.0) * settings.max_joint_rate * constants.gain[j]
+        if rate_noise.shape[0] > 0:
+            rate += rate_noise[sample.steps + LEAD, j]
+        # With the stops alone a joint overshoots by more than a degree. A motor reacts one substep late, so the
+        # angle that the joint coasts until then is subtracted from the angle that is left.
+        coasted = joints[j] + settings.substep * rates[j]
+        rates[j] = min(max(rate, (JOINT_LOW[j] - coasted) / PERIOD), (JOINT_HIGH[j] - coasted) / PERIOD)
+    if running:
+        sample.steps += 1
+
+
+@njit(cache=True, nogil=True)
+def interpolate_path(before, after, fraction):  # type: ignore[no-untyped-def]
+    """Position a `fraction` of a period after `before`, by cubic Hermite interpolation between two rows of a path."""
+    f, g = fraction, 1.0 - fraction
+    hermite = np.empty(2)
+    for j in range(2):
+        hermite[j] = (
+            g * g * (1.0 + 2.0 * f) * before[j] + f * f * (3.0 - 2.0 * f) * after[j]
+            + PERIOD * f * g * (g * before[2 + j] - f * after[2 + j])
+        )  # fmt: skip
+    return hermite[0], hermite[1]
+
+
+@njit(cache=True, nogil=True)
+def capture(camera, links, before, after, history, frame, size, shutter):  # type: ignore[no-untyped-def]
+    """Noise-free features in the frame whose readout ends at sample `frame`; each image row has its own instant.
+
+    The target moves from `before`, its position and velocity one sample earlier, to `after`.
+    """
+    now = history[frame % RING]
+    u, v, seen = project(camera, links[0], links[1], now[0], now[1], after[0], after[1])
+    if shutter > 0.0:
+        old = history[(frame - 1) % RING]
+        for _ in range(3):
+            f = 1.0 - shutter * (1.0 - min(max(v / size, 0.0), 1.0)) / PERIOD
+            theta1 = old[0] + f * (now[0] - old[0])
+            theta2 = old[1] + f * (now[1] - old[1])
+            x, y = interpolate_path(before, after, f)
+            u, v, seen = project(camera, links[0], links[1], theta1, theta2, x, y)
+    return u, v, seen and 0.0 <= u < size and 0.0 <= v < size
+
+
+@njit(cache=True, nogil=True)
+def _sense(i, settings, constants, tables, joints, history, sample):  # type: ignore[no-untyped-def]
+    """Compute the newest sample of row `i`: truth, score and sensor readings."""
+    size, shutter, warmup = settings.camera_size, settings.shutter, settings.warmup
+    links, camera = constants.links, constants.camera
+    path, feature_noise = tables.paths[i], tables.feature_noise[i]
+    encoder_noise, dropped = tables.encoder_noise[i], tables.dropped[i]
+    now = sample.steps + LEAD
+    theta1, theta2 = joints[0], joints[1]
+    history[now % RING, 0] = theta1
+    history[now % RING, 1] = theta2
+    sample.time = (sample.steps - warmup) * PERIOD
+    target, tool = sample.target, sample.tool
+    for j in range(4):
+        target[j] = path[now, j]
+
+    tool[0] = links[0] * math.cos(theta1) + links[1] * math.cos(theta1 + theta2)
+    tool[1] = links[0] * math.sin(theta1) + links[1] * math.sin(theta1 + theta2)
+    distance = math.hypot(tool[0] - target[0], tool[1] - target[1])
+    sample.tracking_error = distance
+    u, v, seen = project(camera, links[0], links[1], theta1, theta2, target[0], target[1])
+    sample.feature_error = math.hypot(u - constants.goal[0], v - constants.goal[1])
+    in_view = seen and 0.0 <= u < size and 0.0 <= v < size
+    sample.out_of_view = 0 if in_view else sample.out_of_view + 1
+    sample.terminated = sample.out_of_view >= settings.lost_after
+    sample.truncated = sample.steps >= warmup + settings.horizon
+    scored = sample.steps > warmup and not sample.terminated
+    sample.reward = tracking_reward(distance) if scored else 0.0
+
+    for j in range(2):
+        sample.joint_angles[j] = joints[j]
+        if encoder_noise.shape[0] > 0:
+            sample.joint_angles[j] += encoder_noise[now, j]
+
+    frame = now - constants.latency
+    sample.visible = 0.0
+    if dropped.shape[0] > 0 and dropped[frame]:
+        return
+    sample.captured = frame
+    # A frame of this very instant shows what was projected above.
+    if frame != now or shutter > 0.0:
+        u, v, in_view = capture(camera, links, path[frame - 1], path[frame], history, frame, size, shutter)
+    if not in_view:
+        return
+    if feature_noise.shape[0] > 0:
+        u += feature_noise[frame, 0]
+        v += feature_noise[frame, 1]
+    if settings.quantized:
+        u, v = math.floor(u) + 0.5, math.floor(v) + 0.5
+    sample.features[0] = min(max(u, 0.0), size)
+    sample.features[1] = min(max(v, 0.0), size)
+    sample.visible = 1.0
+    # A rolling shutter's frame is stamped with the instant of its middle row.
+    sample.frame_time = (frame - LEAD - warmup) * PERIOD - 0.5 * shutter if settings.stamped else sample.time
