@@ -45,11 +45,11 @@ def check_seed(seed: Any) -> int | None:
     return int(seed)
 
 
-def check_count(num_envs: Any) -> int:
-    """Return the number of scenes; raises a ValueError unless it is a whole number of at least 1."""
-    if isinstance(num_envs, bool) or not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
-        raise ValueError(f"num_envs must be a whole number of at least 1, got {num_envs!r}")
-    return int(num_envs)
+def check_count(count: Any, name: str = "num_envs") -> int:
+    """Return a number of scenes or threads; raises a ValueError unless it is a whole number of at least 1."""
+    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
+        raise ValueError(f"{name} must be a whole number of at least 1, got {count!r}")
+    return int(count)
 
 
 def check_level(level: Any, count: int) -> int:

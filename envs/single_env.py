@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -12,6 +13,17 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from servotrack.envs.arguments import check_options, check_render_mode, check_seed
+from servotrack.envs.state import (
+    State,
+    Stateful,
+    check_heading,
+    entry,
+    generator_of,
+    generator_words,
+    heading,
+    parts_state,
+    set_parts,
+)
 from servotrack.envs.streams import episode_seed
 from servotrack.envs.vector_env import BatchedWorld, FrameSource
 from servotrack.estimators.types import Array
@@ -31,6 +43,7 @@ class SingleEnv(gym.Env[Any, Any]):
         title: Title of the window.
     """
 
+    config: Any
     world: Any
 
     def __init__(
@@ -48,11 +61,15 @@ class SingleEnv(gym.Env[Any, Any]):
         self._running = self._started = False
         # OpenCV and pygame are imported only where something is drawn.
         self._recorder: FrameSource | None = None if render_mode is None else self._make_recorder()
-        self._viewer: Viewer | None = None
-        if render_mode == "human":
-            from servotrack.envs.drawing.viewer import Viewer
+        self._title = title
+        self._viewer: Viewer | None = self._make_viewer()
 
-            self._viewer = Viewer(title, self.metadata["render_fps"])
+    def _make_viewer(self) -> Viewer | None:
+        if self.render_mode != "human":
+            return None
+        from servotrack.envs.drawing.viewer import Viewer
+
+        return Viewer(self._title, self.metadata["render_fps"])
 
     @abstractmethod
     def _observe(self) -> Any:
@@ -153,3 +170,55 @@ class SingleEnv(gym.Env[Any, Any]):
     def privileged(self) -> dict[str, Array]:
         """Entries that `PrivilegedObservation` adds: those of the world's `privileged`, without the leading axis."""
         return {key: value[0] for key, value in self.world.privileged().items()}
+
+    def _parts(self) -> dict[str, Stateful]:
+        """Parts of the environment that change, by their names in a state."""
+        return {"world": self.world}
+
+    def _heading(self) -> State:
+        return heading(type(self).__name__.removesuffix("Env"), self.config, engine=getattr(self, "engine", None))
+
+    def get_state(self) -> State:
+        """Return the exact state: copies from which `set_state` goes on to the bit, in another process too.
+
+        Returns:
+            Arrays by name, see `servotrack.envs.state`. They can be written with `numpy.savez`.
+
+        Raises:
+            gymnasium.error.ResetNeeded: Before the first reset.
+        """
+        if not self._started:
+            raise ResetNeeded("there is no state yet: call reset() before get_state()")
+        state = self._heading() | {
+            "running": np.array([self._running]),
+            "generator": generator_words([self.np_random]),
+        }
+        return state | parts_state(self._parts())
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back to a state that `get_state` returned, here or in another environment with the same arguments.
+
+        The next `step` and the resets that follow give what they gave there. Pictures start their trails anew.
+
+        Args:
+            state: Arrays by name; they are not changed.
+
+        Raises:
+            ValueError: The state belongs to another environment, configuration or engine, or is damaged.
+        """
+        check_heading(state, self._heading())
+        running, words = entry(state, "running", (1,), np.bool_), entry(state, "generator", (1, 6), np.uint64)
+        set_parts(self._parts(), state, self._started)
+        self._np_random = generator_of(words[0])
+        self._running, self._started = bool(running[0]), True
+        if self._recorder is not None:
+            self._recorder.record()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes for a copy. A window cannot be copied: the copy opens its own."""
+        return self.__dict__ | {"_viewer": None}
+
+    def __setstate__(self, attributes: dict[str, Any]) -> None:
+        """Take over the attributes of the copied environment."""
+        self.__dict__.update(attributes)
+        self._viewer = self._make_viewer()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.streams import FollowStream
@@ -12,6 +14,7 @@ from servotrack.envs.follow.world import FollowWorld
 from servotrack.envs.servo.arrivals import Arrivals
 from servotrack.envs.servo.episode import samples
 from servotrack.envs.servo.sensing import capture
+from servotrack.envs.state import State, put, taken
 from servotrack.envs.streams import Streams
 from servotrack.envs.track.counts import poisson_quantile
 from servotrack.estimators.camera import project_ground
@@ -63,6 +66,9 @@ class DetectorTables(NamedTuple):
     shuffle: FloatArray
 
 
+_SHOWN = ("detections", "truth", "target_box")
+
+
 class DetectionSensor:
     """Detections in the newest frames of N cameras, kept up to date by `update`.
 
@@ -102,6 +108,20 @@ class DetectionSensor:
             world.people, world.hidden, self._sizes, self._colors, self._noise_scales, self._noise, self._missed,
             self._first_false, self._clutter, self._shuffle,
         )  # fmt: skip
+
+    def get_state(self) -> State:
+        """Return what `set_state` needs: the newest detections and their times."""
+        return taken(self, _SHOWN) | self._arrivals.get_state()
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back to a state, after the world.
+
+        Raises:
+            ValueError: An entry is missing, or does not fit.
+        """
+        for row in self._arrivals.set_state(state):
+            self._begin(row)
+        put(self, _SHOWN, state)
 
     def update(self) -> list[int]:
         """Process the frames that have arrived since the last call.

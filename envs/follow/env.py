@@ -13,6 +13,7 @@ from servotrack.envs.follow.world import ON_TARGET_DISTANCE, FollowWorld
 from servotrack.envs.servo.env import METADATA as SERVO_METADATA
 from servotrack.envs.servo.env import Observation, UncalibServoEnv
 from servotrack.envs.servo.targets import LEAD
+from servotrack.envs.state import Stateful
 from servotrack.estimators.types import Array
 
 if TYPE_CHECKING:
@@ -156,6 +157,9 @@ class PedestrianServoEnv(UncalibServoEnv):
 
     def _observe(self) -> Observation:
         return {key: value[0] for key, value in self._sensors.observe().items()}
+
+    def _parts(self) -> dict[str, Stateful]:
+        return {**super()._parts(), "sensors": self._sensors}
 
     def _pictured(self) -> dict[str, Any]:
         belief = None if self.belief is None else np.asarray(self.belief, dtype=np.float64)

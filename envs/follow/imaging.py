@@ -61,7 +61,7 @@ class CrowdCamera(FloorCamera):
     def _expose(self, rows: Mask) -> None:
         world, config = self._world, self._world.config
         expose_crowd(
-            rows, world.captured, float(config.rolling_shutter), 1.0 / self._scale, float(config.shadows), self._arms,
+            rows, world.captured, float(config.rolling_shutter), 1.0 / self._scale, float(config.shadows), self._arms(),
             world.people, self._crowds, self._rays, Floors(*floor_texture(), self._floor_pose, self._floor_color),
             self._noise, self.images,
         )  # fmt: skip

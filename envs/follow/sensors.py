@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from collections.abc import Mapping
+from typing import Any, Literal, get_args
 
 import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.detections import COLUMNS, LARGEST_SIZE, DetectionSensor, capacity
@@ -13,6 +15,7 @@ from servotrack.envs.follow.imaging import PATCH_SIZE, CrowdCamera, target_patch
 from servotrack.envs.follow.world import FollowWorld
 from servotrack.envs.servo.env import Observation, feature_observations, feature_space
 from servotrack.envs.servo.pixels import check_image_arguments
+from servotrack.envs.state import State, Stateful, part, parts_state, put, taken
 from servotrack.estimators.types import Array
 
 ObservationKind = Literal["pixels", "detections", "identity"]
@@ -102,6 +105,24 @@ class FollowSensors:
             "target_box": detector.target_box * (self.image_size / world.config.camera_size),
             **shared,
         }
+
+    def get_state(self) -> State:
+        """Return what `set_state` needs: what the sensors show."""
+        return taken(self, ("_patches",)) | parts_state(self._parts())
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back to a state, after the world.
+
+        Raises:
+            ValueError: An entry is missing, or does not fit.
+        """
+        put(self, ("_patches",), state)
+        for name, sensor in self._parts().items():
+            sensor.set_state(part(state, name))
+
+    def _parts(self) -> dict[str, Stateful]:
+        parts: dict[str, Stateful] = {"detector": self.detector}
+        return parts if self.camera is None else parts | {"camera": self.camera}
 
     def privileged(self) -> dict[str, Array]:
         """Observations for oracles, beside those of `ServoWorld.privileged`.

@@ -12,6 +12,7 @@ from servotrack.envs.follow.sensors import FollowSensors
 from servotrack.envs.follow.world import ON_TARGET_DISTANCE, FollowWorld
 from servotrack.envs.servo.env import Observation
 from servotrack.envs.servo.vector import UncalibServoVectorEnv
+from servotrack.envs.state import Stateful
 
 if TYPE_CHECKING:
     from servotrack.envs.follow.recorder import Recorder
@@ -51,7 +52,7 @@ class PedestrianServoVectorEnv(UncalibServoVectorEnv):
         return follow_config(level, **axes)
 
     def _make_world(self, count: int) -> FollowWorld:
-        world = FollowWorld(self.config, count, self.engine)
+        world = FollowWorld(self.config, count, self.engine, self.threads)
         self._sensors = FollowSensors(world, *self._sensor_arguments)
         return world
 
@@ -65,6 +66,9 @@ class PedestrianServoVectorEnv(UncalibServoVectorEnv):
         from servotrack.envs.follow.recorder import Recorder
 
         return Recorder(self.world, row, level_caption(self.level))
+
+    def _parts(self) -> dict[str, Stateful]:
+        return {**super()._parts(), "sensors": self._sensors}
 
     def _pictured(self, row: int) -> dict[str, Any]:
         return pictured(self._sensors, row)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.episode import FollowEpisode, draw_follow_episode
 from servotrack.envs.servo.episode import samples
 from servotrack.envs.servo.targets import LEAD
 from servotrack.envs.servo.world import ServoWorld
+from servotrack.envs.state import State, put, taken
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Labels, Mask
 
@@ -25,6 +29,10 @@ LOST_DISTANCE = 1.0
 KEPT_SAMPLES = 20
 """Number of last samples whose mean distance decides `kept`: one second."""
 
+_SCORES = (
+    "identity_error", "lost", "losses", "reacquisitions", "kept", "time_on_target", "_on_target", "_last_errors",
+)  # fmt: skip
+
 
 class FollowWorld(ServoWorld):
     """N arms, each with a camera over a crowd of P people. The first person is the one to follow.
@@ -33,6 +41,7 @@ class FollowWorld(ServoWorld):
         config: Parameters of the world.
         count: Number of arms N.
         engine: Name of the engine that moves the arms.
+        threads: Number of threads that share a step of the compiled engine.
 
     Attributes:
         people: Positions and velocities of all people at all samples, (N, K, P, 4) m, m/s.
@@ -48,8 +57,8 @@ class FollowWorld(ServoWorld):
 
     config: FollowConfig
 
-    def __init__(self, config: FollowConfig, count: int, engine: str = "pymunk") -> None:
-        super().__init__(config, count, LOST_SAMPLES, engine)
+    def __init__(self, config: FollowConfig, count: int, engine: str = "pymunk", threads: int = 1) -> None:
+        super().__init__(config, count, LOST_SAMPLES, engine, threads)
         self._episodes: list[FollowEpisode | None] = [None] * count
         table = count, samples(config), config.people
         self.people, self.hidden = np.zeros((*table, 4)), np.zeros(table, np.bool_)
@@ -77,6 +86,19 @@ class FollowWorld(ServoWorld):
             self._load(row, episode)
             self._episodes[row] = episode
             self.people[row], self.hidden[row] = episode.crowd.paths, episode.hidden
+
+    def get_state(self) -> State:
+        """Return the exact state: the episodes' seeds, and what has happened since their resets."""
+        return super().get_state() | taken(self, _SCORES)
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back to a state that `get_state` returned. Episodes of other seeds are drawn again.
+
+        Raises:
+            ValueError: An entry is missing, or does not fit.
+        """
+        super().set_state(state)
+        put(self, _SCORES, state)
 
     def _before_sensing(self) -> None:
         if self.config.lamps or self.config.umbrellas:

@@ -8,11 +8,14 @@ There is no gravity. Two engines solve for its motion: pymunk (`pymunk_arms`), t
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servotrack.envs.servo.targets import START
+from servotrack.envs.state import State
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Labels
 
@@ -106,3 +109,12 @@ class Arms(Protocol):
 
     def tool_gap(self) -> float:
         """Largest gap between two ends that a pivot holds together, m: the solver's error."""
+
+    def get_state(self) -> State:
+        """Return what `set_state` needs besides the links."""
+
+    def check_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Raise a ValueError for a state that `set_state` cannot use."""
+
+    def set_state(self, state: Mapping[str, NDArray[Any]], links: Array) -> None:
+        """Bring all arms into a state that `get_state` returned, with links (N, 2) m."""

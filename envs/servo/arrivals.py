@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from servotrack.envs.servo.targets import LEAD, PERIOD
 from servotrack.envs.servo.world import ServoWorld
+from servotrack.envs.state import State, put, taken
 from servotrack.estimators.compilation import njit
 
 
@@ -25,6 +30,21 @@ class Arrivals:
         self._begun = np.zeros(world.count, np.int64)
         self._captured = np.full(world.count, -1)
         self.rows, self.frame_time = np.zeros(world.count, np.bool_), np.zeros(world.count)
+
+    def get_state(self) -> State:
+        """Return what `set_state` needs: the newest frames' indices and time stamps."""
+        return taken(self, ("_captured", "frame_time"))
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> list[int]:
+        """Go back to a state, after the world. Returns the rows whose tables have to be loaded again.
+
+        Raises:
+            ValueError: An entry is missing, or does not fit.
+        """
+        fresh: list[int] = np.flatnonzero(self._begun != self._world.begun).tolist()
+        put(self, ("_captured", "frame_time"), state)
+        self._begun[:] = self._world.begun
+        return fresh
 
     def update(self) -> list[int]:
         """Register the newest frames.

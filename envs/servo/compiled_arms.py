@@ -14,14 +14,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pymunk
+from numpy.typing import NDArray
 
 from servotrack.envs.servo.arm import PIVOT_BIAS, rods_at_rest, squared_offsets
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
+from servotrack.envs.state import State, entry
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Labels
 
@@ -126,16 +128,28 @@ class CompiledArms:
         if self._waiting:
             raise RuntimeError(f"arms {np.flatnonzero(~self._started).tolist()} were never reset")
 
-    def state(self) -> dict[str, Array]:
-        """Return what `restore` needs besides the links: `bodies`, positions, velocities and impulses, (N, MOVING)."""
-        return {"bodies": np.array([self._lane(row)[:MOVING] for row in range(len(self.angles))])}
+    def get_state(self) -> State:
+        """Return what `set_state` needs besides the links: `bodies`, the quantities that change, (N, MOVING)."""
+        return {"bodies": self._by_arm()[: len(self.angles)].copy()}
 
-    def restore(self, state: Mapping[str, Array], links: Array) -> None:
-        """Bring all arms into a state that `state` returned, with links (N, 2) m."""
+    def check_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Raise a ValueError for a state that `set_state` cannot use."""
+        entry(state, "bodies", (len(self.angles), MOVING), np.float64)
+
+    def set_state(self, state: Mapping[str, NDArray[Any]], links: Array) -> None:
+        """Bring all arms into a state that `get_state` returned, with links (N, 2) m."""
         self.reset(np.arange(len(links)), links)
-        for row, bodies in enumerate(state["bodies"]):
-            self._lane(row)[:MOVING] = bodies
-            self.angles[row] = bodies[2], bodies[8] - bodies[2]
+        bodies = state["bodies"]
+        padded = np.zeros((len(self.blocks) * LANES, MOVING))
+        padded[: len(bodies)] = bodies
+        lanes = self.blocks.reshape(len(self.blocks), _FIELDS, LANES)
+        lanes[:, :MOVING] = padded.reshape(len(self.blocks), LANES, MOVING).swapaxes(1, 2)
+        self.angles[:, 0], self.angles[:, 1] = bodies[:, 2], bodies[:, 8] - bodies[:, 2]
+
+    def _by_arm(self) -> Array:
+        """Positions, velocities and impulses, shape (lanes, MOVING)."""
+        lanes = self.blocks.reshape(len(self.blocks), _FIELDS, LANES)
+        return lanes[:, :MOVING].swapaxes(1, 2).reshape(-1, MOVING)
 
     def tool_gap(self) -> float:
         """Largest gap between two ends that a pivot holds together, m: the solver's error."""

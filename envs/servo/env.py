@@ -131,8 +131,13 @@ class UncalibServoEnv(SingleEnv):
     example `gym.make("UncalibServo-v0", level=5, pixel_noise=2.0, latency=(0, 2))`. `render_mode`: `rgb_array` or
     `human`.
 
-    A copy (`copy.deepcopy`) made in mid-episode does not continue bit-identically, because the physics engine does not
-    copy its solver's internal state. For planning, replay the actions from the same seed instead.
+    `engine`: `pymunk` (the default and the reference), or `compiled`, which solves for the same motion with the same
+    bits several times as fast. Vector environments use `compiled` where a check at first use finds the bits equal, as
+    on x86-64.
+
+    `get_state` and `set_state` (see `servotrack.envs.state`), `copy.deepcopy` and `pickle` go on to the bit with both
+    engines. pymunk cannot copy its solver, so a copy is driven there again from its last reset; planners use
+    `compiled`.
 
     ## References
 

@@ -7,9 +7,12 @@ rays are traced once per episode; a frame only rotates and shifts them.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servotrack.envs.servo.arrivals import Arrivals
 from servotrack.envs.servo.episode import sample_times, samples
@@ -18,6 +21,7 @@ from servotrack.envs.servo.floor import floor_texture
 from servotrack.envs.servo.streams import Stream
 from servotrack.envs.servo.targets import LEAD
 from servotrack.envs.servo.world import ServoWorld
+from servotrack.envs.state import State, put, taken
 from servotrack.envs.streams import Streams
 from servotrack.estimators.types import Array, FloatArray, Labels, Mask
 
@@ -45,8 +49,6 @@ class FloorCamera:
         self.frame_time, self.goal = self._arrivals.frame_time, np.zeros((count, 2))
         self._rays = no_rays(count, image_size)
         self._floor_pose, self._floor_color = np.zeros((count, 4)), np.zeros((count, 3))
-        # The arrays of world and camera are never replaced, so the records are built once.
-        self._arms = Arms(world.cameras, world.links, world.history)
         self._noise = SensorNoise(
             noise_tile(image_noise, image_size), np.zeros((count, samples(world.config), 2), np.int64)
         )
@@ -57,6 +59,20 @@ class FloorCamera:
             self._begin(row)
         self._expose(self._arrivals.rows)
 
+    def get_state(self) -> State:
+        """Return what `set_state` needs: the newest images and their times."""
+        return taken(self, ("images",)) | self._arrivals.get_state()
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back to a state, after the world.
+
+        Raises:
+            ValueError: An entry is missing, or does not fit.
+        """
+        for row in self._arrivals.set_state(state):
+            self._begin(row)
+        put(self, ("images",), state)
+
     def _begin(self, row: int) -> None:
         """Load a row's new episode."""
         world, seed = self._world, int(self._world.seeds[row])
@@ -64,6 +80,10 @@ class FloorCamera:
         self._noise.offset[row] = noise_offsets(seed, self._noise.offset.shape[1])
         self._floor_pose[row], self._floor_color[row] = floor_of(seed)
         trace_rays(world.cameras[row], 1.0 / self._scale, *(table[row] for table in self._rays))
+
+    def _arms(self) -> Arms:
+        world = self._world
+        return Arms(world.cameras, world.links, world.history)
 
     def _expose(self, rows: Mask) -> None:
         """Render the frames that arrived in these rows."""
@@ -89,7 +109,7 @@ class ImageSensor(FloorCamera):
     def _expose(self, rows: Mask) -> None:
         world = self._world
         expose(
-            rows, world.captured, world.config.rolling_shutter, 1.0 / self._scale, self._arms, world.paths,
+            rows, world.captured, world.config.rolling_shutter, 1.0 / self._scale, self._arms(), world.paths,
             self._distractors, self._rays, Floors(*floor_texture(), self._floor_pose, self._floor_color), self._noise,
             self.images,
         )  # fmt: skip

@@ -11,6 +11,7 @@ from servotrack.envs.servo.env import Observation, UncalibServoEnv, feature_spac
 from servotrack.envs.servo.imaging import ImageSensor
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.vector import UncalibServoVectorEnv
+from servotrack.envs.state import Stateful
 
 IMAGE_SIZES = (32, 480)
 """Smallest and largest image size, px."""
@@ -104,6 +105,9 @@ class UncalibServoPixelsEnv(UncalibServoEnv):
             "time": world.time[:1].copy(),
         }
 
+    def _parts(self) -> dict[str, Stateful]:
+        return {**super()._parts(), "sensor": self._sensor}
+
     def _pictured(self) -> dict[str, Any]:
         return {"camera_image": self._sensor.images[0], "distractor": self._sensor.distractor(0)}
 
@@ -139,6 +143,9 @@ class UncalibServoPixelsVectorEnv(UncalibServoVectorEnv):
             "frame_time": sensor.frame_time[:, None].copy(),
             "time": world.time[:, None].copy(),
         }
+
+    def _parts(self) -> dict[str, Stateful]:
+        return {**super()._parts(), "sensor": self._sensor}
 
     def _pictured(self, row: int) -> dict[str, Any]:
         return {"camera_image": self._sensor.images[row], "distractor": self._sensor.distractor(row)}

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from servotrack.envs.servo.arm import PIVOT_BIAS, Rods, rods_at_rest, squared_offsets
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
+from servotrack.envs.state import State, entry
 from servotrack.estimators.types import Array, Labels
 
 _ANGLES = pymunk.batch.BodyFields.BODY_ID | pymunk.batch.BodyFields.ANGLE
@@ -76,7 +77,7 @@ class PymunkArms:
     """N arms in one Space, driven by joint rates, one control period per step.
 
     A Space cannot be copied with its solver's state, so the rates since the resets are kept: a copy (`copy.deepcopy`,
-    `pickle`) and `restore` drive new arms with them, and go on with the same bits.
+    `pickle`) and `set_state` drive new arms with them, and go on with the same bits.
 
     Args:
         config: Torque limit, substeps and solver iterations.
@@ -157,27 +158,40 @@ class PymunkArms:
         for _ in range(self._config.substeps):
             self._space.step(self._substep)
 
-    def state(self) -> dict[str, Array]:
-        """Return what `restore` needs besides the links.
+    def get_state(self) -> State:
+        """Return what `set_state` needs besides the links.
 
         Returns:
-            `driven`, the rates of the steps since the oldest reset, shape (steps, N, 2), rad/s; `since`, the step of
-            each arm's reset, shape (N,).
+            `rates`, the joint rates of each arm's steps since its reset, the last steps at the end, rad/s, shape (N,
+            steps, 2); `driven`, the number of these steps, shape (N,).
         """
-        first = min(self._since)
-        driven = np.array(self._driven[first:]).reshape(-1, *self.angles.shape)
-        return {"driven": driven, "since": np.array(self._since) - first}
+        driven = len(self._driven) - np.array(self._since)
+        last = self._driven[len(self._driven) - driven.max() :] if driven.max() else []
+        return {"rates": np.array(last).reshape(-1, *self.angles.shape).swapaxes(0, 1).copy(), "driven": driven}
 
-    def restore(self, state: Mapping[str, Array], links: Array) -> None:
-        """Bring all arms into a state that `state` returned, with links (N, 2) m."""
+    def check_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Raise a ValueError for a state that `set_state` cannot use."""
+        count = len(self.angles)
+        rates, driven = entry(state, "rates", (count, None, 2), np.float64), entry(state, "driven", (count,), np.int64)
+        if driven.min() < 0 or driven.max() > rates.shape[1]:
+            raise ValueError(
+                f"state's 'driven' must lie in 0 to {rates.shape[1]}, got {driven.min()} to {driven.max()}"
+            )
+
+    def set_state(self, state: Mapping[str, NDArray[Any]], links: Array) -> None:
+        """Bring all arms into a state that `get_state` returned, with links (N, 2) m: they are driven there again."""
+        rates = state["rates"].swapaxes(0, 1)
+        self._drive_again([step.copy() for step in rates], len(rates) - state["driven"], links)
+
+    def _drive_again(self, driven: list[Array], since: Labels, links: Array) -> None:
+        """Drive new arms at all steps' rates (N, 2), rad/s, each from the step of its reset; -1: it never had one."""
         self._clear()
-        driven, since = state["driven"], state["since"].tolist()
         for step in range(len(driven) + 1):
-            started = np.flatnonzero(state["since"] == step)
+            started = np.flatnonzero(since == step)
             self.reset(started, links[started])
             if step < len(driven):
                 self._drive(driven[step])
-        self._driven, self._since = [rates.copy() for rates in driven], since
+        self._driven, self._since = driven, np.maximum(since, 0).tolist()
         for row, arm in enumerate(self._arms):
             if arm is not None and since[row] < len(driven):
                 upper, lower = arm.bodies
@@ -185,16 +199,19 @@ class PymunkArms:
 
     def __getstate__(self) -> dict[str, Any]:
         """Configuration, angles, links and the rates since the resets: a Space itself cannot be copied."""
-        never = [row for row, arm in enumerate(self._arms) if arm is None]
-        kept = {"config": self._config, "angles": self.angles, "links": self._links, "never": never}
-        return kept | self.state()
+        since = [-1 if arm is None else start for arm, start in zip(self._arms, self._since, strict=True)]
+        return {
+            "config": self._config,
+            "angles": self.angles,
+            "links": self._links,
+            "driven": self._driven,
+            "since": np.array(since),
+        }
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         """Drive new arms to the state of the copied ones."""
         self._config, self.angles, self._links = kept["config"], kept["angles"], kept["links"]
-        since = kept["since"].copy()
-        since[kept["never"]] = -1
-        self.restore(kept | {"since": since}, self._links)
+        self._drive_again(kept["driven"], kept["since"], self._links)
 
     def _all_angles(self) -> Array:
         """Angles of all bodies, read in one call and reordered: the Space lists bodies in its own order."""

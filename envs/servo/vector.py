@@ -1,4 +1,4 @@
-"""N arm servos in one pymunk Space as a Gymnasium vector environment, bit-identical to N single environments."""
+"""N arm servos stepped together as a Gymnasium vector environment, bit-identical to N single environments."""
 
 from __future__ import annotations
 
@@ -31,6 +31,8 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
         max_episode_steps: Largest number of steps of an episode, like the argument of `gym.make`.
         engine: `pymunk`, `compiled` (same bits, many times as fast), or None for `compiled` where a check at first use
             finds that its bits are pymunk's on this machine, and `pymunk` elsewhere.
+        threads: Number of threads that share a step of the compiled engine. The results do not depend on it; more than
+            one pays from some hundred arms on.
         **axes: Fields of `ServoConfig` that override the level's values.
     """
 
@@ -46,10 +48,11 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
         engine: str | None = None,
+        threads: int = 1,
         **axes: Any,
     ) -> None:
         count = check_count(num_envs)
-        self.engine = chosen_engine(engine, "compiled")
+        self.engine, self.threads = chosen_engine(engine, "compiled"), check_count(threads, "threads")
         self.config = self._configure(level, axes)
         self.level = level
         self.max_joint_rate = self.config.max_joint_rate
@@ -68,7 +71,7 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
         return servo_config(level, **axes)
 
     def _make_world(self, count: int) -> ServoWorld:
-        return ServoWorld(self.config, count, engine=self.engine)
+        return ServoWorld(self.config, count, engine=self.engine, threads=self.threads)
 
     def _single_observation_space(self) -> gym.spaces.Dict:
         return feature_space(self.config)

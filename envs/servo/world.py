@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servotrack.envs.servo.compiled_arms import CompiledArms
 from servotrack.envs.servo.engine import ENGINES
@@ -14,6 +16,8 @@ from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.records import CONSTANTS, RING, SAMPLE, Settings, Tables
 from servotrack.envs.servo.sensing import advance, command, sense
 from servotrack.envs.servo.targets import LEAD, PERIOD, START
+from servotrack.envs.servo.threads import Threads
+from servotrack.envs.state import State, entry, part, put, taken
 from servotrack.estimators.camera import image_jacobian
 from servotrack.estimators.types import Array, Labels, Mask
 
@@ -21,6 +25,10 @@ LOST_SAMPLES = 20
 """An episode ends after this many consecutive samples with the target out of view."""
 SUCCESS_DISTANCE = 0.010
 """Tracking errors below this count as success, m."""
+
+
+def _is_field(value: Any, records: NDArray[np.void]) -> bool:
+    return isinstance(value, np.ndarray) and value.base is records
 
 
 class ServoWorld:
@@ -34,6 +42,7 @@ class ServoWorld:
         count: Number of arms N.
         lost_after: Number of consecutive samples out of view that ends an episode.
         engine: Name of the engine that moves the arms, see `engine.ENGINES`.
+        threads: Number of threads that share a step of the compiled engine.
 
     Attributes:
         joint_angles: Encoder readings, (N, 2) rad.
@@ -56,10 +65,18 @@ class ServoWorld:
         captured: Index into the episode's tables of the newest frame that arrived with an image, (N,) int.
     """
 
-    def __init__(self, config: ServoConfig, count: int, lost_after: int = LOST_SAMPLES, engine: str = "pymunk") -> None:
+    def __init__(
+        self,
+        config: ServoConfig,
+        count: int,
+        lost_after: int = LOST_SAMPLES,
+        engine: str = "pymunk",
+        threads: int = 1,
+    ) -> None:
         self.config = config
         self.count = count
         self.engine = engine
+        self._threads = Threads(threads)
         length = samples(config)
         self.arms = ENGINES[engine](config, count)
         self.joints = self.arms.angles
@@ -69,16 +86,7 @@ class ServoWorld:
         # Before the first reset, any camera and arm with a Jacobian.
         for name in ("links", "camera", "gain"):
             self._constants[name] = 1.0
-        self.links, self.cameras = self._constants["links"], self._constants["camera"]
-        self.goal, self.gain = self._constants["goal"], self._constants["gain"]
-        self.noise_levels, self.latency = self._constants["noise_levels"], self._constants["latency"]
-        sample = self._samples
-        self.steps, self.captured, self.time = sample["steps"], sample["captured"], sample["time"]
-        self.joint_angles, self.features = sample["joint_angles"], sample["features"]
-        self.visible, self.frame_time = sample["visible"], sample["frame_time"]
-        self.reward, self.terminated, self.truncated = sample["reward"], sample["terminated"], sample["truncated"]
-        self.tracking_error, self.feature_error = sample["tracking_error"], sample["feature_error"]
-        self.tool, self.target = sample["tool"], sample["target"]
+        self._name_fields()
         self.paths = np.zeros((count, length, 4))
         self._tables = Tables(
             paths=self.paths,
@@ -104,6 +112,59 @@ class ServoWorld:
             stamped=bool(config.stamped),
             quantized=config.noise_kind == "quantized",
         )
+
+    def _name_fields(self) -> None:
+        """Make the fields of the records attributes."""
+        constants, sample = self._constants, self._samples
+        self.links, self.cameras, self.goal = constants["links"], constants["camera"], constants["goal"]
+        self.gain, self.noise_levels, self.latency = constants["gain"], constants["noise_levels"], constants["latency"]
+        self.steps, self.captured, self.time = sample["steps"], sample["captured"], sample["time"]
+        self.joint_angles, self.features = sample["joint_angles"], sample["features"]
+        self.visible, self.frame_time = sample["visible"], sample["frame_time"]
+        self.reward, self.terminated, self.truncated = sample["reward"], sample["terminated"], sample["truncated"]
+        self.tracking_error, self.feature_error = sample["tracking_error"], sample["feature_error"]
+        self.tool, self.target = sample["tool"], sample["target"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes for a copy, without the views of the records."""
+        records = self._constants, self._samples
+        return {name: value for name, value in self.__dict__.items() if not any(_is_field(value, r) for r in records)}
+
+    def __setstate__(self, attributes: dict[str, Any]) -> None:
+        """Take over the attributes of the copied world."""
+        self.__dict__.update(attributes)
+        self._name_fields()
+
+    def get_state(self) -> State:
+        """Return the exact state: the episodes' seeds, and what has happened since their resets."""
+        state = taken(self, ("seeds", "history"))
+        state |= {f"sample/{name}": self._samples[name].copy() for name in SAMPLE.names or ()}
+        return state | {f"arms/{name}": value for name, value in self.arms.get_state().items()}
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back to a state that `get_state` returned. Episodes of other seeds are drawn again.
+
+        Raises:
+            ValueError: An entry is missing, or does not fit.
+        """
+        seeds = entry(state, "seeds", (self.count,), np.int64)
+        sample = np.zeros(self.count, SAMPLE)
+        for name in SAMPLE.names or ():
+            field = sample[name]
+            field[...] = entry(state, f"sample/{name}", field.shape, field.dtype)
+        length = self.config.warmup + self.config.horizon
+        if seeds.min() < 0 or sample["steps"].min() < 0 or sample["steps"].max() > length:
+            raise ValueError(f"state's seeds must be at least 0 and its steps lie in 0 to {length}")
+        moved = part(state, "arms")
+        self.arms.check_state(moved)
+        others = np.flatnonzero((self.seeds != seeds) | (self.begun == 0))
+        if len(others):
+            self._draw(others, seeds[others])
+        self.seeds[:] = seeds
+        self.begun[others] += 1
+        self._samples[:] = sample
+        put(self, ("history",), state)
+        self.arms.set_state(moved, self.links)
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
         """Start new episodes in some rows. The other rows are not changed.
@@ -175,10 +236,11 @@ class ServoWorld:
         arms = self.arms
         if isinstance(arms, CompiledArms):
             arms.check_started()
-            advance(
+            step = (
                 arms.blocks, arms.solver, rows, actions, self._settings, self._constants, self._tables, self.joints,
-                self.history, self._samples, 0, len(arms.blocks),
+                self.history, self._samples,
             )  # fmt: skip
+            self._threads.share(lambda first, last: advance(*step, first, last), len(arms.blocks))
         else:
             command(rows, actions, self._settings, self._constants, self._tables, self.joints, self._samples)
             arms.step(self._samples["rates"])

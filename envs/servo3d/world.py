@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servotrack.envs.servo3d.arms import SerialArm, arm_of
 from servotrack.envs.servo3d.episode import LEAD, PERIOD, Episode, draw_episode, samples
@@ -23,6 +25,7 @@ from servotrack.envs.servo3d.state import (
     WorldSettings,
 )
 from servotrack.envs.servo3d.truth import true_matrices
+from servotrack.envs.state import State, entry, part, put, taken
 from servotrack.estimators.types import Array, Mask
 
 
@@ -50,7 +53,7 @@ class Servo3DWorld:
         self.arm: SerialArm = arm_of(config.arm)
         n, p, length = self.arm.joints, config.points, samples(config)
         self.episodes: list[Episode | None] = [None] * count
-        self.steps = np.zeros(count, np.int64)
+        self.steps, self.seeds = np.zeros(count, np.int64), np.full(count, -1)
         self.state = ArmState(
             motors=np.zeros((count, n)),
             rates=np.zeros((count, n)),
@@ -152,7 +155,7 @@ class Servo3DWorld:
 
     def _begin(self, row: int, seed: int) -> None:
         episode = draw_episode(self.config, self.arm, seed)
-        self.episodes[row] = episode
+        self.episodes[row], self.seeds[row] = episode, seed
         for name in EpisodeTables._fields:
             table = getattr(self.tables, name)
             if name in ("feature_noise", "dropped", "hidden"):
@@ -172,6 +175,33 @@ class Servo3DWorld:
 
     def _sense(self, rows: Mask) -> None:
         sense(rows, self._arm, self._settings, self.tables, self.steps, self.state, self.sample)
+
+    def get_state(self) -> State:
+        """Return the exact state: the episodes' seeds, and what has happened since their resets."""
+        state = taken(self, ("seeds", "steps"))
+        state |= {f"sample/{name}": value.copy() for name, value in self.sample._asdict().items()}
+        return state | {f"arm/{name}": by_row.copy() for name, by_row in self._state_by_row().items()}
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back to a state that `get_state` returned. Episodes of other seeds are drawn again.
+
+        Raises:
+            ValueError: An entry is missing, or does not fit.
+        """
+        seeds, steps = (entry(state, name, (self.count,), np.int64) for name in ("seeds", "steps"))
+        if seeds.min() < 0 or steps.min() < 0 or steps.max() > self.config.horizon:
+            raise ValueError(f"state's seeds must be at least 0 and its steps lie in 0 to {self.config.horizon}")
+        others = np.flatnonzero(self.seeds != seeds)
+        self.reset(others.tolist(), seeds[others].tolist())
+        put(self, ("steps",), state)
+        put(self.sample, Sample._fields, part(state, "sample"))
+        for name, by_row in self._state_by_row().items():
+            by_row[...] = entry(state, f"arm/{name}", by_row.shape, by_row.dtype)
+
+    def _state_by_row(self) -> dict[str, NDArray[Any]]:
+        """Views of the arms' state with a leading axis of N; rings have it behind the time."""
+        views = self.state._asdict()
+        return views | {name: views[name].swapaxes(0, 1) for name in ("motor_history", "images", "in_image")}
 
     def privileged(self) -> dict[str, Array]:
         """Additional observations for calibrated and privileged agents, arrays of N rows.

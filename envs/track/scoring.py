@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from servotrack.envs.state import State, put, taken
 from servotrack.envs.track.ignored import ignored_answers
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.metrics import (
@@ -23,6 +26,9 @@ REPORTED_FROM = 0.5
 """Smallest existence with which a row is reported."""
 HELD_FROM = 0.05
 """Smallest existence with which a row keeps its identity. Below it the identity ends."""
+
+
+_KEPT = ("labels", "reported", "estimates", "_next", "_label_history", "_state_history")
 
 
 class SetScorer:
@@ -64,6 +70,14 @@ class SetScorer:
         self.labels[row], self.reported[row], self.estimates[row] = -1, False, 0.0
         self._next[row] = 0
         self._label_history[row] = -1
+
+    def get_state(self) -> State:
+        """Return what `set_state` needs: identities, the last answers and their history."""
+        return taken(self, _KEPT)
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back to a state. Raises a ValueError if an entry is missing or does not fit."""
+        put(self, _KEPT, state)
 
     def score(
         self,

@@ -131,6 +131,29 @@ def test_an_unknown_engine_is_refused(env_id: str) -> None:
         gym.make_vec(env_id, num_envs=2, engine="mujoco")
 
 
+@pytest.mark.parametrize("env_id", ["UncalibServo-v0", "PedestrianServo-v0"])
+def test_threads_do_not_change_the_bits(env_id: str) -> None:
+    count = 3 * LANES + 2
+    envs = [gym.make_vec(env_id, num_envs=count, level=4, threads=threads, horizon=20) for threads in (1, 2, 7)]
+    for env in envs:
+        env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    for _ in range(25):
+        actions = rng.uniform(-1.0, 1.0, (count, 2))
+        first, *others = (env.step(actions) for env in envs)
+        for other in others:
+            for value, expected in zip(other, first, strict=True):
+                assert_equal(value, expected)
+    copied = copy.deepcopy(envs[2])
+    assert_equal(copied.step(actions)[0], envs[2].step(actions)[0])
+
+
+@pytest.mark.parametrize("threads", [0, -1, 1.5, True, None])
+def test_numbers_of_threads_are_checked(threads: Any) -> None:
+    with pytest.raises(ValueError, match="threads must be a whole number of at least 1"):
+        gym.make_vec("UncalibServo-v0", num_envs=2, threads=threads)
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("way", ["deepcopy", "pickle", "state"])
 def test_copied_arms_go_on_to_the_bit(engine: str, way: str) -> None:
@@ -143,7 +166,7 @@ def test_copied_arms_go_on_to_the_bit(engine: str, way: str) -> None:
     arms.reset(np.array([2]), links[2:3])
     if way == "state":
         other = ENGINES[engine](config, count)
-        other.restore(arms.state(), links)
+        other.set_state(arms.get_state(), links)
     else:
         other = copy.deepcopy(arms) if way == "deepcopy" else pickle.loads(pickle.dumps(arms))
     np.testing.assert_array_equal(other.angles, arms.angles)
@@ -166,7 +189,7 @@ def test_kept_rates_do_not_grow_without_bound() -> None:
             arms.reset(np.array([1]), np.full((1, 2), 0.5))
         arms.step(np.zeros((1, 2)).repeat(2, axis=0))
     assert len(arms._driven) < 1200
-    assert len(arms.state()["driven"]) <= 150
+    assert len(arms.get_state()["driven"]) <= 150
 
 
 @pytest.mark.parametrize("engine", ENGINES)

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from servotrack.envs.state import State
 from servotrack.envs.track.clutter.config import ClutterConfig
 from servotrack.envs.track.clutter.episode import draw_episode
+from servotrack.envs.track.resumed import checked_rows, put_scores, scored_state
 from servotrack.envs.track.scoring import SetScorer
 from servotrack.estimators.types import Array, Labels, Mask
+
+_SCORES = (
+    "truncated", "reward", "ospa", "gospa", "location", "missed", "false", "cardinality_error", "ospa2",
+)  # fmt: skip
 
 
 class ClutterWorld:
@@ -46,7 +53,7 @@ class ClutterWorld:
         self._measurements = np.zeros((count, scans, rows, 3))
         self._source = np.full((count, scans, rows), -2, dtype=np.int64)
         self.scorer = SetScorer(count, config.estimate_rows, 2, config.horizon, config.cutoff)
-        self.steps = np.zeros(count, np.int64)
+        self.steps, self.seeds = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self.terminated, self.truncated = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         self.reward, self.ospa, self.gospa = np.zeros(count), np.zeros(count), np.zeros(count)
         self.location, self.missed, self.false = np.zeros(count), np.zeros(count), np.zeros(count)
@@ -65,7 +72,7 @@ class ClutterWorld:
             self._states[row], self._exists[row] = episode.states, episode.exists
             self._measurements[row], self._source[row] = episode.measurements, episode.source
             self.scorer.reset(row)
-            self.steps[row], self.truncated[row], self.ospa2[row] = 0, False, 0.0
+            self.seeds[row], self.steps[row], self.truncated[row], self.ospa2[row] = seed, 0, False, 0.0
         self._observe()
 
     def step(self, answers: Array, running: Mask | None = None) -> None:
@@ -86,6 +93,21 @@ class ClutterWorld:
         self.truncated = self.steps >= self.config.horizon
         for row in np.flatnonzero(running & self.truncated).tolist():
             self.ospa2[row] = self.scorer.trajectory_score(row, self.true_tracks(row))
+        self._observe()
+
+    def get_state(self) -> State:
+        """Return the exact state: the episodes' seeds, the steps, and the scores so far."""
+        return scored_state(self, _SCORES)
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back to a state that `get_state` returned. Scenes are drawn again from their seeds.
+
+        Raises:
+            ValueError: An entry is missing, or does not fit.
+        """
+        seeds, _ = checked_rows(self, state, self.config.horizon)
+        self.reset(range(self.count), seeds.tolist())
+        put_scores(self, _SCORES, state)
         self._observe()
 
     def _observe(self) -> None:

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.envs.state import State
 from servotrack.envs.track.color.config import ColorConfig
 from servotrack.envs.track.color.scene import Painter, draw_scene
 from servotrack.envs.track.color.scoring import center_errors, failures, overlaps, precision, success_curve
+from servotrack.envs.track.resumed import checked_rows, put_scores, scored_state
 from servotrack.estimators.types import Array, Mask
 
 _MAX_COORDINATE = 1e12
 """Coordinates and sizes of answers are clipped to this magnitude, px."""
+
+
+_SCORES = (
+    "truncated", "reward", "iou", "center_error", "auc", "precision", "failures", "answers", "_overlaps", "_errors",
+)  # fmt: skip
 
 
 class ColorWorld:
@@ -48,7 +56,7 @@ class ColorWorld:
         self.observations = np.zeros((count, config.height, config.width, 3), np.uint8)
         self.first_boxes, self.boxes = np.zeros((count, 4)), np.zeros((count, 4))
         self.answers = np.zeros((count, 4))
-        self.steps = np.zeros(count, np.int64)
+        self.steps, self.seeds = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self.terminated, self.truncated = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         self.reward, self.iou, self.center_error = np.zeros(count), np.zeros(count), np.zeros(count)
         self.auc, self.precision, self.failures = np.zeros(count), np.zeros(count), np.zeros(count, np.int64)
@@ -64,7 +72,7 @@ class ColorWorld:
             painter = Painter(self.config, draw_scene(self.config, seed))
             self._painters[row] = painter
             self.first_boxes[row] = self.answers[row] = painter.scene.boxes[0]
-            self.steps[row], self.truncated[row] = 0, False
+            self.seeds[row], self.steps[row], self.truncated[row] = seed, 0, False
             self.auc[row], self.precision[row], self.failures[row] = 0.0, 0.0, 0
             self._show(row)
 
@@ -92,6 +100,22 @@ class ColorWorld:
                 self.auc[row] = success_curve(self._overlaps[row]).mean()
                 self.precision[row] = precision(self._errors[row])
                 self.failures[row] = failures(self._overlaps[row])
+            self._show(row)
+
+    def get_state(self) -> State:
+        """Return the exact state: the episodes' seeds, the steps, and the scores so far."""
+        return scored_state(self, _SCORES)
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back to a state that `get_state` returned. Scenes are drawn again from their seeds.
+
+        Raises:
+            ValueError: An entry is missing, or does not fit.
+        """
+        seeds, _ = checked_rows(self, state, self.config.horizon)
+        self.reset(range(self.count), seeds.tolist())
+        put_scores(self, _SCORES, state)
+        for row in range(self.count):
             self._show(row)
 
     def _show(self, row: int) -> None:

@@ -73,8 +73,8 @@ class PedestrianWorld(PeopleWorld):
             if config.observation != "pixels":
                 self._sensors[row] = MotionSensor(config, stage, Streams(seed)[Stream.SHUFFLE])
             self._ids[row], self._boxes[row], self._visibility[row] = 0, 0.0, 0.0
-            self._begin(row)
-            self._draw(row)
+            self._begin(row, seed)
+            self._advance(row)
         self._newest()
 
     def step(self, answers: Array, running: Mask | None = None) -> None:
@@ -91,7 +91,7 @@ class PedestrianWorld(PeopleWorld):
         self.steps = self.steps + running
         self.truncated = self.steps >= self.config.horizon
         for row in np.flatnonzero(running).tolist():
-            self._draw(row)
+            self._advance(row)
             if self.truncated[row]:
                 self._finish(row)
         self._newest()
@@ -105,7 +105,7 @@ class PedestrianWorld(PeopleWorld):
             f"gospa={self.gospa[row]:.2f}  cardinality {self.cardinality_error[row]:+d}"
         )
 
-    def _draw(self, row: int) -> None:
+    def _advance(self, row: int) -> None:
         """Render the current frame of a scene, and store its ground truth."""
         stage, movement, frame = self._stages[row], self._movements[row], int(self.steps[row])
         assert stage is not None and movement is not None

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.envs.state import State
+from servotrack.envs.track.resumed import checked_rows, put_scores, scored_state
 from servotrack.envs.track.scoring import SetScorer
 from servotrack.estimators.metrics import (
     SetScores,
@@ -20,6 +23,12 @@ from servotrack.estimators.types import Array, Labels
 
 MIN_VISIBILITY = 0.2
 """Smallest visible share with which a person is scored. People below it are ignored."""
+
+
+_SCORES = (
+    "truncated", "reward", "ospa", "gospa", "location", "missed", "false", "cardinality_error", "ospa2", "mota", "idf1",
+    "hota",
+)  # fmt: skip
 
 
 class PeopleWorld:
@@ -56,7 +65,7 @@ class PeopleWorld:
         self._answers_boxes, self._dimension = boxes, 4 if boxes else 2
         self._distances = box_distances if boxes else point_distances
         self.scorer = SetScorer(count, rows, self._dimension, horizon, cutoff, self._distances)
-        self.steps = np.zeros(count, np.int64)
+        self.steps, self.seeds = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self.terminated, self.truncated = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         self.reward, self.ospa, self.gospa = np.zeros(count), np.zeros(count), np.zeros(count)
         self.location, self.missed, self.false = np.zeros(count), np.zeros(count), np.zeros(count)
@@ -114,14 +123,45 @@ class PeopleWorld:
             "true_visibility": self.visibility.copy(),
         }
 
+    def get_state(self) -> State:
+        """Return the exact state: the episodes' seeds, the steps, and the scores so far."""
+        return scored_state(self, _SCORES)
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back to a state that `get_state` returned. Scenes are drawn again from their seeds, frame by frame.
+
+        Raises:
+            ValueError: An entry is missing, or does not fit.
+        """
+        seeds, steps = checked_rows(self, state, self.horizon)
+        self.reset(range(self.count), seeds.tolist())
+        for row, answered in enumerate(steps.tolist()):
+            for step in range(1, answered + 1):
+                self.steps[row] = step
+                self._advance(row)
+        put_scores(self, _SCORES, state)
+        self._newest()
+
+    def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
+        """Start new episodes in some rows. The other rows do not change."""
+        raise NotImplementedError
+
+    def _advance(self, row: int) -> None:
+        """Show the frame at the row's step, one after the frame that it shows."""
+        raise NotImplementedError
+
+    def _newest(self) -> None:
+        """Take over the ground truth of the newest frames."""
+        raise NotImplementedError
+
     def _past(self, row: int) -> tuple[Labels, Array, Array]:
         """Return ids (k, n), boxes (k, n, 4) and visibilities (k, n) of the k answered frames of a scene."""
         raise NotImplementedError
 
-    def _begin(self, row: int) -> None:
+    def _begin(self, row: int, seed: int) -> None:
         """Start a new episode."""
         self.scorer.reset(row)
-        self.steps[row], self.truncated[row] = 0, False
+        self.seeds[row], self.steps[row], self.truncated[row] = seed, 0, False
         self.ospa2[row] = self.mota[row] = self.idf1[row] = self.hota[row] = 0.0
 
     def _note_truth(self, ids: Labels, boxes: Array, visibility: Array) -> None:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from servotrack.envs.state import State
+from servotrack.envs.track.resumed import checked_rows, put_scores, scored_state
 from servotrack.envs.track.scoring import SetScorer
 from servotrack.envs.track.sonar.config import SonarConfig
 from servotrack.envs.track.sonar.records import draw_record
 from servotrack.envs.track.sonar.scene import SonarScene, draw_scene
 from servotrack.estimators.types import Array, Mask
+
+_SCORES = (
+    "truncated", "scored", "reward", "ospa", "gospa", "location", "missed", "false", "cardinality_error", "ospa2",
+)  # fmt: skip
 
 
 class SonarWorld:
@@ -45,12 +52,11 @@ class SonarWorld:
         self.count = count
         n = config.max_targets
         self._scenes: list[SonarScene | None] = [None] * count
-        self._seeds = [0] * count
         self.observations = np.zeros((count, config.beams))
         self.bearings, self.rates = np.zeros((count, n)), np.zeros((count, n))
         self.exists = np.zeros((count, n), np.bool_)
         self.scorer = SetScorer(count, config.estimate_rows, 1, config.horizon, config.cutoff)
-        self.steps = np.zeros(count, np.int64)
+        self.steps, self.seeds = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self.terminated, self.truncated = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         self.scored = np.zeros(count, np.bool_)
         self.reward, self.ospa, self.gospa = np.zeros(count), np.zeros(count), np.zeros(count)
@@ -65,7 +71,7 @@ class SonarWorld:
             seeds: Episode seed of each, non-negative integers.
         """
         for row, seed in zip(rows, seeds, strict=True):
-            self._scenes[row], self._seeds[row] = draw_scene(self.config, seed), seed
+            self._scenes[row], self.seeds[row] = draw_scene(self.config, seed), seed
             self.scorer.reset(row)
             self.steps[row], self.truncated[row], self.ospa2[row] = 0, False, 0.0
             self._show(row)
@@ -97,10 +103,26 @@ class SonarWorld:
                 self.ospa2[row] = self.scorer.trajectory_score(row, self.true_tracks(row))
             self._show(row)
 
+    def get_state(self) -> State:
+        """Return the exact state: the episodes' seeds, the steps, and the scores so far."""
+        return scored_state(self, _SCORES)
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back to a state that `get_state` returned. Scenes are drawn again from their seeds.
+
+        Raises:
+            ValueError: An entry is missing, or does not fit.
+        """
+        seeds, _ = checked_rows(self, state, self.config.horizon + self.config.lag)
+        self.reset(range(self.count), seeds.tolist())
+        put_scores(self, _SCORES, state)
+        for row in range(self.count):
+            self._show(row)
+
     def _show(self, row: int) -> None:
         scene, step = self.scene(row), int(self.steps[row])
         self.observations[row] = np.minimum(
-            draw_record(self.config, scene, self._seeds[row], step), self.config.max_power
+            draw_record(self.config, scene, int(self.seeds[row]), step), self.config.max_power
         )
         self.bearings[row], self.rates[row] = scene.bearings[step], scene.rates[step]
         self.exists[row] = scene.exists[step]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -9,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from servotrack.envs.state import State
 from servotrack.envs.track.files.recorded import SequenceError
 from servotrack.envs.track.people.world import PeopleWorld
 from servotrack.envs.track.video.recording import Recording, VideoConfig, load_recording
@@ -48,7 +50,7 @@ class VideoWorld(PeopleWorld):
             self.observations: NDArray[Any] = np.zeros((count, *blank.shape), np.uint8)
         else:
             self.observations = np.zeros((count, *recording.detections.shape[1:]))
-        self._ended = np.zeros(count, np.bool_)
+        self._ended, self._decoded = np.zeros(count, np.bool_), np.zeros(count, np.int64)
         self._newest()
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
@@ -61,13 +63,13 @@ class VideoWorld(PeopleWorld):
         Raises:
             SequenceError: If the first frame cannot be decoded.
         """
-        for row, _ in zip(rows, seeds, strict=True):
-            self._begin(row)
+        for row, seed in zip(rows, seeds, strict=True):
+            self._begin(row, seed)
             self._ended[row] = False
             if self._decodes:
                 assert self.recording.open is not None
                 self._frames[row] = self.recording.open()
-                self.images[row] = next(self._frames[row])
+                self.images[row], self._decoded[row] = next(self._frames[row]), 1
             self._observe(row)
         self._newest()
 
@@ -84,14 +86,40 @@ class VideoWorld(PeopleWorld):
         self._score(answers)
         self.steps = self.steps + running
         for row in np.flatnonzero(running).tolist():
-            if self.steps[row] < self.recording.horizon:
-                self._decode(row)
+            self._advance(row)
         self.truncated = (self.steps >= self.recording.horizon) | self._ended
-        for row in np.flatnonzero(running).tolist():
-            self._observe(row)
-            if self.truncated[row]:
-                self._finish(row)
+        for row in np.flatnonzero(running & self.truncated).tolist():
+            self._finish(row)
         self._newest()
+
+    def get_state(self) -> State:
+        """Return the exact state: the steps, and the scores so far.
+
+        Raises:
+            ValueError: The source is a camera, whose frames do not come back.
+        """
+        if isinstance(self.config.source, int):
+            raise ValueError(f"source={self.config.source} is a camera: it has no state, for its frames do not return")
+        return super().get_state()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes for a copy, without the open files."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("recording", "_frames")}
+
+    def __setstate__(self, attributes: dict[str, Any]) -> None:
+        """Take over the attributes of the copied world, and open the files again at its frames."""
+        self.__dict__.update(attributes)
+        self.recording = load_recording(self.config)
+        self._frames = [self._opened_after(count) for count in self._decoded.tolist()]
+
+    def _opened_after(self, count: int) -> Iterator[Image]:
+        """Return the frames of the source after the first `count`."""
+        if count == 0:
+            return iter(())
+        assert self.recording.open is not None
+        frames = self.recording.open()
+        next(itertools.islice(frames, count - 1, None))
+        return frames
 
     def close(self) -> None:
         """Close files and cameras."""
@@ -119,12 +147,18 @@ class VideoWorld(PeopleWorld):
             return
         try:
             self.images[row] = next(self._frames[row])
+            self._decoded[row] += 1
         except (SequenceError, StopIteration) as error:
             self._ended[row] = True
             gym.logger.warn(
                 f"the episode ends after {self.steps[row]} of {self.recording.horizon} frames: "
                 f"{str(error) or f'{self.recording.name} has no more frames'}"
             )
+
+    def _advance(self, row: int) -> None:
+        if self.steps[row] < self.recording.horizon:
+            self._decode(row)
+        self._observe(row)
 
     def _observe(self, row: int) -> None:
         if self.recording.detections is None:

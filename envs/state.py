@@ -1,0 +1,175 @@
+"""Exact states of environments: dictionaries of arrays from which an environment goes on to the bit.
+
+An episode is drawn from its seed, so a state holds the seeds and what has happened since the reset. The arrays have no
+objects in them: `numpy.savez` writes them, and a file of them can be loaded without `pickle`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, is_dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+State = dict[str, NDArray[Any]]
+"""State of an environment: `format`, `environment`, `configuration`, and arrays with a leading axis of N scenes."""
+
+FORMAT = 1
+"""Version of the layout of states."""
+
+
+class Stateful(Protocol):
+    """Part of an environment that changes from step to step."""
+
+    def get_state(self) -> State:
+        """Return copies of what `set_state` needs."""
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back to a state. Raises a ValueError if it does not fit."""
+
+
+def taken(owner: Any, names: Iterable[str]) -> State:
+    """Return copies of some attributes, keyed by their names without leading underscores."""
+    return {name.lstrip("_"): np.array(getattr(owner, name)) for name in names}
+
+
+def put(owner: Any, names: Iterable[str], state: Mapping[str, NDArray[Any]]) -> None:
+    """Write what `taken` returned into the attributes, which must be arrays.
+
+    Raises:
+        ValueError: An entry is missing, or has another shape or type.
+    """
+    for name in names:
+        array = getattr(owner, name)
+        array[...] = entry(state, name.lstrip("_"), array.shape, array.dtype)
+
+
+def entry(state: Mapping[str, NDArray[Any]], name: str, shape: tuple[int | None, ...], dtype: Any) -> NDArray[Any]:
+    """Return an entry of a state.
+
+    Args:
+        state: State or part of one.
+        name: Name of the entry.
+        shape: Shape of the entry; None for an axis of any length.
+        dtype: Type of the entry.
+
+    Raises:
+        ValueError: The entry is missing, has another shape or type, or is not finite.
+    """
+    if name not in state:
+        raise ValueError(f"state lacks {name!r}; take it with get_state() of the same environment")
+    value = np.asarray(state[name])
+    fits = value.ndim == len(shape) and all(
+        own in (None, length) for own, length in zip(shape, value.shape, strict=True)
+    )
+    if not fits or value.dtype != dtype:
+        wanted = tuple("any" if length is None else length for length in shape)
+        raise ValueError(
+            f"state's {name!r} must be {np.dtype(dtype)} of shape {wanted}, got {value.dtype} of shape {value.shape}"
+        )
+    if value.dtype.kind == "f" and not np.isfinite(value).all():
+        raise ValueError(f"state's {name!r} must be finite, got NaN or infinity")
+    return value
+
+
+def part(state: Mapping[str, NDArray[Any]], name: str) -> State:
+    """Return the entries whose names begin with `name` and a slash, without both."""
+    return {key[len(name) + 1 :]: value for key, value in state.items() if key.startswith(f"{name}/")}
+
+
+def repeated(value: NDArray[Any], count: int) -> NDArray[Any]:
+    """Return an entry of a single scene, with a leading axis of one, for `count` scenes."""
+    return np.repeat(np.asarray(value), count, axis=0)
+
+
+def parts_state(parts: Mapping[str, Stateful]) -> State:
+    """Return the states of several parts, each entry's name behind its part's."""
+    return {f"{name}/{key}": value for name, piece in parts.items() for key, value in piece.get_state().items()}
+
+
+def set_parts(parts: Mapping[str, Stateful], state: Mapping[str, NDArray[Any]], started: bool) -> None:
+    """Bring parts into the state that `parts_state` returned. A refused state leaves them as they were.
+
+    Args:
+        parts: Parts by name.
+        state: State of all of them.
+        started: False if they have no state yet to go back to.
+
+    Raises:
+        ValueError: An entry is missing, or does not fit.
+    """
+    before = {name: piece.get_state() for name, piece in parts.items()} if started else {}
+    try:
+        for name, piece in parts.items():
+            piece.set_state(part(state, name))
+    except ValueError:
+        for name, own in before.items():
+            parts[name].set_state(own)
+        raise
+
+
+def heading(environment: str, configuration: Any, **more: Any) -> State:
+    """Return the entries that say what a state belongs to."""
+    settings = asdict(configuration) if is_dataclass(configuration) and not isinstance(configuration, type) else {}
+    return {
+        "format": np.array(FORMAT),
+        "environment": np.array(environment),
+        "configuration": np.array(json.dumps(settings | more, sort_keys=True, default=str)),
+    }
+
+
+def check_heading(state: Any, own: State) -> None:
+    """Check that a state belongs to an environment with the heading `own`.
+
+    Raises:
+        ValueError: A state of another format, environment or configuration; the message names what differs.
+    """
+    if not isinstance(state, Mapping) or not own.keys() <= state.keys():
+        raise ValueError(f"state must be what get_state() returned, got {type(state).__name__}")
+    for name in ("format", "environment"):
+        theirs, ours = np.asarray(state[name]).item(), own[name].item()
+        if theirs != ours:
+            raise ValueError(f"state is of {name} {theirs!r}, this is {ours!r}")
+    try:
+        theirs = json.loads(str(np.asarray(state["configuration"]).item()))
+        items = dict(theirs)
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"state's 'configuration' is damaged: {error}") from error
+    ours = json.loads(own["configuration"].item())
+    differing = [name for name in sorted({*items, *ours}) if items.get(name) != ours.get(name)]
+    if differing:
+        listed = ", ".join(f"{name}={items.get(name)!r} instead of {ours.get(name)!r}" for name in differing[:5])
+        raise ValueError(f"state is of another configuration: {listed}; make the environment with the same arguments")
+
+
+_WORD = 2**64
+
+
+def generator_words(generators: Iterable[np.random.Generator]) -> NDArray[np.uint64]:
+    """Return generators' states, shape (N, 6): high and low words of state and increment, and the half word kept."""
+    words = []
+    for generator in generators:
+        state = generator.bit_generator.state
+        if state["bit_generator"] != "PCG64":
+            raise ValueError(f"np_random must be a PCG64, as Gymnasium makes it, got {state['bit_generator']}")
+        inner = state["state"]
+        words.append(
+            [*divmod(inner["state"], _WORD), *divmod(inner["inc"], _WORD), state["has_uint32"], state["uinteger"]]
+        )
+    return np.array(words, np.uint64)
+
+
+def generator_of(words: NDArray[np.uint64]) -> np.random.Generator:
+    """Return a generator in the state of a row of `generator_words`."""
+    high, low, inc_high, inc_low, kept, half = (int(word) for word in words)
+    generator = np.random.Generator(np.random.PCG64())
+    generator.bit_generator.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": high * _WORD + low, "inc": inc_high * _WORD + inc_low},
+        "has_uint32": kept,
+        "uinteger": half,
+    }
+    return generator
