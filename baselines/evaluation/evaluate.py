@@ -68,7 +68,7 @@ def evaluate(
         plain(kwargs),
         card.name,
         card.as_record(kind, describe_environment(env_id, kwargs)),
-        provenance=record or provenance(),
+        provenance=dict(record or provenance()),
         kind=kind,
     )
     done = set(cell.seeds)
@@ -78,7 +78,9 @@ def evaluate(
     chunk = chunk or (CHUNK if _takes_seed_lists(env_id) else FOREIGN_CHUNK)
     for start in range(0, len(todo), chunk):
         batch = todo[start : start + chunk]
-        rows, cell.max_steps = run_episodes(env_id, card, batch, kwargs)
+        rows, cell.max_steps = run_episodes(
+            env_id, card, batch, kwargs, lambda engine: cell.provenance.update(engine=engine)
+        )
         cell.rows.extend(rows)
         if folder:
             folder.save(cell)
@@ -129,15 +131,28 @@ def show_belief(env: Any, state: Any) -> None:
 
 
 def run_episodes(
-    env_id: str, card: AgentCard, seeds: Sequence[int], env_kwargs: Mapping[str, Any]
+    env_id: str,
+    card: AgentCard,
+    seeds: Sequence[int],
+    env_kwargs: Mapping[str, Any],
+    on_engine: Callable[[str], None] = lambda engine: None,
 ) -> tuple[list[Row], int | None]:
     """One episode per seed, side by side.
+
+    Args:
+        env_id: Gymnasium id.
+        card: Agent.
+        seeds: Environment seeds.
+        env_kwargs: Arguments of the environment.
+        on_engine: Called with the name of the physics engine, where the environment has a choice of engines.
 
     Returns:
         One row per seed in their order, and the steps of a full episode (None where the environment sets no limit).
     """
     env = make_vector(env_id, len(seeds), env_kwargs, privileged=card.privileged)
     try:
+        if isinstance(engine := getattr(env.unwrapped, "engine", None), str):
+            on_engine(engine)
         agent: Agent = create_agent(card, env)
         observation, _ = env.reset(seed=list(seeds))
         recorder = EpisodeRecorder(seeds, env, observation)

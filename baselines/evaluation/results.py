@@ -35,7 +35,7 @@ class CellResults:
         max_steps: Steps of a full episode.
         rows: One dictionary per episode; `seed` is the key.
         step_seconds: Durations of single `predict` calls from a pass of its own, unbatched; empty if not measured.
-        provenance: Versions, machine, command, creation time (UTC).
+        provenance: Versions, machine, command, creation time (UTC), and the physics engine where there is a choice.
         kind: Kind of world, a key of `servotrack.baselines.worlds.WORLDS`; "" for that of the id.
         has_digests: False for a cell from a file of servotrack 0.1.0, in which later changes cannot be seen.
     """

@@ -135,6 +135,8 @@ def check_fields(fields: Mapping[str, Any]) -> None:
     versions = record.get("versions") if isinstance(record, dict) else None
     valid = isinstance(versions, dict) and all(isinstance(version, str) for version in versions.values())
     _check(valid and "servotrack" in (versions or {}), "provenance", "name the version of servotrack", record)
+    engine = record.get("engine", "pymunk")
+    _check(isinstance(engine, str), "provenance", "name the engine as text", engine)
     times = fields["step_seconds"]
     _check(isinstance(times, list), "step_seconds", "be a list", times)
     for i, seconds in enumerate(times):

@@ -10,7 +10,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.provenance import digest_of_sources, provenance
+from servotrack.envs.servo.engine import same_bits
 
 
 def test_provenance_says_with_what_where_and_how() -> None:
@@ -18,6 +20,17 @@ def test_provenance_says_with_what_where_and_how() -> None:
     assert {"python", "servotrack", "numpy", "gymnasium"} <= set(record["versions"])
     assert record["machine"]["cores"] == os.cpu_count()
     assert record["command"] and record["created"].endswith("+00:00")
+
+
+def test_results_say_which_engine_moved_the_arm() -> None:
+    """One record of a run serves several cells, and only those with a choice of engines name one."""
+    record = provenance()
+    default = evaluate("UncalibServo-v0", "random", [0], {"horizon": 70}, timing=False, record=record)
+    named = evaluate("UncalibServo-v0", "random", [0], {"horizon": 70, "engine": "pymunk"}, timing=False, record=record)
+    clutter = evaluate("ClutterTracking-v0", "raw-measurements", [0], {"horizon": 3}, timing=False, record=record)
+    assert default.provenance["engine"] == ("compiled" if same_bits() else "pymunk")
+    assert named.provenance["engine"] == "pymunk"
+    assert "engine" not in clutter.provenance and "engine" not in record
 
 
 @pytest.fixture
