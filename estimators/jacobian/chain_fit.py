@@ -89,13 +89,16 @@ def update_chains(memory, frame, settings, output):  # type: ignore[no-untyped-d
         settings: A `ChainSettings`.
         output: A `ChainOutput`; written.
     """
+    size = memory.parameters.shape[2]
+    normals = np.empty((2, size, size))
     for row in range(frame.fresh.shape[0]):
-        _update_row(memory, frame, settings, output, row)
+        update_row(memory, frame, settings, output, normals, row)
+        write_present(memory, frame, settings, output, normals[output.best[row]], row)
 
 
 @njit(cache=True, nogil=True)
-def _update_row(memory, frame, settings, output, row):  # type: ignore[no-untyped-def]
-    """Update one row, see `update_chains`."""
+def update_row(memory, frame, settings, output, normals, row):  # type: ignore[no-untyped-def]
+    """Update one row, see `update_chains`, and write the normal equations of both chains. Shape (2, N, N)."""
     n, m = frame.angles.shape[1], frame.features.shape[1]
     fresh = frame.fresh[row]
     if fresh and not memory.started[row]:
@@ -111,8 +114,8 @@ def _update_row(memory, frame, settings, output, row):  # type: ignore[no-untype
     excited = np.empty(n)
     constraint_deviations(store[0], store[2], noise, settings, excited)
     before = better_chain(memory, row)
-    size = memory.parameters.shape[2]
-    normals, slope = np.zeros((2, size, size)), np.zeros(size)
+    normals[:] = 0.0
+    slope = np.zeros(memory.parameters.shape[2])
     gap = memory.cost[row, 1 - before] - memory.cost[row, before]
     idle = _is_idle(memory, settings, row)
     count = store[0].shape[0]
@@ -178,7 +181,6 @@ def _update_row(memory, frame, settings, output, row):  # type: ignore[no-untype
             _restart(memory, settings, row)
     output.best[row] = best
     output.chained[row] = memory.errors[row, 1] < settings.margin * memory.errors[row, 0]
-    write_present(memory, frame, settings, output, normals[best], row)
 
 
 @njit(cache=True, nogil=True)
