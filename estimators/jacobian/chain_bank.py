@@ -23,7 +23,7 @@ from servotrack.estimators.types import Array, Mask
 
 
 class _Prepared(NamedTuple):
-    """What the kernels take for n joints and m features. Half plays have shapes (K, n), and (K m, n) by feature."""
+    """Arguments of the kernels for n joints and m features. Half plays have shapes (K, n), and (K m, n) by feature."""
 
     settings: ChainSettings
     turning: Mask
@@ -73,10 +73,9 @@ class ChainBank:
 
     def initial(self, measurement: ServoMeasurement) -> EstimatorBankState:
         """Return the state with equally likely chains. Raises ValueError as `ChainJacobian` does."""
+        alone = self.chain.initial(measurement)
         axis, count = np.ndim(measurement.time), len(self.plays)
-        members = _mapped(
-            self.chain.initial(measurement), lambda each: np.repeat(np.expand_dims(each, axis), count, axis)
-        )
+        members = _mapped(alone, lambda each: np.repeat(np.expand_dims(each, axis), count, axis))
         return EstimatorBankState(members, np.zeros((*np.shape(measurement.time), count)))
 
     def step(
@@ -93,7 +92,7 @@ class ChainBank:
 
         def flat(values: Array) -> Array:
             """Merge the axes of the batch and of the chains."""
-            return np.ascontiguousarray(values.reshape(-1, *values.shape[axes + 1 :]) if axes else values)
+            return np.ascontiguousarray(values.reshape(rows * count, *values.shape[axes + 1 :]) if axes else values)
 
         def shaped(values: Array) -> Array:
             return values.reshape(*batch, count, *values.shape[1:]) if axes else values

@@ -140,8 +140,8 @@ def stored_terms(  # type: ignore[no-untyped-def]
         parameters: Parameters of the chain. Shape (N,).
         reverse: True if the last joint is next to the camera.
         angles: Joint angles of the keyframes. Shape (K, n), rad.
-        features: Their features. Shape (K, m), px.
-        weights: Their weights; keyframes without any are left out. Shape (K, m).
+        features: Features of the keyframes. Shape (K, m), px.
+        weights: Weights of the features; keyframes without any are left out. Shape (K, m).
         noise: Variance of a feature, px^2.
         settings: A `ChainSettings`.
         normal: Shape (N, N), or (0, 0).
