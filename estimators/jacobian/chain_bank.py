@@ -90,11 +90,11 @@ class ChainBank:
         rows = int(np.prod(batch, dtype=np.int64))
         prepared = self._prepared.get((n, m)) or self._prepare(n, m)
 
-        def flat(values: Array) -> Array:
+        def flat(values: Any) -> Any:
             """Merge the axes of the batch and of the chains."""
             return np.ascontiguousarray(values.reshape(rows * count, *values.shape[axes + 1 :]) if axes else values)
 
-        def shaped(values: Array) -> Array:
+        def shaped(values: Any) -> Any:
             return values.reshape(*batch, count, *values.shape[1:]) if axes else values
 
         read_at = whole.time if whole.joint_time is None else whole.joint_time
@@ -124,7 +124,8 @@ class ChainBank:
         # NumPy sums in an order of its own, which a loop would not reproduce to the bit.
         motion = alignment[4][..., None, :] - before.seen_joints
         foreseen = before.seen_features + np.einsum("...ij,...ij->...i", before.jacobian[..., :-1], motion)
-        memory = ChainMemory(*(np.array(flat(each), order="C") for each in before.chain))  # type: ignore[arg-type]
+        chains: Any = before.chain
+        memory = ChainMemory(*(flat(each).copy() for each in chains))
         seen, log_weight, found = update_bank(
             memory,
             (
@@ -144,11 +145,15 @@ class ChainBank:
             prepared.settings,
             (self.forgetting, self.floor),
         )
+        seen_joints, seen_features, seen_time, ever_seen = map(shaped, seen)
         members = ChainState(
-            AdaptiveState(AlignmentState(*row_alignment), AdaptiveFilter(*newest)),
-            AlignmentState(*alignment),
-            before.center,
-            *map(shaped, seen),
+            linear=AdaptiveState(AlignmentState(*row_alignment), AdaptiveFilter(*newest)),
+            alignment=AlignmentState(*alignment),
+            center=before.center,
+            seen_joints=seen_joints,
+            seen_features=seen_features,
+            seen_time=seen_time,
+            seen=ever_seen,
             jacobian=newest[0].copy(),
             chain=ChainMemory(*map(shaped, memory)),
         )
@@ -172,7 +177,7 @@ class ChainBank:
     def _check(self, before: ChainState, whole: ServoMeasurement) -> None:
         """Raise ValueError if a measurement does not continue a state, as `Alignment.step` does."""
         axis, m = whole.time.ndim, before.seen_features.shape[-1]
-        first = before.alignment
+        first: Any = before.alignment
         if first.seen.ndim != axis + 1 or first.seen.shape[-1] != len(self.plays):
             first = _mapped(first, lambda each: each[..., None])
         else:
