@@ -1,4 +1,4 @@
-"""Steps and frames per second of the servo environments, beside MuJoCo's Reacher-v5 and gym-pusht."""
+"""Steps and frames per second of the servo environments and servos, beside MuJoCo's Reacher-v5 and gym-pusht."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from servotrack.baselines.speed.rates import Subject
 
 STEPPING = Path(__file__).with_name("stepping.py")
 JACOBIAN_PROCESS = Path(__file__).with_name("jacobian_process.py")
+SERVO_PROCESS = Path(__file__).with_name("servo_process.py")
 
 
 def stepping_command(
@@ -44,7 +45,8 @@ def subjects(pusht_python: str | None) -> list[Subject]:
     """
     reacher, reacher64 = "Reacher-v5", "Reacher-v5, SyncVectorEnv, N = 64"
     state, pixels = "gym-pusht, state", "gym-pusht, pixels 96 x 96"
-    servo, crowd = "UncalibServo-v0", "PedestrianServo-v0"
+    servo, serial, crowd = "UncalibServo-v0", "UncalibServo3D-v0", "PedestrianServo-v0"
+    arm = "7 joints, 4 points"
     return [
         Subject(f"{servo}, level 0", stepping_command(servo, level=0), 20_000.0, {state: 6.0, reacher: 0.7}),
         Subject(f"{servo}, level 3", stepping_command(servo, level=3)),
@@ -59,6 +61,12 @@ def subjects(pusht_python: str | None) -> list[Subject]:
             {pixels: 8.0},
         ),
         Subject("UncalibServoPixels-v0, level 3, 96 x 96", stepping_command("UncalibServoPixels-v0", level=3)),
+        Subject(f"{serial}, level 2", stepping_command(serial, level=2)),
+        Subject(f"{serial}, level 2, N = 1024", stepping_command(serial, 1024, level=2), 300_000.0),
+        Subject(f"`ServoController()`, {arm}, steps", (str(SERVO_PROCESS), "controller", "4"), 3_333.0),
+        Subject("`ServoController()`, 7 joints, 16 points, steps", (str(SERVO_PROCESS), "controller", "16")),
+        Subject(f"`ChainJacobian()`, {arm}, steps", (str(SERVO_PROCESS), "chain", "4")),
+        Subject(f"`AdaptiveKalmanJacobian()`, {arm}, steps", (str(SERVO_PROCESS), "adaptive", "4")),
         Subject(f"{crowd}, level 2, detections", stepping_command(crowd, level=2), 10_000.0),
         Subject(f"{crowd}, level 2, detections, N = 64", stepping_command(crowd, 64, level=2)),
         Subject(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -95,7 +96,7 @@ class SerialArm:
         """Number of joints n."""
         return len(self.ready)
 
-    @property
+    @functools.cached_property
     def reach(self) -> float:
         """Length of the chain from the second joint to the tool, m: the scale of cameras and targets."""
         points = [*self.points[1:], self.tool[:3, 3]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from enum import IntEnum
@@ -94,6 +95,12 @@ def samples(config: Servo3DConfig) -> int:
 
 def board_marks(points: int, side: float) -> Array:
     """Return the points of a board: its middle, its four corners, or a regular grid. Shape (points, 3), m."""
+    return _board_marks(points, side).copy()
+
+
+@functools.lru_cache(maxsize=64)
+def _board_marks(points: int, side: float) -> Array:
+    """All episodes of a world have the same board."""
     if points == 1:
         return np.zeros((1, 3))
     columns = math.ceil(math.sqrt(points))
@@ -249,12 +256,11 @@ def _draw_cameras(config: Servo3DConfig, arm: SerialArm, streams: Streams) -> tu
 def _rotations(tilts: Array, spins: Array) -> Array:
     """Rotations about the x, then the y, then the z axis. Shape (_BLOCK, 3, 3)."""
     (cx, cy), (sx, sy), cz, sz = np.cos(tilts).T, np.sin(tilts).T, np.cos(spins), np.sin(spins)
-    rows = (
-        (cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx),
-        (sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx),
-        (-sy, cy * sx, cy * cx),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    rotations = np.empty((_BLOCK, 3, 3))
+    rotations[:, 0, 0], rotations[:, 0, 1], rotations[:, 0, 2] = cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx
+    rotations[:, 1, 0], rotations[:, 1, 1], rotations[:, 1, 2] = sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx
+    rotations[:, 2, 0], rotations[:, 2, 1], rotations[:, 2, 2] = -sy, cy * sx, cy * cx
+    return rotations
 
 
 def _least_singular_value(arm: SerialArm, angles: Array) -> float:

@@ -7,6 +7,7 @@ from servotrack.estimators.jacobian.bank import EstimatorBank, HypothesisBank, L
 from servotrack.estimators.jacobian.broyden import BroydenJacobian
 from servotrack.estimators.jacobian.cautious import Cautious
 from servotrack.estimators.jacobian.chain import ChainJacobian
+from servotrack.estimators.jacobian.chain_bank import ChainBank
 from servotrack.estimators.jacobian.chain_estimate import ChainEstimate
 from servotrack.estimators.jacobian.contract import (
     Increment,
@@ -47,6 +48,7 @@ __all__ = [
     "AnyArm",
     "BroydenJacobian",
     "Cautious",
+    "ChainBank",
     "ChainEstimate",
     "ChainJacobian",
     "CorrentropyNoise",

@@ -137,7 +137,7 @@ class AdaptiveKalmanJacobian:
         """State before the first increment. Raises ValueError as `checked` does, or if units do not fit n and m."""
         single = each_feature(measurement)
         *batch, m, n = single.joint_angles.shape
-        units = self._units(m, n)
+        units = self.units(m, n)
         start = AdaptiveFilter(
             jacobian=np.zeros((*batch, m, n + 1)),
             covariance=np.tile(self._prior(units), (*batch, 1, 1, 1)),
@@ -156,11 +156,11 @@ class AdaptiveKalmanJacobian:
         single = each_feature(measurement)
         alignment, increment = self.alignment.step(state.alignment, single)
         *batch, m, n = single.joint_angles.shape
-        units = self._units(m, n)
+        units = self.units(m, n)
         rows = int(np.prod(batch, dtype=np.int64))
         offset = alignment.frame_features[..., 0] - single.goal[..., 0]
         flat = _flat_rows((state.filter, increment, offset, alignment.seen), rows, len(batch))
-        results = _step(*flat, units, self._noise())
+        results = filter_rows(*flat, units, self.noise())
         shaped = [result.reshape((*batch, *result.shape[1:])) for result in results]
         return AdaptiveState(alignment, AdaptiveFilter(*shaped[:9])), LinearEstimate(*shaped[9:])
 
@@ -168,13 +168,14 @@ class AdaptiveKalmanJacobian:
         """Keep the mean, and doubt it: add half of the Jacobian's typical size to the deviations of its entries."""
         jacobian, covariance = state.filter.jacobian, state.filter.covariance.copy()
         *_, m, d = jacobian.shape
-        units = self._units(m, d - 1)
+        units = self.units(m, d - 1)
         scale = units.range[:, None] / units.joint
         sizes = np.mean((jacobian[..., :-1] / scale) ** 2, axis=(-2, -1), keepdims=True)
         np.einsum("...ii->...i", covariance)[..., :-1] += 0.25 * sizes * scale**2
         return state._replace(filter=state.filter._replace(covariance=covariance))
 
-    def _units(self, features: int, joints: int) -> _Units:
+    def units(self, features: int, joints: int) -> _Units:
+        """Return the units for the kernel. Raises ValueError if they do not fit the numbers of features and joints."""
         return _Units(
             self._each("feature_range", features, "feature"),
             self._each("feature_noise", features, "feature"),
@@ -192,7 +193,8 @@ class AdaptiveKalmanJacobian:
         deviations = units.range[:, None] * np.append(1.0 / units.joint, self.target_speed)
         return deviations[:, :, None] ** 2 * np.eye(deviations.shape[1])
 
-    def _noise(self) -> _Noise:
+    def noise(self) -> _Noise:
+        """Return the variances and limits for the kernel."""
         return _Noise(
             self.joint_noise**2,
             self.least_motion,
@@ -253,7 +255,7 @@ def _flat_rows(
 
 
 @njit(cache=True, nogil=True)
-def _step(before, increment, offset, seen, units, noise):  # type: ignore[no-untyped-def]
+def filter_rows(before, increment, offset, seen, units, noise):  # type: ignore[no-untyped-def]
     """`AdaptiveKalmanJacobian.step` over rows.
 
     Returns the fields of an `AdaptiveFilter`, then those of a `LinearEstimate`.

@@ -44,7 +44,7 @@ class AlignmentState(NamedTuple):
     waiting_features: Array
 
 
-class _Readings(NamedTuple):
+class Readings(NamedTuple):
     """Rows of measurements, for the kernel; `stamp` is the instant of the frame, `read_at` that of the encoders."""
 
     angles: Array
@@ -97,7 +97,7 @@ class Alignment:
         """
         measurement = checked(measurement)
         batch, n = measurement.joint_angles.shape[:-1], measurement.joint_angles.shape[-1]
-        _gears(self.revolute, self.play, n)
+        gears(self.revolute, self.play, n)
         waiting = 0 if measurement.joint_time is None else self.history
         return AlignmentState(
             history_time=np.full((*batch, self.history), -np.inf),
@@ -122,7 +122,7 @@ class Alignment:
             ValueError: As `checked` does, or if the shapes differ from those of the state or time goes backwards.
         """
         measurement = checked(measurement)
-        self._check_against(state, measurement)
+        self.check_against(state, measurement)
         batch, n, m = measurement.time.shape, measurement.joint_angles.shape[-1], measurement.features.shape[-1]
         read_at = measurement.time if measurement.joint_time is None else measurement.joint_time
         rows = int(np.prod(batch, dtype=np.int64))
@@ -137,7 +137,7 @@ class Alignment:
             state.waiting_time.reshape(rows, waiting),
             state.waiting_features.reshape(rows, waiting, m),
         )
-        readings = _Readings(
+        readings = Readings(
             measurement.joint_angles.reshape(rows, n),
             measurement.features.reshape(rows, m),
             measurement.visible.reshape(rows),
@@ -145,11 +145,13 @@ class Alignment:
             read_at.reshape(rows),
             measurement.time.reshape(rows),
         )
-        results = _align(before, readings, *_gears(self.revolute, self.play, n))
+        turning, half_play = gears(self.revolute, self.play, n)
+        results = align_rows(before, readings, turning, half_play[None])
         shaped = [result.reshape((*batch, *result.shape[1:])) for result in results]
         return AlignmentState(*shaped[:8]), Increment(*shaped[8:])
 
-    def _check_against(self, state: AlignmentState, measurement: ServoMeasurement) -> None:
+    def check_against(self, state: AlignmentState, measurement: ServoMeasurement) -> None:
+        """Raise ValueError if a checked measurement does not continue a state."""
         for name, value, known in (
             ("joint_angles", measurement.joint_angles, state.frame_joints),
             ("features", measurement.features, state.frame_features),
@@ -179,7 +181,7 @@ class Alignment:
 
 
 @functools.lru_cache(maxsize=256)
-def _gears(revolute: tuple[bool, ...] | None, play: float | tuple[float, ...], joints: int) -> tuple[Mask, Array]:
+def gears(revolute: tuple[bool, ...] | None, play: float | tuple[float, ...], joints: int) -> tuple[Mask, Array]:
     """Mask of the joints that turn, and half of the play of each. Shapes (n,).
 
     Raises:
@@ -238,8 +240,15 @@ def present_estimate(
 
 
 @njit(cache=True, nogil=True)
-def _align(before, now, turning, half_play):  # type: ignore[no-untyped-def]
-    """`Alignment.step` over rows. Returns the fields of an AlignmentState, then those of an Increment."""
+def align_rows(before, now, turning, half_play):  # type: ignore[no-untyped-def]
+    """`Alignment.step` over rows. Returns the fields of an AlignmentState, then those of an Increment.
+
+    Args:
+        before: An `AlignmentState` with a leading axis of rows.
+        now: `Readings`.
+        turning: True for joints that turn. Shape (n,).
+        half_play: Half of the play of each joint, taken in turn by the rows. Shape (K, n), rad.
+    """
     rows, length, n = before.history_angles.shape
     m = now.features.shape[1]
     places = before.waiting_time.shape[1]
@@ -281,7 +290,8 @@ def _align(before, now, turning, half_play):  # type: ignore[no-untyped-def]
             if turning[i] and abs(jump) > np.pi:
                 reading -= 2.0 * np.pi * np.rint(jump / (2.0 * np.pi))
             link = readings[length - 2, i]
-            readings[length - 1, i] = min(max(link, reading - half_play[i]), reading + half_play[i])
+            play = half_play[row % half_play.shape[0], i]
+            readings[length - 1, i] = min(max(link, reading - play), reading + play)
 
         instant = -np.inf
         if now.visible[row] and now.stamp[row] >= times[0] and (not seen[row] or now.stamp[row] > frame_time[row]):

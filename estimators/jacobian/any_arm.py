@@ -10,15 +10,13 @@ import numpy as np
 
 from servotrack.estimators.jacobian.adaptive import AdaptiveKalmanJacobian, AdaptiveState
 from servotrack.estimators.jacobian.alignment import Alignment
-from servotrack.estimators.jacobian.bank import EstimatorBank
 from servotrack.estimators.jacobian.chain import ChainJacobian
+from servotrack.estimators.jacobian.chain_bank import ChainBank
 from servotrack.estimators.jacobian.contract import JacobianEstimator, ServoMeasurement
 from servotrack.estimators.jacobian.measurement import checked
 
 
-def chain_bank(
-    plays: Sequence[float] = (0.0, 0.0087, 0.0175), revolute: tuple[bool, ...] | None = None
-) -> EstimatorBank:
+def chain_bank(plays: Sequence[float] = (0.0, 0.0087, 0.0175), revolute: tuple[bool, ...] | None = None) -> ChainBank:
     """Create a bank of `ChainJacobian`s, each with an `AdaptiveKalmanJacobian` beside it, one per play of the gears.
 
     Play between encoder and link is what no calibration shows and what a servo trips over: near the goal, joints turn
@@ -29,12 +27,9 @@ def chain_bank(
             to their number.
         revolute: True for each joint that turns, False for those that slide; None: all turn. Shape (n,).
     """
-    members = []
-    for play in plays:
-        alignment = Alignment(play=play, revolute=revolute)
-        linear = AdaptiveKalmanJacobian(alignment=alignment)
-        members.append(ChainJacobian(linear=linear, alignment=alignment, revolute=revolute))
-    return EstimatorBank(tuple(members))
+    alignment = Alignment(revolute=revolute)
+    chain = ChainJacobian(linear=AdaptiveKalmanJacobian(alignment=alignment), alignment=alignment, revolute=revolute)
+    return ChainBank(chain, tuple(plays))
 
 
 @dataclass(frozen=True)

@@ -160,7 +160,7 @@ class HypothesisBank(Generic[Member]):
     floor: float = -30.0
 
     def __post_init__(self) -> None:
-        _check_memory(self.forgetting, self.floor)
+        check_memory(self.forgetting, self.floor)
 
     @property
     def row_covariances(self) -> bool:
@@ -188,11 +188,11 @@ class EstimatorBankState(NamedTuple):
     """State of an `EstimatorBank`.
 
     Attributes:
-        members: State of each estimator.
+        members: State of each estimator; of a `ChainBank` one state, with batch axes (*batch, K).
         log_weight: Logarithms of the estimators' weights; the largest is 0. Shape (*batch, K).
     """
 
-    members: tuple[Any, ...]
+    members: Any
     log_weight: Array
 
 
@@ -217,7 +217,7 @@ class EstimatorBank:
     def __post_init__(self) -> None:
         if not self.members:
             raise ValueError("members must have at least one estimator, got ()")
-        _check_memory(self.forgetting, self.floor)
+        check_memory(self.forgetting, self.floor)
 
     @property
     def row_covariances(self) -> bool:
@@ -253,7 +253,8 @@ class EstimatorBank:
         )
 
 
-def _check_memory(forgetting: float, floor: float) -> None:
+def check_memory(forgetting: float, floor: float) -> None:
+    """Raise ValueError for a bad memory or floor of a bank's weights."""
     if not 0.0 < forgetting <= 1.0:
         raise ValueError(f"forgetting must be in (0, 1], got {forgetting}")
     if not floor < 0.0:

@@ -163,7 +163,7 @@ class ChainJacobian:
         Raises:
             ValueError: As `checked` and the linear filter do, or if the features are not two for each point.
         """
-        whole = _whole(measurement)
+        whole = checked_points(measurement)
         *shape, m = whole.features.shape
         batch, n = tuple(shape), whole.joint_angles.shape[-1]
         if m % 2:
@@ -171,7 +171,7 @@ class ChainJacobian:
                 f"features must hold two coordinates of each point, got {m}; pass columns and rows of whole points, or "
                 "use AdaptiveKalmanJacobian for other features"
             )
-        self._settings(n)
+        self.settings(n)
         center = np.empty((*batch, 2))
         for axis in range(2):
             ends = whole.goal[..., axis::2]
@@ -191,7 +191,7 @@ class ChainJacobian:
 
     def step(self, state: ChainState, measurement: ServoMeasurement) -> tuple[ChainState, ChainEstimate]:
         """Update with one measurement. Raises ValueError as `Alignment.step` and the linear filter do."""
-        whole = _whole(measurement)
+        whole = checked_points(measurement)
         alignment, increment = self.alignment.step(state.alignment, _masked(whole))
         linear, estimate = self.linear.step(state.linear, measurement)
         *shape, m = whole.features.shape
@@ -209,7 +209,7 @@ class ChainJacobian:
             chained=np.zeros(batch, np.bool_),
         )
         axes = len(batch)
-        update_chains(_rows(memory, axes), _rows(frame, axes), self._settings(n), _rows(output, axes))
+        update_chains(_rows(memory, axes), _rows(frame, axes), self.settings(n), _rows(output, axes))
         seen, joints, time = frame.seen, alignment.frame_joints, alignment.frame_time
         new = ChainState(
             linear=linear,
@@ -298,7 +298,8 @@ class ChainJacobian:
             frames=np.zeros(batch),
         )
 
-    def _settings(self, joints: int) -> ChainSettings:
+    def settings(self, joints: int) -> ChainSettings:
+        """Return the parameters for the kernels. Raises ValueError if `revolute` does not fit."""
         turning = np.ones(joints, np.bool_) if self.revolute is None else np.asarray(self.revolute, np.bool_)
         if turning.shape != (joints,):
             raise ValueError(
@@ -335,7 +336,7 @@ _POSITIVE = (
 )
 
 
-def _whole(measurement: ServoMeasurement) -> ServoMeasurement:
+def checked_points(measurement: ServoMeasurement) -> ServoMeasurement:
     """Check a measurement with a mask of single features."""
     joint_angles = as_numbers("joint_angles", measurement.joint_angles)
     features = as_numbers("features", measurement.features)

@@ -11,7 +11,12 @@ import math
 import numpy as np
 
 from servotrack.estimators.compilation import njit
-from servotrack.estimators.jacobian.chain_kernel import chain_derivatives, chain_features
+from servotrack.estimators.jacobian.chain_kernel import (
+    chain_features,
+    chain_motions,
+    placed,
+    point_derivatives,
+)
 
 
 @njit(cache=True, nogil=True)
@@ -24,28 +29,34 @@ def row_terms(residual, weight, noise, settings):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True)
-def _add_frame(derivatives, residual, weights, noise, settings, normal, slope):  # type: ignore[no-untyped-def]
-    """Add a frame to the lower triangle of the normal equations, and return its cost."""
-    size = slope.shape[0]
-    cost = 0.0
-    for j in range(0, residual.shape[0], 2):
-        first, second = 0.0, 0.0
-        if weights[j] > 0.0:
-            part, first = row_terms(residual[j], weights[j], noise, settings)
-            cost += part
-        if weights[j + 1] > 0.0:
-            part, second = row_terms(residual[j + 1], weights[j + 1], noise, settings)
-            cost += part
-        if first == 0.0 and second == 0.0:
-            continue
-        # Both rows of a point have their zeros in the same columns.
-        for a in range(size):
-            u, v = first * derivatives[j, a], second * derivatives[j + 1, a]
-            if u != 0.0 or v != 0.0:
-                slope[a] += u * residual[j] + v * residual[j + 1]
-                for b in range(a + 1):
-                    normal[a, b] += u * derivatives[j, b] + v * derivatives[j + 1, b]
-    return cost
+def _add_point(rows, point, weights, residuals, normal, slope):  # type: ignore[no-untyped-def]
+    """Add a point to the lower triangle of the normal equations; its derivatives by other points are 0.
+
+    Args:
+        rows: See `point_derivatives`. Shape (2, 6n + 6).
+        point: Index of the point.
+        weights: Weights of both coordinates, see `row_terms`.
+        residuals: Residuals of both coordinates, px.
+        normal: Normal equations; changed. Shape (N, N).
+        slope: Gradient; changed. Shape (N,).
+    """
+    shared, size = rows.shape[1] - 6, slope.shape[0]
+    own, tail = shared + 3 * point, size - 3
+    for a in range(shared):
+        u, v = weights[0] * rows[0, a], weights[1] * rows[1, a]
+        if u != 0.0 or v != 0.0:
+            slope[a] += u * residuals[0] + v * residuals[1]
+            for b in range(a + 1):
+                normal[a, b] += u * rows[0, b] + v * rows[1, b]
+    for c in range(6):
+        u, v = weights[0] * rows[0, shared + c], weights[1] * rows[1, shared + c]
+        a = own + c if c < 3 else tail + c - 3
+        slope[a] += u * residuals[0] + v * residuals[1]
+        for b in range(shared):
+            normal[a, b] += u * rows[0, b] + v * rows[1, b]
+        for d in range(c + 1):
+            b = own + d if d < 3 else tail + d - 3
+            normal[a, b] += u * rows[0, shared + d] + v * rows[1, shared + d]
 
 
 @njit(cache=True, nogil=True)
@@ -121,29 +132,56 @@ def prior_cost(parameters, excited, settings, normal, slope):  # type: ignore[no
 
 @njit(cache=True, nogil=True)
 def stored_terms(  # type: ignore[no-untyped-def]
-    parameters, reverse, angles, features, weights, noise, settings, normal, slope
+    parameters, reverse, angles, features, weights, noise, settings, normal, slope, predicted
 ):
-    """Add all keyframes to the normal equations, unless they are empty, and return their cost."""
-    n, m, size = angles.shape[1], features.shape[1], parameters.shape[0]
+    """Add all keyframes to the normal equations, unless they are empty, and return their cost.
+
+    Args:
+        parameters: Parameters of the chain. Shape (N,).
+        reverse: True if the last joint is next to the camera.
+        angles: Joint angles of the keyframes. Shape (K, n), rad.
+        features: Features of the keyframes. Shape (K, m), px.
+        weights: Weights of the features; keyframes without any are left out. Shape (K, m).
+        noise: Variance of a feature, px^2.
+        settings: A `ChainSettings`.
+        normal: Shape (N, N), or (0, 0).
+        slope: Shape (N,), or (0,).
+        predicted: Output: features of the chain at the keyframes that are used. Shape (K, m), px.
+    """
+    n, p = angles.shape[1], features.shape[1] // 2
     full = slope.shape[0] > 0
-    predicted, scratch = np.empty(m), np.zeros((4, 3, 4))
-    by_angles, derivatives = np.empty((m, n)), np.zeros((m if full else 0, size))
+    rates, motions, rows = np.empty((6, 0)), np.empty((6, 6 * n if full else 0)), np.empty((2, 6 * n + 6))
+    tail = 6 * n + 3 * p
+    focal = settings.focal * math.exp(parameters[tail])
     cost = 0.0
     for k in range(angles.shape[0]):
         if not any_weight(weights[k]):
             continue
-        if full:
-            chain_derivatives(parameters, angles[k], reverse, settings.focal, predicted, by_angles, derivatives)
-        else:
-            chain_features(parameters, angles[k], reverse, settings.focal, predicted, scratch)
-        for i in range(m):
-            predicted[i] -= features[k, i]
-        if full:
-            cost += _add_frame(derivatives, predicted, weights[k], noise, settings, normal, slope)
-        else:
-            for i in range(m):
+        if not full:
+            chain_features(parameters, angles[k], reverse, settings.focal, predicted[k])
+            for i in range(2 * p):
                 if weights[k, i] > 0.0:
-                    cost += row_terms(predicted[i], weights[k, i], noise, settings)[0]
+                    cost += row_terms(predicted[k, i] - features[k, i], weights[k, i], noise, settings)[0]
+            continue
+        pose = chain_motions(parameters, angles[k], reverse, rates, motions)
+        # The cost of a frame is a sum of its own, to which the other frames' are added.
+        frame_cost = 0.0
+        for j in range(p):
+            point = placed(pose, parameters, 6 * n + 3 * j)
+            point_derivatives(pose, motions, point, focal, settings.focal, rows)
+            first, second = 0.0, 0.0
+            for r in range(2):
+                predicted[k, 2 * j + r] = rows[r, 6 * n + 3] + settings.focal * parameters[tail + 1 + r]
+            residual = predicted[k, 2 * j] - features[k, 2 * j], predicted[k, 2 * j + 1] - features[k, 2 * j + 1]
+            if weights[k, 2 * j] > 0.0:
+                part, first = row_terms(residual[0], weights[k, 2 * j], noise, settings)
+                frame_cost += part
+            if weights[k, 2 * j + 1] > 0.0:
+                part, second = row_terms(residual[1], weights[k, 2 * j + 1], noise, settings)
+                frame_cost += part
+            if first != 0.0 or second != 0.0:
+                _add_point(rows, j, (first, second), residual, normal, slope)
+        cost += frame_cost
     return cost
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.jacobian.chain_equations import (
+    any_weight,
     constraint_deviations,
     descent,
     factored,
@@ -23,7 +24,7 @@ from servotrack.estimators.jacobian.chain_scores import better_chain, follow_off
 
 @njit(cache=True, nogil=True)
 def _improve(  # type: ignore[no-untyped-def]
-    parameters, reverse, store, frame, prior, settings, normal, slope, cost, damping, iterations
+    parameters, reverse, store, frame, prior, settings, normal, slope, cost, damping, iterations, predicted
 ):
     """Levenberg-Marquardt steps on the parameters, in place; return the new cost and damping.
 
@@ -39,11 +40,13 @@ def _improve(  # type: ignore[no-untyped-def]
         cost: Cost at the parameters.
         damping: Damping, relative to the diagonal of the normal equations.
         iterations: Largest number of steps.
+        predicted: Features of the chain at the keyframes; changed with the parameters. Shape (K, m), px.
     """
     excited, noise = prior
     size = parameters.shape[0]
     factor, step, trial = np.empty((size, size)), np.empty(size), np.empty(size)
     nothing, empty = np.zeros((0, 0)), np.zeros(0)
+    tried, newest = np.empty(predicted.shape), np.empty(frame[1].shape)
     for iteration in range(iterations):
         lower = np.inf
         if factored(normal, damping, settings.least_pivot, factor):
@@ -55,14 +58,15 @@ def _improve(  # type: ignore[no-untyped-def]
             if expected < settings.least_gain:
                 break
             lower = prior_cost(trial, excited, settings, nothing, empty)
-            lower += stored_terms(trial, reverse, store[0], store[1], store[2], noise, settings, nothing, empty)
-            lower += stored_terms(trial, reverse, frame[0], frame[1], frame[2], noise, settings, nothing, empty)
+            lower += stored_terms(trial, reverse, store[0], store[1], store[2], noise, settings, nothing, empty, tried)
+            lower += stored_terms(trial, reverse, frame[0], frame[1], frame[2], noise, settings, nothing, empty, newest)
         if not lower < cost:
             damping = min(4.0 * damping, settings.largest_damping)
             continue
         gained = cost - lower
         cost = lower
         parameters[:] = trial
+        predicted[:] = tried
         damping = max(0.2 * damping, settings.least_damping)
         if gained < settings.small_gain:
             break
@@ -70,8 +74,8 @@ def _improve(  # type: ignore[no-untyped-def]
             normal[:] = 0.0
             slope[:] = 0.0
             prior_cost(parameters, excited, settings, normal, slope)
-            stored_terms(parameters, reverse, store[0], store[1], store[2], noise, settings, normal, slope)
-            stored_terms(parameters, reverse, frame[0], frame[1], frame[2], noise, settings, normal, slope)
+            stored_terms(parameters, reverse, store[0], store[1], store[2], noise, settings, normal, slope, tried)
+            stored_terms(parameters, reverse, frame[0], frame[1], frame[2], noise, settings, normal, slope, newest)
     return cost, damping
 
 
@@ -85,13 +89,16 @@ def update_chains(memory, frame, settings, output):  # type: ignore[no-untyped-d
         settings: A `ChainSettings`.
         output: A `ChainOutput`; written.
     """
+    size = memory.parameters.shape[2]
+    normals = np.empty((2, size, size))
     for row in range(frame.fresh.shape[0]):
-        _update_row(memory, frame, settings, output, row)
+        update_row(memory, frame, settings, output, normals, row)
+        write_present(memory, frame, settings, output, normals[output.best[row]], row)
 
 
 @njit(cache=True, nogil=True)
-def _update_row(memory, frame, settings, output, row):  # type: ignore[no-untyped-def]
-    """Update one row, see `update_chains`."""
+def update_row(memory, frame, settings, output, normals, row):  # type: ignore[no-untyped-def]
+    """Update one row, see `update_chains`, and write the normal equations of both chains. Shape (2, N, N)."""
     n, m = frame.angles.shape[1], frame.features.shape[1]
     fresh = frame.fresh[row]
     if fresh and not memory.started[row]:
@@ -107,10 +114,15 @@ def _update_row(memory, frame, settings, output, row):  # type: ignore[no-untype
     excited = np.empty(n)
     constraint_deviations(store[0], store[2], noise, settings, excited)
     before = better_chain(memory, row)
-    size = memory.parameters.shape[2]
-    normals, slope = np.zeros((2, size, size)), np.zeros(size)
+    normals[:] = 0.0
+    slope = np.zeros(memory.parameters.shape[2])
     gap = memory.cost[row, 1 - before] - memory.cost[row, before]
     idle = _is_idle(memory, settings, row)
+    count = store[0].shape[0]
+    predicted, new, known_at = np.empty((2, count, m)), np.empty((1, m)), np.full((count, n), np.nan)
+    for k in range(count):
+        if any_weight(store[2][k]):
+            known_at[k] = store[0][k]
     for h in range(2):
         if h != before and idle:
             continue
@@ -119,11 +131,15 @@ def _update_row(memory, frame, settings, output, row):  # type: ignore[no-untype
         parameters, normal, reverse = memory.parameters[row, h], normals[h], memory.reverse[row, h]
         slope[:] = 0.0
         cost = prior_cost(parameters, excited, settings, normal, slope)
-        cost += stored_terms(parameters, reverse, store[0], store[1], store[2], noise, settings, normal, slope)
+        cost += stored_terms(
+            parameters, reverse, store[0], store[1], store[2], noise, settings, normal, slope, predicted[h]
+        )
         if fresh:
             if h == before:
                 score_frame(memory, frame, settings, output, normal, newest, old, row)
-            cost += stored_terms(parameters, reverse, newest[0], newest[1], newest[2], noise, settings, normal, slope)
+            cost += stored_terms(
+                parameters, reverse, newest[0], newest[1], newest[2], noise, settings, normal, slope, new
+            )
         memory.cost[row, h], memory.damping[row, h] = _improve(
             parameters,
             reverse,
@@ -136,6 +152,7 @@ def _update_row(memory, frame, settings, output, row):  # type: ignore[no-untype
             cost,
             memory.damping[row, h],
             settings.iterations if h == before or memory.challenge[row, 0] == 0.0 else 1,
+            predicted[h],
         )
     if idle:
         memory.cost[row, 1 - before] = memory.cost[row, before] + gap
@@ -146,7 +163,10 @@ def _update_row(memory, frame, settings, output, row):  # type: ignore[no-untype
         memory.scatter[row] += store_frame(
             parameters, reverse, store, (newest[0][0], newest[1][0], frame.seen[row]), noise, settings
         )
-        memory.noise[row] = noise_of(parameters, reverse, store, memory.scatter[row], noise, settings)
+        if idle and best != before:
+            known_at[:] = np.nan
+        known = (predicted[best], known_at)
+        memory.noise[row] = noise_of(parameters, reverse, store, memory.scatter[row], noise, settings, known)
         memory.frames[row] += 1.0
         linear, chained = memory.errors[row]
         serves = chained < settings.margin * linear
@@ -161,7 +181,6 @@ def _update_row(memory, frame, settings, output, row):  # type: ignore[no-untype
             _restart(memory, settings, row)
     output.best[row] = best
     output.chained[row] = memory.errors[row, 1] < settings.margin * memory.errors[row, 0]
-    write_present(memory, frame, settings, output, normals[best], row)
 
 
 @njit(cache=True, nogil=True)

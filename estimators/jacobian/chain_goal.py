@@ -60,7 +60,7 @@ def _goal_rows(  # type: ignore[no-untyped-def]
     for row in range(angles.shape[0]):
         chain = (parameters[row], angles[row], reverse[row], focal_unit[row])
         start = np.empty(m)
-        chain_features(chain[0], chain[1], chain[2], chain[3], start, np.zeros((4, 3, 4)))
+        chain_features(chain[0], chain[1], chain[2], chain[3], start)
         path = _similarity(start, wanted[row], used[row])
         left[row] = np.inf
         for way in range(2):

@@ -24,56 +24,88 @@ LEAST_DEPTH = 0.05
 
 
 @njit(cache=True, nogil=True)
-def _coefficients(square):  # type: ignore[no-untyped-def]
-    """Return a = sin x / x, b = (1 - cos x) / x^2, c = (x - sin x) / x^3, b' / x and c' / x of x^2."""
+def _coefficients(square, full):  # type: ignore[no-untyped-def]
+    """Return a = sin x / x, b = (1 - cos x) / x^2, c = (x - sin x) / x^3 of x^2, and b' / x and c' / x if `full`."""
     s = square
+    along, across = 0.0, 0.0
     # Up to a quarter of a radian the series below are exact to rounding, and the closed forms lose digits.
     if s < 0.06:
-        return (
-            1.0 - s / 6.0 * (1.0 - s / 20.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0))),
-            0.5 * (1.0 - s / 12.0 * (1.0 - s / 30.0 * (1.0 - s / 56.0 * (1.0 - s / 90.0)))),
-            (1.0 - s / 20.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0 * (1.0 - s / 110.0)))) / 6.0,
-            -(1.0 - s / 15.0 * (1.0 - s * 3.0 / 112.0 * (1.0 - s * 4.0 / 270.0))) / 12.0,
-            -(1.0 - s / 21.0 * (1.0 - s / 48.0 * (1.0 - s * 4.0 / 330.0))) / 60.0,
-        )
+        a = 1.0 - s / 6.0 * (1.0 - s / 20.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0)))
+        b = 0.5 * (1.0 - s / 12.0 * (1.0 - s / 30.0 * (1.0 - s / 56.0 * (1.0 - s / 90.0))))
+        c = (1.0 - s / 20.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0 * (1.0 - s / 110.0)))) / 6.0
+        if full:
+            along = -(1.0 - s / 15.0 * (1.0 - s * 3.0 / 112.0 * (1.0 - s * 4.0 / 270.0))) / 12.0
+            across = -(1.0 - s / 21.0 * (1.0 - s / 48.0 * (1.0 - s * 4.0 / 330.0))) / 60.0
+        return a, b, c, along, across
     x = math.sqrt(s)
     sine, cosine = math.sin(x), math.cos(x)
+    a, b, c = sine / x, (1.0 - cosine) / s, (x - sine) / (s * x)
+    if full:
+        along = (x * sine + 2.0 * cosine - 2.0) / (s * s)
+        across = (3.0 * sine - x * cosine - 2.0 * x) / (s * s * x)
+    return a, b, c, along, across
+
+
+# Poses are tuples of rows, and motions tuples of components, which the compiler keeps in registers.
+
+
+@njit(cache=True, nogil=True)
+def _joint_pose(parameters, at, angle):  # type: ignore[no-untyped-def]
+    """Return the rows of the pose exp(twist angle) of the twist whose components begin at `at`."""
+    x, y, z = parameters[at] * angle, parameters[at + 1] * angle, parameters[at + 2] * angle
+    u, v, w = parameters[at + 3] * angle, parameters[at + 4] * angle, parameters[at + 5] * angle
+    a, b, c, _, _ = _coefficients(x * x + y * y + z * z, False)
+    # R = 1 + a [phi] + b [phi]^2, V = 1 + b [phi] + c [phi]^2.
+    xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
     return (
-        sine / x,
-        (1.0 - cosine) / s,
-        (x - sine) / (s * x),
-        (x * sine + 2.0 * cosine - 2.0) / (s * s),
-        (3.0 * sine - x * cosine - 2.0 * x) / (s * s * x),
+        (
+            1.0 - b * (yy + zz),
+            b * xy - a * z,
+            b * xz + a * y,
+            (1.0 - c * (yy + zz)) * u + (c * xy - b * z) * v + (c * xz + b * y) * w,
+        ),
+        (
+            b * xy + a * z,
+            1.0 - b * (xx + zz),
+            b * yz - a * x,
+            (c * xy + b * z) * u + (1.0 - c * (xx + zz)) * v + (c * yz - b * x) * w,
+        ),
+        (
+            b * xz - a * y,
+            b * yz + a * x,
+            1.0 - b * (xx + yy),
+            (c * xz - b * y) * u + (c * yz + b * x) * v + (1.0 - c * (xx + yy)) * w,
+        ),
     )
 
 
 @njit(cache=True, nogil=True)
-def _joint(twist, angle, pose, turn, shift):  # type: ignore[no-untyped-def]
-    """Write the pose exp(twist angle) and its derivatives.
+def _joint(parameters, at, angle):  # type: ignore[no-untyped-def]
+    """Return the rows of the pose exp(twist angle), and its derivatives.
 
-    A change (dw, dv) of the twist multiplies the pose from the left by the small motion of angular velocity
-    `turn` dw angle and velocity (`shift` dw + `turn` dv) angle: the left Jacobian of SE(3) in closed form.
+    A change (dw, dv) of the twist multiplies the pose from the left by the small motion of angular velocity T dw angle
+    and velocity (S dw + T dv) angle: the left Jacobian of SE(3) in closed form.
 
     Args:
-        twist: Twist (w, v) of the joint. Shape (6,).
+        parameters: Parameters of the chain. Shape (N,).
+        at: Index of the first component of the twist (w, v) of the joint.
         angle: Joint angle, rad.
-        pose: Output. Shape (3, 4).
-        turn: Output. Shape (3, 3).
-        shift: Output. Shape (3, 3).
+
+    Returns:
+        Rows of the pose, columns of T and columns of S.
     """
-    x, y, z = twist[0] * angle, twist[1] * angle, twist[2] * angle
-    u, v, w = twist[3] * angle, twist[4] * angle, twist[5] * angle
-    a, b, c, b2, c2 = _coefficients(x * x + y * y + z * z)
-    # R = 1 + a [phi] + b [phi]^2, V = 1 + b [phi] + c [phi]^2.
+    x, y, z = parameters[at] * angle, parameters[at + 1] * angle, parameters[at + 2] * angle
+    u, v, w = parameters[at + 3] * angle, parameters[at + 4] * angle, parameters[at + 5] * angle
+    a, b, c, b2, c2 = _coefficients(x * x + y * y + z * z, True)
     xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
-    pose[0, 0], pose[0, 1], pose[0, 2] = 1.0 - b * (yy + zz), b * xy - a * z, b * xz + a * y
-    pose[1, 0], pose[1, 1], pose[1, 2] = b * xy + a * z, 1.0 - b * (xx + zz), b * yz - a * x
-    pose[2, 0], pose[2, 1], pose[2, 2] = b * xz - a * y, b * yz + a * x, 1.0 - b * (xx + yy)
-    turn[0, 0], turn[0, 1], turn[0, 2] = 1.0 - c * (yy + zz), c * xy - b * z, c * xz + b * y
-    turn[1, 0], turn[1, 1], turn[1, 2] = c * xy + b * z, 1.0 - c * (xx + zz), c * yz - b * x
-    turn[2, 0], turn[2, 1], turn[2, 2] = c * xz - b * y, c * yz + b * x, 1.0 - c * (xx + yy)
-    for i in range(3):
-        pose[i, 3] = turn[i, 0] * u + turn[i, 1] * v + turn[i, 2] * w
+    t00, t01, t02 = 1.0 - c * (yy + zz), c * xy - b * z, c * xz + b * y
+    t10, t11, t12 = c * xy + b * z, 1.0 - c * (xx + zz), c * yz - b * x
+    t20, t21, t22 = c * xz - b * y, c * yz + b * x, 1.0 - c * (xx + yy)
+    pose = (
+        (1.0 - b * (yy + zz), b * xy - a * z, b * xz + a * y, t00 * u + t01 * v + t02 * w),
+        (b * xy + a * z, 1.0 - b * (xx + zz), b * yz - a * x, t10 * u + t11 * v + t12 * w),
+        (b * xz - a * y, b * yz + a * x, 1.0 - b * (xx + yy), t20 * u + t21 * v + t22 * w),
+    )
     # d (V rho) / d phi = -b [rho] - c ([phi x rho] + [phi] [rho]) + (b2 phi x rho + c2 phi x (phi x rho)) phi'.
     px, py, pz = y * w - z * v, z * u - x * w, x * v - y * u
     qx, qy, qz = y * pz - z * py, z * px - x * pz, x * py - y * px
@@ -81,55 +113,79 @@ def _joint(twist, angle, pose, turn, shift):  # type: ignore[no-untyped-def]
     # [phi] [rho] = rho phi' - (phi . rho) 1.
     dot = x * u + y * v + z * w
     ex, ey, ez = b * u + c * px, b * v + c * py, b * w + c * pz
-    shift[0, 0], shift[0, 1], shift[0, 2] = (
-        (fx - c * u) * x + c * dot,
-        (fx) * y - c * u * y + ez,
-        fx * z - c * u * z - ey,
-    )
-    shift[1, 0], shift[1, 1], shift[1, 2] = fy * x - c * v * x - ez, (fy - c * v) * y + c * dot, fy * z - c * v * z + ex
-    shift[2, 0], shift[2, 1], shift[2, 2] = fz * x - c * w * x + ey, fz * y - c * w * y - ex, (fz - c * w) * z + c * dot
+    first, second, third = (t00, t10, t20), (t01, t11, t21), (t02, t12, t22)
     # In the frame before the joint: minus the velocity that the rotation gives to the origin's image, + [t] V.
-    for j in range(3):
-        s0, s1, s2 = turn[0, j], turn[1, j], turn[2, j]
-        shift[0, j] += pose[1, 3] * s2 - pose[2, 3] * s1
-        shift[1, j] += pose[2, 3] * s0 - pose[0, 3] * s2
-        shift[2, j] += pose[0, 3] * s1 - pose[1, 3] * s0
+    shifts = (
+        _carried(pose, first, ((fx - c * u) * x + c * dot, fy * x - c * v * x - ez, fz * x - c * w * x + ey)),
+        _carried(pose, second, (fx * y - c * u * y + ez, (fy - c * v) * y + c * dot, fz * y - c * w * y - ex)),
+        _carried(pose, third, (fx * z - c * u * z - ey, fy * z - c * v * z + ex, (fz - c * w) * z + c * dot)),
+    )
+    return pose, (first, second, third), shifts
 
 
 @njit(cache=True, nogil=True)
-def chain_pose(parameters, angles, reverse, pose, scratch):  # type: ignore[no-untyped-def]
-    """Write the pose that maps points at the origin of the angles to the camera's frame.
+def _carried(pose, turn, shift):  # type: ignore[no-untyped-def]
+    """Return the velocity of a motion at the origin of the axes, of which `shift` is that at the pose's origin."""
+    p, q, r = pose[0][3], pose[1][3], pose[2][3]
+    a, b, c = turn
+    return shift[0] + (q * c - r * b), shift[1] + (r * a - p * c), shift[2] + (p * b - q * a)
+
+
+@njit(cache=True, nogil=True)
+def _rotated(pose, vector):  # type: ignore[no-untyped-def]
+    """Return a vector in the axes in which a pose is."""
+    first, second, third = pose
+    a, b, c = vector
+    return (
+        first[0] * a + first[1] * b + first[2] * c,
+        second[0] * a + second[1] * b + second[2] * c,
+        third[0] * a + third[1] * b + third[2] * c,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _product(pose, step):  # type: ignore[no-untyped-def]
+    """Return the product of two poses."""
+    return _row_product(pose[0], step), _row_product(pose[1], step), _row_product(pose[2], step)
+
+
+@njit(cache=True, nogil=True)
+def _row_product(row, step):  # type: ignore[no-untyped-def]
+    a, b, c, d = row
+    first, second, third = step
+    return (
+        a * first[0] + b * second[0] + c * third[0],
+        a * first[1] + b * second[1] + c * third[1],
+        a * first[2] + b * second[2] + c * third[2],
+        d + (a * first[3] + b * second[3] + c * third[3]),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _origin():  # type: ignore[no-untyped-def]
+    """Return the identical pose."""
+    return (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def chain_pose(parameters, angles, reverse):  # type: ignore[no-untyped-def]
+    """Return the rows of the pose that maps points at the origin of the angles to the camera's frame.
 
     Args:
         parameters: Parameters of the chain. Shape (N,).
         angles: Joint angles. Shape (n,), rad.
         reverse: True if the last joint is next to the camera.
-        pose: Output. Shape (3, 4).
-        scratch: Shape (4, 3, 4).
     """
     n = angles.shape[0]
-    step, turn, shift = scratch[0], scratch[1][:, :3], scratch[2][:, :3]
-    for i in range(3):
-        for j in range(4):
-            pose[i, j] = 1.0 if i == j else 0.0
+    pose = _origin()
     for at in range(n):
         k = n - 1 - at if reverse else at
-        _joint(parameters[6 * k : 6 * k + 6], angles[k], step, turn, shift)
-        _append(pose, step)
+        pose = _product(pose, _joint_pose(parameters, 6 * k, angles[k]))
+    return pose
 
 
 @njit(cache=True, nogil=True)
-def _append(pose, step):  # type: ignore[no-untyped-def]
-    """Multiply a pose by another one from the right, in place."""
-    for i in range(3):
-        a, b, c = pose[i, 0], pose[i, 1], pose[i, 2]
-        for j in range(3):
-            pose[i, j] = a * step[0, j] + b * step[1, j] + c * step[2, j]
-        pose[i, 3] += a * step[0, 3] + b * step[1, 3] + c * step[2, 3]
-
-
-@njit(cache=True, nogil=True)
-def chain_features(parameters, angles, reverse, focal_unit, features, scratch):  # type: ignore[no-untyped-def]
+def chain_features(parameters, angles, reverse, focal_unit, features):  # type: ignore[no-untyped-def]
     """Write the image points of a chain.
 
     Args:
@@ -138,27 +194,26 @@ def chain_features(parameters, angles, reverse, focal_unit, features, scratch): 
         reverse: True if the last joint is next to the camera.
         focal_unit: Expected focal length f_0, px.
         features: Output, from the expected principal point c_0. Shape (2p,), px.
-        scratch: Shape (4, 3, 4).
     """
     n, p = angles.shape[0], features.shape[0] // 2
-    pose = scratch[3]
-    chain_pose(parameters, angles, reverse, pose, scratch)
+    pose = chain_pose(parameters, angles, reverse)
     focal = focal_unit * math.exp(parameters[6 * n + 3 * p])
     for j in range(p):
-        x, y, z = _placed(pose, parameters, 6 * n + 3 * j)
+        x, y, z = placed(pose, parameters, 6 * n + 3 * j)
         scale = focal / max(z, LEAST_DEPTH)
         features[2 * j] = scale * x + focal_unit * parameters[6 * n + 3 * p + 1]
         features[2 * j + 1] = scale * y + focal_unit * parameters[6 * n + 3 * p + 2]
 
 
 @njit(cache=True, nogil=True)
-def _placed(pose, parameters, at):  # type: ignore[no-untyped-def]
+def placed(pose, parameters, at):  # type: ignore[no-untyped-def]
     """Return the coordinates in the camera's frame of the point whose parameters begin at `at`."""
     a, b, c = parameters[at], parameters[at + 1], parameters[at + 2]
+    first, second, third = pose
     return (
-        pose[0, 0] * a + pose[0, 1] * b + pose[0, 2] * c + pose[0, 3],
-        pose[1, 0] * a + pose[1, 1] * b + pose[1, 2] * c + pose[1, 3],
-        pose[2, 0] * a + pose[2, 1] * b + pose[2, 2] * c + pose[2, 3],
+        first[0] * a + first[1] * b + first[2] * c + first[3],
+        second[0] * a + second[1] * b + second[2] * c + second[3],
+        third[0] * a + third[1] * b + third[2] * c + third[3],
     )
 
 
@@ -179,88 +234,120 @@ def chain_derivatives(  # type: ignore[no-untyped-def]
     """
     n, p = angles.shape[0], features.shape[0] // 2
     full = by_parameters.shape[0] > 0
-    step, pose = np.empty((3, 4)), np.zeros((3, 4))
-    turn, shift = np.empty((3, 3)), np.empty((3, 3))
-    rate, by_turn, by_shift = np.empty((n, 6)), np.empty((n, 3, 3)), np.empty((n, 3, 3))
-    for i in range(3):
-        pose[i, i] = 1.0
-    for at in range(n):
-        k = n - 1 - at if reverse else at
-        twist = parameters[6 * k : 6 * k + 6]
-        _joint(twist, angles[k], step, turn, shift)
-        # All motions in the camera's frame: angular velocity w, and velocity of what is at the camera's center.
-        for i in range(3):
-            rate[k, i] = pose[i, 0] * twist[0] + pose[i, 1] * twist[1] + pose[i, 2] * twist[2]
-            rate[k, 3 + i] = pose[i, 0] * twist[3] + pose[i, 1] * twist[4] + pose[i, 2] * twist[5]
-        _carry(pose, rate[k])
-        if full:
-            for j in range(3):
-                for i in range(3):
-                    by_turn[k, i, j] = angles[k] * (
-                        pose[i, 0] * turn[0, j] + pose[i, 1] * turn[1, j] + pose[i, 2] * turn[2, j]
-                    )
-                    by_shift[k, i, j] = angles[k] * (
-                        pose[i, 0] * shift[0, j] + pose[i, 1] * shift[1, j] + pose[i, 2] * shift[2, j]
-                    )
-                a, b, c = by_turn[k, 0, j], by_turn[k, 1, j], by_turn[k, 2, j]
-                by_shift[k, 0, j] += pose[1, 3] * c - pose[2, 3] * b
-                by_shift[k, 1, j] += pose[2, 3] * a - pose[0, 3] * c
-                by_shift[k, 2, j] += pose[0, 3] * b - pose[1, 3] * a
-        _append(pose, step)
+    rates, motions = np.empty((6, n)), np.empty((6, 6 * n if full else 0))
+    pose = chain_motions(parameters, angles, reverse, rates, motions)
     focal = focal_unit * math.exp(parameters[6 * n + 3 * p])
+    rows = np.empty((2, 6 * n + 6))
     if full:
         by_parameters[:] = 0.0
     for j in range(p):
-        x, y, z = _placed(pose, parameters, 6 * n + 3 * j)
-        depth = max(z, LEAST_DEPTH)
-        scale = focal / depth
-        along = scale / depth if z > LEAST_DEPTH else 0.0
+        x, y, z = placed(pose, parameters, 6 * n + 3 * j)
         for r in range(2):
-            # The row (gx, gy, gz) projects a velocity of the point.
-            gx, gy = (scale, 0.0) if r == 0 else (0.0, scale)
-            gz = -along * (x if r == 0 else y)
+            seen, gx, gy, gz = _projected(x, y, z, focal, r)
             row = 2 * j + r
-            seen = scale * (x if r == 0 else y)
             features[row] = seen + focal_unit * parameters[6 * n + 3 * p + 1 + r]
             # g . (w x P) = (P x g) . w.
             hx, hy, hz = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
             for k in range(n):
                 by_angles[row, k] = (
-                    hx * rate[k, 0]
-                    + hy * rate[k, 1]
-                    + hz * rate[k, 2]
-                    + gx * rate[k, 3]
-                    + gy * rate[k, 4]
-                    + gz * rate[k, 5]
+                    hx * rates[0, k]
+                    + hy * rates[1, k]
+                    + hz * rates[2, k]
+                    + gx * rates[3, k]
+                    + gy * rates[4, k]
+                    + gz * rates[5, k]
                 )
-            if not full:
-                continue
-            for k in range(n):
-                for i in range(3):
-                    by_parameters[row, 6 * k + i] = (
-                        hx * by_turn[k, 0, i]
-                        + hy * by_turn[k, 1, i]
-                        + hz * by_turn[k, 2, i]
-                        + gx * by_shift[k, 0, i]
-                        + gy * by_shift[k, 1, i]
-                        + gz * by_shift[k, 2, i]
-                    )
-                    by_parameters[row, 6 * k + 3 + i] = (
-                        gx * by_turn[k, 0, i] + gy * by_turn[k, 1, i] + gz * by_turn[k, 2, i]
-                    )
-            for i in range(3):
-                by_parameters[row, 6 * n + 3 * j + i] = gx * pose[0, i] + gy * pose[1, i] + gz * pose[2, i]
-            by_parameters[row, 6 * n + 3 * p] = seen
-            by_parameters[row, 6 * n + 3 * p + 1 + r] = focal_unit
+        if full:
+            point_derivatives(pose, motions, (x, y, z), focal, focal_unit, rows)
+            for r in range(2):
+                by_parameters[2 * j + r, : 6 * n] = rows[r, : 6 * n]
+                by_parameters[2 * j + r, 6 * n + 3 * j : 6 * n + 3 * j + 3] = rows[r, 6 * n : 6 * n + 3]
+                by_parameters[2 * j + r, 6 * n + 3 * p :] = rows[r, 6 * n + 3 :]
 
 
 @njit(cache=True, nogil=True)
-def _carry(pose, rate):  # type: ignore[no-untyped-def]
-    """Change the point of reference of a motion, whose axes are those of the camera, to the camera's center."""
-    a, b, c = rate[0], rate[1], rate[2]
-    rate[3] += pose[1, 3] * c - pose[2, 3] * b
-    rate[4] += pose[2, 3] * a - pose[0, 3] * c
-    rate[5] += pose[0, 3] * b - pose[1, 3] * a
+def chain_motions(parameters, angles, reverse, rates, motions):  # type: ignore[no-untyped-def]
+    """Write the motions of what follows each joint: angular velocity, and velocity of what is at the camera's center.
+
+    Args:
+        parameters: Parameters of the chain. Shape (N,).
+        angles: Joint angles. Shape (n,), rad.
+        reverse: True if the last joint is next to the camera.
+        rates: Output: motions by the joint angles. Shape (6, n), or (6, 0) to leave them out.
+        motions: Output: motions by the components of the twists. Shape (6, 6n), or (6, 0) to leave them out.
+
+    Returns:
+        The pose of `chain_pose`.
+    """
+    n = angles.shape[0]
+    pose = _origin()
+    for at in range(n):
+        k = n - 1 - at if reverse else at
+        w, v = 6 * k, 6 * k + 3
+        if rates.shape[1] > 0:
+            turn = _rotated(pose, (parameters[w], parameters[w + 1], parameters[w + 2]))
+            shift = _rotated(pose, (parameters[v], parameters[v + 1], parameters[v + 2]))
+            _write_motion(rates, k, turn, _carried(pose, turn, shift))
+        if motions.shape[1] == 0:
+            pose = _product(pose, _joint_pose(parameters, w, angles[k]))
+            continue
+        step, turns, shifts = _joint(parameters, w, angles[k])
+        for j in range(3):
+            turn = _scaled(angles[k], _rotated(pose, turns[j]))
+            shift = _scaled(angles[k], _rotated(pose, shifts[j]))
+            _write_motion(motions, w + j, turn, _carried(pose, turn, shift))
+            _write_motion(motions, v + j, (0.0, 0.0, 0.0), turn)
+        pose = _product(pose, step)
+    return pose
+
+
+@njit(cache=True, nogil=True)
+def _scaled(factor, vector):  # type: ignore[no-untyped-def]
+    return factor * vector[0], factor * vector[1], factor * vector[2]
+
+
+@njit(cache=True, nogil=True)
+def _write_motion(motions, column, turn, shift):  # type: ignore[no-untyped-def]
+    motions[0, column], motions[1, column], motions[2, column] = turn
+    motions[3, column], motions[4, column], motions[5, column] = shift
+
+
+@njit(cache=True, nogil=True)
+def point_derivatives(pose, motions, point, focal, focal_unit, rows):  # type: ignore[no-untyped-def]
+    """Write the derivatives of the image of one point by the parameters on which it depends.
+
+    Args:
+        pose: See `chain_pose`.
+        motions: See `chain_motions`. Shape (6, 6n).
+        point: Coordinates of the point in the camera's frame.
+        focal: Focal length, px.
+        focal_unit: See `chain_features`.
+        rows: Output: derivatives by all twists, by the point, and by the last three parameters. Shape (2, 6n + 6).
+    """
+    x, y, z = point
+    twists = motions.shape[1]
+    wx, wy, wz, vx, vy, vz = motions[0], motions[1], motions[2], motions[3], motions[4], motions[5]
+    for r in range(2):
+        seen, gx, gy, gz = _projected(x, y, z, focal, r)
+        hx, hy, hz = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
+        row = rows[r]
+        for c in range(twists):
+            row[c] = hx * wx[c] + hy * wy[c] + hz * wz[c] + gx * vx[c] + gy * vy[c] + gz * vz[c]
+        for i in range(3):
+            row[twists + i] = gx * pose[0][i] + gy * pose[1][i] + gz * pose[2][i]
+        row[twists + 3] = seen
+        row[twists + 4], row[twists + 5] = 0.0, 0.0
+        row[twists + 4 + r] = focal_unit
+
+
+@njit(cache=True, nogil=True)
+def _projected(x, y, z, focal, r):  # type: ignore[no-untyped-def]
+    """Return an image coordinate of a point, and the row that projects the point's velocity onto it."""
+    depth = max(z, LEAST_DEPTH)
+    scale = focal / depth
+    along = scale / depth if z > LEAST_DEPTH else 0.0
+    value = x if r == 0 else y
+    return scale * value, scale if r == 0 else 0.0, scale if r == 1 else 0.0, -along * value
 
 
 def chain_feature_rows(parameters: Array, angles: Array, reverse: Mask, focal_unit: Array, points: int) -> Array:
@@ -280,6 +367,5 @@ def chain_feature_rows(parameters: Array, angles: Array, reverse: Mask, focal_un
 
 @njit(cache=True, nogil=True)
 def _feature_rows(parameters, angles, reverse, focal_unit, features):  # type: ignore[no-untyped-def]
-    scratch = np.zeros((4, 3, 4))
     for row in range(features.shape[0]):
-        chain_features(parameters[row], angles[row], reverse[row], focal_unit[row], features[row], scratch)
+        chain_features(parameters[row], angles[row], reverse[row], focal_unit[row], features[row])

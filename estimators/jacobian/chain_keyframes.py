@@ -14,7 +14,7 @@ from servotrack.estimators.jacobian.chain_kernel import chain_features, chain_po
 @njit(cache=True, nogil=True)
 def chain_residuals(parameters, reverse, angles, features, settings, out):  # type: ignore[no-untyped-def]
     """Write features minus those of the chain. Shape (m,), px."""
-    chain_features(parameters, angles, reverse, settings.focal, out, np.zeros((4, 3, 4)))
+    chain_features(parameters, angles, reverse, settings.focal, out)
     for i in range(out.shape[0]):
         out[i] = features[i] - out[i]
 
@@ -23,18 +23,17 @@ def chain_residuals(parameters, reverse, angles, features, settings, out):  # ty
 def place_points(parameters, angles, reverse, focal_unit, features, new):  # type: ignore[no-untyped-def]
     """Put points that are seen for the first time at depth 1 on their lines of sight."""
     n, p = angles.shape[0], features.shape[0] // 2
-    pose, scratch = np.empty((3, 4)), np.zeros((4, 3, 4))
-    chain_pose(parameters, angles, reverse, pose, scratch)
+    pose = chain_pose(parameters, angles, reverse)
     tail = 6 * n + 3 * p
     focal = focal_unit * math.exp(parameters[tail])
     for j in range(p):
         if not new[2 * j]:
             continue
-        x = (features[2 * j] - focal_unit * parameters[tail + 1]) / focal - pose[0, 3]
-        y = (features[2 * j + 1] - focal_unit * parameters[tail + 2]) / focal - pose[1, 3]
-        z = 1.0 - pose[2, 3]
+        x = (features[2 * j] - focal_unit * parameters[tail + 1]) / focal - pose[0][3]
+        y = (features[2 * j + 1] - focal_unit * parameters[tail + 2]) / focal - pose[1][3]
+        z = 1.0 - pose[2][3]
         for i in range(3):
-            parameters[6 * n + 3 * j + i] = pose[0, i] * x + pose[1, i] * y + pose[2, i] * z
+            parameters[6 * n + 3 * j + i] = pose[0][i] * x + pose[1][i] * y + pose[2][i] * z
 
 
 @njit(cache=True, nogil=True)
@@ -60,7 +59,7 @@ def _merge(parameters, reverse, store, into, other, noise, settings):  # type: i
     share = weights[other].max() / (weights[into].max() + weights[other].max())
     for k in range(angles.shape[1]):
         angles[into, k] += share * (angles[other, k] - angles[into, k])
-    chain_features(parameters, angles[into], reverse, settings.focal, mean, np.zeros((4, 3, 4)))
+    chain_features(parameters, angles[into], reverse, settings.focal, mean)
     squares = 0.0
     for i in range(m):
         total = weights[into, i] + weights[other, i]
@@ -145,8 +144,19 @@ def store_frame(parameters, reverse, store, frame, noise, settings):  # type: ig
 
 
 @njit(cache=True, nogil=True)
-def noise_of(parameters, reverse, store, scatter, noise, settings):  # type: ignore[no-untyped-def]
-    """Return the variance of a feature about the chain, from all frames."""
+def noise_of(parameters, reverse, store, scatter, noise, settings, known):  # type: ignore[no-untyped-def]
+    """Return the variance of a feature about the chain, from all frames.
+
+    Args:
+        parameters: Parameters of the chain. Shape (N,).
+        reverse: True if the last joint is next to the camera.
+        store: See `_merge`.
+        scatter: Squares that merging has lost, px^2.
+        noise: Variance of a feature so far, px^2.
+        settings: A `ChainSettings`.
+        known: Features of the chain that have been computed, and the joint angles of each row of them. Shapes (K, m)
+            and (K, n).
+    """
     angles, features, weights = store
     m = features.shape[1]
     residual = np.empty(m)
@@ -154,7 +164,14 @@ def noise_of(parameters, reverse, store, scatter, noise, settings):  # type: ign
     for k in range(angles.shape[0]):
         if not any_weight(weights[k]):
             continue
-        chain_residuals(parameters, reverse, angles[k], features[k], settings, residual)
+        same = True
+        for j in range(angles.shape[1]):
+            same = same and known[1][k, j] == angles[k, j]
+        if same:
+            for i in range(m):
+                residual[i] = features[k, i] - known[0][k, i]
+        else:
+            chain_residuals(parameters, reverse, angles[k], features[k], settings, residual)
         for i in range(m):
             if weights[k, i] > 0.0:
                 # Each frame counts as in the fit.

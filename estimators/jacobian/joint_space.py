@@ -77,8 +77,10 @@ class JointSpace:
         state, rate = self.image.rate(state, estimate)
         if not isinstance(estimate, GoalSearch) or not is_dataclass(estimate):
             return state, rate
-        motion, left = estimate.motion_to_goal(low, high)
         present = np.sqrt(np.mean(estimate.error**2, axis=-1))
+        if not (present > self.tolerance).any():
+            return state, rate
+        motion, left = estimate.motion_to_goal(low, high)
         step = np.einsum("...ij,...j->...i", damped_inverse(estimate.jacobian[..., :-1], 0.01), estimate.error)
         longest = self.detour * np.sqrt(np.sum(step**2, axis=-1))
         direct = np.sqrt(np.sum(motion**2, axis=-1)) <= longest

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from servotrack.baselines.evaluation.results import CellResults
-from servotrack.baselines.speed import accuracy, bearings, environments, rates, stepping
+from servotrack.baselines.speed import accuracy, bearings, environments, rates, servo_process, stepping
 from servotrack.baselines.speed.environments import stepping_command
 from servotrack.baselines.speed.rates import Rate, Subject
 
@@ -26,6 +26,11 @@ def test_vectors_and_frames_have_rates(num_envs: int, kwargs: dict[str, str]) ->
 
 def test_targets_that_stand_apart_are_all_followed() -> None:
     assert bearings.tracking(4)(0.02) > 0
+
+
+@pytest.mark.parametrize("part", servo_process.PARTS)
+def test_servos_and_their_parts_have_rates(part: str) -> None:
+    assert servo_process.stepper(part)(0.02) > 0
 
 
 def test_rates_come_from_processes_and_a_missing_reference_is_named() -> None:

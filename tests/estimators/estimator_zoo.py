@@ -102,6 +102,10 @@ ZOO: dict[str, Kind] = {
     "lifted-swinging": _servo(jacobian.LiftedKalman(models=SWINGING_MODELS)),
     "latency-bank": _servo(jacobian.HypothesisBank(jacobian.KalmanJacobian(), jacobian.Latencies())),
     "chain": Kind(jacobian.ChainJacobian(keyframes=8), lambda rows: UnseenInputs(joints=3, features=4, batch=(rows,))),
+    "chain-bank": Kind(
+        jacobian.ChainBank(jacobian.ChainJacobian(keyframes=8), plays=(0.0, 0.02)),
+        lambda rows: UnseenInputs(joints=3, features=4, batch=(rows,)),
+    ),
     "informed": Kind(jacobian.InformedKalman(), lambda rows: InformedInputs(batch=(rows,))),
     "adaptive": Kind(jacobian.AdaptiveKalmanJacobian(), lambda rows: ServoInputs(joints=3, features=4, batch=(rows,))),
     "feature-wise": _servo(jacobian.FeatureWise(jacobian.KalmanJacobian())),

@@ -1,0 +1,206 @@
+"""Bank of rigid chains that differ in the play of their gears: one compiled step for all of them.
+
+It returns what an `EstimatorBank` of `ChainJacobian`s does, to the bit, in a fraction of the time: present features and
+covariances are computed for the chosen chain alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from servotrack.estimators.jacobian.adaptive import AdaptiveFilter, AdaptiveKalmanJacobian, AdaptiveState
+from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState, gears
+from servotrack.estimators.jacobian.bank import EstimatorBankState, check_memory
+from servotrack.estimators.jacobian.chain import ChainJacobian, ChainState, checked_points
+from servotrack.estimators.jacobian.chain_bank_kernel import BankReadings, advance_rows, update_bank
+from servotrack.estimators.jacobian.chain_estimate import ChainEstimate
+from servotrack.estimators.jacobian.chain_records import ChainMemory, ChainSettings
+from servotrack.estimators.jacobian.contract import ServoMeasurement
+from servotrack.estimators.types import Array, Mask
+
+
+class _Prepared(NamedTuple):
+    """Arguments of the kernels for n joints and m features. Half plays have shapes (K, n), and (K m, n) by feature."""
+
+    settings: ChainSettings
+    turning: Mask
+    half_play: Array
+    row_turning: Mask
+    row_half_play: Array
+    units: Any
+    noise: Any
+
+
+@dataclass(frozen=True)
+class ChainBank:
+    """Estimator that returns the estimate of the best of K rigid chains, which differ in the play of their gears.
+
+    A chain is as good as its predictions of new frames, as in `EstimatorBank`.
+
+    Args:
+        chain: Chain of which every play has a copy. Its linear filter must be an `AdaptiveKalmanJacobian`. The plays of
+            both alignments are not read.
+        plays: Assumed plays of all joints, rad. Computing time grows in proportion to their number.
+        forgetting: Memory of the weights per frame, in (0, 1]. Smaller values switch sooner.
+        floor: Smallest logarithm of a weight relative to the best, negative. Values nearer to 0 let a chain recover
+            sooner.
+    """
+
+    chain: ChainJacobian = field(default_factory=ChainJacobian)
+    plays: tuple[float, ...] = (0.0, 0.0087, 0.0175)
+    forgetting: float = 0.98
+    floor: float = -30.0
+
+    row_covariances: ClassVar[bool] = True
+
+    _prepared: dict[tuple[int, int], _Prepared] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "plays", tuple(float(play) for play in self.plays))
+        if not self.plays:
+            raise ValueError("plays must have at least one value, got ()")
+        for play in self.plays:
+            Alignment(play=play)
+        if not isinstance(self.chain.linear, AdaptiveKalmanJacobian):
+            kind = type(self.chain.linear).__name__
+            raise ValueError(
+                f"chain must have an AdaptiveKalmanJacobian as its linear filter, got {kind}; use EstimatorBank instead"
+            )
+        check_memory(self.forgetting, self.floor)
+
+    def initial(self, measurement: ServoMeasurement) -> EstimatorBankState:
+        """Return the state with equally likely chains. Raises ValueError as `ChainJacobian` does."""
+        alone = self.chain.initial(measurement)
+        axis, count = np.ndim(measurement.time), len(self.plays)
+        members = _mapped(alone, lambda each: np.repeat(np.expand_dims(each, axis), count, axis))
+        return EstimatorBankState(members, np.zeros((*np.shape(measurement.time), count)))
+
+    def step(
+        self, state: EstimatorBankState, measurement: ServoMeasurement
+    ) -> tuple[EstimatorBankState, ChainEstimate]:
+        """Update every chain with one measurement. Raises ValueError as `ChainJacobian` does."""
+        whole = checked_points(measurement)
+        batch, n, m = whole.time.shape, whole.joint_angles.shape[-1], whole.features.shape[-1]
+        before: ChainState = state.members
+        self._check(before, whole)
+        count, axes = len(self.plays), len(batch)
+        rows = int(np.prod(batch, dtype=np.int64))
+        prepared = self._prepared.get((n, m)) or self._prepare(n, m)
+
+        def flat(values: Any) -> Any:
+            """Merge the axes of the batch and of the chains."""
+            return np.ascontiguousarray(values.reshape(rows * count, *values.shape[axes + 1 :]) if axes else values)
+
+        def shaped(values: Any) -> Any:
+            return values.reshape(*batch, count, *values.shape[1:]) if axes else values
+
+        read_at = whole.time if whole.joint_time is None else whole.joint_time
+        readings = BankReadings(
+            whole.joint_angles.reshape(rows, n),
+            whole.features.reshape(rows, m),
+            whole.goal.reshape(rows, m),
+            whole.visible.reshape(rows, m),
+            whole.frame_time.reshape(rows),
+            read_at.reshape(rows),
+            whole.time.reshape(rows),
+        )
+        linear: Any = self.chain.linear
+        aligned, row_aligned, filtered = advance_rows(
+            AlignmentState(*map(flat, before.alignment)),
+            AlignmentState(*map(flat, before.linear.alignment)),
+            AdaptiveFilter(*map(flat, before.linear.filter)),
+            readings,
+            (prepared.turning, prepared.half_play, self.chain.alignment.latency),
+            (prepared.row_turning, prepared.row_half_play, linear.alignment.latency),
+            prepared.units,
+            prepared.noise,
+        )
+        alignment, row_alignment, newest = (
+            list(map(shaped, part)) for part in (aligned[:8], row_aligned, filtered[:9])
+        )
+        # NumPy sums in an order of its own, which a loop would not reproduce to the bit.
+        motion = alignment[4][..., None, :] - before.seen_joints
+        foreseen = before.seen_features + np.einsum("...ij,...ij->...i", before.jacobian[..., :-1], motion)
+        chains: Any = before.chain
+        memory = ChainMemory(*(flat(each).copy() for each in chains))
+        seen, log_weight, found = update_bank(
+            memory,
+            (
+                flat(before.alignment.seen),
+                flat(before.seen_joints),
+                flat(before.seen_features),
+                flat(before.seen_time),
+                flat(before.seen),
+                flat(before.jacobian),
+                flat(before.center),
+            ),
+            aligned,
+            flat(foreseen),
+            filtered[9:],
+            readings.goal,
+            np.ascontiguousarray(state.log_weight).reshape(rows, count),
+            prepared.settings,
+            (self.forgetting, self.floor),
+        )
+        seen_joints, seen_features, seen_time, ever_seen = map(shaped, seen)
+        members = ChainState(
+            linear=AdaptiveState(AlignmentState(*row_alignment), AdaptiveFilter(*newest)),
+            alignment=AlignmentState(*alignment),
+            center=before.center,
+            seen_joints=seen_joints,
+            seen_features=seen_features,
+            seen_time=seen_time,
+            seen=ever_seen,
+            jacobian=newest[0].copy(),
+            chain=ChainMemory(*map(shaped, memory)),
+        )
+        estimate = [values.reshape((*batch, *values.shape[1:])) for values in found]
+        return (
+            EstimatorBankState(members, log_weight.reshape(*batch, count)),
+            ChainEstimate(
+                *estimate[:6],
+                chained=estimate[6],
+                parameters=estimate[7],
+                reverse=estimate[8],
+                focal=estimate[9],
+                angles=estimate[10],
+            ),
+        )
+
+    def forget(self, state: EstimatorBankState) -> EstimatorBankState:
+        """Let every chain forget, see `ChainJacobian.forget`; the weights stay."""
+        return state._replace(members=self.chain.forget(state.members))
+
+    def _check(self, before: ChainState, whole: ServoMeasurement) -> None:
+        """Raise ValueError if a measurement does not continue a state, as `Alignment.step` does."""
+        axis, m = whole.time.ndim, before.seen_features.shape[-1]
+        first: Any = before.alignment
+        if first.seen.ndim != axis + 1 or first.seen.shape[-1] != len(self.plays):
+            first = _mapped(first, lambda each: each[..., None])
+        else:
+            first = AlignmentState(*(each[(slice(None),) * axis + (0,)] for each in first))
+        self.chain.alignment.check_against(first._replace(frame_features=first.frame_features[..., :m]), whole)
+
+    def _prepare(self, joints: int, features: int) -> _Prepared:
+        linear: Any = self.chain.linear
+        frames, rows = self.chain.alignment, linear.alignment
+        halves = np.array([gears(frames.revolute, play, joints)[1] for play in self.plays])
+        prepared = _Prepared(
+            settings=self.chain.settings(joints),
+            turning=gears(frames.revolute, 0.0, joints)[0],
+            half_play=halves,
+            row_turning=gears(rows.revolute, 0.0, joints)[0],
+            row_half_play=np.repeat(halves, features, axis=0),
+            units=linear.units(features, joints),
+            noise=linear.noise(),
+        )
+        self._prepared[joints, features] = prepared
+        return prepared
+
+
+def _mapped(tree: Any, function: Any) -> Any:
+    """Apply a function to every array of nested NamedTuples."""
+    return type(tree)(*(_mapped(leaf, function) for leaf in tree)) if isinstance(tree, tuple) else function(tree)
