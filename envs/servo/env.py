@@ -112,8 +112,8 @@ class UncalibServoEnv(SingleEnv):
     so ending an episode early never pays.
 
     `info` is for evaluation, not for agents. It holds `tracking_error` (d, m), `feature_error` (distance between the
-    true current features and the goal, px), `success` (d below 10 mm) and `truth` (`joint_angles`, `tool`, `target`,
-    `target_velocity`).
+    true current features and the goal, px), `success` (d below 10 mm), `is_success` (the same under the name that
+    Stable-Baselines3 logs) and `truth` (`joint_angles`, `tool`, `target`, `target_velocity`).
 
     ## Starting State
 
@@ -192,6 +192,7 @@ class UncalibServoEnv(SingleEnv):
             "tracking_error": error,
             "feature_error": float(world.feature_error[0]),
             "success": error < SUCCESS_DISTANCE,
+            "is_success": error < SUCCESS_DISTANCE,
             "truth": {
                 "joint_angles": world.joints[0].copy(),
                 "tool": world.tool[0].copy(),

@@ -74,14 +74,15 @@ def all_observations(world: Servo3DWorld) -> Observation:
 
 def all_infos(world: Servo3DWorld) -> dict[str, Any]:
     """Info of all rows: arrays, or dictionaries of arrays, with a leading axis of N."""
-    sample = world.sample
+    sample, success = world.sample, world.success()
     return {
         "tip_error": sample.tip_error,
         "tip_angle": sample.tip_angle,
         "tracking_error": sample.error,
         "feature_error": sample.feature_error,
         "at_limit": world.state.at_limit.any(axis=1),
-        "success": world.success(),
+        "success": success,
+        "is_success": success,
         "truth": {"joint_angles": world.state.joints},
     }
 
@@ -134,8 +135,8 @@ class UncalibServo3DEnv(SingleEnv):
 
     `info` is for evaluation, not for agents: `tip_error` (d, m), `tip_angle` (a, rad), `tracking_error` (e),
     `feature_error` (mean distance of the true points from the goal, px), `at_limit` (a motor is at its limit),
-    `success` (d below 2 mm and a below 1 degree) and `truth` (`joint_angles`). With `points=1`, which leaves the pose
-    open, d is the point's distance from the goal's line of sight and a is 0.
+    `success` (d below 2 mm and a below 1 degree), `is_success` (the same) and `truth` (`joint_angles`). With
+    `points=1`, which leaves the pose open, d is the point's distance from the goal's line of sight and a is 0.
 
     ## Starting State
 
@@ -194,6 +195,6 @@ class UncalibServo3DEnv(SingleEnv):
         info = all_infos(self.world)
         return {
             **{key: float(info[key][0]) for key in ("tip_error", "tip_angle", "tracking_error", "feature_error")},
-            **{key: bool(info[key][0]) for key in ("at_limit", "success")},
+            **{key: bool(info[key][0]) for key in ("at_limit", "success", "is_success")},
             "truth": {key: value[0].copy() for key, value in info["truth"].items()},
         }

@@ -57,11 +57,12 @@ class ColorTrackingEnv(TrackEnv):
     Intersection over union (IoU) of the answer and the true box of the same frame, 0 to 1. The true box encloses hair
     and face, including their occluded parts.
 
-    `info` serves evaluation; agents must not use it. From the first answer on it holds `iou` and `center_error` (px) of
-    the last answer. `truth` holds `box` (4,), px, the true box of the newest frame. At the end of the episode it holds
-    the scores of the one-pass evaluation (OPE): `auc`, the area under the success curve (share of frames with an IoU
-    above 0, 0.05, ..., 1); `precision`, the share of frames with a center error of at most 20 px; and `failures`, the
-    number of runs of frames without overlap. The first frame is scored, as in the object tracking benchmark.
+    `info` serves evaluation; agents must not use it. It holds `iou` and `center_error` (px) of the last answer, 0 at
+    reset. `truth` holds `box` (4,), px, the true box of the newest frame. The scores of the one-pass evaluation (OPE)
+    are 0 until the whole episode is answered, which `episode_scored` reports: `auc`, the area under the success curve
+    (share of frames with an IoU above 0, 0.05, ..., 1); `precision`, the share of frames with a center error of at most
+    20 px; and `failures`, the number of runs of frames without overlap. The first frame is scored, as in the object
+    tracking benchmark.
 
     ## Starting State
 
