@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib.util
 import math
 import numbers
 from collections.abc import Collection, Iterable, Sequence
@@ -14,6 +15,14 @@ Range = tuple[float, float]
 """Lower and upper end of a uniform distribution."""
 
 RENDER_MODES = ("rgb_array", "human")
+
+
+def available_render_modes() -> list[str]:
+    """Return the render modes for an environment's metadata: `human` only where pygame is installed.
+
+    Checkers make an environment in every mode that its metadata lists.
+    """
+    return [mode for mode in RENDER_MODES if mode != "human" or importlib.util.find_spec("pygame") is not None]
 
 
 def check_render_mode(render_mode: str | None) -> str | None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.actions import check_actions
-from servotrack.envs.arguments import RENDER_MODES
+from servotrack.envs.arguments import available_render_modes
 from servotrack.envs.servo.episode import LEAD
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.targets import PERIOD
@@ -24,7 +24,7 @@ Observation = dict[str, NDArray[Any]]
 
 METADATA: dict[str, Any] = {
     "servotrack_kind": "servo",
-    "render_modes": list(RENDER_MODES),
+    "render_modes": available_render_modes(),
     "render_fps": round(1 / PERIOD),
 }
 

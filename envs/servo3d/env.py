@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.actions import check_actions
-from servotrack.envs.arguments import RENDER_MODES
+from servotrack.envs.arguments import available_render_modes
 from servotrack.envs.servo3d.arms import SerialArm
 from servotrack.envs.servo3d.episode import LEAD, PERIOD
 from servotrack.envs.servo3d.levels import Servo3DConfig, servo3d_config
@@ -24,7 +24,7 @@ Observation = dict[str, NDArray[Any]]
 
 METADATA: dict[str, Any] = {
     "servotrack_kind": "servo3d",
-    "render_modes": list(RENDER_MODES),
+    "render_modes": available_render_modes(),
     "render_fps": round(1 / PERIOD),
 }
 

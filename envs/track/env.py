@@ -9,12 +9,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike
 
-from servotrack.envs.arguments import RENDER_MODES, check_count
+from servotrack.envs.arguments import available_render_modes, check_count
 from servotrack.envs.single_env import SingleEnv
 from servotrack.envs.vector_env import BatchedVectorEnv, masked_infos
 from servotrack.estimators.types import Array, Mask
 
-METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 10}
+METADATA: dict[str, Any] = {"render_modes": available_render_modes(), "render_fps": 10}
 
 
 def set_space(rows: int, low: ArrayLike, high: ArrayLike) -> gym.spaces.Box:

@@ -9,14 +9,14 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from servotrack.envs.arguments import RENDER_MODES, check_count
+from servotrack.envs.arguments import available_render_modes, check_count
 from servotrack.envs.track.color.config import LEVEL_NAMES, ColorConfig, color_config, color_level
 from servotrack.envs.track.color.world import ColorWorld
 from servotrack.envs.track.env import TrackEnv, TrackVectorEnv
 
 Observation = dict[str, NDArray[Any]]
 
-METADATA: dict[str, Any] = {"servotrack_kind": "color", "render_modes": list(RENDER_MODES), "render_fps": 25}
+METADATA: dict[str, Any] = {"servotrack_kind": "color", "render_modes": available_render_modes(), "render_fps": 25}
 
 
 class ColorTrackingEnv(TrackEnv):
