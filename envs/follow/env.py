@@ -68,6 +68,8 @@ class PedestrianServoEnv(UncalibServoEnv):
     rows are zeros. With `detections`, pixels are the camera's (`camera_size` to a side); with `pixels`, those of
     `image`.
 
+    `servotrack.envs.FlatSets` scales all this for networks, and enlarges the picture for those that need 36 px.
+
     `observation="identity"`, for debugging, gives the observation of `UncalibServo-v0` with the features of the right
     person: a perfect tracker.
 

@@ -18,8 +18,8 @@ import servotrack
 
 env_id = sys.argv[1]
 warnings.simplefilter("error")
-warnings.filterwarnings("ignore", message=".*(symmetric and normalized|recommend using np.float32).*")
-env = gym.make(env_id, horizon=4)
+arguments = {"normalized_actions": True} if env_id == "ColorTracking-v0" else {}
+env = gym.make(env_id, horizon=4, **arguments)
 assert env.metadata["render_modes"] == ["rgb_array"], env.metadata
 check_env(env.unwrapped)
 if importlib.util.find_spec("stable_baselines3"):
