@@ -69,12 +69,16 @@ def check_level(level: Any, count: int) -> int:
 
 
 def check_keywords(names: Iterable[str], known: Sequence[str], also: Sequence[str] = ()) -> None:
-    """Raise a TypeError for an unknown keyword, suggesting the nearest one of `known` and `also`."""
+    """Raise a TypeError for an unknown keyword, suggesting the nearest one of `known` and `also`.
+
+    The message begins as Python's own, by which libraries recognize it: TorchRL passes `frameskip`, and makes the
+    environment again without it after "unexpected keyword argument 'frameskip'".
+    """
     for name in names:
         if name not in known:
             near = difflib.get_close_matches(name, (*known, *also), n=1)
             hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
-            raise TypeError(f"unknown keyword {name!r}{hint}")
+            raise TypeError(f"got an unexpected keyword argument {name!r}{hint}")
 
 
 def check_fields(
