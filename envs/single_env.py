@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from servotrack.envs.arguments import check_options, check_render_mode, check_seed
 from servotrack.envs.streams import episode_seed
-from servotrack.envs.vector_env import BatchedWorld, FrameSource
+from servotrack.envs.vector_env import BatchedWorld, FrameSource, spec_with_limit
 from servotrack.estimators.types import Array
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ class SingleEnv(gym.Env[Any, Any]):
     """
 
     world: Any
+    _spec: EnvSpec | None = None
 
     def __init__(
         self,
@@ -73,6 +75,20 @@ class SingleEnv(gym.Env[Any, Any]):
     def _pictured(self) -> dict[str, Any]:
         """Sensor data for the picture: keywords of `FrameSource.frame`."""
         return {}
+
+    @property
+    def episode_steps(self) -> int:
+        """Number of steps after which an episode is truncated."""
+        return int(self.world.episode_steps)
+
+    @property  # type: ignore[override]
+    def spec(self) -> EnvSpec | None:
+        """Specification by Gymnasium; `max_episode_steps` is the truncation of this level with these keywords."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = spec_with_limit(spec, self.episode_steps)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start a new episode.

@@ -249,6 +249,11 @@ class ServoWorld:
             rows, self.steps, self.joints, self.history, self._sense_settings, self._episode_tables, self._sample
         )  # fmt: skip
 
+    @property
+    def episode_steps(self) -> int:
+        """Number of steps after which an episode is truncated."""
+        return self.config.warmup + self.config.horizon
+
     def privileged(self) -> dict[str, Array]:
         """Additional observations for oracles and the informed bound, arrays of N rows.
 

@@ -175,7 +175,6 @@ class UncalibServo3DEnv(SingleEnv):
         world = Servo3DWorld(self.config, 1)
         self.max_joint_rate = self.config.max_joint_rate
         self.max_joint_acceleration = self.config.max_joint_acceleration
-        self.episode_steps = self.config.horizon
         self.joint_low, self.joint_high = world.arm.low, world.arm.high
         spaces = observation_space(self.config, world.arm), action_space(world.arm.joints)
         super().__init__(world, *spaces, render_mode, type(self).__name__)

@@ -173,6 +173,11 @@ class Servo3DWorld:
     def _sense(self, rows: Mask) -> None:
         sense(rows, self._arm, self._settings, self.tables, self.steps, self.state, self.sample)
 
+    @property
+    def episode_steps(self) -> int:
+        """Number of steps after which an episode is truncated."""
+        return self.config.horizon
+
     def privileged(self) -> dict[str, Array]:
         """Additional observations for calibrated and privileged agents, arrays of N rows.
 
