@@ -24,6 +24,7 @@ from PIL import Image
 from servotrack.baselines import create_agent
 from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.evaluation.evaluate import make_single, show_belief
+from servotrack.envs.arguments import RENDER_MODES
 from servotrack.envs.registration import ENVIRONMENTS
 
 FOLDER = Path(__file__).parent / "environments"
@@ -130,7 +131,7 @@ def page(env_id: str) -> str:
         f'| make | `gym.make("{env_id}")` after `import servotrack` |',
         f"| action space | {_space(env.action_space)} |",
         *_space_rows(env.observation_space),
-        f"| render modes | {', '.join(f'`{mode}`' for mode in env.metadata['render_modes'])} |",
+        f"| render modes | {', '.join(f'`{mode}`' for mode in RENDER_MODES)} |",
     ]
     parts = [f"# {env_id}", headline, _animated(env_id), "\n".join(facts), _linked(body.strip(), env_id)]
     config = getattr(env, "config", None)

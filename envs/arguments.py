@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib.util
 import math
 import numbers
 from collections.abc import Collection, Iterable, Sequence
@@ -14,6 +15,14 @@ Range = tuple[float, float]
 """Lower and upper end of a uniform distribution."""
 
 RENDER_MODES = ("rgb_array", "human")
+
+
+def available_render_modes() -> list[str]:
+    """Return the render modes for an environment's metadata: `human` only where pygame is installed.
+
+    Checkers make an environment in every mode that its metadata lists.
+    """
+    return [mode for mode in RENDER_MODES if mode != "human" or importlib.util.find_spec("pygame") is not None]
 
 
 def check_render_mode(render_mode: str | None) -> str | None:
@@ -60,12 +69,16 @@ def check_level(level: Any, count: int) -> int:
 
 
 def check_keywords(names: Iterable[str], known: Sequence[str], also: Sequence[str] = ()) -> None:
-    """Raise a TypeError for an unknown keyword, suggesting the nearest one of `known` and `also`."""
+    """Raise a TypeError for an unknown keyword, suggesting the nearest one of `known` and `also`.
+
+    The message begins as Python's own, by which libraries recognize it: TorchRL passes `frameskip`, and makes the
+    environment again without it after "unexpected keyword argument 'frameskip'".
+    """
     for name in names:
         if name not in known:
             near = difflib.get_close_matches(name, (*known, *also), n=1)
             hint = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
-            raise TypeError(f"unknown keyword {name!r}{hint}")
+            raise TypeError(f"got an unexpected keyword argument {name!r}{hint}")
 
 
 def check_fields(

@@ -1,62 +1,93 @@
-"""Wrappers that flatten sets to vectors in [-1, 1], as reinforcement learning libraries expect."""
+"""Wrappers that give reinforcement learning libraries vectors in [-1, 1] and images that their networks accept."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from servotrack.estimators.types import Array, FloatArray
+from servotrack.envs.box_scale import BoxScale
+from servotrack.estimators.types import FloatArray
+
+MIN_IMAGE_SIZE = 36
+"""Least height and width of an image, px. Below it the convolutions of Stable-Baselines3's `NatureCNN` do not fit."""
 
 
-class _Scale:
-    """Map between a finite Box of any shape and the flat Box [-1, 1] of float32."""
+class _View(Protocol):
+    """Map of observations from one space to another."""
 
-    def __init__(self, space: gym.Space[Any], name: str) -> None:
-        if not isinstance(space, gym.spaces.Box) or not space.is_bounded() or not (space.high > space.low).all():
-            raise TypeError(f"FlatSets needs a Box with finite bounds as {name} space, got {space}")
-        self.shape = space.shape
-        self._low, self._span = space.low.astype(np.float64), space.high.astype(np.float64) - space.low
-        self.space = gym.spaces.Box(-1.0, 1.0, (int(np.prod(space.shape)),), np.float32)
+    @property
+    def space(self) -> gym.Space[Any]:
+        """Space of the mapped observations."""
 
-    def flat(self, values: NDArray[Any]) -> FloatArray:
-        scaled = 2.0 * (values - self._low) / self._span - 1.0
-        batch = values.shape[: values.ndim - len(self.shape)]
-        return scaled.reshape(*batch, -1).astype(np.float32)
-
-    def restored(self, values: NDArray[Any]) -> Array:
-        flat = np.clip(np.asarray(values, dtype=np.float64), -1.0, 1.0)
-        return self._low + 0.5 * (flat.reshape(*flat.shape[:-1], *self.shape) + 1.0) * self._span
+    def flat(self, values: Any) -> Any:
+        """Map an observation, or a batch of them."""
 
 
-class FlatSets(gym.Wrapper[FloatArray, NDArray[Any], NDArray[Any], NDArray[Any]]):
-    """Flatten observation and action of a tracking environment to float32 vectors, every entry rescaled to [-1, 1].
+class _Image:
+    """An RGB image, enlarged by repeating each pixel until both sides reach `MIN_IMAGE_SIZE`."""
 
-    The zeros of an unused row map to values inside (-1, 1) according to the bounds, and its existence to -1.
+    def __init__(self, space: gym.spaces.Box) -> None:
+        height, width, channels = space.shape
+        self._factor = -(-MIN_IMAGE_SIZE // min(height, width))
+        self.space = gym.spaces.Box(0, 255, (height * self._factor, width * self._factor, channels), np.uint8)
+
+    def flat(self, values: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        if self._factor == 1:
+            return values
+        return values.repeat(self._factor, axis=-3).repeat(self._factor, axis=-2)
+
+
+class _Entries:
+    """The entries of a Dict, each mapped by its own view."""
+
+    def __init__(self, space: gym.spaces.Dict) -> None:
+        self._views = {key: _view(part, f"observation {key!r}") for key, part in space.spaces.items()}
+        self.space = gym.spaces.Dict({key: view.space for key, view in self._views.items()})
+
+    def flat(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        return {key: view.flat(values[key]) for key, view in self._views.items()}
+
+
+def _view(space: gym.Space[Any], name: str) -> _View:
+    if isinstance(space, gym.spaces.Dict):
+        return _Entries(space)
+    if isinstance(space, gym.spaces.Box) and space.dtype == np.uint8 and len(space.shape) == 3:
+        return _Image(space)
+    return BoxScale(space, name)
+
+
+class FlatSets(gym.Wrapper[Any, Any, Any, Any]):
+    """Give libraries what their networks expect: float32 vectors in [-1, 1], and images of at least 36 x 36 pixels.
+
+    Sets, tables and vectors become flat rows whose entries are rescaled by their bounds, and so does the action. The
+    zeros of an unused row of a set map to values inside (-1, 1) according to the bounds, and its existence to -1. An
+    image stays a uint8 image; a smaller one, such as the 32 x 32 patch of `PedestrianServo-v0`, is enlarged by
+    repeating its pixels. A Dict stays a Dict. Stable-Baselines3's `check_env` passes on every id of this package
+    without a warning, and its `MlpPolicy`, `CnnPolicy` or `MultiInputPolicy` learns from it.
 
     Args:
-        env: Environment whose observation and action spaces are bounded boxes.
+        env: Environment whose action space is a bounded Box and whose observation space is one or a Dict of such.
 
     Raises:
-        TypeError: A space is not a bounded box.
+        TypeError: A space is not bounded.
     """
 
-    def __init__(self, env: gym.Env[NDArray[Any], NDArray[Any]]) -> None:
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
-        self._seen, self._done = _Scale(env.observation_space, "observation"), _Scale(env.action_space, "action")
+        self._seen, self._done = _view(env.observation_space, "observation"), BoxScale(env.action_space, "action")
         self.observation_space, self.action_space = self._seen.space, self._done.space
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[FloatArray, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment and flatten the observation."""
         observation, info = self.env.reset(seed=seed, options=options)
         return self._seen.flat(observation), info
 
-    def step(self, action: NDArray[Any]) -> tuple[FloatArray, Any, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step with a flat action in [-1, 1] (clipped) and flatten the observation."""
         observation, reward, terminated, truncated, info = self.env.step(self._done.restored(action))
         return self._seen.flat(observation), reward, terminated, truncated, info
@@ -66,21 +97,22 @@ class VectorFlatSets(gym.vector.VectorWrapper):
     """`FlatSets` for a vector environment.
 
     Args:
-        env: Vector environment whose single observation and action spaces are bounded boxes.
+        env: Vector environment whose single action space is a bounded Box, and whose single observation space is one
+            or a Dict of such.
 
     Raises:
-        TypeError: A space is not a bounded box.
+        TypeError: A space is not bounded.
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
         super().__init__(env)
-        self._seen = _Scale(env.single_observation_space, "observation")
-        self._done = _Scale(env.single_action_space, "action")
+        self._seen = _view(env.single_observation_space, "observation")
+        self._done = BoxScale(env.single_action_space, "action")
         self.single_observation_space, self.single_action_space = self._seen.space, self._done.space
         self.observation_space = batch_space(self._seen.space, env.num_envs)
         self.action_space = batch_space(self._done.space, env.num_envs)
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[FloatArray, dict[str, Any]]:
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environments and flatten the observations."""
         observations, infos = self.env.reset(seed=seed, options=options)
         return self._seen.flat(observations), infos

@@ -51,7 +51,11 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
 
 
 def register_all() -> None:
-    """Register every id of `ENVIRONMENTS` with Gymnasium. Entry points are strings, imported by `make` only."""
+    """Register every id of `ENVIRONMENTS` with Gymnasium. Entry points are strings, imported by `make` only.
+
+    `max_episode_steps` is not registered: `make` would cut the longer episodes of other levels and keywords there. An
+    environment sets it in its own `spec`, see `servotrack.envs.vector_env.spec_with_limit`.
+    """
     for env_id, entry in ENVIRONMENTS.items():
         if env_id not in gym.registry:
             gym.register(id=env_id, **entry)

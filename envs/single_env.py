@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from servotrack.envs.state import (
     set_parts,
 )
 from servotrack.envs.streams import episode_seed
-from servotrack.envs.vector_env import BatchedWorld, FrameSource
+from servotrack.envs.vector_env import BatchedWorld, FrameSource, spec_with_limit
 from servotrack.estimators.types import Array
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ class SingleEnv(gym.Env[Any, Any]):
 
     config: Any
     world: Any
+    _spec: EnvSpec | None = None
 
     def __init__(
         self,
@@ -90,6 +92,20 @@ class SingleEnv(gym.Env[Any, Any]):
     def _pictured(self) -> dict[str, Any]:
         """Sensor data for the picture: keywords of `FrameSource.frame`."""
         return {}
+
+    @property
+    def episode_steps(self) -> int:
+        """Number of steps after which an episode is truncated."""
+        return int(self.world.episode_steps)
+
+    @property  # type: ignore[override]
+    def spec(self) -> EnvSpec | None:
+        """Specification by Gymnasium; `max_episode_steps` is the truncation of this level with these keywords."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = spec_with_limit(spec, self.episode_steps)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start a new episode.

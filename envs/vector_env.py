@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
@@ -47,6 +49,10 @@ class BatchedWorld(Protocol):
     def step(self, actions: Array, running: Mask | None = None) -> None:
         """Advance the rows whose episode is running. The other rows wait for their reset."""
 
+    @property
+    def episode_steps(self) -> int:
+        """Number of steps after which an episode is truncated."""
+
     def privileged(self) -> dict[str, Array]:
         """Return the entries that `VectorPrivilegedObservation` adds to observations."""
 
@@ -78,6 +84,7 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
 
     config: Any
     world: Any
+    _spec: EnvSpec | None = None
 
     def __init__(
         self,
@@ -129,6 +136,21 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
     def _pictured(self, row: int) -> dict[str, Any]:
         """Sensor data of a row for its picture: keywords of `FrameSource.frame`."""
         return {}
+
+    @property
+    def episode_steps(self) -> int:
+        """Number of steps after which an episode is truncated, without the argument `max_episode_steps`."""
+        return int(self.world.episode_steps)
+
+    @property  # type: ignore[override]
+    def spec(self) -> EnvSpec | None:
+        """Specification by Gymnasium; `max_episode_steps` is the truncation of this level with these keywords."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        limit = self.episode_steps if self._step_limit is None else min(self._step_limit, self.episode_steps)
+        self._spec = spec_with_limit(spec, limit)
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
@@ -333,6 +355,18 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
         if not mask.any():
             raise ValueError("options['reset_mask'] must be true for at least one sub-environment")
         return mask.copy()
+
+
+def spec_with_limit(spec: EnvSpec | None, steps: int) -> EnvSpec | None:
+    """Return a copy of a specification with the limit of steps that an environment itself keeps.
+
+    The ids are registered without a limit, because it depends on level and keywords and `gym.make` would cut longer
+    episodes at the registered one by its wrapper `TimeLimit`.
+    """
+    if spec is not None:
+        spec = copy.copy(spec)
+        spec.max_episode_steps = steps
+    return spec
 
 
 def masked_infos(values: dict[str, Any], chosen: Mask) -> dict[str, Any]:

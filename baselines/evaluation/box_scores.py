@@ -35,8 +35,7 @@ class BoxScoreRecorder:
             ending: Rows whose episode ends with this step, shape (N,).
         """
         self._overlaps.append(np.array(info["iou"], dtype=np.float64))
-        reported = np.asarray(info.get("_auc", np.zeros(len(ending), np.bool_)))
-        for row in np.flatnonzero(ending & reported).tolist():
+        for row in np.flatnonzero(ending & info["episode_scored"]).tolist():
             self._whole[row] = {name: float(info[name][row]) for name in _WHOLE}
 
     def columns(self, row: int, length: int) -> Row:

@@ -88,8 +88,5 @@ def _max_steps(env: Any) -> int | None:
     """Steps of a full episode: those that the environment says, or those that the id was registered with."""
     if (declared := getattr(env.unwrapped, "episode_steps", None)) is not None:
         return int(declared)
-    config: Any = getattr(env.unwrapped, "config", None)
-    if hasattr(config, "warmup") and hasattr(config, "horizon"):
-        return int(config.warmup + config.horizon)
     own = None if env.spec is None else env.spec.max_episode_steps
     return None if own is None else int(own)

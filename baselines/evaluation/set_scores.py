@@ -47,10 +47,8 @@ class SetScoreRecorder:
                 )
             values.append(np.array(info[name], dtype=np.float64))
         self._scored.append(np.array(info.get("scored", np.ones(len(ending), np.bool_))))
-        for name in _WHOLE:
-            reported = np.asarray(info.get(f"_{name}", np.zeros(len(ending), np.bool_)))
-            for row in np.flatnonzero(ending & reported).tolist():
-                self._whole[row][name] = float(info[name][row])
+        for row in np.flatnonzero(ending & info["episode_scored"]).tolist():
+            self._whole[row] = {name: float(info[name][row]) for name in _WHOLE if name in info}
 
     def columns(self, row: int, length: int) -> Row:
         """Columns of one episode: means over its scored steps, and the scores of the whole."""

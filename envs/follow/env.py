@@ -69,6 +69,8 @@ class PedestrianServoEnv(UncalibServoEnv):
     rows are zeros. With `detections`, pixels are the camera's (`camera_size` to a side); with `pixels`, those of
     `image`.
 
+    `servotrack.envs.FlatSets` scales all this for networks, and enlarges the picture for those that need 36 px.
+
     `observation="identity"`, for debugging, gives the observation of `UncalibServo-v0` with the features of the right
     person: a perfect tracker.
 
@@ -82,7 +84,7 @@ class PedestrianServoEnv(UncalibServoEnv):
     |---|---|
     | `tracking_error` | distance between tool and person, m |
     | `feature_error` | distance between feature and goal, px |
-    | `success` | true if the distance is below 10 cm |
+    | `success`, `is_success` | true if the distance is below 10 cm; Stable-Baselines3 logs the second name |
     | `time_on_target` | share of the samples so far with a distance below 10 cm |
     | `identity_error` | true if the tool is within 0.5 m of another person and not of the right one |
     | `lost` | true if the person was farther away than 1 m and has not been within 0.5 m since |
@@ -175,7 +177,7 @@ class PedestrianServoEnv(UncalibServoEnv):
     def _info(self) -> dict[str, Any]:
         world = self.world
         info = super()._info()
-        info["success"] = info["tracking_error"] < ON_TARGET_DISTANCE
+        info["success"] = info["is_success"] = info["tracking_error"] < ON_TARGET_DISTANCE
         info["truth"]["people"] = world.people[0, world.steps[0] + LEAD, :, :2].copy()
         for name in _COUNTED:
             info[name] = getattr(world, name).item(0)

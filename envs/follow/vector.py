@@ -76,8 +76,10 @@ class PedestrianServoVectorEnv(UncalibServoVectorEnv):
     def _all_infos(self) -> dict[str, Any]:
         world, infos = self.world, super()._all_infos()
         infos["truth"]["people"] = people_now(world)
+        success = world.tracking_error < ON_TARGET_DISTANCE
         return infos | {
-            "success": world.tracking_error < ON_TARGET_DISTANCE,
+            "success": success,
+            "is_success": success,
             "time_on_target": world.time_on_target,
             "identity_error": world.identity_error,
             "lost": world.lost,

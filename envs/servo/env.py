@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.actions import check_actions
-from servotrack.envs.arguments import RENDER_MODES
+from servotrack.envs.arguments import available_render_modes
 from servotrack.envs.servo.engine import chosen_engine
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.targets import LEAD, PERIOD
@@ -24,7 +24,7 @@ Observation = dict[str, NDArray[Any]]
 
 METADATA: dict[str, Any] = {
     "servotrack_kind": "servo",
-    "render_modes": list(RENDER_MODES),
+    "render_modes": available_render_modes(),
     "render_fps": round(1 / PERIOD),
 }
 
@@ -112,8 +112,8 @@ class UncalibServoEnv(SingleEnv):
     so ending an episode early never pays.
 
     `info` is for evaluation, not for agents. It holds `tracking_error` (d, m), `feature_error` (distance between the
-    true current features and the goal, px), `success` (d below 10 mm) and `truth` (`joint_angles`, `tool`, `target`,
-    `target_velocity`).
+    true current features and the goal, px), `success` (d below 10 mm), `is_success` (the same under the name that
+    Stable-Baselines3 logs) and `truth` (`joint_angles`, `tool`, `target`, `target_velocity`).
 
     ## Starting State
 
@@ -200,6 +200,7 @@ class UncalibServoEnv(SingleEnv):
             "tracking_error": error,
             "feature_error": float(world.feature_error[0]),
             "success": error < SUCCESS_DISTANCE,
+            "is_success": error < SUCCESS_DISTANCE,
             "truth": {
                 "joint_angles": world.joints[0].copy(),
                 "tool": world.tool[0].copy(),

@@ -93,10 +93,12 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
     def _all_infos(self) -> dict[str, Any]:
         """Info of all rows: arrays, or dictionaries of arrays, with a leading axis of N."""
         world = self.world
+        success = world.tracking_error < SUCCESS_DISTANCE
         return {
             "tracking_error": world.tracking_error,
             "feature_error": world.feature_error,
-            "success": world.tracking_error < SUCCESS_DISTANCE,
+            "success": success,
+            "is_success": success,
             "truth": {
                 "joint_angles": world.joints,
                 "tool": world.tool,

@@ -256,6 +256,11 @@ class ServoWorld:
     def _after_sensing(self, rows: Mask) -> None:
         """Complete the new sample of the chosen rows."""
 
+    @property
+    def episode_steps(self) -> int:
+        """Number of steps after which an episode is truncated."""
+        return self.config.warmup + self.config.horizon
+
     def privileged(self) -> dict[str, Array]:
         """Additional observations for oracles and the informed bound, arrays of N rows.
 

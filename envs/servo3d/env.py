@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.actions import check_actions
-from servotrack.envs.arguments import RENDER_MODES
+from servotrack.envs.arguments import available_render_modes
 from servotrack.envs.servo3d.arms import SerialArm
 from servotrack.envs.servo3d.episode import LEAD, PERIOD
 from servotrack.envs.servo3d.levels import Servo3DConfig, servo3d_config
@@ -24,7 +24,7 @@ Observation = dict[str, NDArray[Any]]
 
 METADATA: dict[str, Any] = {
     "servotrack_kind": "servo3d",
-    "render_modes": list(RENDER_MODES),
+    "render_modes": available_render_modes(),
     "render_fps": round(1 / PERIOD),
 }
 
@@ -74,14 +74,15 @@ def all_observations(world: Servo3DWorld) -> Observation:
 
 def all_infos(world: Servo3DWorld) -> dict[str, Any]:
     """Info of all rows: arrays, or dictionaries of arrays, with a leading axis of N."""
-    sample = world.sample
+    sample, success = world.sample, world.success()
     return {
         "tip_error": sample.tip_error,
         "tip_angle": sample.tip_angle,
         "tracking_error": sample.error,
         "feature_error": sample.feature_error,
         "at_limit": world.state.at_limit.any(axis=1),
-        "success": world.success(),
+        "success": success,
+        "is_success": success,
         "truth": {"joint_angles": world.state.joints},
     }
 
@@ -134,8 +135,8 @@ class UncalibServo3DEnv(SingleEnv):
 
     `info` is for evaluation, not for agents: `tip_error` (d, m), `tip_angle` (a, rad), `tracking_error` (e),
     `feature_error` (mean distance of the true points from the goal, px), `at_limit` (a motor is at its limit),
-    `success` (d below 2 mm and a below 1 degree) and `truth` (`joint_angles`). With `points=1`, which leaves the pose
-    open, d is the point's distance from the goal's line of sight and a is 0.
+    `success` (d below 2 mm and a below 1 degree), `is_success` (the same) and `truth` (`joint_angles`). With
+    `points=1`, which leaves the pose open, d is the point's distance from the goal's line of sight and a is 0.
 
     ## Starting State
 
@@ -174,7 +175,6 @@ class UncalibServo3DEnv(SingleEnv):
         world = Servo3DWorld(self.config, 1)
         self.max_joint_rate = self.config.max_joint_rate
         self.max_joint_acceleration = self.config.max_joint_acceleration
-        self.episode_steps = self.config.horizon
         self.joint_low, self.joint_high = world.arm.low, world.arm.high
         spaces = observation_space(self.config, world.arm), action_space(world.arm.joints)
         super().__init__(world, *spaces, render_mode, type(self).__name__)
@@ -194,6 +194,6 @@ class UncalibServo3DEnv(SingleEnv):
         info = all_infos(self.world)
         return {
             **{key: float(info[key][0]) for key in ("tip_error", "tip_angle", "tracking_error", "feature_error")},
-            **{key: bool(info[key][0]) for key in ("at_limit", "success")},
+            **{key: bool(info[key][0]) for key in ("at_limit", "success", "is_success")},
             "truth": {key: value[0].copy() for key, value in info["truth"].items()},
         }

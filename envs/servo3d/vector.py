@@ -56,7 +56,6 @@ class UncalibServo3DVectorEnv(BatchedVectorEnv):
         world = Servo3DWorld(self.config, count)
         self.max_joint_rate = self.config.max_joint_rate
         self.max_joint_acceleration = self.config.max_joint_acceleration
-        self.episode_steps = self.config.horizon
         self.joint_low, self.joint_high = world.arm.low, world.arm.high
         super().__init__(
             world,

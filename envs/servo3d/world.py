@@ -203,6 +203,11 @@ class Servo3DWorld:
         views = self.state._asdict()
         return views | {name: views[name].swapaxes(0, 1) for name in ("motor_history", "images", "in_image")}
 
+    @property
+    def episode_steps(self) -> int:
+        """Number of steps after which an episode is truncated."""
+        return self.config.horizon
+
     def privileged(self) -> dict[str, Array]:
         """Additional observations for calibrated and privileged agents, arrays of N rows.
 

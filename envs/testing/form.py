@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from gymnasium.vector.utils import batch_space, create_empty_array
 
-from servotrack.envs.testing.event_trace import batch_actions
+from servotrack.envs.testing.event_trace import FINAL_KEYS, batch_actions
 from servotrack.envs.testing.subject import Subject, VectorEnv, assert_rejected, assert_same
 from servotrack.estimators.testing.bits import first_difference
 
@@ -56,12 +56,17 @@ def check_returns(subject: Subject) -> None:
 
 
 def check_infos(subject: Subject) -> None:
-    """Check that every entry of the infos has one value and one mask entry for each sub-environment."""
+    """Check that reset and step have the same infos, each with one value and one mask entry per sub-environment."""
     for mode in subject.modes:
         with subject.opened(mode) as env:
-            _check_infos(env.reset(seed=subject.seed)[1], env.num_envs, "infos")
+            infos = env.reset(seed=subject.seed)[1]
+            _check_infos(infos, env.num_envs, "infos")
+            form = _info_form(infos)
             for _, result in subject.play(env, mode):
                 _check_infos(result[4], env.num_envs, "infos")
+                _check_info_form(result[4], form, "infos")
+                if result[4].get("final_info"):
+                    _check_info_form(result[4]["final_info"], form, "infos['final_info']")
 
 
 def check_rendering(subject: Subject) -> None:
@@ -120,6 +125,23 @@ def _check_array(name: str, value: Any, num_envs: int, dtype: type[np.generic]) 
     assert isinstance(value, np.ndarray) and value.shape == (num_envs,) and np.issubdtype(value.dtype, dtype), (
         f"step() must return {name} as an array of {dtype.__name__} with shape ({num_envs},), got "
         f"{f'{value.dtype}{value.shape}' if isinstance(value, np.ndarray) else type(value).__name__}"
+    )
+
+
+def _info_form(infos: dict[str, Any]) -> dict[str, Any]:
+    """Data type and shape of every entry, nested ones included, without masks and `FINAL_KEYS`."""
+    return {
+        key: _info_form(value) if isinstance(value, dict) else f"{np.asarray(value).dtype}{np.shape(value)}"
+        for key, value in infos.items()
+        if not key.startswith("_") and key not in FINAL_KEYS
+    }
+
+
+def _check_info_form(infos: dict[str, Any], form: dict[str, Any], where: str) -> None:
+    found = first_difference(_info_form(infos), form, where)
+    assert found is None, (
+        "step() must return infos with the keys, data types and shapes of those of reset(), nested ones included, "
+        f"because recorders of data sets store them as columns, but {found}; fill in zeros until a value is known"
     )
 
 

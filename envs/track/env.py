@@ -9,12 +9,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike
 
-from servotrack.envs.arguments import RENDER_MODES, check_count
+from servotrack.envs.arguments import available_render_modes, check_count
 from servotrack.envs.single_env import SingleEnv
 from servotrack.envs.vector_env import BatchedVectorEnv, masked_infos
 from servotrack.estimators.types import Array, Mask
 
-METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 10}
+METADATA: dict[str, Any] = {"render_modes": available_render_modes(), "render_fps": 10}
 
 
 def set_space(rows: int, low: ArrayLike, high: ArrayLike) -> gym.spaces.Box:
@@ -55,6 +55,22 @@ def check_answer(action: Any, shape: tuple[int, ...]) -> Array:
     return values
 
 
+def all_infos(world: Any) -> dict[str, Any]:
+    """Info of all rows: arrays, or dictionaries of arrays, with a leading axis of N.
+
+    Every info has the same keys, as recorders of episodes need it: scores of the last answer are 0 before the first
+    one, and scores of the episode are 0 until `episode_scored`, when the whole episode was answered.
+    """
+    scores, whole = _from_then_on(world.scores(), world.steps > 0), world.episode_scores()
+    if whole:
+        scores |= {"episode_scored": world.truncated, **_from_then_on(whole, world.truncated)}
+    return {"truth": world.truth(), **scores}
+
+
+def _from_then_on(values: dict[str, Array], known: Mask) -> dict[str, Array]:
+    return {key: np.where(known, value, np.zeros((), value.dtype)) for key, value in values.items()}
+
+
 class TrackEnv(SingleEnv):
     """Tracking environment with one scene. Subclasses provide a batched world, the spaces and a recorder.
 
@@ -80,13 +96,10 @@ class TrackEnv(SingleEnv):
         return check_answer(action, self.action_space.shape)
 
     def _info(self) -> dict[str, Any]:
-        world = self.world
-        info: dict[str, Any] = {"truth": {key: value[0].copy() for key, value in world.truth().items()}}
-        if world.steps[0] > 0:
-            info |= {key: value[0].item() for key, value in world.scores().items()}
-        if world.truncated[0]:
-            info |= {key: value[0].item() for key, value in world.episode_scores().items()}
-        return info
+        return {
+            key: {name: part[0].copy() for name, part in value.items()} if key == "truth" else value[0].item()
+            for key, value in all_infos(self.world).items()
+        }
 
 
 class TrackVectorEnv(BatchedVectorEnv):
@@ -133,11 +146,4 @@ class TrackVectorEnv(BatchedVectorEnv):
         return check_answer(actions, self.action_space.shape)
 
     def _infos(self, chosen: Mask) -> dict[str, Any]:
-        world = self.world
-        infos = masked_infos({"truth": world.truth()}, chosen)
-        answered, over = chosen & (world.steps > 0), chosen & world.truncated
-        if answered.any():
-            infos |= masked_infos(world.scores(), answered)
-        if over.any():
-            infos |= masked_infos(world.episode_scores(), over)
-        return infos
+        return masked_infos(all_infos(self.world), chosen)

@@ -122,3 +122,13 @@ def test_an_algorithm_learns_through_it() -> None:
     model.learn(64)
     assert any((a != b).any() for a, b in zip(before, model.policy.parameters(), strict=True))
     assert len(model.ep_info_buffer or ()) > 0
+
+
+@pytest.mark.parametrize("adapter", [True, False])
+def test_the_rate_of_success_is_logged(adapter: bool) -> None:
+    """Stable-Baselines3 reads `is_success` from the last info of an episode."""
+    algorithms = pytest.importorskip("stable_baselines3")
+    env: Any = StableBaselinesVecEnv(make()) if adapter else gym.make("UncalibServo-v0", **SHORT)  # type: ignore[arg-type]
+    model = algorithms.PPO("MultiInputPolicy", env, n_steps=20, batch_size=20, n_epochs=1, device="cpu")
+    model.learn(20)
+    assert len(model.ep_success_buffer) >= 4 and set(model.ep_success_buffer) <= {True, False}

@@ -201,6 +201,10 @@ class CounterVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             del infos["_height"]
         if self.fault == "infos lack a key":
             del infos["truth"], infos["_truth"]
+        if self.fault == "infos gain a key after the reset" and (self.state[:, 1] > 0.0).all():
+            infos |= {"score": height, "_score": chosen.copy()}
+        if self.fault == "infos change their type" and (self.state[:, 1] > 0.0).all():
+            truth["state"] = state.astype(np.float32)
         if self.fault == "returns its own info mask":
             infos["_height"] = self.over
         return infos

@@ -3,40 +3,62 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import RescaleAction
 
 import servotrack  # noqa: F401
+from servotrack.baselines import create_agent
 from servotrack.envs.testing import check_vector_env, check_vector_matches_single
 from servotrack.envs.track.color.render import ANSWER
 from servotrack.envs.wrappers import PrivilegedObservation, VectorPrivilegedObservation
 
 ENV_ID = "ColorTracking-v0"
 SMALL = {"width": 120, "height": 96, "head_height": 24.0}
-PIXELS = ".*(symmetric and normalized|recommend using np.float32).*"
-"""Expected warning about the action range: actions are boxes in px; `RescaleAction` maps them to [-1, 1]."""
 
 
 @pytest.mark.parametrize("level", [0, 5])
 def test_gymnasiums_checker_is_content(level: int) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", message=PIXELS)
-        check_env(gym.make(ENV_ID, level=level, horizon=10, **SMALL).unwrapped)
+        check_env(gym.make(ENV_ID, level=level, normalized_actions=True, horizon=10, **SMALL).unwrapped)
 
 
-def test_stable_baselines3s_checker_is_content_with_rescaled_answers() -> None:
+def test_stable_baselines3s_checker_is_content_with_normalized_actions() -> None:
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    env = RescaleAction(gym.make(ENV_ID, horizon=10, **SMALL), np.float32(-1.0), np.float32(1.0))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", message=PIXELS)
-        warnings.filterwarnings("ignore", message="overflow encountered in cast")
-        checker.check_env(env)
+        checker.check_env(gym.make(ENV_ID, normalized_actions=True, horizon=10, **SMALL).unwrapped)
+
+
+def test_normalized_actions_are_boxes_in_pixels_on_another_scale() -> None:
+    pixels, normalized = gym.make(ENV_ID, horizon=5), gym.make(ENV_ID, horizon=5, normalized_actions=True)
+    space: Any = pixels.action_space
+    assert normalized.action_space == gym.spaces.Box(-1.0, 1.0, (4,), np.float32)
+    box = pixels.reset(seed=4)[0]["first_box"]
+    normalized.reset(seed=4)
+    moved = box + np.array([3.0, -2.0, 1.0, 0.0])
+    _, reward, *_ = pixels.step(moved)
+    _, same, *_ = normalized.step(2.0 * (moved - space.low) / (space.high - space.low) - 1.0)
+    assert 0.5 < float(reward) < 1.0 and same == pytest.approx(reward, abs=1e-9)
+
+
+def test_normalized_actions_are_the_same_in_a_vector_environment() -> None:
+    check_vector_matches_single(ENV_ID, horizon=4, normalized_actions=True, **SMALL)
+
+
+@pytest.mark.parametrize("value", [1, "yes", None])
+def test_other_values_of_normalized_actions_are_refused(value: Any) -> None:
+    with pytest.raises(ValueError, match="normalized_actions must be True or False"):
+        gym.make(ENV_ID, normalized_actions=value)
+
+
+def test_classical_agents_refuse_normalized_actions() -> None:
+    with pytest.raises(ValueError, match="make the environment without normalized_actions"):
+        create_agent("first-box", gym.make(ENV_ID, normalized_actions=True))
 
 
 def test_vector_environment_keeps_the_rules() -> None:

@@ -122,7 +122,7 @@ def test_a_seed_decides_this_episode_and_the_later_ones(env_id: str) -> None:
 def test_info_is_about_the_present() -> None:
     env = gym.make("UncalibServo-v0", level=0, warmup=0)
     _, info = env.reset(seed=0)
-    assert set(info) == {"tracking_error", "feature_error", "success", "truth"}
+    assert set(info) == {"tracking_error", "feature_error", "success", "is_success", "truth"}
     truth = info["truth"]
     assert set(truth) == {"joint_angles", "tool", "target", "target_velocity"}
     np.testing.assert_allclose(truth["tool"], [0.5, 0.5])

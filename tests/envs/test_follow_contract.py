@@ -83,7 +83,7 @@ def test_bad_arguments_are_named(keywords, message):
 
 
 def test_an_unknown_axis_is_answered_with_the_nearest():
-    with pytest.raises(TypeError, match="unknown keyword 'lookalikes'; did you mean 'look_alikes'"):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'lookalikes'; did you mean 'look_alikes'"):
         gym.make(ENV_ID, lookalikes=0.5)
 
 

@@ -73,7 +73,7 @@ def test_unknown_levels_are_named(level: Any) -> None:
     ("typo", "suggestion"), [("pixle_noise", "pixel_noise"), ("levl", "level"), ("horizont", "horizon")]
 )
 def test_unknown_keywords_get_a_suggestion(typo: str, suggestion: str) -> None:
-    with pytest.raises(TypeError, match=f"unknown keyword '{typo}'; did you mean '{suggestion}'"):
+    with pytest.raises(TypeError, match=f"unexpected keyword argument '{typo}'; did you mean '{suggestion}'"):
         servo_config(3, **{typo: 1})
 
 

@@ -43,6 +43,8 @@ FAULTS = {
     "infos without a mask": "infos",
     "infos where the mask is False": "infos",
     "infos without a leading axis": "infos",
+    "infos gain a key after the reset": "infos",
+    "infos change their type": "infos",
     "a frame too few": "rendering",
     "frames of floats": "rendering",
     "rendering draws random numbers": "rendering",

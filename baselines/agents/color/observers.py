@@ -112,6 +112,8 @@ def create_color_observer(env: Any, tracker: str, **parameters: Any) -> ColorObs
             f"agent {tracker!r} needs the observations frame and first_box; {name} has none: "
             "choose ColorTracking-v0, or another agent"
         )
+    if space != seen["first_box"]:
+        raise ValueError(f"agent {tracker!r} answers with boxes in px; make the environment without normalized_actions")
     if tracker in ("first-box", "true-box"):
         return BoxReader(tracker.replace("-", "_"))
     return ColorObserver(color_tracker(tracker, **parameters), space.low, space.high)

@@ -23,15 +23,18 @@ from servotrack.estimators.types import FloatArray, Mask
 
 @dataclass(frozen=True)
 class FlatEncoding(PlainAnswers):
-    """All entries of a Box, or of a Dict of Boxes in the order of its keys, scaled to [-1, 1] by the bounds.
+    """All entries of a Box, or of a Dict of Boxes in alphabetical order of its keys, scaled to [-1, 1] by the bounds.
 
     Attributes:
         low: Lower bounds, in the order of the row.
         high: Upper bounds.
+        keys: Keys of a Dict, sorted; empty for a Box. Entries of an observation are found by them, so the order of keys
+            in an observation has no effect.
     """
 
     low: tuple[float, ...]
     high: tuple[float, ...]
+    keys: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, space: spaces.Space[Any]) -> FlatEncoding:
@@ -40,12 +43,13 @@ class FlatEncoding(PlainAnswers):
         Raises:
             ValueError: A space that is not a bounded Box or a Dict of bounded Boxes.
         """
-        boxes = list(space.spaces.values()) if isinstance(space, spaces.Dict) else [space]
+        keys = tuple(sorted(space.spaces)) if isinstance(space, spaces.Dict) else ()
+        boxes = [space.spaces[key] for key in keys] if isinstance(space, spaces.Dict) else [space]
         for box in boxes:
             if not isinstance(box, spaces.Box) or not box.is_bounded():
                 raise ValueError(f"observation_space must be a bounded Box, or a Dict of such, got {space}")
         low, high = (np.concatenate([np.ravel(getattr(box, side)) for box in boxes]) for side in ("low", "high"))
-        return cls(tuple(low.tolist()), tuple(high.tolist()))
+        return cls(tuple(low.tolist()), tuple(high.tolist()), keys)
 
     @property
     def size(self) -> int:
@@ -58,7 +62,7 @@ class FlatEncoding(PlainAnswers):
 
     def step(self, memory: tuple[()], observation: Any, action: FloatArray) -> tuple[tuple[()], FloatArray]:
         """Process one observation; see `Encoding.step`."""
-        parts = list(observation.values()) if isinstance(observation, Mapping) else [observation]
+        parts = [observation[key] for key in self.keys] if self.keys else [observation]
         row = np.concatenate([np.asarray(part, np.float64).reshape(len(part), -1) for part in parts], axis=1)
         low, high = np.array(self.low), np.array(self.high)
         return (), (2.0 * (row - low) / np.where(high > low, high - low, 1.0) - 1.0).astype(np.float32)

@@ -59,11 +59,12 @@ class ClutterTrackingEnv(TrackEnv):
     `-GOSPA(c = cutoff, p = 1, alpha = 2) / c` of the answer to each scan: a missed or a false target costs one half, a
     localized target costs its position error divided by c.
 
-    `info` serves evaluation; agents must not use it. From the first answer on it holds the scores of the last answer:
-    `ospa`, `gospa` and its parts `location_error`, `missed_error` and `false_error` (m), and `cardinality_error`. At
-    the end of the episode `ospa2` is OSPA(2) over the trajectories, which also penalizes identity switches (m). `truth`
-    is the ground truth of the newest scan: `states` (max_targets, 4) as x, vx, y, vy; `exists`; and `source`, the index
-    of the target that caused each measurement (-1 for clutter, -2 for an unused row).
+    `info` serves evaluation; agents must not use it. It holds the scores of the last answer, 0 at reset: `ospa`,
+    `gospa` and its parts `location_error`, `missed_error` and `false_error` (m), and `cardinality_error`. `ospa2` is
+    OSPA(2) over the trajectories of the episode, which also penalizes identity switches (m); it is 0 until the whole
+    episode is answered, which `episode_scored` reports. `truth` is the ground truth of the newest scan: `states`
+    (max_targets, 4) as x, vx, y, vy; `exists`; and `source`, the index of the target that caused each measurement (-1
+    for clutter, -2 for an unused row).
 
     ## Starting State
 

@@ -148,6 +148,11 @@ class ClutterWorld:
         """Return the entries of `info` at the end of an episode, arrays of N rows."""
         return {"ospa2": self.ospa2}
 
+    @property
+    def episode_steps(self) -> int:
+        """Number of steps after which an episode is truncated."""
+        return self.config.horizon
+
     def privileged(self) -> dict[str, Array]:
         """Return the privileged information of oracle agents, arrays of N rows.
 

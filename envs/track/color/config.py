@@ -119,7 +119,7 @@ def color_config(level: int = 0, scenario: str | None = None, **axes: Any) -> Co
         ValueError: If the level or scenario does not exist or a value is outside its bounds.
         TypeError: If a keyword is unknown; the message suggests the nearest known one.
     """
-    check_keywords(axes, AXES)
+    check_keywords(axes, AXES, ("normalized_actions", "render_mode"))
     return replace(ColorConfig(), **{**_LEVELS[color_level(level, scenario)], **axes})
 
 

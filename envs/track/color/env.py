@@ -9,14 +9,16 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from servotrack.envs.arguments import RENDER_MODES, check_count
+from servotrack.envs.arguments import available_render_modes, check_count
+from servotrack.envs.box_scale import BoxScale
 from servotrack.envs.track.color.config import LEVEL_NAMES, ColorConfig, color_config, color_level
 from servotrack.envs.track.color.world import ColorWorld
 from servotrack.envs.track.env import TrackEnv, TrackVectorEnv
+from servotrack.estimators.types import Array
 
 Observation = dict[str, NDArray[Any]]
 
-METADATA: dict[str, Any] = {"servotrack_kind": "color", "render_modes": list(RENDER_MODES), "render_fps": 25}
+METADATA: dict[str, Any] = {"servotrack_kind": "color", "render_modes": available_render_modes(), "render_fps": 25}
 
 
 class ColorTrackingEnv(TrackEnv):
@@ -41,7 +43,8 @@ class ColorTrackingEnv(TrackEnv):
     ## Action Space
 
     `Box((4,), float64)`: left, top, width and height of the target in the newest frame, px; pixel i covers [i, i + 1].
-    `gymnasium.wrappers.RescaleAction` converts it to the range -1 to 1 that `check_env` recommends for learning.
+    With `normalized_actions=True` it is `Box(-1, 1, (4,), float32)`, as libraries for reinforcement learning expect it:
+    -1 and 1 are the bounds of the action in px, which lie up to one frame size outside the frame.
 
     ## Observation Space
 
@@ -57,11 +60,12 @@ class ColorTrackingEnv(TrackEnv):
     Intersection over union (IoU) of the answer and the true box of the same frame, 0 to 1. The true box encloses hair
     and face, including their occluded parts.
 
-    `info` serves evaluation; agents must not use it. From the first answer on it holds `iou` and `center_error` (px) of
-    the last answer. `truth` holds `box` (4,), px, the true box of the newest frame. At the end of the episode it holds
-    the scores of the one-pass evaluation (OPE): `auc`, the area under the success curve (share of frames with an IoU
-    above 0, 0.05, ..., 1); `precision`, the share of frames with a center error of at most 20 px; and `failures`, the
-    number of runs of frames without overlap. The first frame is scored, as in the object tracking benchmark.
+    `info` serves evaluation; agents must not use it. It holds `iou` and `center_error` (px) of the last answer, 0 at
+    reset. `truth` holds `box` (4,), px, the true box of the newest frame. The scores of the one-pass evaluation (OPE)
+    are 0 until the whole episode is answered, which `episode_scored` reports: `auc`, the area under the success curve
+    (share of frames with an IoU above 0, 0.05, ..., 1); `precision`, the share of frames with a center error of at most
+    20 px; and `failures`, the number of runs of frames without overlap. The first frame is scored, as in the object
+    tracking benchmark.
 
     ## Starting State
 
@@ -77,7 +81,8 @@ class ColorTrackingEnv(TrackEnv):
 
     `level` (0 to 5, default 0) or `scenario` (its name), and every field of `ColorConfig` as a keyword that overrides
     the value of the level, for example `gym.make("ColorTracking-v0", scenario="distractor", similarity=1.0,
-    occlusions=2)`. `render_mode`: `rgb_array` or `human`.
+    occlusions=2)`. `normalized_actions`: True for actions in [-1, 1], default False. `render_mode`: `rgb_array` or
+    `human`.
 
     ## References
 
@@ -92,11 +97,17 @@ class ColorTrackingEnv(TrackEnv):
     metadata: ClassVar[dict[str, Any]] = METADATA  # type: ignore[misc]
 
     def __init__(
-        self, level: int = 0, scenario: str | None = None, *, render_mode: str | None = None, **axes: Any
+        self,
+        level: int = 0,
+        scenario: str | None = None,
+        *,
+        normalized_actions: bool = False,
+        render_mode: str | None = None,
+        **axes: Any,
     ) -> None:
         self.level = color_level(level, scenario)
         self.config = color_config(self.level, **axes)
-        observation, action = _spaces(self.config)
+        observation, action, self._scale = _spaces(self.config, normalized_actions)
         super().__init__(ColorWorld(self.config, 1), observation, action, render_mode, "ColorTracking-v0")
 
     def reset(
@@ -122,6 +133,9 @@ class ColorTrackingEnv(TrackEnv):
         frame, reward, terminated, truncated, info = super().step(action)
         return self._observation(frame), reward, terminated, truncated, info
 
+    def _checked(self, action: Any) -> Array:
+        return _in_pixels(super()._checked(action), self._scale)
+
     def _observation(self, frame: NDArray[Any]) -> Observation:
         return {"frame": frame, "first_box": self.world.first_boxes[0].copy()}
 
@@ -141,6 +155,7 @@ class ColorTrackingVectorEnv(TrackVectorEnv):
         num_envs: Number of scenes N.
         level: Level from 0 to 5; see `ColorTrackingEnv`.
         scenario: Name of a level, instead of `level`.
+        normalized_actions: True for actions in [-1, 1] instead of px.
         render_mode: None or `rgb_array`; `render()` returns a tuple of N frames.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as a Gymnasium `AutoresetMode` or its value.
         max_episode_steps: Maximum number of steps of an episode; None: `horizon`.
@@ -155,6 +170,7 @@ class ColorTrackingVectorEnv(TrackVectorEnv):
         level: int = 0,
         scenario: str | None = None,
         *,
+        normalized_actions: bool = False,
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
@@ -162,12 +178,15 @@ class ColorTrackingVectorEnv(TrackVectorEnv):
     ) -> None:
         self.level = color_level(level, scenario)
         self.config = color_config(self.level, **axes)
-        observation, action = _spaces(self.config)
+        observation, action, self._scale = _spaces(self.config, normalized_actions)
         world = ColorWorld(self.config, check_count(num_envs))
         super().__init__(world, num_envs, observation, action, render_mode, autoreset_mode, max_episode_steps)
 
     def _observe(self) -> Observation:
         return {"frame": self.world.observations.copy(), "first_box": self.world.first_boxes.copy()}
+
+    def _checked(self, actions: Any) -> Array:
+        return _in_pixels(super()._checked(actions), self._scale)
 
     def _recorder(self, row: int) -> Any:
         from servotrack.envs.track.color.render import ColorRecorder
@@ -175,10 +194,26 @@ class ColorTrackingVectorEnv(TrackVectorEnv):
         return ColorRecorder(self.world, row)
 
 
-def _spaces(config: ColorConfig) -> tuple[gym.spaces.Dict, gym.spaces.Box]:
-    """Return observation and action space of one scene. Boxes may lie up to one frame size outside the frame."""
+def _spaces(config: ColorConfig, normalized: bool) -> tuple[gym.spaces.Dict, gym.spaces.Box, BoxScale | None]:
+    """Return observation and action space of one scene, and the scale of normalized actions.
+
+    Boxes may lie up to one frame size outside the frame.
+    """
     size = np.array([config.width, config.height], dtype=np.float64)
     low, high = np.concatenate([-size, np.zeros(2)]), np.concatenate([2.0 * size, 2.0 * size])
     frame = gym.spaces.Box(0, 255, (config.height, config.width, 3), np.uint8)
     box = gym.spaces.Box(low, high, dtype=np.float64)
-    return gym.spaces.Dict({"frame": frame, "first_box": box}), gym.spaces.Box(low, high, dtype=np.float64)
+    observation, action = (
+        gym.spaces.Dict({"frame": frame, "first_box": box}),
+        gym.spaces.Box(low, high, dtype=np.float64),
+    )
+    if not isinstance(normalized, bool):
+        raise ValueError(f"normalized_actions must be True or False, got {normalized!r}")
+    if not normalized:
+        return observation, action, None
+    scale = BoxScale(action, "action")
+    return observation, scale.space, scale
+
+
+def _in_pixels(values: Array, scale: BoxScale | None) -> Array:
+    return values if scale is None else scale.restored(values)

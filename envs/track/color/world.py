@@ -140,6 +140,11 @@ class ColorWorld:
         """Return a view of the IoU of all answers of a row's episode so far, shape (steps,)."""
         return self._overlaps[row, : self.steps[row]]
 
+    @property
+    def episode_steps(self) -> int:
+        """Number of steps after which an episode is truncated."""
+        return self.config.horizon
+
     def privileged(self) -> dict[str, Array]:
         """Return the privileged information of oracle agents: `true_box`, shape (N, 4), px."""
         return {"true_box": self.boxes.copy()}

@@ -79,12 +79,13 @@ class PedestrianTrackingEnv(TrackEnv):
     as missed, and an answer that matches one of them (within half the cut-off, one answer per ignored person, and only
     if no scored person is assigned to it) is left out of the reward and of all scores.
 
-    `info` serves evaluation; agents must not use it. From the first answer on it holds the scores of the last answer:
-    `ospa`, `gospa` and its parts `location_error`, `missed_error` and `false_error`, and `cardinality_error`. At the
-    end of the episode it holds `ospa2`, OSPA(2) over the trajectories, which also penalizes identity switches, and
-    `mota`, `idf1` and `hota`. `truth` is the ground truth of the newest frame, `max_people` rows: `boxes` (left, top,
-    width, height, px), `ids` (0 for an unused row), `visibility` (visible share, 0 to 1) and `exists` (True for scored
-    people). `world.true_tracks(0)` and `world.answered_tracks(0)` return the tracks of the episode so far.
+    `info` serves evaluation; agents must not use it. It holds the scores of the last answer, 0 at reset: `ospa`,
+    `gospa` and its parts `location_error`, `missed_error` and `false_error`, and `cardinality_error`. The scores of the
+    episode are 0 until it is answered as a whole, which `episode_scored` reports: `ospa2`, OSPA(2) over the
+    trajectories, which also penalizes identity switches, and `mota`, `idf1` and `hota`. `truth` is the ground truth of
+    the newest frame, `max_people` rows: `boxes` (left, top, width, height, px), `ids` (0 for an unused row),
+    `visibility` (visible share, 0 to 1) and `exists` (True for scored people). `world.true_tracks(0)` and
+    `world.answered_tracks(0)` return the tracks of the episode so far.
 
     ## Starting State
 

@@ -109,6 +109,11 @@ class PeopleWorld:
         """Return the entries of `info` at the end of an episode, arrays of N rows."""
         return {"ospa2": self.ospa2, "mota": self.mota, "idf1": self.idf1, "hota": self.hota}
 
+    @property
+    def episode_steps(self) -> int:
+        """Number of steps after which an episode is truncated."""
+        return self.horizon
+
     def privileged(self) -> dict[str, Array]:
         """Return the privileged information of oracle agents, arrays of N rows.
 

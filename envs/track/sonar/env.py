@@ -63,11 +63,11 @@ class SonarTrackingEnv(TrackEnv):
     `-GOSPA(c = cutoff, p = 1, alpha = 2) / c` of the answer: a missed or a false target costs one half, a localized
     target costs its bearing error divided by c. The first `lag` answers precede the first record and have reward 0.
 
-    `info` serves evaluation; agents must not use it. From the first answer on it holds `scored`, True if the last
-    answer was for a record, and the scores of the last answer: `ospa`, `gospa` and its parts `location_error`,
-    `missed_error` and `false_error` (deg), and `cardinality_error`. At the end of the episode `ospa2` is OSPA(2) over
-    the trajectories, which also penalizes identity switches (deg). `truth` is the ground truth of the newest record:
-    `bearings` (max_targets,), deg; `rates`, deg/s; and `exists`.
+    `info` serves evaluation; agents must not use it. It holds `scored`, True if the last answer was for a record, and
+    the scores of the last answer, 0 at reset: `ospa`, `gospa` and its parts `location_error`, `missed_error` and
+    `false_error` (deg), and `cardinality_error`. `ospa2` is OSPA(2) over the trajectories of the episode, which also
+    penalizes identity switches (deg); it is 0 until the whole episode is answered, which `episode_scored` reports.
+    `truth` is the ground truth of the newest record: `bearings` (max_targets,), deg; `rates`, deg/s; and `exists`.
 
     ## Starting State
 

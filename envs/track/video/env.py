@@ -53,10 +53,11 @@ class VideoTrackingEnv(TrackEnv):
     according to the ground truth are ignored: they do not count as missed, and an answer that matches one of
     them is left out. Without ground truth the reward is 0.
 
-    `info` serves evaluation; agents must not use it. From the first answer on it holds `scored`, True if there is
-    ground truth. Only then it also holds the scores of the last answer: `ospa`, `gospa` and its parts `location_error`,
-    `missed_error` and `false_error`, and `cardinality_error`; and at the end of the episode `ospa2`, OSPA(2) over the
-    trajectories, and `mota`, `idf1` and `hota`. `truth` is the ground truth of the newest frame, with as many rows as
+    `info` serves evaluation; agents must not use it. It holds `scored`, True if the last answer was compared with
+    ground truth. Only with ground truth it also holds the scores of the last answer, 0 at reset: `ospa`, `gospa` and
+    its parts `location_error`, `missed_error` and `false_error`, and `cardinality_error`; and the scores of the
+    episode, 0 until it is answered as a whole, which `episode_scored` reports: `ospa2`, OSPA(2) over the trajectories,
+    and `mota`, `idf1` and `hota`. `truth` is the ground truth of the newest frame, with as many rows as
     people in the fullest frame: `boxes` (left, top, width, height, px), `ids` (numbered from 1 in the order of the ids
     of the file, 0 for an unused row), `visibility` and `exists` (True for scored people).
 

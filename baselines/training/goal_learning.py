@@ -1,0 +1,218 @@
+"""Compare SAC with and without hindsight experience replay on the sparse goal form of the servo environments.
+
+`scripts/goals` runs this module.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+import torch
+from rich.console import Console
+from stable_baselines3 import SAC, HerReplayBuffer
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import VecEnv
+
+import servotrack  # noqa: F401
+from servotrack.baselines.evaluation import seeds as seed_ranges
+from servotrack.baselines.evaluation.provenance import code_version
+from servotrack.baselines.reporting.files import atomic_path
+from servotrack.baselines.reporting.grid import Grid, as_markdown
+from servotrack.baselines.running.stopping import program
+from servotrack.envs import GoalObservation
+
+NUM_ENVS = 4
+"""Environments side by side; each step of all of them is followed by as many gradient steps."""
+
+
+@dataclass(frozen=True)
+class GoalTask:
+    """A goal-conditioned task.
+
+    Attributes:
+        env_id: Gymnasium id.
+        level: Level of the environment.
+        steps: Environment steps of a training run.
+    """
+
+    env_id: str
+    level: int
+    steps: int
+
+    @property
+    def name(self) -> str:
+        """Id and level in one line."""
+        return f"{self.env_id},level={self.level}"
+
+    @property
+    def episode_steps(self) -> int:
+        """Largest number of steps of an episode."""
+        spec = self.make().spec
+        assert spec is not None and spec.max_episode_steps is not None
+        return spec.max_episode_steps
+
+    def make(self) -> gym.Env[Any, Any]:
+        """Create the environment in goal form, with the sparse reward."""
+        return GoalObservation(gym.make(self.env_id, level=self.level))
+
+
+TASKS = (GoalTask("UncalibServoReach-v0", 2, 100_000), GoalTask("UncalibServo3D-v0", 1, 200_000))
+
+
+class RunResult(NamedTuple):
+    """Outcome of one training run, measured without exploration on test seeds.
+
+    Attributes:
+        success: Share of episodes that end with the tool at its goal, by the world's `success`.
+        reached: Share of episodes that end with an image error below the threshold.
+        returned: Mean sum of the sparse rewards; steps that are missing because the target was lost count as -1.
+        seconds: Duration of training, s.
+    """
+
+    success: float
+    reached: float
+    returned: float
+    seconds: float
+
+
+def train_goals(task: GoalTask, hindsight: bool, seed: int) -> tuple[SAC, float]:
+    """Train SAC on a task.
+
+    Args:
+        task: The task; its environment seeds are in the train range.
+        hindsight: True adds transitions with goals that were reached later in the episode.
+        seed: Seed of the run.
+
+    Returns:
+        The model and the duration, s.
+
+    Raises:
+        ValueError: Fewer steps than those that collect the first episodes.
+    """
+    torch.set_num_threads(1)
+    # Hindsight needs a finished episode in the buffer.
+    explored = NUM_ENVS * (task.episode_steps + 1)
+    if task.steps <= explored:
+        raise ValueError(
+            f"steps of {task.name} must exceed {explored}, one episode of each environment, got {task.steps}"
+        )
+    env: VecEnv = make_vec_env(task.make, NUM_ENVS, seed=seed * NUM_ENVS)
+    settings: dict[str, Any] = {}
+    if hindsight:
+        settings = {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": {"n_sampled_goal": 4}}
+    model = SAC(
+        "MultiInputPolicy", env, learning_rate=1e-3, gamma=0.95, batch_size=256, buffer_size=task.steps,
+        learning_starts=explored, gradient_steps=-1, seed=seed, device="cpu",
+        policy_kwargs={"net_arch": [64, 64]}, **settings,
+    )  # fmt: skip
+    start = time.perf_counter()
+    model.learn(task.steps)
+    env.close()
+    return model, time.perf_counter() - start
+
+
+def measure_goals(model: SAC, task: GoalTask, episodes: int, seconds: float) -> RunResult:
+    """Play one episode for each of the first test seeds.
+
+    Args:
+        model: Trained model.
+        task: The task.
+        episodes: Number of episodes.
+        seconds: Duration of training, s, which is passed on.
+    """
+    env: Any = task.make()
+    successes, reached, returns = [], [], []
+    for seed in seed_ranges.take("test", episodes):
+        observation, info = env.reset(seed=seed)
+        over, reward, returned = False, 0.0, -float(task.episode_steps)
+        while not over:
+            action, _ = model.predict(observation, deterministic=True)
+            observation, reward, terminated, truncated, info = env.step(action)
+            over, returned = terminated or truncated, returned + 1.0 + float(reward)
+        successes.append(info["success"])
+        reached.append(reward == 0.0)
+        returns.append(returned)
+    env.close()
+    return RunResult(float(np.mean(successes)), float(np.mean(reached)), float(np.mean(returns)), seconds)
+
+
+def goal_report(found: Mapping[tuple[str, bool], list[RunResult]], episodes: int, command: str) -> str:
+    """Return a page with one row per kind of training.
+
+    Args:
+        found: Results by task name and by whether hindsight was used.
+        episodes: Number of test episodes of each run.
+        command: Command that wrote the results.
+    """
+    headings = ["task", "replay", "success %", "goal reached %", "return", "minutes"]
+    rows = []
+    for (name, hindsight), runs in found.items():
+        columns = [
+            [f"{100.0 * run.success:.0f}" for run in runs], [f"{100.0 * run.reached:.0f}" for run in runs],
+            [f"{run.returned:.1f}" for run in runs], [f"{run.seconds / 60.0:.1f}" for run in runs],
+        ]  # fmt: skip
+        rows.append([name, "hindsight" if hindsight else "plain", *(", ".join(column) for column in columns)])
+    return (
+        "# Hindsight experience replay\n\n"
+        "SAC on the sparse goal form, `servotrack.envs.GoalObservation`, with and without relabeled goals. Success is "
+        "the world's, at the end of an episode; the goal is reached if the mean image error is below 5 px then.\n\n"
+        f"{as_markdown(Grid(headings, rows, 2)).strip()}\n\n"
+        f"One value per training run, {episodes} test episodes each. Written by `{command}`.\n"
+    )
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Train all runs that the folder does not hold yet, print the page and write it to `--write`."""
+    parser = argparse.ArgumentParser(prog="scripts/goals", description=__doc__)
+    parser.add_argument("--runs", type=int, default=3, help="training runs of each kind (default 3)")
+    parser.add_argument("--steps", type=int, help="environment steps of a run (default: those of each task)")
+    parser.add_argument("--episodes", type=int, default=200, help="test episodes of each run (default 200)")
+    parser.add_argument("--output", type=Path, default=Path("results/goals"), help="folder of finished runs")
+    parser.add_argument("--write", type=Path, help="also write the page to this file")
+    given = parser.parse_args(arguments)
+    for name in ("runs", "steps", "episodes"):
+        if getattr(given, name) is not None and getattr(given, name) <= 0:
+            parser.error(f"--{name} must be positive, got {getattr(given, name)}")
+    with program("finished runs are kept; run the same command again"):
+        try:
+            _compare(given)
+        except ValueError as error:
+            parser.error(str(error))
+
+
+def _compare(given: argparse.Namespace) -> None:
+    found: dict[tuple[str, bool], list[RunResult]] = {}
+    # Runs of other code are not mixed with these.
+    folder, console = given.output / code_version(), Console(stderr=True)
+    for task in TASKS if given.steps is None else [replace(task, steps=given.steps) for task in TASKS]:
+        for hindsight in (True, False):
+            kind = "hindsight" if hindsight else "plain"
+            for seed in range(given.runs):
+                path = folder / task.name / f"{kind}-seed{seed}-{task.steps}-{given.episodes}.json"
+                if not path.exists():
+                    console.print(f"{task.name}: {kind}, seed {seed}, {task.steps:,} steps")
+                    model, seconds = train_goals(task, hindsight, seed)
+                    result = measure_goals(model, task, given.episodes, seconds)
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    with atomic_path(path) as temporary:
+                        temporary.write_text(json.dumps(result._asdict()), encoding="utf-8")
+                stored = RunResult(**json.loads(path.read_text(encoding="utf-8")))
+                found.setdefault((task.name, hindsight), []).append(stored)
+    steps = "" if given.steps is None else f" --steps {given.steps}"
+    page = goal_report(found, given.episodes, f"scripts/goals --runs {given.runs} --episodes {given.episodes}{steps}")
+    print(page)
+    if given.write:
+        with atomic_path(given.write) as temporary:
+            temporary.write_text(page, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
