@@ -64,7 +64,7 @@ class GoalTask:
         return GoalObservation(gym.make(self.env_id, level=self.level))
 
 
-TASKS = (GoalTask("UncalibServoReach-v0", 2, 100_000), GoalTask("UncalibServo3D-v0", 1, 200_000))
+TASKS = (GoalTask("UncalibServoReach-v0", 2, 50_000), GoalTask("UncalibServo3D-v0", 1, 100_000))
 
 
 class RunResult(NamedTuple):
