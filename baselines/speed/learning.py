@@ -1,7 +1,7 @@
 """Training steps of PPO per second, with our adapter and with Stable-Baselines3's, and actions of shipped agents.
 
-`python learning.py adapter|dummy` trains. `python learning.py session|predict AGENT LEVEL` computes one action at a
-time. Both follow the protocol of `stepping.serve`.
+`python learning.py adapter|dummy RECIPE` trains. `python learning.py session|predict AGENT LEVEL` computes one action at
+a time. Both follow the protocol of `stepping.serve`.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from servotrack.baselines.speed.rates import Subject
 from servotrack.baselines.speed.stepping import WARM_UP, serve
 
 ENV_ID = "UncalibServo-v0"
-NUM_ENVS = 64
 BLOCK = 100
 
 
 def subjects() -> list[Subject]:
     """Return the rows of the table."""
-    dummy = f"PPO training, {NUM_ENVS} environments, DummyVecEnv"
+    own, dummy = (f"PPO training, 64 environments, {kind}" for kind in ("our adapter", "DummyVecEnv"))
     remedy = "install the extra: pip install 'servotrack[rl]'"
     return [
-        Subject(dummy.replace("DummyVecEnv", "our adapter"), (__file__, "adapter"), ratios={dummy: 1.8}, remedy=remedy),
-        Subject(dummy, (__file__, "dummy"), remedy=remedy),
+        Subject(own, (__file__, "adapter", "ppo"), 36_000.0, {dummy: 1.8}, remedy=remedy),
+        Subject(own.replace("64", "1,024"), (__file__, "adapter", "wide"), 48_000.0, remedy=remedy),
+        Subject(dummy, (__file__, "dummy", "ppo"), remedy=remedy),
         Subject("`ppo`, one observation, network alone", (__file__, "session", "ppo", "3"), 20_000.0),
         Subject("`ppo`, one observation, predict", (__file__, "predict", "ppo", "3"), 10_000.0),
         Subject("`hybrid` at level 6, one observation, network alone", (__file__, "session", "hybrid", "6"), 20_000.0),
@@ -82,7 +82,7 @@ if __name__ == "__main__":
     if kind in ("adapter", "dummy"):
         from servotrack.baselines.training.ppo_speed import ppo_speed
 
-        measure = ppo_speed(ENV_ID, NUM_ENVS, adapter=kind == "adapter")
+        measure = ppo_speed(ENV_ID, rest[0], adapter=kind == "adapter")
     else:
         measure = answering(rest[0], int(rest[1]), alone=kind == "session")
     measure(WARM_UP)
