@@ -1,7 +1,7 @@
 """Training steps of PPO per second, with our adapter and with Stable-Baselines3's, and actions of shipped agents.
 
-`python learning.py adapter|dummy RECIPE` trains. `python learning.py session|predict AGENT LEVEL` computes one action at
-a time. Both follow the protocol of `stepping.serve`.
+`python learning.py adapter|dummy RECIPE` trains. `python learning.py session|predict AGENT LEVEL` computes one action
+at a time. Both follow the protocol of `stepping.serve`.
 """
 
 from __future__ import annotations
