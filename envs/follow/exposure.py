@@ -9,7 +9,16 @@ from numpy.typing import NDArray
 
 from servotrack.envs.follow.figures import POSE_NUMBERS, pose
 from servotrack.envs.follow.painting import CrowdTables, find_boxes, paint_crowd, paint_shadows
-from servotrack.envs.servo.exposure import NOISE_SIDE, Floors, Rays, SensorNoise, look_down, row_view
+from servotrack.envs.servo.exposure import (
+    NOISE_SIDE,
+    Floors,
+    Places,
+    Rays,
+    SensorNoise,
+    empty_places,
+    look_down,
+    row_view,
+)
 from servotrack.envs.servo.sensing import interpolate_path
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import FloatArray
@@ -21,22 +30,30 @@ class _Scratch(NamedTuple):
     Attributes:
         boxes: Bounding boxes in the image of shadows and of objects, (2, 2 P + L, 4).
         shade: Share of the light that reaches each pixel's point, (S, S) float32.
+        bright: Brightness of the floor, (S, S) float32.
         canvas: Image without light falloff and noise, (S, S, 3) float32.
+        places: Places of an image row in the floor's texture.
     """
 
     boxes: NDArray[np.int64]
     shade: FloatArray
+    bright: FloatArray
     canvas: FloatArray
+    places: Places
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _develop(canvas, light, noise, image):  # type: ignore[no-untyped-def]
-    """Turn one row of the canvas into one row of noisy pixels."""
+def _develop(canvas, light, tile, first, image):  # type: ignore[no-untyped-def]
+    """Turn the canvas into noisy pixels. The noise begins at row and column `first` of the tile."""
     half, black, white = np.float32(0.5), np.float32(0.0), np.float32(255.0)
-    for j in range(image.shape[0]):
-        for channel in range(3):
-            value = canvas[j, channel] * light[j] + noise[j, channel] + half
-            image[j, channel] = np.uint8(min(max(value, black), white))
+    size, left = light.shape[0], 3 * first[1]
+    flat, painted = image.reshape(size, 3 * size), canvas.reshape(size, 3 * size)
+    for i in range(size):
+        grain = tile[(i + first[0]) & (NOISE_SIDE - 1), left : left + 3 * size]
+        for j in range(size):
+            for k in range(3 * j, 3 * j + 3):
+                value = painted[i, k] * light[i, j] + grain[k] + half
+                flat[i, k] = np.uint8(min(max(value, black), white))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -61,8 +78,7 @@ def _expose_one(  # type: ignore[no-untyped-def]
     size, people = image.shape[0], len(crowd.umbrella)
     ground, light, spread, detail = rays.ground, rays.light, rays.spread, rays.detail
     walk, outfits, umbrella, lamps = crowd.walk, crowd.outfits, crowd.umbrella, crowd.lamps
-    texels, starts, floor_pose, tile = floor.texels, floor.starts, floor.pose, noise.tile
-    boxes, shade, canvas = scratch.boxes, scratch.shade, scratch.canvas
+    boxes, shade, canvas, bright = scratch.boxes, scratch.shade, scratch.canvas, scratch.bright
     poses = np.empty((people, POSE_NUMBERS))
     for k in range(people):
         pose(outfits[k], walk[k, 0], walk[k, 1], walk[k, 2], poses[k])
@@ -71,17 +87,13 @@ def _expose_one(  # type: ignore[no-untyped-def]
     if strength > 0.0:
         paint_shadows(shade, ground, spread, strength, views, places, umbrella, lamps, boxes)
     red, green, blue = np.float32(floor.color[0]), np.float32(floor.color[1]), np.float32(floor.color[2])
-    bright = np.empty(size, np.float32)
+    look_down(views, ground, detail, floor.corners, floor.pose, scratch.places, bright)
     for i in range(size):
-        look_down(views[i % len(views)], ground[i], detail[i], texels, starts, floor_pose, bright)
         for j in range(size):
-            value = bright[j] * shade[i, j]
+            value = bright[i, j] * shade[i, j]
             canvas[i, j, 0], canvas[i, j, 1], canvas[i, j, 2] = value * red, value * green, value * blue
     paint_crowd(canvas, ground, spread, 1.0, views, places, crowd, poses, boxes)
-    first_row, first_column = noise.offset
-    for i in range(size):
-        grain = tile[(i + first_row) & (NOISE_SIDE - 1), first_column : first_column + size]
-        _develop(canvas[i], light[i], grain, image[i])
+    _develop(canvas, light, noise.tile, noise.offset, image)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -111,7 +123,9 @@ def expose_crowd(  # type: ignore[no-untyped-def]
     scratch = _Scratch(
         np.empty((2, 2 * people + lamps.shape[1], 4), np.int64),
         np.empty((size, size), np.float32),
+        np.empty((size, size), np.float32),
         np.empty((size, size, 3), np.float32),
+        empty_places(size),
     )
     for n in range(rows.shape[0]):
         if not rows[n]:
@@ -129,6 +143,6 @@ def expose_crowd(  # type: ignore[no-untyped-def]
             crowds.walk[n, frame], crowds.outfits[n], crowds.umbrella[n], crowds.umbrella_color[n], lamps[n]
         )
         own = Rays(rays.ground[n], rays.light[n], rays.spread[n], rays.detail[n])
-        floor = Floors(floors.texels, floors.starts, floors.pose[n], floors.color[n])
+        floor = Floors(floors.corners, floors.pose[n], floors.color[n])
         grain = SensorNoise(noise.tile, noise.offset[n, frame])
         _expose_one(views, places, step, strength, camera, crowd, own, floor, grain, scratch, images[n])

@@ -62,7 +62,7 @@ class CrowdCamera(FloorCamera):
         world, config = self._world, self._world.config
         expose_crowd(
             rows, world.captured, float(config.rolling_shutter), 1.0 / self._scale, float(config.shadows), self._arms(),
-            world.people, self._crowds, self._rays, Floors(*floor_texture(), self._floor_pose, self._floor_color),
+            world.people, self._crowds, self._rays, Floors(floor_texture(), self._floor_pose, self._floor_color),
             self._noise, self.images,
         )  # fmt: skip
 
@@ -105,7 +105,7 @@ class CloseUp:
         expose_crowd(
             np.ones(1, np.bool_), np.full(1, frame), float(config.rolling_shutter), self._step, float(config.shadows),
             Arms(world.cameras[one], world.links[one], history[None]), world.people[one], self._crowd,
-            self._rays, Floors(*floor_texture(), pose[None], color[None]),
+            self._rays, Floors(floor_texture(), pose[None], color[None]),
             SensorNoise(self._noise, np.zeros((1, samples(config), 2), np.int64)), images,
         )  # fmt: skip
         return images[0]
@@ -164,7 +164,7 @@ def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) 
         expose_crowd(
             one, np.zeros(1, np.int64), 0.0, step, float(world.config.shadows),
             Arms(camera[None], episode.links[None], history), episode.crowd.paths[None, frame : frame + 1],
-            crowd, rays, Floors(*floor_texture(), pose[None], color[None]), SensorNoise(noise, offset),
+            crowd, rays, Floors(floor_texture(), pose[None], color[None]), SensorNoise(noise, offset),
             picture[None],
         )  # fmt: skip
     return pictures

@@ -65,23 +65,35 @@ class Floors(NamedTuple):
     """Floors below N cameras: one texture, placed and colored by the episode.
 
     Attributes:
-        texels: All levels of detail of the texture, one after the other, brightness about 1, float32.
-        starts: Index in `texels` of the first texel of each level.
+        corners: Texture at all levels of detail, see `floor_texture`.
         pose: Rotation (cos, sin) and shift (x, y) of the texture, (N, 4), shift in tiles.
         color: Color at brightness 1, (N, 3), gray levels.
     """
 
-    texels: FloatArray
-    starts: NDArray[np.uint64]
+    corners: FloatArray
     pose: Array
     color: Array
+
+
+class Places(NamedTuple):
+    """Places of one image row's pixels in the texture; overwritten by every row.
+
+    Attributes:
+        x: Column, (S,) texels.
+        y: Row, (S,) texels.
+        texel: Index of the texel above and left of the place, (S,).
+    """
+
+    x: Array
+    y: Array
+    texel: NDArray[np.int32]
 
 
 class SensorNoise(NamedTuple):
     """Noise of the pixels of N cameras, read from one tile.
 
     Attributes:
-        tile: Noise, periodic in rows and columns, (NOISE_SIDE, NOISE_SIDE + S, 3), gray levels.
+        tile: Noise, periodic in rows and columns, pixels flat: (NOISE_SIDE, 3 (NOISE_SIDE + S)), gray levels.
         offset: First row and column in the tile of each of K frames, (N, K, 2).
     """
 
@@ -117,25 +129,23 @@ def trace_rays(camera, step, ground, light, spread, detail):  # type: ignore[no-
 
 
 @njit(cache=True, nogil=True)
-def _covered(ground, i, j, x, y):  # type: ignore[no-untyped-def]
-    """Shares of pixel (i, j) that the disc and the ring of a marker at (x, y) cover."""
-    size = ground.shape[0]
-    a, b = min(max(i, 1), size - 2), min(max(j, 1), size - 2)
-    xu, yu = 0.5 * (ground[i, b + 1, 0] - ground[i, b - 1, 0]), 0.5 * (ground[i, b + 1, 1] - ground[i, b - 1, 1])
-    xv, yv = 0.5 * (ground[a + 1, j, 0] - ground[a - 1, j, 0]), 0.5 * (ground[a + 1, j, 1] - ground[a - 1, j, 1])
-    disc, ring = 0, 0
+def _covered(gx, gy, xu, yu, xv, yv, x, y):  # type: ignore[no-untyped-def]
+    """Shares of a pixel that the disc and the ring of a marker at (x, y) cover.
+
+    The pixel's center is at (gx, gy) on the floor; (xu, yu) and (xv, yv) lead from there to its right and lower
+    neighbors.
+    """
+    disc, whole = 0, 0
     for p in range(_SAMPLES):
         ov = (p + 0.5) / _SAMPLES - 0.5
         for q in range(_SAMPLES):
             ou = (q + 0.5) / _SAMPLES - 0.5
-            dx = ground[i, j, 0] + ou * xu + ov * xv - x
-            dy = ground[i, j, 1] + ou * yu + ov * yv - y
+            dx = gx + ou * xu + ov * xv - x
+            dy = gy + ou * yu + ov * yv - y
             distance2 = dx * dx + dy * dy
-            if distance2 < DISC_RADIUS * DISC_RADIUS:
-                disc += 1
-            elif distance2 < RING_RADIUS * RING_RADIUS:
-                ring += 1
-    return disc / (_SAMPLES * _SAMPLES), ring / (_SAMPLES * _SAMPLES)
+            disc += distance2 < DISC_RADIUS * DISC_RADIUS
+            whole += distance2 < RING_RADIUS * RING_RADIUS
+    return disc / (_SAMPLES * _SAMPLES), (whole - disc) / (_SAMPLES * _SAMPLES)
 
 
 @njit(cache=True, nogil=True)
@@ -171,56 +181,128 @@ def _marker_view(y, shutter, camera, links, history, path, distractor, frame, vi
 
 
 @njit(cache=True, nogil=True)
-def look_down(view, ground, detail, texels, starts, pose, out):  # type: ignore[no-untyped-def]
-    """Compute the floor's brightness along one image row, bilinear at each pixel's level of detail."""
+def empty_places(size):  # type: ignore[no-untyped-def]
+    """Return uninitialized places of a row of `size` pixels."""
+    return Places(np.empty(size), np.empty(size), np.empty(size, np.int32))
+
+
+@njit(cache=True, nogil=True)
+def _find_places(i, views, ground, detail, pose, places):  # type: ignore[no-untyped-def]
+    """Write the places of image row i in the floor's texture, in texels of each pixel's level of detail."""
+    v, x, y = i % views.shape[0], places.x, places.y
     # From the camera's frame to texture coordinates in tiles, shifted so that they are positive.
     fc, fs = pose[0] / TILE, pose[1] / TILE
-    xx, xy = fc * view[0] - fs * view[1], fc * view[1] + fs * view[0]
+    xx, xy = fc * views[v, 0] - fs * views[v, 1], fc * views[v, 1] + fs * views[v, 0]
     yx, yy = xy, -xx
-    x0 = fc * view[2] - fs * view[3] + pose[2] + _SHIFT
-    y0 = fs * view[2] + fc * view[3] + pose[3] + _SHIFT
-    one = np.uint64(1)
-    for j in range(ground.shape[0]):
-        level = detail[j]
-        side = SIDE >> level
-        last = np.uint64(side - 1)
-        gx, gy = ground[j, 0], ground[j, 1]
-        x, y = (xx * gx + xy * gy + x0) * side, (yx * gx + yy * gy + y0) * side
-        whole_x, whole_y = np.int64(x), np.int64(y)
-        fx, fy = x - whole_x, y - whole_y
-        # Unsigned indices avoid a check for negative values at every access.
-        column, row = np.uint64(whole_x), np.uint64(whole_y)
-        start = starts[level]
-        top, bottom = start + (row & last) * np.uint64(side), start + ((row + one) & last) * np.uint64(side)
-        left, right = column & last, (column + one) & last
-        upper = texels[top + left] + (texels[top + right] - texels[top + left]) * fx
-        lower = texels[bottom + left] + (texels[bottom + right] - texels[bottom + left]) * fx
-        out[j] = upper + (lower - upper) * fy
+    x0 = fc * views[v, 2] - fs * views[v, 3] + pose[2] + _SHIFT
+    y0 = fs * views[v, 2] + fc * views[v, 3] + pose[3] + _SHIFT
+    for j in range(detail.shape[1]):
+        side = SIDE >> detail[i, j]
+        gx, gy = ground[i, 2 * j], ground[i, 2 * j + 1]
+        x[j] = (xx * gx + xy * gy + x0) * side
+        y[j] = (yx * gx + yy * gy + y0) * side
 
 
 @njit(cache=True, nogil=True)
-def _develop(bright, light, color, noise, image):  # type: ignore[no-untyped-def]
-    """Convert one row of brightness to noisy pixels."""
+def _split_places(i, detail, places):  # type: ignore[no-untyped-def]
+    """Split the places of image row i into the texel above and left of them, and fractions of a texel."""
+    x, y, texel = places.x, places.y, places.texel
+    for j in range(detail.shape[1]):
+        side = SIDE >> detail[i, j]
+        column, row = np.int32(x[j]), np.int32(y[j])
+        x[j] -= column
+        y[j] -= row
+        texel[j] = (side + (row & (side - 1))) * side + (column & (side - 1))
+
+
+@njit(cache=True, nogil=True)
+def look_down(views, ground, detail, corners, pose, places, bright):  # type: ignore[no-untyped-def]
+    """Compute the floor's brightness in one image, bilinear at each pixel's level of detail.
+
+    Short loops over contiguous numbers, without slices: the compiler turns all but the last, which gathers, into
+    vector instructions.
+
+    Args:
+        views: Heading and tool of each image row or of all, see `row_view`, (S or 1, >= 4).
+        ground: Floor points at the pixels' centers, (S, S, 2) m.
+        detail: Level of detail of each pixel, (S, S).
+        corners: Texture, see `floor_texture`.
+        pose: Pose of the texture, see `Floors`, (4,).
+        places: Arrays to overwrite, `Places`.
+        bright: Brightness, written in place, (S, S).
+    """
+    x, y, texel, size = places.x, places.y, places.texel, bright.shape[0]
+    flat = ground.reshape(size, 2 * size)
+    for i in range(size):
+        _find_places(i, views, flat, detail, pose, places)
+        _split_places(i, detail, places)
+        for j in range(size):
+            # Unsigned indices avoid a check for negative values at every access.
+            at = np.uint32(4) * np.uint32(texel[j])
+            upper = corners[at] + (corners[at + np.uint32(1)] - corners[at]) * x[j]
+            lower = corners[at + np.uint32(2)] + (corners[at + np.uint32(3)] - corners[at + np.uint32(2)]) * x[j]
+            bright[i, j] = upper + (lower - upper) * y[j]
+
+
+@njit(cache=True, nogil=True)
+def _develop(bright, light, color, tile, first, image):  # type: ignore[no-untyped-def]
+    """Convert brightness to noisy pixels. The noise begins at row and column `first` of the tile."""
     red, green, blue = np.float32(color[0]), np.float32(color[1]), np.float32(color[2])
     half, black, white = np.float32(0.5), np.float32(0.0), np.float32(255.0)
-    for j in range(image.shape[0]):
-        value = bright[j] * light[j]
-        image[j, 0] = np.uint8(min(max(value * red + noise[j, 0] + half, black), white))
-        image[j, 1] = np.uint8(min(max(value * green + noise[j, 1] + half, black), white))
-        image[j, 2] = np.uint8(min(max(value * blue + noise[j, 2] + half, black), white))
+    size, left = light.shape[0], 3 * first[1]
+    flat = image.reshape(size, 3 * size)
+    for i in range(size):
+        # A slice, since the sign of `left` would be checked at every access.
+        grain = tile[(i + first[0]) & (NOISE_SIDE - 1), left : left + 3 * size]
+        for j in range(size):
+            value, k = bright[i, j] * light[i, j], 3 * j
+            flat[i, k] = np.uint8(min(max(value * red + grain[k] + half, black), white))
+            flat[i, k + 1] = np.uint8(min(max(value * green + grain[k + 1] + half, black), white))
+            flat[i, k + 2] = np.uint8(min(max(value * blue + grain[k + 2] + half, black), white))
 
 
 @njit(cache=True, nogil=True)
-def _paint_marker(ground, spread, i, j, x, y, color, paint):  # type: ignore[no-untyped-def]
-    """Paint a marker at (x, y) over the color of pixel (i, j). Returns True if it touches the pixel."""
-    # Half the diagonal of a square pixel.
-    near = RING_RADIUS + 0.71 * spread[i, j]
-    if (ground[i, j, 0] - x) ** 2 + (ground[i, j, 1] - y) ** 2 > near * near:
-        return False
-    disc, ring = _covered(ground, i, j, x, y)
-    for channel in range(3):
-        paint[channel] = (1.0 - disc - ring) * paint[channel] + disc * color[channel] + ring * RING_COLOR[channel]
-    return disc + ring > 0.0
+def _paint_markers(box, views, rays, bright, color, tile, first, image):  # type: ignore[no-untyped-def]
+    """Paint both markers over the pixels of a box, the target last, on top of the distractor.
+
+    Args:
+        box: Rows and columns, see `_marker_box`.
+        views: Heading, tool and markers of each image row or of all, see `_marker_view`, (S or 1, 8).
+        rays: Rays of the camera, `Rays` without the leading axis.
+        bright: Brightness of the floor, (S, S).
+        color: Color of the floor at brightness 1, (3,).
+        tile: Noise, see `SensorNoise`.
+        first: First row and column in the tile, (2,).
+        image: Image, painted in place, (S, S, 3).
+    """
+    ground, light, spread, size, paint = rays.ground, rays.light, rays.spread, bright.shape[0], np.empty(3)
+    for i in range(box[0], box[1]):
+        row, a, v = (i + first[0]) & (NOISE_SIDE - 1), min(max(i, 1), size - 2), i % views.shape[0]
+        for j in range(box[2], box[3]):
+            if spread[i, j] > _WIDEST_MARKER_PIXEL or light[i, j] == 0.0:
+                continue
+            # Half the diagonal of a square pixel.
+            near, b, covered = RING_RADIUS + 0.71 * spread[i, j], min(max(j, 1), size - 2), False
+            for channel in range(3):
+                paint[channel] = color[channel] * bright[i, j]
+            for marker, paint_color in ((6, DISTRACTOR_COLOR), (4, TARGET_COLOR)):
+                x, y = views[v, marker], views[v, marker + 1]
+                if (ground[i, j, 0] - x) ** 2 + (ground[i, j, 1] - y) ** 2 > near * near:
+                    continue
+                xu, yu = ground[i, b + 1, 0] - ground[i, b - 1, 0], ground[i, b + 1, 1] - ground[i, b - 1, 1]
+                xv, yv = ground[a + 1, j, 0] - ground[a - 1, j, 0], ground[a + 1, j, 1] - ground[a - 1, j, 1]
+                disc, ring = _covered(
+                    ground[i, j, 0], ground[i, j, 1], 0.5 * xu, 0.5 * yu, 0.5 * xv, 0.5 * yv, x, y
+                )  # fmt: skip
+                covered |= disc + ring > 0.0
+                for channel in range(3):
+                    paint[channel] = (
+                        (1.0 - disc - ring) * paint[channel] + disc * paint_color[channel] + ring * RING_COLOR[channel]
+                    )
+            if covered:
+                for channel in range(3):
+                    value = paint[channel] * light[i, j] + tile[row, 3 * (first[1] + j) + channel]
+                    image[i, j, channel] = np.uint8(min(max(value + 0.5, 0.0), 255.0))
 
 
 @njit(cache=True, nogil=True)
@@ -265,42 +347,20 @@ def expose(  # type: ignore[no-untyped-def]
         images: RGB images, written in place, (N, S, S, 3) uint8.
     """
     cameras, links, history = arms.cameras, arms.links, arms.history
-    ground, light, spread, detail = rays.ground, rays.light, rays.spread, rays.detail
-    texels, starts, pose, color = floors.texels, floors.starts, floors.pose, floors.color
-    tile, offset = noise.tile, noise.offset
     size = images.shape[1]
-    views, bright, paint = np.empty((size, 8)), np.empty((size, size), np.float32), np.empty(3)
+    instants = size if shutter > 0.0 else 1
+    views, bright, places = np.empty((instants, 8)), np.empty((size, size), np.float32), empty_places(size)
     for n in range(rows.shape[0]):
         if not rows[n]:
             continue
-        frame = frames[n]
-        first_row, first_column = offset[n, frame, 0], offset[n, frame, 1]
-        for i in range(size):
-            if i == 0 or shutter > 0.0:
-                y = (i + 0.5) / size
-                _marker_view(y, shutter, cameras[n], links[n], history[n], paths[n], distractors[n], frame, views[i])
-            else:
-                views[i] = views[0]
-            grain = tile[(i + first_row) & (NOISE_SIDE - 1), first_column : first_column + size]
-            look_down(views[i], ground[n, i], detail[n, i], texels, starts, pose[n], bright[i])
-            _develop(bright[i], light[n, i], color[n], grain, images[n, i])
-        for marker in range(2):
-            k = 4 + 2 * marker
-            top, bottom, left, right = _marker_box(
-                cameras[n], views[0, k], views[0, k + 1], views[size - 1, k], views[size - 1, k + 1], step, spread[n]
-            )
-            for i in range(top, bottom):
-                grain = tile[(i + first_row) & (NOISE_SIDE - 1)]
-                for j in range(left, right):
-                    if spread[n, i, j] > _WIDEST_MARKER_PIXEL or light[n, i, j] == 0.0:
-                        continue
-                    for channel in range(3):
-                        paint[channel] = color[n, channel] * bright[i, j]
-                    # Both markers at every pixel, the target last, on top of the distractor.
-                    look, width = ground[n], spread[n]
-                    covered = _paint_marker(look, width, i, j, views[i, 6], views[i, 7], DISTRACTOR_COLOR, paint)
-                    covered |= _paint_marker(look, width, i, j, views[i, 4], views[i, 5], TARGET_COLOR, paint)
-                    if covered:
-                        for channel in range(3):
-                            value = paint[channel] * light[n, i, j] + grain[first_column + j, channel]
-                            images[n, i, j, channel] = np.uint8(min(max(value + 0.5, 0.0), 255.0))
+        frame, image, color, first = frames[n], images[n], floors.color[n], noise.offset[n, frames[n]]
+        own = Rays(rays.ground[n], rays.light[n], rays.spread[n], rays.detail[n])
+        for i in range(instants):
+            y = (i + 0.5) / size
+            _marker_view(y, shutter, cameras[n], links[n], history[n], paths[n], distractors[n], frame, views[i])
+        look_down(views, own.ground, own.detail, floors.corners, floors.pose[n], places, bright)
+        _develop(bright, own.light, color, noise.tile, first, image)
+        start, end = views[0], views[instants - 1]
+        for k in (4, 6):
+            box = _marker_box(cameras[n], start[k], start[k + 1], end[k], end[k + 1], step, own.spread)
+            _paint_markers(box, views, own, bright, color, noise.tile, first, image)

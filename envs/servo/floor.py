@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.types import FloatArray
 
@@ -22,21 +20,15 @@ _SLAB = 256  # texels between two joints
 _SPECKS, _SCRATCHES = 900, 26
 
 
-class FloorTexture(NamedTuple):
-    """Mipmap of the tile, brightness about 1.
-
-    Attributes:
-        texels: All levels one after the other, each row by row, float32.
-        starts: Index in `texels` of the first texel of each level. Level k has SIDE / 2**k texels a side.
-    """
-
-    texels: FloatArray
-    starts: NDArray[np.uint64]
-
-
 @lru_cache(maxsize=1)
-def floor_texture() -> FloorTexture:
-    """Paint the floor: clouds at several scales, joints between slabs, specks of gravel and a few scratches."""
+def floor_texture() -> FloatArray:
+    """Paint the floor: clouds at several scales, joints between slabs, specks of gravel and a few scratches.
+
+    Returns:
+        Mipmap of the tile, brightness about 1, flat float32. The level with s texels a side begins at texel s * s, row
+        by row. Each texel is stored together with its neighbors, what bilinear interpolation needs side by side in
+        memory: itself, the one to the right, the one below, the one below to the right.
+    """
     rng = np.random.default_rng(2011)
     tile = np.ones((SIDE, SIDE), dtype=np.float32)
     for cells, strength in _OCTAVES:
@@ -49,12 +41,14 @@ def floor_texture() -> FloorTexture:
     joint = np.abs((np.arange(SIDE) + _SLAB // 2) % _SLAB - _SLAB // 2)
     dark = 1.0 - 0.45 * np.clip(2.5 - joint, 0.0, 1.0).astype(np.float32)
     tile = np.clip(tile * dark[:, None] * dark[None, :], 0.25, 1.7).astype(np.float32)
-    levels = [tile]
-    while len(levels[-1]) > 1:
-        fine = levels[-1]
-        levels.append(0.25 * (fine[::2, ::2] + fine[1::2, ::2] + fine[::2, 1::2] + fine[1::2, 1::2]))
-    starts = np.cumsum([0, *(level.size for level in levels[:-1])])
-    return FloorTexture(np.concatenate([level.ravel() for level in levels]), starts.astype(np.uint64))
+    corners = np.zeros((2 * SIDE * SIDE, 4), np.float32)
+    while True:
+        below = np.roll(tile, -1, axis=0)
+        around = np.stack([tile, np.roll(tile, -1, axis=1), below, np.roll(below, -1, axis=1)], axis=-1)
+        corners[tile.size : 2 * tile.size] = around.reshape(-1, 4)
+        if len(tile) == 1:
+            return corners.ravel()
+        tile = 0.25 * (tile[::2, ::2] + tile[1::2, ::2] + tile[::2, 1::2] + tile[1::2, 1::2])
 
 
 def _cloud(rng: np.random.Generator, cells: int, strength: float) -> FloatArray:

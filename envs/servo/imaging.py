@@ -110,7 +110,7 @@ class ImageSensor(FloorCamera):
         world = self._world
         expose(
             rows, world.captured, world.config.rolling_shutter, 1.0 / self._scale, self._arms(), world.paths,
-            self._distractors, self._rays, Floors(*floor_texture(), self._floor_pose, self._floor_color), self._noise,
+            self._distractors, self._rays, Floors(floor_texture(), self._floor_pose, self._floor_color), self._noise,
             self.images,
         )  # fmt: skip
 
@@ -142,10 +142,10 @@ def noise_offsets(seed: int, length: int) -> Labels:
 
 @lru_cache(maxsize=16)
 def noise_tile(level: float, image_size: int) -> FloatArray:
-    """Sensor noise that frames read at random offsets, (256, 256 + image_size, 3); columns repeat after 256."""
+    """Sensor noise that frames read at random offsets, see `SensorNoise.tile`; columns repeat after 256."""
     tile = np.random.default_rng(0).standard_normal((NOISE_SIDE, NOISE_SIDE, 3))
     columns = np.arange(NOISE_SIDE + image_size) % NOISE_SIDE
-    return (level * tile[:, columns]).astype(np.float32)
+    return (level * tile[:, columns]).astype(np.float32).reshape(NOISE_SIDE, -1)
 
 
 def _distractor_path(seed: int, path: Array, times: Array) -> Array:

@@ -17,7 +17,6 @@ from servotrack.estimators.metrics import (
     ospa2,
     point_distances,
     score_distances,
-    stack_tracks,
     tracks_from_rows,
 )
 from servotrack.estimators.types import Array, Labels, Mask
@@ -123,7 +122,7 @@ class SetScorer:
             row: Index of the observer.
             truth: True tracks, shape (n, horizon, d); NaN while a target does not exist.
         """
-        tracks = stack_tracks(self.tracks(row), truth.shape[1], truth.shape[2])
+        tracks = _stacked(self._label_history[row], self._state_history[row], self._next[row])
         if self._distances is point_distances:
             return ospa2(truth, tracks, self._cutoff)
         return ospa2(truth, tracks, self._cutoff, distances=self._distances)
@@ -141,4 +140,28 @@ def _labeled(existence, labels, following):  # type: ignore[no-untyped-def]
             if labels[row, k] < 0:
                 out[row, k] = following[row]
                 following[row] += 1
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _stacked(labels, states, count):  # type: ignore[no-untyped-def]
+    """Return the tracks of labels 0 to `count` - 1, (k, T, d), NaN where absent, in the order of first appearance.
+
+    Args:
+        labels: Label in each row at each step, negative for an empty row, (T, rows).
+        states: State in each row at each step, (T, rows, d).
+        count: Number of labels, of which some may not occur.
+    """
+    place, found = np.full(count, -1), 0
+    for step in range(labels.shape[0]):
+        for label in labels[step]:
+            if label >= 0 and place[label] < 0:
+                place[label] = found
+                found += 1
+    out = np.full((found, labels.shape[0], states.shape[2]), np.nan)
+    for step in range(labels.shape[0]):
+        for row, label in enumerate(labels[step]):
+            if label >= 0:
+                for axis in range(states.shape[2]):
+                    out[place[label], step, axis] = states[step, row, axis]
     return out

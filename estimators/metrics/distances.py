@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,10 +26,7 @@ def point_distances(first: ArrayLike, second: ArrayLike) -> Array:
         ValueError: The points differ in dimension.
     """
     a, b = _pair(first, second)
-    total = np.zeros((*np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), a.shape[-2], b.shape[-2]))
-    for axis in range(a.shape[-1]):
-        total += (a[..., :, None, axis] - b[..., None, :, axis]) ** 2
-    return np.sqrt(total)
+    return _in_batch(_point_distances, a, b)
 
 
 def box_distances(first: ArrayLike, second: ArrayLike) -> Array:
@@ -47,10 +45,7 @@ def box_distances(first: ArrayLike, second: ArrayLike) -> Array:
     a, b = _pair(first, second)
     if a.shape[-1] != 4:
         raise ValueError(f"boxes must be (left, top, width, height), got {a.shape[-1]} numbers each")
-    batch = a.shape[:-2] if a.shape[:-2] == b.shape[:-2] else np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
-    out = np.empty((*batch, a.shape[-2], b.shape[-2]))
-    _box_distances(_stacked(a, batch), _stacked(b, batch), _stacked(out, batch))
-    return out
+    return _in_batch(_box_distances, a, b)
 
 
 def centroid_distances(first: ArrayLike, second: ArrayLike) -> Array:
@@ -112,10 +107,30 @@ def _pair(first: ArrayLike, second: ArrayLike) -> tuple[Array, Array]:
     return a, b
 
 
+def _in_batch(kernel: Callable[[Array, Array, Array], None], a: Array, b: Array) -> Array:
+    """Distances (*batch, n, k) by a kernel that fills (rows, n, k)."""
+    batch = a.shape[:-2] if a.shape[:-2] == b.shape[:-2] else np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
+    out = np.empty((*batch, a.shape[-2], b.shape[-2]))
+    kernel(_stacked(a, batch), _stacked(b, batch), _stacked(out, batch))
+    return out
+
+
 def _stacked(values: Array, batch: tuple[int, ...]) -> Array:
     """Reshape values (*batch, n, k) to (rows, n, k); a view unless broadcasting is needed."""
     whole = values if values.shape[:-2] == batch else np.broadcast_to(values, (*batch, *values.shape[-2:]))
     return np.ascontiguousarray(whole).reshape(math.prod(batch), *values.shape[-2:])
+
+
+@njit(cache=True, nogil=True)
+def _point_distances(first, second, out):  # type: ignore[no-untyped-def]
+    rows, n, k = out.shape
+    for row in range(rows):
+        for i in range(n):
+            for j in range(k):
+                total = 0.0
+                for axis in range(first.shape[2]):
+                    total += (first[row, i, axis] - second[row, j, axis]) ** 2
+                out[row, i, j] = math.sqrt(total)
 
 
 @njit(cache=True, nogil=True)

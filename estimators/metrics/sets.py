@@ -164,7 +164,9 @@ def _score(distances, truths, estimates, cutoff, order, out):  # type: ignore[no
                 distance = distances[row, truth_rows[i], estimate_rows[j]]
                 if math.isnan(distance):
                     return False
-                cut = min(distance, cutoff) ** order
+                cut = min(distance, cutoff)
+                if order != 1.0:
+                    cut **= order
                 if n <= k:
                     cost[i, j] = cut
                 else:

@@ -15,10 +15,8 @@ from servotrack.estimators.compilation import njit
 from servotrack.estimators.elementary import direction
 from servotrack.estimators.types import Array, Labels, Mask
 
-_CANDIDATES = 16
-"""Number of paths drawn at a time for one target in the scenario `paper`; the first that stays inside is used."""
 _MAX_DRAWS = 4096
-"""Number of paths drawn for one target before `draw_episode` fails."""
+"""Number of paths drawn for one target in the scenario `paper` before `draw_episode` fails."""
 
 
 class Stream(IntEnum):
@@ -90,9 +88,10 @@ def draw_episode(config: ClutterConfig, seed: int) -> ClutterEpisode:
     scans, n = config.horizon + 1, config.max_targets
     first, last, starts = _births(config, streams)
     states, exists, positions = np.zeros((scans, n, 4)), np.zeros((scans, n), np.bool_), np.zeros((scans, n, 2))
+    root = np.linalg.cholesky(config.motion.packed.noise)
     for target in range(len(first)):
         life = slice(first[target], last[target] + 1)
-        path = _draw_path(config, streams, target, starts[target], life)
+        path = _draw_path(config, streams, target, starts[target], root, life)
         life = slice(life.start, life.start + len(path))
         exists[life, target] = True
         states[life, target], positions[life, target] = path[:, :4], path[:, 4:]
@@ -129,28 +128,22 @@ def _births(config: ClutterConfig, streams: Streams) -> tuple[Labels, Labels, Ar
     return first, np.minimum(first + lifetime[:count], scans) - 1, starts[:count]
 
 
-def _draw_path(config: ClutterConfig, streams: Streams, target: int, start: Array, life: slice) -> Array:
+def _draw_path(config: ClutterConfig, streams: Streams, target: int, start: Array, root: Array, life: slice) -> Array:
     """Return state and measured position of a target at every scan of its life, shape (scans alive, 6).
 
     In the scenario `paper`, where lifetimes are given, the first path that stays inside the region is used. In `random`
     the target disappears when it leaves the region.
     """
     steps, total = life.stop - life.start, config.horizon + 1
-    model = config.motion.packed
-    root = np.linalg.cholesky(model.noise)
-    first = np.concatenate([start, start[[0, 2]]])
-    rng = streams[Stream.MOTION, target]
-    turns = _turn_rates(config, streams, target)[life]
-    candidates = _CANDIDATES if config.scenario == "paper" else 1
-    for _ in range(_MAX_DRAWS // candidates):
-        # Noise is drawn for the whole episode, so that a change of the lifetime changes no other draw.
-        noise = rng.standard_normal((candidates, total, 6))[:, :steps]
-        paths = np.empty((candidates, steps, 6))
-        chosen, length = _simulate(
-            model.transition, root, config.position_noise, first, noise, turns, config.half_width, paths
-        )
+    transition, rng = config.motion.packed.transition, streams[Stream.MOTION, target]
+    turns, path = _turn_rates(config, streams, target)[life], np.empty((steps, 6))
+    for _ in range(_MAX_DRAWS):
+        noise = rng.standard_normal((steps, 6))
+        length = _simulate(transition, root, config.position_noise, start, noise, turns, config.half_width, path)
         if length == steps or config.scenario == "random":
-            return paths[chosen, :length]
+            return path[:length]
+        # Each path takes the noise of a whole episode, so that a change of the lifetime changes no other draw.
+        rng.standard_normal((total - steps, 6))
     raise ValueError(
         f"no path of {steps} scans among {_MAX_DRAWS} stays inside half_width={config.half_width:g} m with "
         f"acceleration_noise={config.acceleration_noise:g}; widen half_width, or lower acceleration_noise or horizon"
@@ -170,35 +163,37 @@ def _turn_rates(config: ClutterConfig, streams: Streams, target: int) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _simulate(transition, root, spread, first, noise, turns, half_width, paths):  # type: ignore[no-untyped-def]
-    """Fill paths of (state, measured position). Return index and length of the first that stays inside, or of the last.
+def _simulate(transition, root, spread, start, noise, turns, half_width, path):  # type: ignore[no-untyped-def]
+    """Fill a path of (state, measured position) until it leaves the region. Return its length.
 
     The velocity of a turning target is rotated before every step. Position, measurement error and noise are not.
     """
-    candidates, steps, size = paths.shape
-    length = 0
-    for i in range(candidates):
-        for r in range(4):
-            paths[i, 0, r] = first[r]
-        for r in range(2):
-            paths[i, 0, 4 + r] = first[4 + r] + spread * noise[i, 0, 4 + r]
-        length = 0
-        while length < steps and abs(paths[i, length, 0]) <= half_width and abs(paths[i, length, 2]) <= half_width:
-            length += 1
-            if length == steps:
-                return i, length
-            before = paths[i, length - 1].copy()
-            c, s = np.cos(turns[length]), np.sin(turns[length])
-            before[1] = c * paths[i, length - 1, 1] - s * paths[i, length - 1, 3]
-            before[3] = s * paths[i, length - 1, 1] + c * paths[i, length - 1, 3]
-            for r in range(size):
-                value = 0.0
-                for j in range(size):
-                    value += transition[r, j] * before[j]
-                for j in range(r + 1):
-                    value += root[r, j] * noise[i, length, j]
-                paths[i, length, r] = value
-    return candidates - 1, length
+    steps, size = path.shape
+    for r in range(4):
+        path[0, r] = start[r]
+    for r in range(2):
+        path[0, 4 + r] = start[2 * r] + spread * noise[0, 4 + r]
+    before = np.empty(size)
+    for length in range(steps):
+        if not (abs(path[length, 0]) <= half_width and abs(path[length, 2]) <= half_width):
+            return length
+        if length + 1 == steps:
+            break
+        for r in range(size):
+            before[r] = path[length, r]
+        turn = turns[length + 1]
+        if turn != 0.0:
+            c, s = np.cos(turn), np.sin(turn)
+            before[1] = c * path[length, 1] - s * path[length, 3]
+            before[3] = s * path[length, 1] + c * path[length, 3]
+        for r in range(size):
+            value = 0.0
+            for j in range(size):
+                value += transition[r, j] * before[j]
+            for j in range(r + 1):
+                value += root[r, j] * noise[length + 1, j]
+            path[length + 1, r] = value
+    return steps
 
 
 def _range_bearing(config: ClutterConfig, streams: Streams, states: Array) -> Array:
@@ -222,14 +217,35 @@ def _scan(config: ClutterConfig, streams: Streams, exists: Mask, values: Array) 
     order = streams[Stream.SHUFFLE].random((scans, n + most))
     low, high = config.measurement_bounds
     measurements, source = np.zeros((scans, rows, 3)), np.full((scans, rows), -2, dtype=np.int64)
-    for scan in range(scans):
-        targets = np.flatnonzero(detected[scan])
-        # If the rows do not suffice, only clutter is dropped.
-        false = min(int(counts[scan]), rows - len(targets))
-        found = np.concatenate([values[scan, targets], clutter[scan, :false]])
-        origin = np.concatenate([targets, np.full(false, -1)])
-        shuffled = np.argsort(order[scan, : len(found)])
-        measurements[scan, : len(found), 0] = 1.0
-        measurements[scan, : len(found), 1:] = np.clip(found[shuffled], low, high)
-        source[scan, : len(found)] = origin[shuffled]
+    _fill_scans(detected, values, counts, clutter, order, np.array([low, high]), measurements, source)
     return measurements, source
+
+
+@njit(cache=True, nogil=True)
+def _fill_scans(detected, values, counts, clutter, order, bounds, measurements, source):  # type: ignore[no-untyped-def]
+    """Write the detections and the clutter of all scans in the order of random numbers."""
+    scans, n = detected.shape
+    ranked = np.empty(n + clutter.shape[1], np.int64)
+    origin = np.empty_like(ranked)
+    for scan in range(scans):
+        targets = 0
+        for target in range(n):
+            if detected[scan, target]:
+                origin[targets] = target
+                targets += 1
+        # If the rows do not suffice, only clutter is dropped.
+        members = targets + min(counts[scan], measurements.shape[1] - targets)
+        for member in range(members):
+            row = member
+            while row > 0 and order[scan, ranked[row - 1]] > order[scan, member]:
+                ranked[row] = ranked[row - 1]
+                row -= 1
+            ranked[row] = member
+        for row in range(members):
+            member = ranked[row]
+            real = member < targets
+            source[scan, row] = origin[member] if real else -1
+            measurements[scan, row, 0] = 1.0
+            for axis in range(2):
+                value = values[scan, origin[member], axis] if real else clutter[scan, member - targets, axis]
+                measurements[scan, row, 1 + axis] = min(max(value, bounds[0, axis]), bounds[1, axis])
