@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -14,26 +13,16 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from servotrack.envs.arguments import check_options, check_render_mode, check_seed
-from servotrack.envs.state import (
-    State,
-    Stateful,
-    check_heading,
-    entry,
-    generator_of,
-    generator_words,
-    heading,
-    parts_state,
-    set_parts,
-)
+from servotrack.envs.state import Resumable
 from servotrack.envs.streams import episode_seed
 from servotrack.envs.vector_env import BatchedWorld, FrameSource, spec_with_limit
-from servotrack.estimators.types import Array
+from servotrack.estimators.types import Array, Mask
 
 if TYPE_CHECKING:
     from servotrack.envs.drawing.viewer import Viewer
 
 
-class SingleEnv(gym.Env[Any, Any]):
+class SingleEnv(Resumable, gym.Env[Any, Any]):
     """An environment with one scene of a batched world; `BatchedVectorEnv` has N.
 
     Args:
@@ -187,46 +176,14 @@ class SingleEnv(gym.Env[Any, Any]):
         """Entries that `PrivilegedObservation` adds: those of the world's `privileged`, without the leading axis."""
         return {key: value[0] for key, value in self.world.privileged().items()}
 
-    def _parts(self) -> dict[str, Stateful]:
-        """Parts of the environment that change, by their names in a state."""
-        return {"world": self.world}
+    def _running_rows(self) -> Mask:
+        return np.array([self._running])
 
-    def _heading(self) -> State:
-        return heading(type(self).__name__.removesuffix("Env"), self.config, engine=getattr(self, "engine", None))
+    def _row_generators(self) -> list[np.random.Generator]:
+        return [self.np_random]
 
-    def get_state(self) -> State:
-        """Return the exact state: copies from which `set_state` goes on to the bit, in another process too.
-
-        Returns:
-            Arrays by name, see `servotrack.envs.state`. They can be written with `numpy.savez`.
-
-        Raises:
-            gymnasium.error.ResetNeeded: Before the first reset.
-        """
-        if not self._started:
-            raise ResetNeeded("there is no state yet: call reset() before get_state()")
-        state = self._heading() | {
-            "running": np.array([self._running]),
-            "generator": generator_words([self.np_random]),
-        }
-        return state | parts_state(self._parts())
-
-    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Go back to a state that `get_state` returned, here or in another environment with the same arguments.
-
-        The next `step` and the resets that follow give what they gave there. Pictures start their trails anew.
-
-        Args:
-            state: Arrays by name; they are not changed.
-
-        Raises:
-            ValueError: The state belongs to another environment, configuration or engine, or is damaged.
-        """
-        check_heading(state, self._heading())
-        running, words = entry(state, "running", (1,), np.bool_), entry(state, "generator", (1, 6), np.uint64)
-        set_parts(self._parts(), state, self._started)
-        self._np_random = generator_of(words[0])
-        self._running, self._started = bool(running[0]), True
+    def _go_on(self, running: Mask, generators: list[np.random.Generator]) -> None:
+        self._running, self._np_random = bool(running[0]), generators[0]
         if self._recorder is not None:
             self._recorder.record()
 

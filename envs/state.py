@@ -7,12 +7,15 @@ objects in them: `numpy.savez` writes them, and a file of them can be loaded wit
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
+
+from servotrack.estimators.types import Mask
 
 State = dict[str, NDArray[Any]]
 """State of an environment: `format`, `environment`, `configuration`, and arrays with a leading axis of N scenes."""
@@ -78,11 +81,6 @@ def entry(state: Mapping[str, NDArray[Any]], name: str, shape: tuple[int | None,
 def part(state: Mapping[str, NDArray[Any]], name: str) -> State:
     """Return the entries whose names begin with `name` and a slash, without both."""
     return {key[len(name) + 1 :]: value for key, value in state.items() if key.startswith(f"{name}/")}
-
-
-def repeated(value: NDArray[Any], count: int) -> NDArray[Any]:
-    """Return an entry of a single scene, with a leading axis of one, for `count` scenes."""
-    return np.repeat(np.asarray(value), count, axis=0)
 
 
 def parts_state(parts: Mapping[str, Stateful]) -> State:
@@ -173,3 +171,67 @@ def generator_of(words: NDArray[np.uint64]) -> np.random.Generator:
         "uinteger": half,
     }
     return generator
+
+
+class Resumable:
+    """Environment whose exact state can be taken and set; the base of the single and the vector environments."""
+
+    config: Any
+    world: Any
+    _started: bool
+
+    def _parts(self) -> dict[str, Stateful]:
+        """Parts of the environment that change, by their names in a state."""
+        return {"world": self.world}
+
+    def _running_rows(self) -> Mask:
+        """Mask of the scenes whose episode is running, (N,)."""
+        raise NotImplementedError
+
+    def _row_generators(self) -> Sequence[np.random.Generator]:
+        """Generators of the scenes' episodes, N."""
+        raise NotImplementedError
+
+    def _go_on(self, running: Mask, generators: list[np.random.Generator]) -> None:
+        """Take over the flags and generators of a state; its parts have been set."""
+        raise NotImplementedError
+
+    def _heading(self) -> State:
+        name = type(self).__name__.removesuffix("Env").removesuffix("Vector")
+        return heading(name, self.config, engine=getattr(self, "engine", None))
+
+    def get_state(self) -> State:
+        """Return the exact state: copies from which `set_state` goes on to the bit, in another process too.
+
+        Returns:
+            Arrays by name, see `servotrack.envs.state`. They can be written with `numpy.savez`.
+
+        Raises:
+            gymnasium.error.ResetNeeded: Before the first reset.
+        """
+        if not self._started:
+            raise ResetNeeded("there is no state yet: call reset() before get_state()")
+        own = {"running": self._running_rows().copy(), "generator": generator_words(self._row_generators())}
+        return self._heading() | own | parts_state(self._parts())
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back to a state that `get_state` returned, here or in another environment with the same arguments.
+
+        The next `step` and the resets that follow give what they gave there. Pictures start their trails anew.
+
+        Args:
+            state: Arrays by name; they are not changed. A vector environment gives the state of one scene, for example
+                that of a single environment with the same arguments, to all its scenes.
+
+        Raises:
+            ValueError: The state belongs to another environment, configuration or engine, or is damaged.
+        """
+        check_heading(state, own := self._heading())
+        count = self.world.count
+        if count > 1 and len(entry(state, "running", (None,), np.bool_)) == 1:
+            state = {name: value if name in own else np.repeat(value, count, axis=0) for name, value in state.items()}
+        running, words = entry(state, "running", (count,), np.bool_), entry(state, "generator", (count, 6), np.uint64)
+        generators = [generator_of(row) for row in words]
+        set_parts(self._parts(), state, self._started)
+        self._started = True
+        self._go_on(running, generators)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import gymnasium as gym
@@ -17,18 +17,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from servotrack.envs.arguments import check_options, check_render_mode, check_seed
-from servotrack.envs.state import (
-    State,
-    Stateful,
-    check_heading,
-    entry,
-    generator_of,
-    generator_words,
-    heading,
-    parts_state,
-    repeated,
-    set_parts,
-)
+from servotrack.envs.state import Resumable
 from servotrack.envs.streams import episode_seed
 from servotrack.estimators.types import Array, Labels, Mask
 
@@ -68,7 +57,7 @@ class FrameSource(Protocol):
         """Function that draws the current state. Keywords are sensor data that the picture shows too."""
 
 
-class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
+class BatchedVectorEnv(Resumable, gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
     """A vector environment over a world that steps N scenes together.
 
     Args:
@@ -257,48 +246,15 @@ class BatchedVectorEnv(gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
         """Entries that `VectorPrivilegedObservation` adds to observations, see the world's `privileged`."""
         return self.world.privileged()
 
-    def _parts(self) -> dict[str, Stateful]:
-        """Parts of the environment that change, by their names in a state."""
-        return {"world": self.world}
+    def _running_rows(self) -> Mask:
+        return ~self._over
 
-    def _heading(self) -> State:
-        return heading(type(self).__name__.removesuffix("VectorEnv"), self.config, engine=getattr(self, "engine", None))
+    def _row_generators(self) -> tuple[np.random.Generator, ...]:
+        return self.np_random
 
-    def get_state(self) -> State:
-        """Return the exact state: copies from which `set_state` goes on to the bit, in another process too.
-
-        Returns:
-            Arrays by name, see `servotrack.envs.state`. They can be written with `numpy.savez`.
-
-        Raises:
-            gymnasium.error.ResetNeeded: Before the first reset.
-        """
-        if not self._started:
-            raise ResetNeeded("there is no state yet: call reset() before get_state()")
-        state = self._heading() | {"running": ~self._over, "generator": generator_words(self.np_random)}
-        return state | parts_state(self._parts())
-
-    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Go back to a state that `get_state` returned, here or in another environment with the same arguments.
-
-        The next `step` and the resets that follow give what they gave there. Pictures start their trails anew.
-
-        Args:
-            state: Arrays by name; they are not changed. A state of one scene, for example that of a single environment
-                with the same arguments, is given to all sub-environments.
-
-        Raises:
-            ValueError: The state belongs to another environment, configuration or engine, or is damaged.
-        """
-        check_heading(state, own := self._heading())
-        count = self.num_envs
-        if count > 1 and len(entry(state, "running", (None,), np.bool_)) == 1:
-            state = {name: value if name in own else repeated(value, count) for name, value in state.items()}
-        running, words = entry(state, "running", (count,), np.bool_), entry(state, "generator", (count, 6), np.uint64)
-        set_parts(self._parts(), state, self._started)
-        self._generate([None] * count)
-        self._generators = [generator_of(row) for row in words]
-        self._over, self._started = ~running, True
+    def _go_on(self, running: Mask, generators: list[np.random.Generator]) -> None:
+        self._generate([None] * self.num_envs)
+        self._generators, self._over = generators, ~running
         self._record()
 
     def _record(self) -> None:

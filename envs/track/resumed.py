@@ -46,3 +46,14 @@ def put_scores(world: Any, names: tuple[str, ...], state: Mapping[str, NDArray[A
     put(world, ("seeds", "steps", *names), state)
     if hasattr(world, "scorer"):
         world.scorer.set_state(part(state, "scorer"))
+
+
+def draw_again(world: Any, names: tuple[str, ...], state: Mapping[str, NDArray[Any]], longest: int) -> None:
+    """Start the scenes of a state's seeds, and write its steps and scores; what is observed there follows from them.
+
+    Raises:
+        ValueError: An entry is missing, or does not fit.
+    """
+    seeds, _ = checked_rows(world, state, longest)
+    world.reset(range(world.count), seeds.tolist())
+    put_scores(world, names, state)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from servotrack.envs.state import State
 from servotrack.envs.track.clutter.config import ClutterConfig
 from servotrack.envs.track.clutter.episode import draw_episode
-from servotrack.envs.track.resumed import checked_rows, put_scores, scored_state
+from servotrack.envs.track.resumed import draw_again, scored_state
 from servotrack.envs.track.scoring import SetScorer
 from servotrack.estimators.types import Array, Labels, Mask
 
@@ -105,9 +105,7 @@ class ClutterWorld:
         Raises:
             ValueError: An entry is missing, or does not fit.
         """
-        seeds, _ = checked_rows(self, state, self.config.horizon)
-        self.reset(range(self.count), seeds.tolist())
-        put_scores(self, _SCORES, state)
+        draw_again(self, _SCORES, state, self.config.horizon)
         self._observe()
 
     def _observe(self) -> None:

@@ -12,7 +12,7 @@ from servotrack.envs.state import State
 from servotrack.envs.track.color.config import ColorConfig
 from servotrack.envs.track.color.scene import Painter, draw_scene
 from servotrack.envs.track.color.scoring import center_errors, failures, overlaps, precision, success_curve
-from servotrack.envs.track.resumed import checked_rows, put_scores, scored_state
+from servotrack.envs.track.resumed import draw_again, scored_state
 from servotrack.estimators.types import Array, Mask
 
 _MAX_COORDINATE = 1e12
@@ -112,9 +112,7 @@ class ColorWorld:
         Raises:
             ValueError: An entry is missing, or does not fit.
         """
-        seeds, _ = checked_rows(self, state, self.config.horizon)
-        self.reset(range(self.count), seeds.tolist())
-        put_scores(self, _SCORES, state)
+        draw_again(self, _SCORES, state, self.config.horizon)
         for row in range(self.count):
             self._show(row)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.state import State
-from servotrack.envs.track.resumed import checked_rows, put_scores, scored_state
+from servotrack.envs.track.resumed import draw_again, scored_state
 from servotrack.envs.track.scoring import SetScorer
 from servotrack.envs.track.sonar.config import SonarConfig
 from servotrack.envs.track.sonar.records import draw_record
@@ -113,9 +113,7 @@ class SonarWorld:
         Raises:
             ValueError: An entry is missing, or does not fit.
         """
-        seeds, _ = checked_rows(self, state, self.config.horizon + self.config.lag)
-        self.reset(range(self.count), seeds.tolist())
-        put_scores(self, _SCORES, state)
+        draw_again(self, _SCORES, state, self.config.horizon + self.config.lag)
         for row in range(self.count):
             self._show(row)
 
