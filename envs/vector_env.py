@@ -336,9 +336,12 @@ def masked_infos(values: dict[str, Any], chosen: Mask) -> dict[str, Any]:
         Copies, with zeros in the other rows.
     """
     out: dict[str, Any] = {}
+    whole = chosen.all()
     for key, value in values.items():
         if isinstance(value, dict):
             out[key] = masked_infos(value, chosen)
+        elif whole:
+            out[key] = value.copy()
         else:
             out[key] = np.where(chosen.reshape(-1, *[1] * (value.ndim - 1)), value, np.zeros((), value.dtype))
         out[f"_{key}"] = chosen.copy()

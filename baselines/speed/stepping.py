@@ -32,7 +32,8 @@ class Job(TypedDict):
         num_envs: Size of the vector environment; 0 for a single environment.
         mode: `vectorization_mode` of `gymnasium.make_vec`.
         counts: "steps"; "silent" for steps with actions of zeros, if scoring random ones would cost more than the step;
-            or "frames" for calls of `render` alone, with an untimed step between two calls.
+            "resets" for calls of `reset` alone; or "frames" for calls of `render` alone, with an untimed step between
+            two calls.
     """
 
     module: str
@@ -62,7 +63,7 @@ def stepper(job: Job) -> Callable[[float], float]:
         env: Any = gym.make_vec(
             job["env_id"], num_envs=job["num_envs"], vectorization_mode=job["mode"], **job["kwargs"]
         )
-        run = _vector_run(env, job["num_envs"])
+        run = _reset_run(env, job["num_envs"]) if job["counts"] == "resets" else _vector_run(env, job["num_envs"])
     else:
         env = gym.make(job["env_id"], **job["kwargs"])
         run = _frame_run(env) if job["counts"] == "frames" else _single_run(env, job["counts"] == "silent")
@@ -106,6 +107,17 @@ def _vector_run(env: Any, num_envs: int) -> Callable[[float], float]:
             env.step(actions[steps % len(actions)])
             steps += 1
         return steps * num_envs / elapsed
+
+    return run
+
+
+def _reset_run(env: Any, num_envs: int) -> Callable[[float], float]:
+    def run(duration: float) -> float:
+        resets, start = 0, time.perf_counter()
+        while (elapsed := time.perf_counter() - start) < duration:
+            env.reset()
+            resets += num_envs
+        return resets / elapsed
 
     return run
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -41,15 +42,26 @@ class Crowd:
 
     Attributes:
         paths: Positions and velocities. Shape (K, P, 4), m and m/s.
-        heading: Direction in which people face. Shape (K, P), rad.
-        phase: Phase of the gait: a stride of two steps is 2 pi. Shape (K, P), rad.
-        stride: Amplitude of the gait: 0 standing, 1 walking at full pace. Shape (K, P).
+        first_phase: Phase of each person's gait before the first step. Shape (P,), rad.
     """
 
     paths: Array
-    heading: Array
-    phase: Array
-    stride: Array
+    first_phase: Array
+
+    @cached_property
+    def walk(self) -> Array:
+        """Heading (rad), phase of the gait (rad) and stride of all people. Shape (K, P, 3).
+
+        A stride of two steps is 2 pi of the phase. The stride is the gait's amplitude: 0 standing, 1 walking at full
+        pace. Only pictures need it, so it is computed when it is first used.
+        """
+        return self.first_walk(len(self.paths))
+
+    def first_walk(self, count: int) -> Array:
+        """Return the first `count` samples of `walk`, at least 6: these decide the first heading."""
+        walk = np.empty((count, len(self.first_phase), 3))
+        _move_bodies(self.paths[:count], self.first_phase, walk)
+        return walk
 
 
 def draw_paths(config: FollowConfig, streams: Streams, links: Array, count: int) -> Array:
@@ -116,15 +128,13 @@ def draw_paths(config: FollowConfig, streams: Streams, links: Array, count: int)
 
 def walking_crowd(paths: Array, streams: Streams) -> Crowd:
     """Return the crowd that walks along these paths (K, P, 4), with its gait."""
-    heading, phase, stride = bodies = np.empty((3, *paths.shape[:2]))
-    _move_bodies(paths, bodies)
-    phase += streams[FollowStream.OTHERS].uniform(0.0, 2.0 * math.pi, paths.shape[1])
-    return Crowd(paths, heading, phase, stride)
+    first_phase = np.asarray(streams[FollowStream.OTHERS].uniform(0.0, 2.0 * math.pi, paths.shape[1]), np.float64)
+    return Crowd(paths, first_phase)
 
 
 @njit(cache=True, nogil=True)
-def _move_bodies(paths, bodies):  # type: ignore[no-untyped-def]
-    """Fill in heading, phase and stride of all people, (3, K, P)."""
+def _move_bodies(paths, first_phase, walk):  # type: ignore[no-untyped-def]
+    """Fill in heading, phase and stride of all people, (K, P, 3)."""
     count, people = paths.shape[:2]
     moved, resting = np.zeros((count, 2)), np.full(count, math.nan)
     for i in range(people):
@@ -133,8 +143,7 @@ def _move_bodies(paths, bodies):  # type: ignore[no-untyped-def]
             moved[k, 1] = (paths[k, i, 1] - paths[k - 1, i, 1]) / STATURE
         body = gait(moved, resting, math.nan, 0.0, PERIOD)
         for k in range(count):
-            for number in range(3):
-                bodies[number, k, i] = body[k, number]
+            walk[k, i, 0], walk[k, i, 1], walk[k, i, 2] = body[k, 0], body[k, 1] + first_phase[i], body[k, 2]
 
 
 def _draw_own_waypoints(rng: np.random.Generator, config: FollowConfig, links: Array, pace: float, count: int) -> Array:

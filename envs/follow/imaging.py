@@ -56,7 +56,8 @@ class CrowdCamera(FloorCamera):
         super()._begin(row)
         self._floor_pose[row], self._floor_color[row] = _floor(int(self._world.seeds[row]))
         _enlarge(self._rays.detail[row])
-        _put(self._crowds, row, self._world.episode(row))
+        episode = self._world.episode(row)
+        _put(self._crowds, row, episode, episode.crowd.walk)
 
     def _expose(self, rows: Mask) -> None:
         world, config = self._world, self._world.config
@@ -99,7 +100,7 @@ class CloseUp:
             self._episode, self._floor = episode, _floor(episode.streams.seed)
             trace_rays(episode.camera, self._step, *(table[0] for table in self._rays))
             _enlarge(self._rays.detail)
-            _put(self._crowd, 0, episode)
+            _put(self._crowd, 0, episode, episode.crowd.walk)
         images = np.zeros((*self._rays.light.shape, 3), np.uint8)
         pose, color = self._floor
         expose_crowd(
@@ -122,11 +123,10 @@ def _no_crowds(count: int, length: int, people: int, lamps: int) -> CrowdTables:
     )
 
 
-def _put(crowds: CrowdTables, row: int, episode: FollowEpisode, frames: slice = slice(None)) -> None:
+def _put(crowds: CrowdTables, row: int, episode: FollowEpisode, walk: Array) -> None:
     """Store an episode's crowd in a row of the tables; lampshades only as far as the table has rows."""
-    crowd, outfits = episode.crowd, episode.outfits
-    for column, table in enumerate((crowd.heading, crowd.phase, crowd.stride)):
-        crowds.walk[row, ..., column] = table[frames]
+    outfits = episode.outfits
+    crowds.walk[row] = walk
     crowds.outfits[row], crowds.lamps[row] = outfits.people, outfits.lamps[: crowds.lamps.shape[1]]
     crowds.umbrella[row], crowds.umbrella_color[row] = outfits.umbrella, outfits.umbrella_color
 
@@ -158,7 +158,7 @@ def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) 
         trace_rays(camera, step, *(table[0] for table in rays))
         _enlarge(rays.detail)
         crowd = _no_crowds(1, 1, len(episode.outfits.people), 0)
-        _put(crowd, 0, episode, slice(frame, frame + 1))
+        _put(crowd, 0, episode, episode.crowd.first_walk(LEAD + 1)[frame : frame + 1])
         crowd.umbrella[:] = 0.0
         offset = noise_offsets(episode.streams.seed, frame + 1)[None, frame:]
         expose_crowd(

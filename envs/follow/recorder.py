@@ -72,7 +72,7 @@ class Recorder:
                 links=world.links[row],
                 joint_angles=world.joints[row],
                 people=crowd.paths[now, :, :2],
-                walk=np.stack([crowd.heading[now], crowd.phase[now], crowd.stride[now]], axis=-1),
+                walk=crowd.walk[now],
                 outfits=episode.outfits,
                 goal=world.goal[row],
                 camera_size=size,
