@@ -54,7 +54,6 @@ def subjects(pusht_python: str | None) -> list[Subject]:
         "UncalibServoPixels-v0",
         "ClutterTracking-v0",
     )
-    compiled = {"engine": "compiled"}
     return [
         Subject(f"{servo}, level 0", stepping_command(servo, level=0), 20_000.0, {state: 6.0, reacher: 0.7}),
         Subject(f"{servo}, level 3", stepping_command(servo, level=3)),
@@ -62,7 +61,7 @@ def subjects(pusht_python: str | None) -> list[Subject]:
         Subject(f"{servo}, level 0, N = 1024", stepping_command(servo, 1024, level=0), 1_000_000.0, {reacher64: 3.0}),
         Subject(
             f"{servo}, level 3, compiled engine",
-            stepping_command(servo, level=3, **compiled),
+            stepping_command(servo, level=3, engine="compiled"),
             60_000.0,
             {reacher: 2.0},
         ),
@@ -76,7 +75,9 @@ def subjects(pusht_python: str | None) -> list[Subject]:
         Subject(f"{images}, level 0, 96 x 96", stepping_command(images, level=0), 5_000.0, {pixels: 8.0}),
         Subject(f"{images}, level 3, 96 x 96", stepping_command(images, level=3)),
         Subject(
-            f"{images}, level 0, 96 x 96, compiled engine", stepping_command(images, level=0, **compiled), 10_000.0
+            f"{images}, level 0, 96 x 96, compiled engine",
+            stepping_command(images, level=0, engine="compiled"),
+            10_000.0,
         ),
         Subject(f"{images}, level 0, 96 x 96, N = 64", stepping_command(images, 64, level=0), 20_000.0),
         Subject(f"{crowd}, level 2, detections", stepping_command(crowd, level=2), 10_000.0),

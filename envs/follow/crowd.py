@@ -128,7 +128,7 @@ def draw_paths(config: FollowConfig, streams: Streams, links: Array, count: int)
 
 def walking_crowd(paths: Array, streams: Streams) -> Crowd:
     """Return the crowd that walks along these paths (K, P, 4), with its gait."""
-    return Crowd(paths, streams[FollowStream.OTHERS].uniform(0.0, 2.0 * math.pi, paths.shape[1]))
+    return Crowd(paths, streams[FollowStream.OTHERS].uniform(0.0, 2.0 * math.pi, (paths.shape[1],)))
 
 
 @njit(cache=True, nogil=True)

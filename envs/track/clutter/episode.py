@@ -88,7 +88,7 @@ def draw_episode(config: ClutterConfig, seed: int) -> ClutterEpisode:
     scans, n = config.horizon + 1, config.max_targets
     first, last, starts = _births(config, streams)
     states, exists, positions = np.zeros((scans, n, 4)), np.zeros((scans, n), np.bool_), np.zeros((scans, n, 2))
-    root = np.linalg.cholesky(config.motion.packed.noise)
+    root = np.asarray(np.linalg.cholesky(config.motion.packed.noise), np.float64)
     for target in range(len(first)):
         life = slice(first[target], last[target] + 1)
         path = _draw_path(config, streams, target, starts[target], root, life)
