@@ -45,7 +45,7 @@ class _Seed(ISeedSequence):
 
     def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[Any]:
         """Same as `numpy.random.SeedSequence.generate_state`."""
-        if n_words == 4 and dtype is np.uint64 and len(self._key) == 1 and self._seed < 2**64 > self._key[0]:
+        if n_words == 4 and dtype is np.uint64 and len(self._key) == 1 and self._seed < 2**63 > self._key[0]:
             return np.array(_seed_words(self._seed, self._key[0]), np.uint64)
         words = _words(self._seed)
         # Short seeds are padded: the key begins after the words that fill the pool.
@@ -164,18 +164,47 @@ def _advance(state):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def draw_share(state):  # type: ignore[no-untyped-def]
-    """Draw from [0, 1): `Generator.random()`."""
+def _draw_word(state):  # type: ignore[no-untyped-def]
+    """Draw a number of 64 bits."""
     _advance(state)
     word, turn = state[0] ^ state[1], state[0] >> _TURN
-    word = word >> turn | word << (np.uint64(64) - turn & _ALL_BITS)
-    return (word >> _UNUSED_BITS) * (1.0 / 9007199254740992.0)
+    return word >> turn | word << (np.uint64(64) - turn & _ALL_BITS)
+
+
+@njit(cache=True, nogil=True)
+def draw_share(state):  # type: ignore[no-untyped-def]
+    """Draw from [0, 1): `Generator.random()`."""
+    return (_draw_word(state) >> _UNUSED_BITS) * (1.0 / 9007199254740992.0)
 
 
 @njit(cache=True, nogil=True)
 def draw_uniform(state, low, high):  # type: ignore[no-untyped-def]
     """Draw from [low, high): `Generator.uniform(low, high)`."""
     return low + (high - low) * draw_share(state)
+
+
+@njit(cache=True, nogil=True)
+def draw_index(state, count):  # type: ignore[no-untyped-def]
+    """Draw from 0 to `count` - 1, at most 2^32: `Generator.integers(count)` (Lemire 2019).
+
+    Args:
+        state: State of a stream, followed by two words that are zeros at first, (6,) uint64. They keep the second half
+            of a number of 64 bits for the next draw.
+        count: Number of values.
+    """
+    if count == 1:
+        return 0
+    bound = np.uint64(count)
+    least = (np.uint64(2**32) - bound) % bound
+    while True:
+        if state[4] > np.uint64(0):
+            half, state[4] = state[5], np.uint64(0)
+        else:
+            word = _draw_word(state)
+            half, state[4], state[5] = word & _LOW, _ONE, word >> _WORD
+        product = half * bound
+        if (product & _LOW) >= least:
+            return np.int64(product >> _WORD)
 
 
 def episode_seed(rng: np.random.Generator) -> int:

@@ -93,7 +93,7 @@ def subjects(pusht_python: str | None) -> list[Subject]:
             2_000.0,
         ),
         Subject(f"{servo}, frames of rgb_array", stepping_command(servo, level=0, render_mode="rgb_array"), 1_500.0),
-        Subject(f"{clutter}, level 0, N = 64", stepping_command(clutter, 64, level=0), 92_000.0),
+        Subject(f"{clutter}, level 0, N = 64", stepping_command(clutter, 64, level=0), 81_000.0),
         Subject("Kalman estimator, batch of 1024, updates", (str(JACOBIAN_PROCESS), "1024"), 1_000_000.0),
         _reacher(reacher),
         _reacher(reacher64, 64),

@@ -128,8 +128,7 @@ def draw_paths(config: FollowConfig, streams: Streams, links: Array, count: int)
 
 def walking_crowd(paths: Array, streams: Streams) -> Crowd:
     """Return the crowd that walks along these paths (K, P, 4), with its gait."""
-    first_phase = np.asarray(streams[FollowStream.OTHERS].uniform(0.0, 2.0 * math.pi, paths.shape[1]), np.float64)
-    return Crowd(paths, first_phase)
+    return Crowd(paths, streams[FollowStream.OTHERS].uniform(0.0, 2.0 * math.pi, (paths.shape[1],)))
 
 
 @njit(cache=True, nogil=True)

@@ -9,8 +9,9 @@ import numpy as np
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.crowd import Crowd
 from servotrack.envs.follow.streams import FollowStream
-from servotrack.envs.streams import Streams
-from servotrack.envs.track.pedestrians.outfits import HAIR, TOP, compose_outfit
+from servotrack.envs.streams import Streams, draw_share, start_stream
+from servotrack.envs.track.pedestrians.outfits import HAIR, OUTFIT_NUMBERS, TOP, compose_outfit
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Mask
 
 BODY_WIDTH = 0.5
@@ -55,11 +56,8 @@ def draw_outfits(config: FollowConfig, streams: Streams, crowd: Crowd) -> Outfit
         streams: Random streams of the episode.
         crowd: Paths of the people.
     """
-    rng = streams[FollowStream.OUTFITS]
-    alike = rng.random(config.people) < config.look_alikes
-    # One generator for all people: creating one per person would take longer than everything else here.
-    people = np.array([compose_outfit(rng, rng, rng, 0.0, _NO_BACKGROUND) for _ in range(config.people)])
-    people[alike] = people[0]
+    people = np.zeros((config.people, OUTFIT_NUMBERS))
+    _dress(streams.seed, config.look_alikes, people)
     rng = streams[FollowStream.OCCLUDERS]
     umbrella, umbrella_color = np.zeros(config.people), np.zeros((config.people, 3))
     # The last people carry umbrellas: companions, who come first, get one only if there are too few others.
@@ -76,6 +74,20 @@ def draw_outfits(config: FollowConfig, streams: Streams, crowd: Crowd) -> Outfit
         np.where(under, umbrella_color, bare),
         np.where(umbrella > 0.0, 2.0 * umbrella, BODY_WIDTH),
     )
+
+
+@njit(cache=True, nogil=True)
+def _dress(seed, look_alikes, people):  # type: ignore[no-untyped-def]
+    """Draw the appearance of all people, (P, OUTFIT_NUMBERS), zeros before, from one stream."""
+    state, alike = np.zeros(6, np.uint64), np.zeros(len(people), np.bool_)
+    start_stream(seed, FollowStream.OUTFITS, state)
+    for person in range(len(people)):
+        alike[person] = draw_share(state) < look_alikes
+    for person in range(len(people)):
+        compose_outfit(state, state, state, 0.0, _NO_BACKGROUND, people[person])
+    for person in range(len(people)):
+        if alike[person]:
+            people[person] = people[0]
 
 
 def _hang_lamps(count: int, rng: np.random.Generator, path: Array) -> Array:

@@ -128,10 +128,11 @@ def trail(panel: Image, points: Array, floor: Color, color: Color) -> None:
     length = strands.shape[1]
     cuts = [length - round(TRAIL_LENGTH * k / _BANDS) for k in range(_BANDS, -1, -1)]
     for band, (start, end) in enumerate(pairwise(cuts)):
-        if end > 0 and end - max(start, 0) > 0:
+        first = max(start, 0)
+        if end > first:
             strength = 0.12 + 0.88 * ((band + 1) / _BANDS) ** 1.6
             # One point of overlap closes the gap to the next band.
-            band_strands = [strand[max(start, 0) : end + 1] for strand in strands]
+            band_strands = list(strands[:, first : end + 1])
             cv2.polylines(panel, band_strands, False, mix(floor, color, strength), 1, cv2.LINE_AA, 4)
 
 

@@ -13,6 +13,7 @@ from servotrack.envs.track.clutter.episode import draw_episode
 from servotrack.envs.track.clutter.scene_model import scene_model_of
 from servotrack.envs.track.counts import poisson_quantile
 from servotrack.envs.track.scoring import SetScorer
+from servotrack.estimators.metrics import ospa2, stack_tracks
 from servotrack.estimators.rfs.models import STRUCTURES
 
 LEVELS = range(len(LEVEL_NAMES))
@@ -226,6 +227,19 @@ def test_rows_are_identities():
     assert labels([0.3, 0.5, 0.0], 1) == ([0, 1, -1], [False, True, False])
     assert labels([0.04, 0.05, 1.0], 2) == ([-1, 1, 2], [False, False, True])
     assert labels([0.9, 0.0, 1.0], 3) == ([3, -1, 2], [True, False, True])
+
+
+def test_the_score_of_an_episode_is_ospa2_of_its_tracks():
+    rng, scorer = np.random.default_rng(5), SetScorer(1, 6, 2, horizon=12, cutoff=100.0)
+    truth = rng.uniform(0.0, 200.0, (3, 12, 2))
+    truth[1, :4] = truth[2, 7:] = np.nan
+    for step in range(12):
+        answers = np.concatenate([rng.uniform(0.0, 1.0, (1, 6, 1)), rng.uniform(0.0, 200.0, (1, 6, 2))], axis=2)
+        scorer.score(answers, np.zeros((1, 0, 2)), np.zeros((1, 0), bool), [step])
+    tracks = scorer.tracks(0)
+    # Some identities were held without being reported.
+    assert 3 < len(tracks) <= scorer.labels.max()
+    assert scorer.trajectory_score(0, truth) == ospa2(truth, stack_tracks(tracks, 12, 2), 100.0)
 
 
 def test_agents_do_not_influence_the_scans():

@@ -8,7 +8,7 @@ from servo_history import run, wiggle
 
 from servotrack.envs.servo.episode import draw_episode
 from servotrack.envs.servo.levels import servo_config
-from servotrack.envs.streams import Streams
+from servotrack.envs.streams import Streams, draw_index, draw_share, start_stream
 
 TABLES = (
     "links",
@@ -115,12 +115,24 @@ def test_two_agents_on_one_seed_meet_the_same_noise() -> None:
     np.testing.assert_allclose(noises[0][0][both], noises[1][0][both], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", [0, 7, 2**32 - 1, 2**32, 2**63 - 1, 2**130 + 5])
+@pytest.mark.parametrize("seed", [0, 7, 2**32 - 1, 2**32, 2**63 - 1, 2**63 + 7, 2**130 + 5])
 @pytest.mark.parametrize("key", [(0,), (2007,), (2**32,), (3, 9), (1, 2**40, 7)])
 def test_streams_are_those_of_numpys_seed_sequence(seed, key):
     theirs = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
     ours = Streams(seed)[key if len(key) > 1 else key[0]]
     np.testing.assert_array_equal(ours.integers(0, 2**63, 8), theirs.integers(0, 2**63, 8))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 16, 2**31 + 5, 2**32 - 1])
+def test_indices_drawn_in_compiled_code_are_the_generators(count):
+    generator, state = Streams(2**63 - 7)[4], np.zeros(6, np.uint64)
+    start_stream(2**63 - 7, 4, state)
+    for draw in range(100):
+        # A number of 64 bits gives two indices; shares between them must not disturb the second one.
+        if draw % 7 == 3:
+            assert draw_share(state) == generator.random()
+        else:
+            assert draw_index(state, count) == generator.integers(count)
 
 
 def test_a_negative_seed_is_refused():
