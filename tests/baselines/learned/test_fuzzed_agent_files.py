@@ -111,7 +111,9 @@ def _damage_attribute(attribute: Any, rng: random.Random) -> None:
 def _damage_tensor(tensor: Any, rng: random.Random) -> None:
     whole = tensor.data_type == 7
     if whole and rng.random() < 0.8:
-        values = onnx.numpy_helper.to_array(tensor).copy().reshape(-1)
+        # A tensor that was floats before an earlier damage does not fill its shape any more.
+        stored = tensor.raw_data[: len(tensor.raw_data) // 8 * 8]
+        values = np.frombuffer(stored, "<i8").copy() if stored else np.array(tensor.int64_data, np.int64)
         if len(values):
             values[rng.randrange(len(values))] = rng.choice(NUMBERS)
             tensor.raw_data = values.tobytes()
