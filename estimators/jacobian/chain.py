@@ -72,7 +72,8 @@ class ChainJacobian:
     Joint axes, points and focal length are fitted to keyframes spread over all postures so far, by Levenberg-Marquardt
     steps on a robust likelihood with weak priors. The features at present are the chain's, which averages the noise of
     all frames and knows points out of view. A linear filter runs beside it and takes over where it predicts new frames
-    better, as when the target moves: the chain assumes a target at rest, and its J_t is 0.
+    better, as when the target moves: unless `moving`, the chain assumes a target at rest, and its J_t is 0. Its J_t has
+    no variance: a law may feed it and the goal's velocity forward as they are.
 
     Args:
         linear: Linear filter, for whose features an entry of `visible` each is valid. It serves until the chain is as
@@ -111,8 +112,13 @@ class ChainJacobian:
         patience: Number of frames in a row with twice the errors of the linear filter, or four times the chain's own
             least, after which a chain that has served as long forgets its keyframes, as after a bump. Larger values
             keep them during longer disturbances.
-        drift: Standard deviation of the features' velocity that is not the arm's while the chain serves, px/s; it only
-            enters `covariance`.
+        moving: True for a rigid target that moves by itself, in the hand's or the world's frame, with an acceleration
+            that changes its rates by about their size within a second.
+        target_speed: Prior standard deviation of a moving target's rates, rad/s and mean depths of the points/s.
+        target_change: Standard deviation of their change within a second while the target seems to rest. Larger values
+            follow sooner, and average less.
+        target_turn: The same as a share of the rates themselves. Larger values follow targets that turn, and average
+            less.
         alignment: Pairing of joints and features by time stamps; use the linear filter's.
     """
 
@@ -139,7 +145,10 @@ class ChainJacobian:
     margin: float = 1.2
     offset_time: float = 1.0
     patience: float = 40.0
-    drift: float = 5.0
+    moving: bool = False
+    target_speed: float = 0.2
+    target_change: float = 0.01
+    target_turn: float = 1.0
     alignment: Alignment = field(default_factory=Alignment)
 
     row_covariances: ClassVar[bool] = True
@@ -196,7 +205,7 @@ class ChainJacobian:
         linear, estimate = self.linear.step(state.linear, measurement)
         *shape, m = whole.features.shape
         batch, n = tuple(shape), whole.joint_angles.shape[-1]
-        frame = _frame(state, alignment, increment)
+        frame = _frame(state, alignment, increment, whole.joint_angles)
         memory = ChainMemory(*(each.copy() for each in state.chain))  # type: ignore[arg-type]
         output = ChainOutput(
             features=np.zeros((*batch, m)),
@@ -207,6 +216,8 @@ class ChainJacobian:
             nis=np.zeros(batch),
             best=np.zeros(batch, np.int64),
             chained=np.zeros(batch, np.bool_),
+            counts=np.zeros(batch, np.bool_),
+            parameters=np.zeros((*batch, state.chain.parameters.shape[-1])),
         )
         axes = len(batch)
         update_chains(_rows(memory, axes), _rows(frame, axes), self.settings(n), _rows(output, axes))
@@ -238,6 +249,7 @@ class ChainJacobian:
                 cost=np.zeros_like(chain.cost),
                 challenge=np.zeros_like(chain.challenge),
                 frames=np.zeros_like(chain.frames),
+                scores=np.zeros_like(chain.scores),
             ),
         )
 
@@ -255,12 +267,12 @@ class ChainJacobian:
         return ChainEstimate(
             error=np.where(chained, output.features + offset, linear.error),
             jacobian=np.where(chained[..., None], output.jacobian, linear.jacobian),
-            log_likelihood=np.where(output.chained, output.log_likelihood, linear.log_likelihood),
+            log_likelihood=np.where(output.counts, output.log_likelihood, 0.0),
             nis=np.where(output.chained, output.nis, linear.nis),
             covariance=np.where(chained[..., None, None], output.covariance, covariance),
             error_variance=np.where(chained, output.variance, variance),
             chained=chained,
-            parameters=np.take_along_axis(chain.parameters, output.best[..., None, None], axis=-2)[..., 0, :],
+            parameters=output.parameters,
             reverse=np.take_along_axis(chain.reverse, output.best[..., None], axis=-1)[..., 0],
             focal=np.full(output.best.shape, float(self.focal)),
             angles=angles,
@@ -296,6 +308,11 @@ class ChainJacobian:
             served=np.zeros(batch),
             least_error=np.full(batch, ChainSettings._field_defaults["no_error"]),
             frames=np.zeros(batch),
+            scored=np.zeros((*batch, joints)),
+            scores=np.zeros(batch),
+            moves=np.full(batch, self.moving),
+            motion=np.zeros((*batch, 12)),
+            motion_covariance=np.zeros((*batch, 12, 12)),
         )
 
     def settings(self, joints: int) -> ChainSettings:
@@ -332,7 +349,9 @@ _POSITIVE = (
     "margin",
     "offset_time",
     "patience",
-    "drift",
+    "target_speed",
+    "target_change",
+    "target_turn",
 )
 
 
@@ -361,7 +380,7 @@ def _masked(measurement: ServoMeasurement) -> ServoMeasurement:
     )
 
 
-def _frame(state: ChainState, alignment: AlignmentState, increment: Increment) -> ChainFrame:
+def _frame(state: ChainState, alignment: AlignmentState, increment: Increment, readings: Array) -> ChainFrame:
     """Newest frame, with the innovation of the linear filter."""
     m = state.seen.shape[-1]
     fresh = increment.fresh | (alignment.seen & ~state.alignment.seen)
@@ -378,6 +397,8 @@ def _frame(state: ChainState, alignment: AlignmentState, increment: Increment) -
         linear_error=features - expected,
         compared=seen & state.seen,
         present=alignment.frame_joints + increment.pending_joints,
+        readings=readings,
+        pending=increment.pending_time,
     )
 
 
