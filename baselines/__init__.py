@@ -13,12 +13,14 @@ if TYPE_CHECKING:
     from servotrack.baselines.agents.registry import agent_card, create_agent
     from servotrack.baselines.evaluation.bench import bench
     from servotrack.baselines.evaluation.evaluate import evaluate
+    from servotrack.baselines.evaluation.minari_dataset import collect_dataset
     from servotrack.baselines.training.sb3 import StableBaselinesVecEnv
 
 __all__ = [
     "StableBaselinesVecEnv",
     "agent_card",
     "bench",
+    "collect_dataset",
     "create_agent",
     "create_detector",
     "create_tracker",
@@ -29,6 +31,7 @@ _HOMES = {
     "StableBaselinesVecEnv": "training.sb3",
     "agent_card": "agents.registry",
     "bench": "evaluation.bench",
+    "collect_dataset": "evaluation.minari_dataset",
     "create_agent": "agents.registry",
     "create_detector": "agents.people.catalog",
     "create_tracker": "agents.people.catalog",

@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 
-from servotrack.commands.learning import agents, compare, train
+from servotrack.commands.learning import agents, compare, export, train
 from servotrack.commands.papers import reproduce
 from servotrack.commands.ranking import bench, evaluate, leaderboard, tune
 from servotrack.commands.watching import play, render, track
 
-COMMANDS = (evaluate, bench, leaderboard, tune, reproduce, train, agents, compare, track, render, play)
+COMMANDS = (evaluate, bench, leaderboard, tune, reproduce, train, export, agents, compare, track, render, play)
 
 CONTEXT = {"help_option_names": ["-h", "--help"]}
 

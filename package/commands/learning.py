@@ -1,4 +1,4 @@
-"""Commands for learned agents: train, agents and compare."""
+"""Commands for learned agents: train, export, agents and compare."""
 
 from __future__ import annotations
 
@@ -65,6 +65,81 @@ def train(
         chosen = replace(chosen, n_timesteps=steps)
     kwargs = env_kwargs(level, settings)
     run_training(TrainingRequest(env, kwargs, chosen, tuple(levels_of(seeds)), output, jobs, name, ship), console())
+
+
+def export(
+    env: Annotated[str, typer.Argument(help="Gymnasium id that the model was trained in.")],
+    model: Annotated[
+        str,
+        typer.Argument(
+            help="Zip of Stable-Baselines3, .cleanrl_model, TorchScript (.pt), torch.export (.pt2), or module:callable "
+            "that returns a torch module."
+        ),
+    ],
+    algo: Annotated[
+        str | None,
+        typer.Option(help="Algorithm of a zip: ppo, a2c, sac, td3, ddpg, tqc, trpo or recurrent_ppo."),
+    ] = None,
+    level: Level = None,
+    settings: Settings = None,
+    wrapper: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--wrapper",
+            "-w",
+            help="Wrapper of the training, the innermost first: FlatSets, GoalObservation, FlattenObservation. "
+            "Repeatable.",
+        ),
+    ] = None,
+    normalization: Annotated[
+        Path | None,
+        typer.Option(
+            help="Statistics of observations: .npz with mean and var, or VecNormalize's .pkl (needs --trust)."
+        ),
+    ] = None,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Load a zip, .pt, .pt2 or .pkl. Such a file can run code: only your own.")
+    ] = False,
+    name: Annotated[str, typer.Option(help="Name of the agent.")] = "exported",
+    summary: Annotated[
+        str, typer.Option(help="Description in one line. Default: library, algorithm, environment.")
+    ] = "",
+    information: Annotated[
+        str,
+        typer.Option(
+            help="Information that the agent has: model-free, structure, prior, calibrated, privileged, undeclared."
+        ),
+    ] = "prior",
+    steps: Annotated[
+        int | None, typer.Option(min=0, help="Environment steps of the training. Default: the model's own count, or 0.")
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder of the network and its card.")
+    ] = DEFAULT_RESULTS / "export",
+    tolerance: Annotated[
+        float, typer.Option(min=0.0, help="Largest accepted difference of actions, in halves of their range.")
+    ] = 1e-5,
+) -> None:
+    """Export a trained model (extra `rl`) as ONNX file with a card, and check that it acts like the model."""
+    from typing import cast
+
+    from servotrack.baselines.agents.protocol import Information
+
+    find_user_modules(env, model)
+    try:
+        from servotrack.baselines.training.export_command import ExportRequest, export_model
+    except ModuleNotFoundError as error:
+        raise ImportError(f"export needs {error.name}; install the extra: pip install 'servotrack[rl]'") from error
+    request = ExportRequest(
+        env, env_kwargs(level, settings), model, algo, tuple(wrapper or ()), normalization, name, summary,
+        cast("Information", information), steps, output, tolerance, trust,
+    )  # fmt: skip
+    path, difference = export_model(request)
+    screen = console()
+    screen.print(
+        f"{path}: actions differ from the model's by at most {difference:.1e} of half their range", soft_wrap=True
+    )
+    screen.print(f"servotrack evaluate {env} {path}", soft_wrap=True)
 
 
 def agents(

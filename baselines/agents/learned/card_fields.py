@@ -26,13 +26,14 @@ _FOLLOWER = Choice(_names(FOLLOW_CARDS), "the name of an agent that follows one 
 _EYES = Text(200, r"\w[\w.,=+-]*", "the name of a marker network's card without folder and suffix")
 _LAGS = Many(Whole(1, 1000), 0, 32, ascending=True)
 _AGES = Many(Number(0.0, 6.0), 1, 16)
-_KINDS = ("flat", "servo", "steering", "marker", "jacobian", "set")
+_KINDS = ("flat", "raw", "servo", "steering", "marker", "jacobian", "set")
 _OF_FEATURES: Mapping[str, Rule] = {
     "kind": Choice(_KINDS), "frames": Whole(1, 64), "residual": _SERVO, "eyes": _EYES, "follower": _FOLLOWER
 }  # fmt: skip
 
 ENCODINGS: Mapping[str, Record] = {
     "flat": Record(_OF_FEATURES),
+    "raw": Record(_OF_FEATURES),
     "servo": Record({**_OF_FEATURES, "lags": _LAGS, "ages": _AGES}),
     "steering": Record({"kind": Choice(_KINDS), "frames": Whole(1, 64)}),
     "marker": Record(

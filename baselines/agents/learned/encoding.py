@@ -30,15 +30,21 @@ class FlatEncoding(PlainAnswers):
         high: Upper bounds.
         keys: Keys of a Dict, sorted; empty for a Box. Entries of an observation are found by them, so the order of keys
             in an observation has no effect.
+        scaled: False leaves the entries in their physical units.
     """
 
     low: tuple[float, ...]
     high: tuple[float, ...]
     keys: tuple[str, ...] = ()
+    scaled: bool = True
 
     @classmethod
-    def of(cls, space: spaces.Space[Any]) -> FlatEncoding:
+    def of(cls, space: spaces.Space[Any], scaled: bool = True) -> FlatEncoding:
         """Create the encoding of a space.
+
+        Args:
+            space: Observation space of one environment.
+            scaled: False leaves the entries in their physical units.
 
         Raises:
             ValueError: A space that is not a bounded Box or a Dict of bounded Boxes.
@@ -49,7 +55,7 @@ class FlatEncoding(PlainAnswers):
             if not isinstance(box, spaces.Box) or not box.is_bounded():
                 raise ValueError(f"observation_space must be a bounded Box, or a Dict of such, got {space}")
         low, high = (np.concatenate([np.ravel(getattr(box, side)) for box in boxes]) for side in ("low", "high"))
-        return cls(tuple(low.tolist()), tuple(high.tolist()), keys)
+        return cls(tuple(low.tolist()), tuple(high.tolist()), keys, scaled)
 
     @property
     def size(self) -> int:
@@ -64,8 +70,45 @@ class FlatEncoding(PlainAnswers):
         """Process one observation; see `Encoding.step`."""
         parts = [observation[key] for key in self.keys] if self.keys else [observation]
         row = np.concatenate([np.asarray(part, np.float64).reshape(len(part), -1) for part in parts], axis=1)
+        if not self.scaled:
+            return (), row.astype(np.float32)
         low, high = np.array(self.low), np.array(self.high)
         return (), (2.0 * (row - low) / np.where(high > low, high - low, 1.0) - 1.0).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class FlatAnswers:
+    """An encoding whose network answers with the flattened entries of an action that has several axes, such as a set.
+
+    Attributes:
+        encoding: Encoding of the rows.
+        shape: Shape of an action.
+    """
+
+    encoding: Encoding
+    shape: tuple[int, ...]
+
+    @property
+    def size(self) -> int:
+        """Length of a row."""
+        return self.encoding.size
+
+    def initial(self, observation: Any) -> Any:
+        """Return the memory before an episode; see `Encoding.initial`."""
+        return self.encoding.initial(observation)
+
+    def step(self, memory: Any, observation: Any, action: FloatArray) -> tuple[Any, FloatArray]:
+        """Process one observation; see `Encoding.step`."""
+        return self.encoding.step(memory, observation, action)
+
+    def answer_space(self, action_space: spaces.Space[Any]) -> spaces.Space[Any]:
+        """Return the flat Box of the action space."""
+        return spaces.flatten_space(action_space)
+
+    def act(self, memory: Any, answer: FloatArray) -> tuple[Any, NDArray[Any]]:
+        """Return the answer in the shape of actions."""
+        memory, action = self.encoding.act(memory, answer)
+        return memory, action.reshape(len(action), *self.shape)
 
 
 class StackMemory(NamedTuple):
@@ -234,10 +277,10 @@ def create_encoding(settings: Mapping[str, Any], env: Any, folder: Path | None =
     """Create the encoding that a card or a file of hyper-parameters describes.
 
     Args:
-        settings: `kind` ("servo", "steering" or "flat"); `frames`, number of rows to stack, 1 for none; `residual`,
-            name of a classical servo whose action the network corrects; `eyes`, name of a marker network for image
-            observations; `follower`, name of an agent that identifies the person to follow; and the arguments of the
-            kind. They may come from a file: names are those of fixed tables, never `module:callable` or a path.
+        settings: `kind` ("servo", "steering", "flat" or "raw"); `frames`, number of rows to stack, 1 for none;
+            `residual`, name of a classical servo whose action the network corrects; `eyes`, name of a marker network
+            for image observations; `follower`, name of an agent that identifies the person to follow; and the arguments
+            of the kind. They may come from a file: names are those of fixed tables, never `module:callable` or a path.
         env: A Gymnasium environment or vector environment.
         folder: Folder of the card, which is searched for marker networks before the package's own.
 
@@ -273,10 +316,13 @@ def _of_features(settings: Mapping[str, Any], env: Any, space: spaces.Space[Any]
         from servotrack.baselines.agents.learned.filter_steering import create_steering
 
         encoding = create_steering(env)
-    elif kind == "flat":
-        encoding = FlatEncoding.of(space)
+    elif kind in ("flat", "raw"):
+        encoding = FlatEncoding.of(space, scaled=kind == "flat")
+        actions = getattr(env, "single_action_space", env.action_space)
+        if len(actions.shape) > 1:
+            encoding = FlatAnswers(encoding, actions.shape)
     else:
-        raise ValueError(f"encoding must be of kind servo, steering or flat, got {kind!r}")
+        raise ValueError(f"encoding must be of kind servo, steering, flat or raw, got {kind!r}")
     if frames != 1:
         encoding = Stacked(encoding, frames)
     if residual is None:

@@ -140,7 +140,7 @@ def test_a_network_that_is_not_the_card_s_is_refused(tmp_path: Path, env: Any) -
         ({"network": "../linear.onnx"}, "own folder"),
         ({"surprise": 1}, "surprise"),
         ({"memory": 8}, "memory"),
-        ({"encoding": {"kind": "wavelets"}}, "encoding.kind must be one of flat, servo"),
+        ({"encoding": {"kind": "wavelets"}}, "encoding.kind must be one of flat, raw, servo"),
         ({"encoding": {"kind": "jacobian"}}, "a Jacobian needs"),
         ({"encoding": {"kind": "jacobian", "law": "bang-bang"}}, "law must be one of"),
         ({"encoding": {"kind": "set"}}, "scene_model` is a SceneModel"),
