@@ -223,6 +223,12 @@ def draw_layouts(rows, seeds, ranges, fixed, constants, paths):  # type: ignore[
     """
     for n in range(len(rows)):
         row, found = rows[n], False
+        if fixed and n > 0:
+            same = constants[rows[0]]
+            constants[row].links[:], constants[row].camera[:] = same.links, same.camera
+            constants[row].goal[:] = same.goal
+            paths[row] = paths[rows[0]]
+            continue
         states = start_streams(seeds[n])
         for _ in range(MAX_DRAWS):
             draw_arm(ranges, states, constants[row])

@@ -23,6 +23,8 @@ from servotrack.estimators.types import Array, Labels, Mask
 
 LOST_SAMPLES = 20
 """An episode ends after this many consecutive samples with the target out of view."""
+_SHARED_ROWS = 8
+"""Number of episodes from which on drawing them is shared among threads."""
 SUCCESS_DISTANCE = 0.010
 """Tracking errors below this count as success, m."""
 
@@ -199,7 +201,17 @@ class ServoWorld:
             for row, seed in zip(rows.tolist(), seeds.tolist(), strict=True):
                 self._load(row, draw_episode(config, seed))
             return
-        if draw_layouts(rows, seeds, self._ranges, self._fixed, self._constants, self.paths) >= 0:
+        failed: list[int] = []
+
+        def draw(first: int, last: int) -> None:
+            some = slice(first, last)
+            failed.append(draw_layouts(rows[some], seeds[some], self._ranges, self._fixed, self._constants, self.paths))
+
+        if len(rows) >= _SHARED_ROWS:
+            self._threads.share(draw, len(rows))
+        else:
+            draw(0, len(rows))
+        if max(failed) >= 0:
             raise no_layout(config)
         draw_gains(rows, seeds, config.actuation_gain, self._constants)
         if self._noisy:
