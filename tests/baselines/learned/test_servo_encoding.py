@@ -120,7 +120,7 @@ def test_a_residual_starts_from_what_the_classical_servo_does() -> None:
     ("settings", "message"),
     [
         ({"kind": "wavelets"}, "encoding.kind must be one of"),
-        ({"kind": "set"}, "kind servo, steering or flat"),
+        ({"kind": "set"}, "kind servo, steering, flat or raw"),
         ({"kind": "servo", "frame": 3}, "encoding.frame is not a known field; did you mean 'frames'"),
         ({"kind": "servo", "lags": [3, 1]}, "ascending"),
         ({"kind": "servo", "ages": []}, "encoding.ages must be a list of 1 to 16"),
