@@ -27,9 +27,8 @@ class Cautious:
     Args:
         gain: Share g of the error to remove in one period, in (0, 1]. Larger values converge faster, amplify noise, and
             oscillate with motors that lag.
-        integral_gain: Gain of the time integral of the error, 1/s, which counts while the target moves, at a velocity
-            whose estimate has a variance: it removes what that lags behind. Larger values remove it faster and may
-            oscillate.
+        integral_gain: Gain of the time integral of the error, 1/s, which counts while the target moves: it removes what
+            the estimate of the target's velocity lags behind. Larger values remove it faster and may oscillate.
         period: Control period, s.
         risk: Largest expected error from the uncertainty of J, as a share of the error that is to be removed. Larger
             values move faster along a poor estimate.
@@ -185,24 +184,20 @@ def _motions(integrals, errors, variances, jacobians, covariances, period, tunin
                 drift += weights[i] * jacobian[i, n] ** 2 / variance[i]
                 drift_doubt += weights[i] * covariance[i, n, n] / variance[i]
         # Steep in the ratio, whose mean over many features hardly passes 2 by chance.
-        # A velocity without any variance is given: it counts in full, and leaves no lag.
-        ratio = min(drift / (4.0 * drift_doubt), 1e3) ** 4 if drift_doubt > 0.0 else 1e12
+        ratio = min(drift / (4.0 * drift_doubt), 1e3) ** 4 if drift_doubt > 0.0 else 0.0
         known = ratio / (1.0 + ratio)
-        lagging = known if drift_doubt > 0.0 else 0.0
         for i in range(m):
             if weights[i] == 0.0:
                 continue
             weight = weights[i] / variance[i]
             # The integral stands for what the estimate of the target's velocity lags behind.
-            integrals[row, i] = lagging * (integrals[row, i] + period * errors[row, i])
+            integrals[row, i] = known * (integrals[row, i] + period * errors[row, i])
             wanted = -gain * errors[row, i] - known * jacobian[i, n] * period - integral_gain * integrals[row, i]
-            # What the motion of the target will add is as significant as an error that is there.
-            meant = errors[row, i] + (known * jacobian[i, n] * period + integral_gain * integrals[row, i]) / gain
             length += weight * wanted * wanted
             counted += weights[i]
             for j in range(n):
                 pull[j] += weight * jacobian[i, j] * wanted
-                along[j] += weight * jacobian[i, j] * meant
+                along[j] += weight * jacobian[i, j] * errors[row, i]
                 for k in range(n):
                     gram[j, k] += weight * jacobian[i, j] * jacobian[i, k]
                     doubt[j, k] += weight * covariance[i, j, k]

@@ -72,8 +72,7 @@ class ChainJacobian:
     Joint axes, points and focal length are fitted to keyframes spread over all postures so far, by Levenberg-Marquardt
     steps on a robust likelihood with weak priors. The features at present are the chain's, which averages the noise of
     all frames and knows points out of view. A linear filter runs beside it and takes over where it predicts new frames
-    better, as when the target moves: unless `moving`, the chain assumes a target at rest, and its J_t is 0. Its J_t has
-    no variance: a law may feed it and the goal's velocity forward as they are.
+    better, as when the target moves: the chain assumes a target at rest, and its J_t is 0.
 
     Args:
         linear: Linear filter, for whose features an entry of `visible` each is valid. It serves until the chain is as
@@ -112,13 +111,8 @@ class ChainJacobian:
         patience: Number of frames in a row with twice the errors of the linear filter, or four times the chain's own
             least, after which a chain that has served as long forgets its keyframes, as after a bump. Larger values
             keep them during longer disturbances.
-        moving: True for a rigid target that moves by itself, in the hand's or the world's frame, with an acceleration
-            that changes its rates by about their size within a second.
-        target_speed: Prior standard deviation of a moving target's rates, rad/s and mean depths of the points/s.
-        target_change: Standard deviation of their change within a second while the target seems to rest. Larger values
-            follow sooner, and average less.
-        target_turn: The same as a share of the rates themselves. Larger values follow targets that turn, and average
-            less.
+        drift: Standard deviation of the features' velocity that is not the arm's while the chain serves, px/s; it only
+            enters `covariance`.
         alignment: Pairing of joints and features by time stamps; use the linear filter's.
     """
 
@@ -145,10 +139,7 @@ class ChainJacobian:
     margin: float = 1.2
     offset_time: float = 1.0
     patience: float = 40.0
-    moving: bool = False
-    target_speed: float = 0.2
-    target_change: float = 0.01
-    target_turn: float = 1.0
+    drift: float = 5.0
     alignment: Alignment = field(default_factory=Alignment)
 
     row_covariances: ClassVar[bool] = True
@@ -205,7 +196,7 @@ class ChainJacobian:
         linear, estimate = self.linear.step(state.linear, measurement)
         *shape, m = whole.features.shape
         batch, n = tuple(shape), whole.joint_angles.shape[-1]
-        frame = _frame(state, alignment, increment, whole.joint_angles)
+        frame = _frame(state, alignment, increment)
         memory = ChainMemory(*(each.copy() for each in state.chain))  # type: ignore[arg-type]
         output = ChainOutput(
             features=np.zeros((*batch, m)),
@@ -216,8 +207,6 @@ class ChainJacobian:
             nis=np.zeros(batch),
             best=np.zeros(batch, np.int64),
             chained=np.zeros(batch, np.bool_),
-            counts=np.zeros(batch, np.bool_),
-            parameters=np.zeros((*batch, state.chain.parameters.shape[-1])),
         )
         axes = len(batch)
         update_chains(_rows(memory, axes), _rows(frame, axes), self.settings(n), _rows(output, axes))
@@ -249,7 +238,6 @@ class ChainJacobian:
                 cost=np.zeros_like(chain.cost),
                 challenge=np.zeros_like(chain.challenge),
                 frames=np.zeros_like(chain.frames),
-                scores=np.zeros_like(chain.scores),
             ),
         )
 
@@ -267,12 +255,12 @@ class ChainJacobian:
         return ChainEstimate(
             error=np.where(chained, output.features + offset, linear.error),
             jacobian=np.where(chained[..., None], output.jacobian, linear.jacobian),
-            log_likelihood=np.where(output.counts, output.log_likelihood, 0.0),
+            log_likelihood=np.where(output.chained, output.log_likelihood, linear.log_likelihood),
             nis=np.where(output.chained, output.nis, linear.nis),
             covariance=np.where(chained[..., None, None], output.covariance, covariance),
             error_variance=np.where(chained, output.variance, variance),
             chained=chained,
-            parameters=output.parameters,
+            parameters=np.take_along_axis(chain.parameters, output.best[..., None, None], axis=-2)[..., 0, :],
             reverse=np.take_along_axis(chain.reverse, output.best[..., None], axis=-1)[..., 0],
             focal=np.full(output.best.shape, float(self.focal)),
             angles=angles,
@@ -308,11 +296,6 @@ class ChainJacobian:
             served=np.zeros(batch),
             least_error=np.full(batch, ChainSettings._field_defaults["no_error"]),
             frames=np.zeros(batch),
-            scored=np.zeros((*batch, joints)),
-            scores=np.zeros(batch),
-            moves=np.full(batch, self.moving),
-            motion=np.zeros((*batch, 12)),
-            motion_covariance=np.zeros((*batch, 12, 12)),
         )
 
     def settings(self, joints: int) -> ChainSettings:
@@ -349,9 +332,7 @@ _POSITIVE = (
     "margin",
     "offset_time",
     "patience",
-    "target_speed",
-    "target_change",
-    "target_turn",
+    "drift",
 )
 
 
@@ -380,7 +361,7 @@ def _masked(measurement: ServoMeasurement) -> ServoMeasurement:
     )
 
 
-def _frame(state: ChainState, alignment: AlignmentState, increment: Increment, readings: Array) -> ChainFrame:
+def _frame(state: ChainState, alignment: AlignmentState, increment: Increment) -> ChainFrame:
     """Newest frame, with the innovation of the linear filter."""
     m = state.seen.shape[-1]
     fresh = increment.fresh | (alignment.seen & ~state.alignment.seen)
@@ -397,8 +378,6 @@ def _frame(state: ChainState, alignment: AlignmentState, increment: Increment, r
         linear_error=features - expected,
         compared=seen & state.seen,
         present=alignment.frame_joints + increment.pending_joints,
-        readings=readings,
-        pending=increment.pending_time,
     )
 
 

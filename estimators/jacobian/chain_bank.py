@@ -44,7 +44,6 @@ class ChainBank:
         chain: Chain of which every play has a copy. Its linear filter must be an `AdaptiveKalmanJacobian`. The plays of
             both alignments are not read.
         plays: Assumed plays of all joints, rad. Computing time grows in proportion to their number.
-        moving: Assumed plays of all joints of further chains whose target moves (`ChainJacobian.moving`), rad.
         forgetting: Memory of the weights per frame, in (0, 1]. Smaller values switch sooner.
         floor: Smallest logarithm of a weight relative to the best, negative. Values nearer to 0 let a chain recover
             sooner.
@@ -52,7 +51,6 @@ class ChainBank:
 
     chain: ChainJacobian = field(default_factory=ChainJacobian)
     plays: tuple[float, ...] = (0.0, 0.0087, 0.0175)
-    moving: tuple[float, ...] = ()
     forgetting: float = 0.98
     floor: float = -30.0
 
@@ -61,11 +59,10 @@ class ChainBank:
     _prepared: dict[tuple[int, int], _Prepared] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        for name in ("plays", "moving"):
-            object.__setattr__(self, name, tuple(float(play) for play in getattr(self, name)))
+        object.__setattr__(self, "plays", tuple(float(play) for play in self.plays))
         if not self.plays:
             raise ValueError("plays must have at least one value, got ()")
-        for play in self.plays + self.moving:
+        for play in self.plays:
             Alignment(play=play)
         if not isinstance(self.chain.linear, AdaptiveKalmanJacobian):
             kind = type(self.chain.linear).__name__
@@ -74,19 +71,11 @@ class ChainBank:
             )
         check_memory(self.forgetting, self.floor)
 
-    @property
-    def count(self) -> int:
-        """Number K of chains."""
-        return len(self.plays) + len(self.moving)
-
     def initial(self, measurement: ServoMeasurement) -> EstimatorBankState:
         """Return the state with equally likely chains. Raises ValueError as `ChainJacobian` does."""
         alone = self.chain.initial(measurement)
-        axis, count = np.ndim(measurement.time), self.count
+        axis, count = np.ndim(measurement.time), len(self.plays)
         members = _mapped(alone, lambda each: np.repeat(np.expand_dims(each, axis), count, axis))
-        moves = members.chain.moves.copy()
-        moves[..., len(self.plays) :] = True
-        members = members._replace(chain=members.chain._replace(moves=moves))
         return EstimatorBankState(members, np.zeros((*np.shape(measurement.time), count)))
 
     def step(
@@ -97,7 +86,7 @@ class ChainBank:
         batch, n, m = whole.time.shape, whole.joint_angles.shape[-1], whole.features.shape[-1]
         before: ChainState = state.members
         self._check(before, whole)
-        count, axes = self.count, len(batch)
+        count, axes = len(self.plays), len(batch)
         rows = int(np.prod(batch, dtype=np.int64))
         prepared = self._prepared.get((n, m)) or self._prepare(n, m)
 
@@ -139,7 +128,6 @@ class ChainBank:
         memory = ChainMemory(*(flat(each).copy() for each in chains))
         seen, log_weight, found = update_bank(
             memory,
-            readings.angles,
             (
                 flat(before.alignment.seen),
                 flat(before.seen_joints),
@@ -190,7 +178,7 @@ class ChainBank:
         """Raise ValueError if a measurement does not continue a state, as `Alignment.step` does."""
         axis, m = whole.time.ndim, before.seen_features.shape[-1]
         first: Any = before.alignment
-        if first.seen.ndim != axis + 1 or first.seen.shape[-1] != self.count:
+        if first.seen.ndim != axis + 1 or first.seen.shape[-1] != len(self.plays):
             first = _mapped(first, lambda each: each[..., None])
         else:
             first = AlignmentState(*(each[(slice(None),) * axis + (0,)] for each in first))
@@ -199,7 +187,7 @@ class ChainBank:
     def _prepare(self, joints: int, features: int) -> _Prepared:
         linear: Any = self.chain.linear
         frames, rows = self.chain.alignment, linear.alignment
-        halves = np.array([gears(frames.revolute, play, joints)[1] for play in self.plays + self.moving])
+        halves = np.array([gears(frames.revolute, play, joints)[1] for play in self.plays])
         prepared = _Prepared(
             settings=self.chain.settings(joints),
             turning=gears(frames.revolute, 0.0, joints)[0],

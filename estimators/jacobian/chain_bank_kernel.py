@@ -124,13 +124,12 @@ def _merged(rows):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def update_bank(  # type: ignore[no-untyped-def]
-    memory, readings, before, aligned, foreseen, linear, goal, log_weight, settings, weighting
+    memory, before, aligned, foreseen, linear, goal, log_weight, settings, weighting
 ):
     """Update all chains, and compute the estimate of the best one of each row.
 
     Args:
         memory: `ChainMemory` with a leading axis R; changed.
-        readings: Newest readings of the encoders. Shape (rows, n), rad.
         before: Fields of the `ChainState`s: `alignment.seen`, `seen_joints`, `seen_features`, `seen_time`, `seen`,
             `jacobian` and `center`, with a leading axis R.
         aligned: See `advance_rows`.
@@ -147,7 +146,7 @@ def update_bank(  # type: ignore[no-untyped-def]
     """
     rows, count = log_weight.shape
     n, m = aligned[4].shape[1], goal.shape[1]
-    frame, seen = _frames(before, aligned, foreseen, readings, count)
+    frame, seen = _frames(before, aligned, foreseen)
     size = memory.parameters.shape[2]
     output = ChainOutput(
         np.zeros((rows * count, m)),
@@ -158,8 +157,6 @@ def update_bank(  # type: ignore[no-untyped-def]
         np.zeros(rows * count),
         np.zeros(rows * count, np.int64),
         np.zeros(rows * count, np.bool_),
-        np.zeros(rows * count, np.bool_),
-        np.zeros((rows * count, size)),
     )
     normals, weights = np.empty((count, 2, size, size)), np.empty((rows, count))
     error, jacobian, covariance = np.empty((rows, m)), np.empty((rows, m, n + 1)), np.empty((rows, m, n + 1, n + 1))
@@ -171,16 +168,14 @@ def update_bank(  # type: ignore[no-untyped-def]
             r = row * count + k
             update_row(memory, frame, settings, output, normals[k], r)
             if not output.chained[r]:
-                output.nis[r] = linear[3][r]
-            if not output.counts[r]:
-                output.log_likelihood[r] = 0.0
+                output.log_likelihood[r], output.nis[r] = linear[2][r], linear[3][r]
             weights[row, k] = weighting[0] * log_weight[row, k] + output.log_likelihood[r] / m
         k = _normalize(weights[row], weighting[1])
         r = row * count + k
         best = output.best[r]
         write_present(memory, frame, settings, output, normals[k, best], r)
         log_likelihood[row], nis[row] = output.log_likelihood[r], output.nis[r]
-        parameters[row], reverse[row] = output.parameters[r], memory.reverse[r, best]
+        parameters[row], reverse[row] = memory.parameters[r, best], memory.reverse[r, best]
         for j in range(n):
             angles[row, j] = frame.present[r, j] - memory.origin[r, j]
         for i in range(m):
@@ -212,7 +207,7 @@ def _normalize(weights, floor):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _frames(before, aligned, foreseen, readings, count):  # type: ignore[no-untyped-def]
+def _frames(before, aligned, foreseen):  # type: ignore[no-untyped-def]
     """Return the `ChainFrame`, and when each feature was last seen, see `ChainState`: joints, features, time, mask."""
     was_seen, joints, features, times, known, jacobian, center = before
     seen, frame_time, frame_joints, frame_features = aligned[2], aligned[3], aligned[4], aligned[5]
@@ -220,9 +215,7 @@ def _frames(before, aligned, foreseen, readings, count):  # type: ignore[no-unty
     joints, features, times, known = joints.copy(), features.copy(), times.copy(), known.copy()
     fresh, shown, compared = np.empty(total, np.bool_), np.zeros((total, m), np.bool_), np.zeros((total, m), np.bool_)
     centered, linear_error = np.zeros((total, m)), np.empty((total, m))
-    angles = np.empty((total, n))
     for r in range(total):
-        angles[r] = readings[r // count]
         fresh[r] = aligned[11][r] or (seen[r] and not was_seen[r])
         for i in range(m):
             expected = foreseen[r, i] + jacobian[r, i, n] * (frame_time[r] - times[r, i])
@@ -233,7 +226,5 @@ def _frames(before, aligned, foreseen, readings, count):  # type: ignore[no-unty
                 joints[r, i], features[r, i] = frame_joints[r], frame_features[r, i]
                 times[r, i], known[r, i] = frame_time[r], True
     present = frame_joints + aligned[12]
-    frame = ChainFrame(
-        fresh, frame_joints, centered, shown, aligned[9], linear_error, compared, present, angles, aligned[13]
-    )
+    frame = ChainFrame(fresh, frame_joints, centered, shown, aligned[9], linear_error, compared, present)
     return frame, (joints, features, times, known)

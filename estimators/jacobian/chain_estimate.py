@@ -37,8 +37,7 @@ class ChainEstimate(LinearEstimate):
         points = self.error.shape[-1] // 2
         before = chain_feature_rows(self.parameters, self.angles, self.reverse, self.focal, points)
         after = chain_feature_rows(self.parameters, self.angles + motion, self.reverse, self.focal, points)
-        drift = self.jacobian[..., -1] * np.asarray(duration)[..., None]
-        return np.where(self.chained, self.error + (after - before) + drift, linear)
+        return np.where(self.chained, self.error + (after - before), linear)
 
     def motion_to_goal(self, low: Array | None = None, high: Array | None = None) -> tuple[Array, Array]:
         """Find the joint motion that brings all features of the chain to their goal.

@@ -19,14 +19,7 @@ from servotrack.estimators.jacobian.chain_equations import (
 )
 from servotrack.estimators.jacobian.chain_kernel import LEAST_DEPTH
 from servotrack.estimators.jacobian.chain_keyframes import noise_of, place_points, store_frame
-from servotrack.estimators.jacobian.chain_scores import (
-    better_chain,
-    follow_offsets,
-    frame_counts,
-    score_frame,
-    write_present,
-)
-from servotrack.estimators.jacobian.chain_target import forecast_target, place_target, restart_target
+from servotrack.estimators.jacobian.chain_scores import better_chain, follow_offsets, score_frame, write_present
 
 
 @njit(cache=True, nogil=True)
@@ -111,12 +104,10 @@ def update_row(memory, frame, settings, output, normals, row):  # type: ignore[n
     if fresh and not memory.started[row]:
         memory.started[row] = True
         memory.origin[row] = frame.angles[row]
-        restart_target(memory, settings, row)
     store = (memory.angles[row], memory.features[row], memory.weights[row])
     newest = (np.zeros((1, n)), np.zeros((1, m)), np.zeros((1, m)))
     old = np.zeros(m, np.bool_)
     if fresh:
-        output.counts[row] = frame_counts(memory, frame, settings, row)
         _take_frame(memory, frame, settings, newest, old, row)
         _challenge(memory, settings, row)
     noise = memory.noise[row]
@@ -132,7 +123,7 @@ def update_row(memory, frame, settings, output, normals, row):  # type: ignore[n
     for k in range(count):
         if any_weight(store[2][k]):
             known_at[k] = store[0][k]
-    for h in (before, 1 - before):
+    for h in range(2):
         if h != before and idle:
             continue
         if memory.damping[row, h] == 0.0:
@@ -170,7 +161,7 @@ def update_row(memory, frame, settings, output, normals, row):  # type: ignore[n
         parameters, reverse = memory.parameters[row, best], memory.reverse[row, best]
         follow_offsets(memory, frame, settings, newest, row)
         memory.scatter[row] += store_frame(
-            parameters, reverse, store, (newest[0][0], newest[1][0], newest[2][0]), noise, settings
+            parameters, reverse, store, (newest[0][0], newest[1][0], frame.seen[row]), noise, settings
         )
         if idle and best != before:
             known_at[:] = np.nan
@@ -214,13 +205,9 @@ def _take_frame(memory, frame, settings, newest, old, row):  # type: ignore[no-u
         newest[2][0, i] = 1.0 if seen else 0.0
         old[i] = seen and known
         new[i] = not known and frame.seen[row, i - i % 2] and frame.seen[row, i - i % 2 + 1]
-    if memory.moves[row]:
-        forecast_target(memory, frame.duration[row], settings, row)
     for h in range(2):
         reverse = memory.reverse[row, h]
         place_points(memory.parameters[row, h], newest[0][0], reverse, settings.focal, newest[1][0], new)
-        if memory.moves[row]:
-            place_target(memory.parameters[row, h], frame.angles.shape[1], memory.motion[row], new)
     for j in range(m // 2):
         memory.known[row, j] = memory.known[row, j] or new[2 * j]
 
@@ -272,7 +259,7 @@ def _restart(memory, settings, row):  # type: ignore[no-untyped-def]
     best = better_chain(memory, row)
     memory.weights[row] = 0.0
     memory.known[row] = False
-    memory.scatter[row], memory.frames[row], memory.scores[row] = 0.0, 0.0, 0.0
+    memory.scatter[row], memory.frames[row] = 0.0, 0.0
     memory.failures[row], memory.served[row], memory.least_error[row] = 0.0, 0.0, settings.no_error
     memory.cost[row] = 0.0
     memory.challenge[row] = 0.0
@@ -285,4 +272,3 @@ def _restart(memory, settings, row):  # type: ignore[no-untyped-def]
     memory.offset_power[row] = 0.0
     memory.residual_power[row] = memory.noise[row]
     memory.white[row] = memory.noise[row]
-    restart_target(memory, settings, row)

@@ -112,7 +112,7 @@ def store_frame(parameters, reverse, store, frame, noise, settings):  # type: ig
         parameters: Parameters of the chain. Shape (N,).
         reverse: True if the last joint is next to the camera.
         store: See `_merge`; changed.
-        frame: Joint angles, features and their weights, 0 where they are not seen. Shapes (n,), (m,), (m,).
+        frame: Joint angles, features and mask of the frame. Shapes (n,), (m,), (m,).
         noise: Variance of a feature, px^2.
         settings: A `ChainSettings`.
     """
@@ -126,11 +126,10 @@ def store_frame(parameters, reverse, store, frame, noise, settings):  # type: ig
     for i in range(seen.shape[0]):
         features[slot, i] = seen_at[i]
         weights[slot, i] = 0.0
-        if seen[i] > 0.0:
+        if seen[i]:
             # An outlier must not get weight by being merged.
             square = residual[i] * residual[i]
-            trusted = 1.0 if square <= settings.outlier * noise else settings.outlier * noise / square
-            weights[slot, i] = trusted * seen[i]
+            weights[slot, i] = 1.0 if square <= settings.outlier * noise else settings.outlier * noise / square
     if not any_weight(weights[slot]):
         return squares
     into, nearest = -1, settings.spacing

@@ -31,9 +31,7 @@ class ChainSettings(NamedTuple):
         offset_time: Correlation time of the offsets, s.
         margin: Factor of the mean squared errors that the chain must not exceed.
         patience: Frames of failure after which the chain starts anew.
-        target_speed: Prior standard deviation of a moving target's rates, rad/s and mean depths/s.
-        target_change: Standard deviation of their change within a second, at rest.
-        target_turn: The same as a share of the rates themselves.
+        drift: Standard deviation of the features' velocity at rest, px/s.
         first_damping: Damping of the first fit, relative to the diagonal of the normal equations.
         least_damping: Least damping.
         largest_damping: Largest damping.
@@ -70,9 +68,7 @@ class ChainSettings(NamedTuple):
     offset_time: float
     margin: float
     patience: float
-    target_speed: float
-    target_change: float
-    target_turn: float
+    drift: float
     first_damping: float = 1e-3
     least_damping: float = 1e-6
     largest_damping: float = 1e6
@@ -115,11 +111,6 @@ class ChainMemory(NamedTuple):
     served: Array
     least_error: Array
     frames: Array
-    scored: Array
-    scores: Array
-    moves: Mask
-    motion: Array
-    motion_covariance: Array
 
 
 class ChainFrame(NamedTuple):
@@ -134,8 +125,6 @@ class ChainFrame(NamedTuple):
         linear_error: Innovation of the linear filter. Shape (B, m), px.
         compared: Mask of the features that have such an innovation. Shape (B, m).
         present: Joint angles at present. Shape (B, n), rad.
-        readings: Newest readings of the encoders, without a play. Shape (B, n), rad.
-        pending: Age of the newest frame. Shape (B,), s.
     """
 
     fresh: Mask
@@ -146,16 +135,10 @@ class ChainFrame(NamedTuple):
     linear_error: Array
     compared: Mask
     present: Array
-    readings: Array
-    pending: Array
 
 
 class ChainOutput(NamedTuple):
-    """Results of each row: features, Jacobian by the joints, covariances and scores, see `ChainEstimate`.
-
-    `counts` is true for a frame that tells chains apart, see `frame_counts`. `parameters` are those of the better chain
-    with its points where they are at present.
-    """
+    """Results of each row: features, Jacobian by the joints, covariances and scores, see `ChainEstimate`."""
 
     features: Array
     jacobian: Array
@@ -165,5 +148,3 @@ class ChainOutput(NamedTuple):
     nis: Array
     best: Labels
     chained: Mask
-    counts: Mask
-    parameters: Array

@@ -10,13 +10,6 @@ from servotrack.estimators.compilation import njit
 from servotrack.estimators.jacobian.chain_equations import factored, whiten
 from servotrack.estimators.jacobian.chain_kernel import chain_derivatives
 from servotrack.estimators.jacobian.chain_keyframes import chain_residuals
-from servotrack.estimators.jacobian.chain_target import (
-    at_rest,
-    correct_target,
-    moved_target,
-    spread,
-    target_derivatives,
-)
 
 
 @njit(cache=True, nogil=True)
@@ -26,56 +19,29 @@ def better_chain(memory, row):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def frame_counts(memory, frame, settings, row):  # type: ignore[no-untyped-def]
-    """Return True if a frame tells chains and linear filters apart: the arm has moved since the last one that did.
-
-    At rest all that differs is how they take the flicker of the encoders. The best answer to it is a play that swallows
-    it, whether the gears have one or not, and a chain with a wrong play knows the Jacobian worse.
-    """
-    moved = 0.0
-    for k in range(frame.readings.shape[1]):
-        moved = max(moved, abs(frame.readings[row, k] - memory.scored[row, k]))
-    if not moved > settings.spacing:
-        return False
-    memory.scored[row] = frame.readings[row]
-    return True
-
-
-@njit(cache=True, nogil=True)
 def score_frame(memory, frame, settings, output, normal, newest, old, row):  # type: ignore[no-untyped-def]
     """Score the prediction of a new frame by the chain so far, beside that of the linear filter."""
     n, m = frame.angles.shape[1], frame.features.shape[1]
     best = better_chain(memory, row)
     size = normal.shape[0]
     parameters, reverse = memory.parameters[row, best], memory.reverse[row, best]
-    moves = memory.moves[row]
-    if moves:
-        parameters = moved_target(parameters, n, memory.motion[row])
     predicted, by_angles, derivatives = np.empty(m), np.empty((m, n)), np.zeros((m, size))
     chain_derivatives(parameters, newest[0][0], reverse, settings.focal, predicted, by_angles, derivatives)
     factor, columns = np.empty((size, size)), derivatives.T.copy()
     if factored(normal, settings.least_damping, settings.least_pivot, factor):
         whiten(factor, columns)
     fading = math.exp(-frame.duration[row] / settings.offset_time)
-    rows = target_derivatives(parameters, derivatives, n, memory.motion[row]) if moves else np.empty((m, 6))
-    innovations = np.zeros(m)
     squares, linear, both = 0.0, 0.0, 0
     normalized, density, used = 0.0, 0.0, 0
     for i in range(m):
         if not old[i]:
             continue
         innovation = newest[1][0, i] - predicted[i] - fading * memory.offset[row, i]
-        innovations[i] = innovation
         variance = memory.white[row] + memory.offset_variance[row, i]
-        if moves:
-            variance += spread(rows, memory.motion_covariance[row], 0, i)
         for a in range(size):
             variance += columns[a, i] ** 2
         normalized += innovation * innovation / variance
-        # An offset that follows what a wrong chain leaves would hide that it is wrong.
-        left = newest[1][0, i] - predicted[i]
-        variance += memory.noise[row] - memory.white[row] - memory.offset_variance[row, i]
-        density -= 0.5 * (left * left / variance + math.log(2.0 * math.pi * variance))
+        density -= 0.5 * (innovation * innovation / variance + math.log(2.0 * math.pi * variance))
         used += 1
         if frame.compared[row, i]:
             squares += innovation * innovation
@@ -84,26 +50,11 @@ def score_frame(memory, frame, settings, output, normal, newest, old, row):  # t
     if used > 0:
         output.nis[row] = normalized / used
         output.log_likelihood[row] = density
-    if both > 0 and output.counts[row]:
-        memory.scores[row] += 1.0
-        share = 1.0 / min(memory.scores[row], settings.memory)
-        memory.errors[row, 0] = _averaged(memory.errors[row, 0], linear / both, share, settings)
-        memory.errors[row, 1] = _averaged(memory.errors[row, 1], squares / both, share, settings)
-    if moves and used > 0:
-        forecast = memory.motion[row].copy()
-        correct_target(memory, innovations, old, rows, columns, settings, row)
-        at_rest(memory, forecast, newest, rows, best, settings, row)
-
-
-@njit(cache=True, nogil=True)
-def _averaged(mean, square, share, settings):  # type: ignore[no-untyped-def]
-    """Return the running geometric mean of squared errors with a new one.
-
-    The mean logarithm is the log score of a normal density whose variance is unknown. An arithmetic mean would remember
-    the large errors of the first moves for seconds after a chain has become the better one.
-    """
-    least = settings.least_noise**2
-    return math.exp((1.0 - share) * math.log(max(mean, least)) + share * math.log(max(square, least)))
+    if both > 0:
+        keep = 1.0 - 1.0 / settings.memory
+        errors = memory.errors[row]
+        errors[0] = keep * errors[0] + (1.0 - keep) * linear / both
+        errors[1] = keep * errors[1] + (1.0 - keep) * squares / both
 
 
 @njit(cache=True, nogil=True)
@@ -155,12 +106,6 @@ def write_present(memory, frame, settings, output, normal, row):  # type: ignore
     best = output.best[row]
     parameters = memory.parameters[row, best].copy()
     size = parameters.shape[0]
-    moves, age = memory.moves[row], frame.pending[row]
-    motion, doubt = memory.motion[row].copy(), memory.motion_covariance[row]
-    if moves:
-        motion[:6] += age * motion[6:]
-        parameters = moved_target(parameters, n, motion)
-    output.parameters[row] = parameters
     theta = frame.present[row] - memory.origin[row]
     reverse, focal_unit = memory.reverse[row, best], settings.focal
     jacobian, derivatives = np.empty((m, n)), np.zeros((m, size))
@@ -176,7 +121,6 @@ def write_present(memory, frame, settings, output, normal, row):  # type: ignore
             for k in range(n):
                 columns[a, i * n + k] = (changed[i, k] - jacobian[i, k]) / settings.difference
             columns[a, m * n + i] = derivatives[i, a]
-    rows = target_derivatives(parameters, derivatives, n, motion) if moves else np.empty((m, 6))
     factor = np.empty((size, size))
     if factored(normal, settings.least_damping, settings.least_pivot, factor):
         whiten(factor, columns)
@@ -185,8 +129,6 @@ def write_present(memory, frame, settings, output, normal, row):  # type: ignore
         total = memory.offset_variance[row, i]
         for a in range(size):
             total += columns[a, m * n + i] ** 2
-        if moves:
-            total += spread(rows, doubt, 0, i) + age * age * spread(rows, doubt, 6, i)
         output.variance[row, i] = total
         covariance = output.covariance[row, i]
         covariance[:] = 0.0
@@ -195,10 +137,7 @@ def write_present(memory, frame, settings, output, normal, row):  # type: ignore
             for k in range(n):
                 for j in range(n):
                     covariance[k, j] += part[k] * part[j]
-        # Whether the target moves is settled by comparison: no doubt of its rates, as the law sees it.
-        if moves:
-            for a in range(6):
-                output.jacobian[row, i, n] += rows[i, a] * motion[6 + a]
+        covariance[n, n] = settings.drift**2
         for k in range(n):
             # The differences have rounding errors.
             covariance[k, k] *= 1.0 + 1e-9
