@@ -7,7 +7,7 @@ objects in them: `numpy.savez` writes them, and a file of them can be loaded wit
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from typing import Any, Protocol
 
@@ -88,13 +88,16 @@ def parts_state(parts: Mapping[str, Stateful]) -> State:
     return {f"{name}/{key}": value for name, piece in parts.items() for key, value in piece.get_state().items()}
 
 
-def set_parts(parts: Mapping[str, Stateful], state: Mapping[str, NDArray[Any]], started: bool) -> None:
+def set_parts(
+    parts: Mapping[str, Stateful], state: Mapping[str, NDArray[Any]], started: bool, check: Callable[[], None]
+) -> None:
     """Bring parts into the state that `parts_state` returned. A refused state leaves them as they were.
 
     Args:
         parts: Parts by name.
         state: State of all of them.
         started: False if they have no state yet to go back to.
+        check: Called when all are set; raises a ValueError if they do not fit together.
 
     Raises:
         ValueError: An entry is missing, or does not fit.
@@ -103,6 +106,7 @@ def set_parts(parts: Mapping[str, Stateful], state: Mapping[str, NDArray[Any]], 
     try:
         for name, piece in parts.items():
             piece.set_state(part(state, name))
+        check()
     except ValueError:
         for name, own in before.items():
             parts[name].set_state(own)
@@ -161,8 +165,14 @@ def generator_words(generators: Iterable[np.random.Generator]) -> NDArray[np.uin
 
 
 def generator_of(words: NDArray[np.uint64]) -> np.random.Generator:
-    """Return a generator in the state of a row of `generator_words`."""
+    """Return a generator in the state of a row of `generator_words`.
+
+    Raises:
+        ValueError: No PCG64 has such a state.
+    """
     high, low, inc_high, inc_low, kept, half = (int(word) for word in words)
+    if kept > 1 or half >= 2**32 or inc_low % 2 == 0:
+        raise ValueError(f"state's 'generator' must hold states of a PCG64, got {words.tolist()}")
     generator = np.random.Generator(np.random.PCG64())
     generator.bit_generator.state = {
         "bit_generator": "PCG64",
@@ -195,6 +205,14 @@ class Resumable:
     def _go_on(self, running: Mask, generators: list[np.random.Generator]) -> None:
         """Take over the flags and generators of a state; its parts have been set."""
         raise NotImplementedError
+
+    def _check_running(self, running: Mask) -> None:
+        """Refuse running episodes that have come to their last step: the tables of a world end there."""
+        late = running & (self.world.steps >= self.world.episode_steps)
+        if late.any():
+            raise ValueError(
+                f"state's 'running' must be False at the last step, got True in rows {np.flatnonzero(late)}"
+            )
 
     def _heading(self) -> State:
         name = type(self).__name__.removesuffix("Env").removesuffix("Vector")
@@ -232,6 +250,6 @@ class Resumable:
             state = {name: value if name in own else np.repeat(value, count, axis=0) for name, value in state.items()}
         running, words = entry(state, "running", (count,), np.bool_), entry(state, "generator", (count, 6), np.uint64)
         generators = [generator_of(row) for row in words]
-        set_parts(self._parts(), state, self._started)
+        set_parts(self._parts(), state, self._started, lambda: self._check_running(running))
         self._started = True
         self._go_on(running, generators)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pymunk
@@ -48,45 +48,38 @@ _K11, _K12, _K22, _BX1, _BY1, _L11, _L12, _L22, _BX2, _BY2 = (k * LANES for k in
 _FIELDS = 46
 
 
-class Solver(NamedTuple):
-    """Constants of the solver.
+SOLVER = np.dtype(
+    [
+        ("substep", np.float64),
+        ("substeps", np.int64),
+        ("iterations", np.int64),
+        ("impulse", np.float64),
+        ("low", np.float64, 2),
+        ("high", np.float64, 2),
+        ("pivot", np.float64),
+        ("stop", np.float64),
+    ],
+    align=True,
+)
+"""Constants of the solver.
 
-    Attributes:
-        substep: Duration of a substep, s.
-        substeps: Substeps per control period.
-        iterations: Iterations per substep.
-        impulse: Largest impulse of a motor in a substep, N m s.
-        low: Lower joint stops, rad.
-        high: Upper joint stops, rad.
-        pivot: Share of a pivot's position error that is corrected in a substep.
-        stop: Share of a stop's position error that is corrected in a substep.
-    """
-
-    substep: float
-    substeps: int
-    iterations: int
-    impulse: float
-    low: tuple[float, float]
-    high: tuple[float, float]
-    pivot: float
-    stop: float
+`substep`, duration of a substep, s; `substeps` per control period; `iterations` per substep; `impulse`, largest of a
+motor in a substep, N m s; `low` and `high` joint stops, rad; `pivot` and `stop`, shares of the position errors of
+pivots and stops that are corrected in a substep.
+"""
 
 
-def solver(config: ServoConfig) -> Solver:
-    """Return the solver's constants, with pymunk's defaults where the reference engine keeps them."""
+def solver(config: ServoConfig) -> NDArray[np.void]:
+    """Return the solver's constants, (1,) record, with pymunk's defaults where the reference engine keeps them."""
     substep = PERIOD / config.substeps
     # The default is rounded to single precision on its way: it is read from a constraint.
     stop_bias = pymunk.RotaryLimitJoint(pymunk.Body(1.0, 1.0), pymunk.Body(1.0, 1.0), 0.0, 1.0).error_bias
-    return Solver(
-        substep=substep,
-        substeps=config.substeps,
-        iterations=config.solver_iterations,
-        impulse=config.max_motor_torque * substep,
-        low=(float(JOINT_LOW[0]), float(JOINT_LOW[1])),
-        high=(float(JOINT_HIGH[0]), float(JOINT_HIGH[1])),
-        pivot=float(1.0 - PIVOT_BIAS**substep),
-        stop=float(1.0 - stop_bias**substep),
-    )
+    constants = np.zeros(1, SOLVER)
+    constants["substep"], constants["substeps"] = substep, config.substeps
+    constants["iterations"], constants["impulse"] = config.solver_iterations, config.max_motor_torque * substep
+    constants["low"], constants["high"] = JOINT_LOW, JOINT_HIGH
+    constants["pivot"], constants["stop"] = 1.0 - PIVOT_BIAS**substep, 1.0 - stop_bias**substep
+    return constants
 
 
 class CompiledArms:
@@ -99,7 +92,7 @@ class CompiledArms:
     Attributes:
         angles: True joint angles, shape (N, 2), rad; updated by every `step`, never replaced.
         blocks: Quantities of `LANES` arms in each row, see the module's constants.
-        solver: Constants of the solver.
+        solver: Constants of the solver, (1,) record `SOLVER`.
     """
 
     def __init__(self, config: ServoConfig, count: int) -> None:
@@ -197,10 +190,12 @@ def move_blocks(blocks, rates, angles, solver, first, last):  # type: ignore[no-
         blocks: Quantities of all arms, (blocks, fields x LANES).
         rates: Joint rates, (N, 2) rad/s.
         angles: Joint angles, overwritten, (N, 2) rad.
-        solver: Constants, `Solver`.
+        solver: Constants, (1,) record `SOLVER`.
         first: First block.
         last: Block after the last one.
     """
+    constants = solver[0]
+    impulse = constants.impulse
     for block in range(first, last):
         s, row = blocks[block], block * LANES
         lanes = min(LANES, rates.shape[0] - row)
@@ -208,10 +203,10 @@ def move_blocks(blocks, rates, angles, solver, first, last):  # type: ignore[no-
             # Chipmunk's motors turn the second body against the sign of their rate.
             s[_RATE1 + k] = -rates[row + k, 0]
             s[_RATE2 + k] = -rates[row + k, 1]
-        for _ in range(solver.substeps):
-            _prepare(s, lanes, solver)
-            for _iteration in range(solver.iterations):
-                _iterate(s, lanes, solver.impulse)
+        for _ in range(constants.substeps):
+            _prepare(s, lanes, constants)
+            for _iteration in range(constants.iterations):
+                _iterate(s, lanes, impulse)
         for k in range(lanes):
             angles[row + k, 0] = s[_A1 + k]
             angles[row + k, 1] = s[_A2 + k] - s[_A1 + k]
@@ -230,7 +225,8 @@ def _excess(angle, low, high):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _prepare(s, lanes, solver):  # type: ignore[no-untyped-def]
     """Advance positions by a substep, prepare the constraints and apply their impulses of the substep before."""
-    dt, low, high = solver.substep, solver.low, solver.high
+    dt, stop = solver.substep, solver.stop
+    low1, low2, high1, high2 = solver.low[0], solver.low[1], solver.high[0], solver.high[1]
     for k in range(lanes):
         s[_X1 + k] += s[_VX1 + k] * dt
         s[_Y1 + k] += s[_VY1 + k] * dt
@@ -246,8 +242,8 @@ def _prepare(s, lanes, solver):  # type: ignore[no-untyped-def]
     for k in range(lanes):
         m1, i1, m2, i2 = s[_M1 + k], s[_I1 + k], s[_M2 + k], s[_I2 + k]
         a1 = s[_A1 + k]
-        bias1 = -solver.stop * _excess(a1, low[0], high[0]) / dt
-        bias2 = -solver.stop * _excess(s[_A2 + k] - a1, low[1], high[1]) / dt
+        bias1 = -stop * _excess(a1, low1, high1) / dt
+        bias2 = -stop * _excess(s[_A2 + k] - a1, low2, high2) / dt
         s[_BIAS1 + k], s[_BIAS2 + k] = bias1, bias2
         # A stop that is not touched forgets its impulse.
         stop1 = 0.0 if bias1 == 0.0 else s[_STOP1 + k]

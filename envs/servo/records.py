@@ -61,30 +61,28 @@ of `ServoWorld`.
 """
 
 
-class Settings(NamedTuple):
-    """Parameters of a world that its motion, sensors and scores depend on.
+SETTINGS = np.dtype(
+    [
+        ("max_joint_rate", np.float64),
+        ("substep", np.float64),
+        ("warmup", np.int64),
+        ("horizon", np.int64),
+        ("lost_after", np.int64),
+        ("camera_size", np.float64),
+        ("shutter", np.float64),
+        ("stamped", np.bool_),
+        ("quantized", np.bool_),
+    ],
+    align=True,
+)
+"""Parameters of a world that its motion, sensors and scores depend on.
 
-    Attributes:
-        max_joint_rate: Joint rate at action 1, rad/s.
-        substep: Duration of a substep of the physics, s.
-        warmup: Number of unscored steps at the start of an episode.
-        horizon: Number of scored steps; the episode is truncated after them.
-        lost_after: Number of consecutive samples out of view that ends an episode.
-        camera_size: Width and height of the camera's image, px.
-        shutter: Duration of the rolling shutter's readout, s; 0 is a global shutter.
-        stamped: True if frames carry the time when they were taken, False if they carry the time of their arrival.
-        quantized: True if features are rounded to the centers of pixels.
-    """
-
-    max_joint_rate: float
-    substep: float
-    warmup: int
-    horizon: int
-    lost_after: int
-    camera_size: float
-    shutter: float
-    stamped: bool
-    quantized: bool
+`max_joint_rate` at action 1, rad/s; `substep`, duration of a substep of the physics, s; `warmup`, number of unscored
+steps at the start; `horizon`, number of scored steps; `lost_after`, number of consecutive samples out of view that
+ends an episode; `camera_size`, width and height of the image, px; `shutter`, duration of the rolling shutter's readout,
+s, 0 for a global shutter; `stamped`, True if frames carry the time when they were taken, False for the time of their
+arrival; `quantized`, True if features are rounded to the centers of pixels.
+"""
 
 
 class Tables(NamedTuple):

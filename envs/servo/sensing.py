@@ -32,10 +32,10 @@ def advance(  # type: ignore[no-untyped-def]
 
     Args:
         blocks: Quantities of all arms, see `CompiledArms`.
-        solver: Constants of the solver.
+        solver: Constants of the solver, (1,) record `SOLVER`.
         rows: Mask of the rows whose episode is running, (N,) bool.
         actions: Fractions of the largest joint rate, (N, 2).
-        settings: Parameters of the world, `Settings`.
+        settings: Parameters of the world, (1,) record `SETTINGS`.
         constants: Constants of the episodes, (N,) records `CONSTANTS`.
         tables: Draws of the episodes, `Tables`.
         joints: True joint angles, overwritten, (N, 2) rad.
@@ -46,18 +46,18 @@ def advance(  # type: ignore[no-untyped-def]
     """
     start, stop = first * LANES, min(last * LANES, rows.shape[0])
     for i in range(start, stop):
-        _command(rows[i], actions[i], settings, constants[i], tables.rate_noise[i], joints[i], samples[i])
+        _command(rows[i], actions[i], settings[0], constants[i], tables.rate_noise[i], joints[i], samples[i])
     move_blocks(blocks, samples["rates"], joints, solver, first, last)
     for i in range(start, stop):
         if rows[i]:
-            _sense(i, settings, constants[i], tables, joints[i], history[i], samples[i])
+            _sense(i, settings[0], constants[i], tables, joints[i], history[i], samples[i])
 
 
 @njit(cache=True, nogil=True)
 def command(rows, actions, settings, constants, tables, joints, samples):  # type: ignore[no-untyped-def]
     """Command the motors of all arms and count the steps of the chosen rows. Arguments: see `advance`."""
     for i in range(rows.shape[0]):
-        _command(rows[i], actions[i], settings, constants[i], tables.rate_noise[i], joints[i], samples[i])
+        _command(rows[i], actions[i], settings[0], constants[i], tables.rate_noise[i], joints[i], samples[i])
 
 
 @njit(cache=True, nogil=True)
@@ -65,7 +65,7 @@ def sense(rows, settings, constants, tables, joints, history, samples):  # type:
     """Observe the chosen rows. Arguments: see `advance`."""
     for i in range(rows.shape[0]):
         if rows[i]:
-            _sense(i, settings, constants[i], tables, joints[i], history[i], samples[i])
+            _sense(i, settings[0], constants[i], tables, joints[i], history[i], samples[i])
 
 
 @njit(cache=True, nogil=True)

@@ -19,14 +19,23 @@ class Threads:
         self.count = count
         self._pool: ThreadPoolExecutor | None = None
 
-    def share(self, work: Callable[[int, int], Any], total: int) -> None:
-        """Call work(first, last) for parts of the range from 0 to before `total`, one part per thread."""
-        parts = min(self.count, total)
+    def share(self, work: Callable[[int, int], Any], total: int, least: int = 1) -> None:
+        """Call work(first, last) for parts of the range from 0 to before `total`, at most one part per thread.
+
+        Args:
+            work: Function of the first index of a part and the one after its last.
+            total: Number of indices.
+            least: Number of indices that pays for a part of its own.
+        """
+        parts = min(self.count, total // least)
+        if parts <= 1:
+            work(0, total)
+            return
         bounds = [total * part // parts for part in range(parts + 1)]
-        if parts > 1 and self._pool is None:
+        if self._pool is None:
             self._pool = ThreadPoolExecutor(self.count - 1, thread_name_prefix="servotrack")
         (first, last), *others = itertools.pairwise(bounds)
-        waiting = [self._pool.submit(work, *other) for other in others]  # type: ignore[union-attr]
+        waiting = [self._pool.submit(work, *other) for other in others]
         work(first, last)
         for part in waiting:
             part.result()

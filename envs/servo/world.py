@@ -13,7 +13,7 @@ from servotrack.envs.servo.engine import ENGINES
 from servotrack.envs.servo.episode import Episode, Noise, ServoStreams, draw_episode, draw_noise, samples
 from servotrack.envs.servo.layout import draw_gains, draw_layouts, never_rejected, no_layout, ranges_of
 from servotrack.envs.servo.levels import ServoConfig
-from servotrack.envs.servo.records import CONSTANTS, RING, SAMPLE, Settings, Tables
+from servotrack.envs.servo.records import CONSTANTS, RING, SAMPLE, SETTINGS, Tables
 from servotrack.envs.servo.sensing import advance, command, sense
 from servotrack.envs.servo.targets import LEAD, PERIOD, START
 from servotrack.envs.servo.threads import Threads
@@ -23,8 +23,8 @@ from servotrack.estimators.types import Array, Labels, Mask
 
 LOST_SAMPLES = 20
 """An episode ends after this many consecutive samples with the target out of view."""
-_SHARED_ROWS = 8
-"""Number of episodes from which on drawing them is shared among threads."""
+_LEAST_EPISODES = 4
+"""Least number of episodes that a thread draws."""
 SUCCESS_DISTANCE = 0.010
 """Tracking errors below this count as success, m."""
 
@@ -103,17 +103,19 @@ class ServoWorld:
         self._ranges, self._fixed = ranges_of(config), never_rejected(config)
         noisy_tables = any(table.shape[1] for table in self._tables[1:])
         self._noisy = noisy_tables or config.latency[0] != config.latency[1]
-        self._settings = Settings(
-            max_joint_rate=config.max_joint_rate,
-            substep=PERIOD / config.substeps,
-            warmup=config.warmup,
-            horizon=config.horizon,
-            lost_after=lost_after,
-            camera_size=float(config.camera_size),
-            shutter=float(config.rolling_shutter),
-            stamped=bool(config.stamped),
-            quantized=config.noise_kind == "quantized",
-        )
+        self._settings = np.zeros(1, SETTINGS)
+        for name, value in {
+            "max_joint_rate": config.max_joint_rate,
+            "substep": PERIOD / config.substeps,
+            "warmup": config.warmup,
+            "horizon": config.horizon,
+            "lost_after": lost_after,
+            "camera_size": config.camera_size,
+            "shutter": config.rolling_shutter,
+            "stamped": config.stamped,
+            "quantized": config.noise_kind == "quantized",
+        }.items():
+            self._settings[name] = value
 
     def _name_fields(self) -> None:
         """Make the fields of the records attributes."""
@@ -154,9 +156,11 @@ class ServoWorld:
         for name in SAMPLE.names or ():
             field = sample[name]
             field[...] = entry(state, f"sample/{name}", field.shape, field.dtype)
-        length = self.config.warmup + self.config.horizon
+        length = self.episode_steps
         if seeds.min() < 0 or sample["steps"].min() < 0 or sample["steps"].max() > length:
             raise ValueError(f"state's seeds must be at least 0 and its steps lie in 0 to {length}")
+        if sample["captured"].min() < 0 or (sample["captured"] > sample["steps"] + LEAD).any():
+            raise ValueError(f"state's frames 'captured' must lie in 0 to the present one, got {sample['captured']}")
         moved = part(state, "arms")
         self.arms.check_state(moved)
         others = np.flatnonzero((self.seeds != seeds) | (self.begun == 0))
@@ -207,10 +211,7 @@ class ServoWorld:
             some = slice(first, last)
             failed.append(draw_layouts(rows[some], seeds[some], self._ranges, self._fixed, self._constants, self.paths))
 
-        if len(rows) >= _SHARED_ROWS:
-            self._threads.share(draw, len(rows))
-        else:
-            draw(0, len(rows))
+        self._threads.share(draw, len(rows), _LEAST_EPISODES)
         if max(failed) >= 0:
             raise no_layout(config)
         draw_gains(rows, seeds, config.actuation_gain, self._constants)

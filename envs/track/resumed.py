@@ -45,7 +45,7 @@ def put_scores(world: Any, names: tuple[str, ...], state: Mapping[str, NDArray[A
     """
     put(world, ("seeds", "steps", *names), state)
     if hasattr(world, "scorer"):
-        world.scorer.set_state(part(state, "scorer"))
+        world.scorer.set_state(part(state, "scorer"), world.steps)
 
 
 def draw_again(world: Any, names: tuple[str, ...], state: Mapping[str, NDArray[Any]], longest: int) -> None:

@@ -74,9 +74,18 @@ class SetScorer:
         """Return what `set_state` needs: identities, the last answers and their history."""
         return taken(self, _KEPT)
 
-    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Go back to a state. Raises a ValueError if an entry is missing or does not fit."""
+    def set_state(self, state: Mapping[str, NDArray[Any]], steps: Labels) -> None:
+        """Go back to a state in which observers have answered some steps, shape (N,).
+
+        Raises:
+            ValueError: An entry is missing, or does not fit.
+        """
         put(self, _KEPT, state)
+        # An observer that waits for its reset is scored once more.
+        most = self.labels.shape[1] * (steps + 1)
+        for labels in (self.labels, self._label_history.reshape(len(steps), -1)):
+            if (labels < -1).any() or (labels >= self._next[:, None]).any() or (self._next > most).any():
+                raise ValueError("state's labels must lie in -1 to those of identities that have begun")
 
     def score(
         self,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import io
+import os
 import pickle
 from typing import Any
 
@@ -16,6 +17,8 @@ import servotrack  # noqa: F401
 from servotrack.envs.registration import ENVIRONMENTS
 from servotrack.envs.state import State
 
+STATES = int(os.environ.get("SERVOTRACK_FUZZED_STATES", "15"))
+"""Number of damaged states of each environment."""
 SMALL: dict[str, dict[str, Any]] = {
     "UncalibServo-v0": {"level": 4, "horizon": 30, "latency": (0, 2)},
     "UncalibServoReach-v0": {"level": 6, "horizon": 30},
@@ -228,6 +231,62 @@ def test_a_refused_picture_leaves_the_world_as_it_was() -> None:
     with pytest.raises(ValueError, match="'images' must be uint8"):
         env.set_state(other.get_state() | {"sensor/images": np.zeros(4)})
     assert_same(go_on(env, steps), go_on(twin, steps))
+
+
+NUMBERS = {
+    "f": (0.0, -1.0, 1e-300, 1e6, 1e18, 1e300, -1e300),
+    "i": (0, 1, -1, 7, 29, 30, 31, 10**6, 2**40, -(2**63), 2**63 - 1),
+    "u": (0, 1, 2, 255, 2**40, 2**64 - 1),
+    "b": (False, True),
+}
+
+
+def damaged(state: State, rng: np.random.Generator) -> State:
+    """Copy of a state in which up to three entries have other numbers."""
+    state = dict(state)
+    names = [name for name, value in state.items() if value.size and value.dtype.kind in NUMBERS]
+    for name in rng.choice(names, rng.integers(1, 4)).tolist():
+        value = state[name] = state[name].copy()
+        number = NUMBERS[value.dtype.kind][rng.integers(len(NUMBERS[value.dtype.kind]))]
+        at = tuple(rng.integers(value.shape)) if rng.random() < 0.7 else ...
+        value[at] = number if value.dtype != np.uint8 else number % 256
+    return state
+
+
+@each_case
+@pytest.mark.parametrize("count", [0, 2])
+def test_states_with_other_numbers_are_refused_or_played(env_id: str, more: dict[str, Any], count: int) -> None:
+    """Indices into tables are checked before compiled code follows them."""
+    env, rng = made(env_id, more, count), np.random.default_rng(0)
+    steps = actions(env, 4)
+    env.reset(seed=1)
+    for action in steps:
+        env.step(action)
+    state = env.get_state()
+    for _ in range(STATES):
+        try:
+            env.set_state(damaged(state, rng))
+        except ValueError:
+            continue
+        try:
+            for action in steps:
+                env.step(action)
+        except ResetNeeded:
+            continue
+    env.set_state(state)
+
+
+def test_an_episode_that_is_over_cannot_be_set_running() -> None:
+    env = made("UncalibServo-v0", {})
+    env.reset(seed=0)
+    over = False
+    while not over:
+        _, _, terminated, truncated, _ = env.step(np.zeros(2))
+        over = terminated or truncated
+    state = env.get_state()
+    assert truncated
+    with pytest.raises(ValueError, match="'running' must be False at the last step"):
+        env.set_state(state | {"running": np.array([True])})
 
 
 def test_a_camera_has_no_state(monkeypatch: pytest.MonkeyPatch) -> None:
