@@ -83,9 +83,12 @@ class SetScorer:
         put(self, _KEPT, state)
         # An observer that waits for its reset is scored once more.
         most = self.labels.shape[1] * (steps + 1)
-        for labels in (self.labels, self._label_history.reshape(len(steps), -1)):
-            if (labels < -1).any() or (labels >= self._next[:, None]).any() or (self._next > most).any():
+        for labels in (self.labels[:, None], self._label_history):
+            if (labels < -1).any() or (labels >= self._next[:, None, None]).any() or (self._next > most).any():
                 raise ValueError("state's labels must lie in -1 to those of identities that have begun")
+            ordered = np.sort(labels, axis=-1)
+            if ((ordered[..., 1:] == ordered[..., :-1]) & (ordered[..., 1:] >= 0)).any():
+                raise ValueError("state's labels must be unique in every step")
 
     def score(
         self,
