@@ -89,7 +89,12 @@ class SingleEnv(Resumable, gym.Env[Any, Any]):
 
     @property  # type: ignore[override]
     def spec(self) -> EnvSpec | None:
-        """Specification by Gymnasium; `max_episode_steps` is the truncation of this level with these keywords."""
+        """Specification by Gymnasium; `max_episode_steps` is the truncation of this level with these keywords.
+
+        `gym.make(env.spec)` makes the same environment. With other keywords use
+        `gym.make(env.spec.id, **{**env.spec.kwargs, "horizon": 500})`: Gymnasium cuts what it makes from a
+        specification at that specification's `max_episode_steps`.
+        """
         return self._spec
 
     @spec.setter

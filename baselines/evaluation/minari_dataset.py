@@ -5,6 +5,7 @@ Minari's own `DataCollector` wraps a single environment. Here all seeds of a bat
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -57,13 +58,14 @@ def collect_dataset(
 
     Raises:
         ImportError: Minari is not installed.
+        TypeError: A seed is not an integer.
         ValueError: No or repeated seeds, `num_envs` below 1, an unknown agent or info, or an existing dataset.
     """
     try:
         import minari
     except ImportError as error:
         raise ImportError("Minari is not installed; run `pip install servotrack[minari]`") from error
-    seeds = [int(seed) for seed in seeds]
+    seeds = [operator.index(seed) for seed in seeds]
     if not seeds or len(set(seeds)) != len(seeds) or min(seeds) < 0:
         raise ValueError(f"seeds must be different whole numbers >= 0, at least one, got {seeds[:10]}")
     if num_envs < 1:
@@ -88,6 +90,11 @@ def collect_dataset(
                 dataset = minari.create_dataset_from_buffers(dataset_id, episodes, env=env, **named)
             else:
                 dataset.storage.update_episodes(episodes)
+    except BaseException:
+        # A dataset of the first batches would look complete.
+        if dataset is not None:
+            minari.delete_dataset(dataset_id)
+        raise
     finally:
         env.close()
     return minari.load_dataset(dataset_id)

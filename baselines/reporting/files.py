@@ -6,12 +6,12 @@ import contextlib
 import errno
 import os
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from servotrack.baselines.reporting.strict import parse_json, parse_yaml
-from servotrack.baselines.reporting.temporary import unfinished_file
+from servotrack.baselines.reporting.temporary import unfinished_file, unfinished_folder
 
 LARGEST_DOCUMENT = 64_000_000
 """Largest accepted size of a JSON document of this package, bytes: results of some 200,000 episodes."""
@@ -59,16 +59,33 @@ def temporary_in(folder: Path, suffix: str) -> Iterator[Path]:
         StorageError: The folder cannot be made or written.
     """
     with contextlib.ExitStack() as stack:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            path = stack.enter_context(unfinished_file(folder, suffix))
-        except (FileExistsError, NotADirectoryError) as error:
-            raise ResultsError(f"{folder} cannot be a folder: a file has that name; choose another folder") from error
-        except OSError as error:
-            raise StorageError(
-                f"{folder} is not writable ({error.strerror}); change its permissions or choose another folder"
-            ) from error
-        yield path
+        yield _entered(stack, folder, lambda: unfinished_file(folder, suffix))
+
+
+@contextlib.contextmanager
+def temporary_folder_in(folder: Path) -> Iterator[Path]:
+    """A new empty folder in `folder`, which is made where it is missing. It is removed at the end of the block.
+
+    Raises:
+        ResultsError: The folder's name is that of a file.
+        StorageError: The folder cannot be made or written.
+    """
+    with contextlib.ExitStack() as stack:
+        yield _entered(stack, folder, lambda: unfinished_folder(folder))
+
+
+def _entered(
+    stack: contextlib.ExitStack, folder: Path, unfinished: Callable[[], contextlib.AbstractContextManager[Path]]
+) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return stack.enter_context(unfinished())
+    except (FileExistsError, NotADirectoryError) as error:
+        raise ResultsError(f"{folder} cannot be a folder: a file has that name; choose another folder") from error
+    except OSError as error:
+        raise StorageError(
+            f"{folder} is not writable ({error.strerror}); change its permissions or choose another folder"
+        ) from error
 
 
 @contextlib.contextmanager

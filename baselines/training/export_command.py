@@ -18,7 +18,8 @@ from servotrack.baselines.agents.learned.card import LearnedCard
 from servotrack.baselines.agents.protocol import Information
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.seeds import take
-from servotrack.baselines.training.export import exportable_policy, write_agent, write_card
+from servotrack.baselines.reporting.files import temporary_folder_in
+from servotrack.baselines.training.export import Exportable, exportable_policy, write_agent, write_card
 from servotrack.baselines.training.observation_view import ActionView, ObservationView, encoding_kind, wrapped
 from servotrack.baselines.training.trained_models import TrainedModel, load_model
 from servotrack.baselines.worlds import describe_environment, plain
@@ -135,30 +136,44 @@ def export_model(request: ExportRequest) -> tuple[Path, float]:
             steps=model.steps if request.steps is None else request.steps,
             training={"library": model.source, "wrappers": list(request.wrappers), "provenance": provenance()},
         )
-        try:
-            card = write_agent(subject, card, request.output)
-        except (RuntimeError, TypeError, KeyError, torch.onnx.errors.OnnxExporterError) as error:
-            reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-            raise ValueError(
-                f"{request.model} cannot be applied to the observations of {request.env_id} in "
-                f"{', '.join(request.wrappers) or 'no wrapper'} ({reason}); give the wrappers of its training by "
-                "--wrapper"
-            ) from error
-        path = (request.output / card.network).with_suffix(".json")
-        difference = _largest_difference(model, seen, tapped, path)
-        if not difference <= request.tolerance:
-            for file in (path, path.with_suffix(".onnx")):
-                file.unlink(missing_ok=True)
-            raise ValueError(
-                f"actions of the exported network differ from those of {request.model} by {difference:.1e} of half "
-                f"their range, --tolerance is {request.tolerance:.1e}; check --wrapper and --normalization. "
-                "A difference near 1e-5 is rounding, which entries that hardly vary amplify"
-            )
-        compared = {"steps": COMPARED_STEPS, "largest_difference": difference}
-        write_card(replace(card, training={**card.training, "compared": compared}), request.output)
-        return path, difference
+        with temporary_folder_in(request.output) as folder:
+            # An agent of this name that was exported earlier stays until the new one has been compared.
+            difference = _written_and_compared(request, model, subject, card, folder, (seen, tapped))
+            for suffix in (".onnx", ".json"):
+                name = Path(card.network).with_suffix(suffix)
+                (folder / name).replace(request.output / name)
+        return (request.output / card.network).with_suffix(".json"), difference
     finally:
         env.close()
+
+
+def _written_and_compared(
+    request: ExportRequest,
+    model: TrainedModel,
+    subject: Exportable,
+    card: LearnedCard,
+    folder: Path,
+    envs: tuple[Any, _Recorder],
+) -> float:
+    """Write network and card into a folder; returns the largest difference of an action from the model's."""
+    try:
+        card = write_agent(subject, card, folder)
+    except (RuntimeError, TypeError, KeyError, torch.onnx.errors.OnnxExporterError) as error:
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise ValueError(
+            f"{request.model} cannot be applied to the observations of {request.env_id} in "
+            f"{', '.join(request.wrappers) or 'no wrapper'} ({reason}); give the wrappers of its training by --wrapper"
+        ) from error
+    difference = _largest_difference(model, *envs, (folder / card.network).with_suffix(".json"))
+    if not difference <= request.tolerance:
+        raise ValueError(
+            f"actions of the exported network differ from those of {request.model} by {difference:.1e} of half "
+            f"their range, --tolerance is {request.tolerance:.1e}; check --wrapper and --normalization. "
+            "A difference near 1e-5 is rounding, which entries that hardly vary amplify"
+        )
+    compared = {"steps": COMPARED_STEPS, "largest_difference": difference}
+    write_card(replace(card, training={**card.training, "compared": compared}), folder)
+    return difference
 
 
 def _check_spaces(trained: Any, given: spaces.Space[Any], wrappers: Sequence[str]) -> None:
@@ -188,15 +203,15 @@ def _largest_difference(model: TrainedModel, env: Any, recorder: _Recorder, path
     half: Array = 0.5 * (space.high.astype(np.float64) - space.low)
     agent: Any = create_learned_agent(recorder.env, str(path))
     seeds = iter(take("tune", COMPARED_STEPS))
-    largest, over = 0.0, True
+    differences, over = np.zeros(COMPARED_STEPS), True
     observation = state = carried = None
-    for _ in range(COMPARED_STEPS):
+    for step in range(COMPARED_STEPS):
         if start := over:
             observation, _ = env.reset(seed=int(next(seeds)))
             state = carried = None
         action, carried = model.act(observation, carried, start)
         exported, state = agent.predict(recorder.observation, state)
         observation, _, terminated, truncated, _ = env.step(action)
-        largest = max(largest, float(np.max(np.abs(exported - recorder.action) / half)))
+        differences[step] = np.max(np.abs(exported - recorder.action) / half)
         over = terminated or truncated
-    return largest
+    return float(differences.max())

@@ -83,3 +83,35 @@ def test_bad_arguments_are_refused(change: dict[str, Any], message: str) -> None
     arguments = {"seeds": [0], **change}
     with pytest.raises(ValueError, match=message):
         collect_dataset("test/set-v0", "UncalibServo-v0", "random", env_kwargs={"horizon": 3}, **arguments)
+
+
+class _FailsLater:
+    """An agent that acts for some steps only."""
+
+    def __init__(self, env: Any) -> None:
+        self._space, self._left = env.action_space, 5
+
+    def predict(self, observation: Any, state: Any = None, **_: Any) -> tuple[Any, Any]:
+        self._left -= 1
+        if self._left < 0:
+            raise RuntimeError("the agent stopped")
+        return np.zeros(self._space.shape, self._space.dtype), state
+
+
+def test_a_collection_that_fails_leaves_no_part_of_a_dataset(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Any] = []
+
+    def create(card: Any, env: Any) -> Any:
+        # The first batch is complete and stored, the second one fails.
+        made.append(create_agent("random", env) if not made else _FailsLater(env))
+        return made[-1]
+
+    monkeypatch.setattr("servotrack.baselines.evaluation.minari_dataset.create_agent", create)
+    with pytest.raises(RuntimeError, match="the agent stopped"):
+        collect_dataset("test/set-v0", "UncalibServo-v0", "random", [1, 2], {"horizon": 20}, num_envs=1)
+    assert len(made) == 2 and "test/set-v0" not in minari.list_local_datasets()
+
+
+def test_seeds_are_whole_numbers() -> None:
+    with pytest.raises(TypeError, match="float"):
+        collect_dataset("test/set-v0", "UncalibServo-v0", "random", [1.5], {"horizon": 3})  # type: ignore[list-item]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -228,6 +229,16 @@ def test_wrong_arguments_are_refused(changes: dict[str, Any], message: str, tmp_
     with pytest.raises(ValueError, match=message):
         export_model(request("UncalibServo-v0", SERVO, model, tmp_path, **fields))
     assert not list(tmp_path.glob("*.onnx"))
+
+
+def test_an_export_that_fails_leaves_the_earlier_one(tmp_path: Path) -> None:
+    trained("PPO", "MultiInputPolicy", gym.make("UncalibServo-v0", **SERVO), tmp_path / "model.zip")
+    asked = request("UncalibServo-v0", SERVO, str(tmp_path / "model.zip"), tmp_path / "out", algorithm="ppo")
+    export_model(asked)
+    before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    with pytest.raises(ValueError, match="--tolerance is"):
+        export_model(dataclasses.replace(asked, tolerance=-1.0))
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
 
 
 def test_the_command_exports_a_file_that_evaluate_takes(
