@@ -88,7 +88,7 @@ FAMILIES = (
         _as_mapping,
         clutter_grid.BORROWED,
     ),
-    TuningFamily("ColorTracking-v0", (0, 1, 2, 3, 4, 5), color_grid.GRIDS, color_tracker, _as_keywords),
+    TuningFamily("ColorTracking-v0", tuple(range(8)), color_grid.GRIDS, color_tracker, _as_keywords),
     TuningFamily(
         "SonarTracking-v0",
         (0, 1, 2, 3, 4, 5),

@@ -68,6 +68,32 @@ def integrate_channels(region, chances, bins, integral):  # type: ignore[no-unty
 
 
 @njit(cache=True, nogil=True)
+def turned_part(image, center, cos, sin, out):  # type: ignore[no-untyped-def]
+    """Sample the surroundings of a point as if the frame had been turned about it; pixels outside repeat the border.
+
+    Args:
+        image: RGB, shape (H, W, 3), uint8.
+        center: The point, shape (2,), px.
+        cos: Cosine of the angle from the frame to `out`, positive from the right to down.
+        sin: Sine of that angle.
+        out: Output, its middle is the point; shape (h, w, 3), uint8.
+    """
+    rows, columns = out.shape[:2]
+    for row in range(rows):
+        for column in range(columns):
+            u, v = column + 0.5 - 0.5 * columns, row + 0.5 - 0.5 * rows
+            x = min(max(center[0] + cos * u + sin * v - 0.5, 0.0), image.shape[1] - 1.0)
+            y = min(max(center[1] - sin * u + cos * v - 0.5, 0.0), image.shape[0] - 1.0)
+            left, top = int(x), int(y)
+            right, bottom = min(left + 1, image.shape[1] - 1), min(top + 1, image.shape[0] - 1)
+            a, b = x - left, y - top
+            for channel in range(3):
+                upper = (1.0 - a) * image[top, left, channel] + a * image[top, right, channel]
+                lower = (1.0 - a) * image[bottom, left, channel] + a * image[bottom, right, channel]
+                out[row, column, channel] = np.uint8((1.0 - b) * upper + b * lower + 0.5)
+
+
+@njit(cache=True, nogil=True)
 def _corner(integral, x, y, first, out):  # type: ignore[no-untyped-def]
     """Interpolate the channels from `first` on bilinearly at any point; outside the region use its border."""
     rows, columns = integral.shape[0] - 1, integral.shape[1] - 1

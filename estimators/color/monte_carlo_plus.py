@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from servotrack.estimators.color.cells import CHANNELS, ORIENTATIONS, describe, integrate_channels
+from servotrack.estimators.color.cells import CHANNELS, ORIENTATIONS, describe, integrate_channels, turned_part
 from servotrack.estimators.color.contract import (
     BoxEstimate,
     Pose,
@@ -18,7 +18,7 @@ from servotrack.estimators.color.contract import (
     start,
 )
 from servotrack.estimators.color.histogram import color_histogram
-from servotrack.estimators.elementary import exponential
+from servotrack.estimators.elementary import cosine, exponential
 from servotrack.estimators.types import Array, FloatArray, Image
 
 
@@ -39,10 +39,11 @@ class PlusState(NamedTuple):
 
     Attributes:
         pose: The last estimate.
-        velocity: Velocity of the center, shape (2,), px per frame.
+        angle: Angle by which the object has turned in the image plane since the first frame, rad.
+        velocity: Changes of the center and of the angle from frame to frame, shape (3,), px and rad.
         inside: Histogram of the object's colors, shape (bins ** 3,).
         outside: Histogram of the colors around it, shape (bins ** 3,).
-        first: Features of the first box, shape (2, f).
+        first: Features of the first box, turned by each of the angles, shape (angles, 2, f).
         recent: Running mean of the features, shape (2, f).
         contrast: Running mean of the contrast of the object with its surroundings.
         lost: Degree of belief that the object is hidden, 0 to 1.
@@ -50,6 +51,7 @@ class PlusState(NamedTuple):
     """
 
     pose: Pose
+    angle: float
     velocity: Array
     inside: Array
     outside: Array
@@ -70,6 +72,8 @@ class MonteCarloColorPlus:
       counts.
     * The contrast determines the scale: the mean probability that a pixel belongs to the object rather than to its
       surroundings, inside the box minus around it.
+    * The object may turn in the image plane: a candidate has an angle, its box is that of the turned ellipse, and it is
+      compared with the first box turned by the nearest of `angles`.
     * Candidates are drawn about the predicted position, first widely, then closely about the best ones.
     * The reference combines the first frame with recent frames and is not updated while the object seems hidden.
 
@@ -79,7 +83,11 @@ class MonteCarloColorPlus:
         samples: Number of candidates per frame, half of them drawn widely. Raising it costs time and reduces noise.
         center_deviation: Standard deviation of wide candidates' centers, as a share of the box's size. Raising it
             follows faster motion with more noise.
-        scale_deviation: Standard deviation of their scales, as a share of the last one.
+        scale_deviation: Standard deviation of their scales, as a share of the last one. Raising it follows faster
+            growth with more noise.
+        angle_deviation: Standard deviation of their angles, rad. Raising it follows faster turns with more noise.
+        angles: Number of directions in which the first box is remembered; 1 for objects that stay upright, whose frames
+            then cost less.
         narrowing: Factor on these deviations for the other half of the candidates.
         sharpness: Weights are exp(sharpness * similarity). Raising it concentrates them on the best candidates.
         gradient_share: Share of gradients in the similarity; colors have `color_share`, contrast the rest.
@@ -102,7 +110,9 @@ class MonteCarloColorPlus:
 
     samples: int = 200
     center_deviation: float = 0.16
-    scale_deviation: float = 0.05
+    scale_deviation: float = 0.08
+    angle_deviation: float = 0.1
+    angles: int = 32
     narrowing: float = 0.3
     sharpness: float = 60.0
     gradient_share: float = 0.6
@@ -125,9 +135,10 @@ class MonteCarloColorPlus:
         """Check every field; raises ValueError that names it."""
         check_fields(
             self,
-            counts=("samples", "grid"),
+            counts=("samples", "grid", "angles"),
             positive=(
-                "center_deviation", "scale_deviation", "narrowing", "sharpness", "rim", "least_contrast", "rare_color",
+                "center_deviation", "scale_deviation", "angle_deviation", "narrowing", "sharpness", "rim",
+                "least_contrast", "rare_color",
             ),
             shares=(
                 "gradient_share", "color_share", "inertia", "update_rate", "loyalty", "hidden_below", "braking",
@@ -148,10 +159,11 @@ class MonteCarloColorPlus:
         """Compute the object's features; arguments and errors as in `MonteCarloColor.initial`."""
         image, first, pose = start(frame, box)
         inside, outside = self._colors(image, first)
-        view = self._view(image, first[None], self._chances(inside, outside))
-        features, contrast = self._describe(view, first[None])
+        chances = self._chances(inside, outside)
+        features, contrast = self._describe(self._view(image, first[None], chances), first[None])
+        views = np.concatenate([features, *(self._turned(image, pose, k, chances) for k in range(1, self.angles))])
         return PlusState(
-            pose, np.zeros(2), inside, outside, features[0], features[0], float(contrast[0]), lost=0.0, frame=1
+            pose, 0.0, np.zeros(3), inside, outside, views, features[0], float(contrast[0]), lost=0.0, frame=1
         )
 
     def step(self, state: PlusState, frame: ArrayLike) -> tuple[PlusState, BoxEstimate]:
@@ -159,49 +171,73 @@ class MonteCarloColorPlus:
         last = state.pose
         image = checked_frame(frame, last.shape)
         half = self.samples // 2
-        noise = normals(self.seed, state.frame, (self.samples, 3))
-        expected = last.center + self.inertia * state.velocity
-        wide = self._draw(last, noise[:half], expected, last.scale, 1.0 + self.widening * state.lost)
+        noise = normals(self.seed, state.frame, (self.samples, 4))
+        expected = np.array([*last.center, last.scale, state.angle])
+        expected[[0, 1, 3]] += self.inertia * state.velocity
+        wide = self._draw(last, noise[:half], expected, 1.0 + self.widening * state.lost)
         # One candidate is the prediction itself, so that a still object is matched exactly.
-        wide[0] = (*expected, last.scale)
-        boxes = last.boxes(wide[:, :2], wide[:, 2])
+        wide[0] = expected
+        boxes = self._boxes(last, wide)
         view = self._view(image, boxes, self._chances(state.inside, state.outside))
-        coarse = self._similarity(view, state, boxes)[0]
+        coarse = self._similarity(view, state, boxes, wide)[0]
         about = _weights(coarse, self.sharpness) @ wide
-        close = self._draw(last, noise[half:], about[:2], float(about[2]), self.narrowing)
+        close = self._draw(last, noise[half:], about, self.narrowing)
         candidates = np.concatenate([wide, close])
-        boxes = np.concatenate([boxes, last.boxes(close[:, :2], close[:, 2])])
-        similarity = np.concatenate([coarse, self._similarity(view, state, boxes[half:])[0]])
+        boxes = np.concatenate([boxes, self._boxes(last, close)])
+        similarity = np.concatenate([coarse, self._similarity(view, state, boxes[half:], close)[0]])
         weights = _weights(similarity, self.sharpness)
-        found = weights @ candidates
-        own, features, contrast = self._similarity(view, state, last.boxes(found[None, :2], found[None, 2]))
+        found = (weights @ candidates)[None]
+        own, features, contrast = self._similarity(view, state, self._boxes(last, found), found)
         hidden = bool(own[0] < self.hidden_below)
-        # An occluding object must not attract the estimate, which follows the prediction.
-        pose = (
-            last._replace(center=last.within(expected))
-            if hidden
-            else last._replace(center=found[:2], scale=float(found[2]))
-        )
-        state = self._remember(state, image, pose, hidden, features[0], float(contrast[0]))
-        return state, BoxEstimate(pose.box, min(max(float(own[0]), 0.0), 1.0), boxes, weights)
+        if hidden:
+            # An occluding object must not attract the estimate, which follows the prediction.
+            found = expected[None]
+            found[0, :2] = last.within(expected[:2])
+        pose = last._replace(center=found[0, :2], scale=float(found[0, 2]))
+        box = self._boxes(last, found)[0]
+        state = self._remember(state, image, pose, float(found[0, 3]), box, hidden, features[0], float(contrast[0]))
+        return state, BoxEstimate(box, min(max(float(own[0]), 0.0), 1.0), boxes, weights)
 
-    def _draw(self, last: Pose, noise: Array, center: Array, scale: float, width: float) -> Array:
-        """Candidates as rows of center x, y and scale."""
-        spread = width * self.center_deviation * scale * float(np.sqrt(last.size[0] * last.size[1]))
-        drawn = np.empty((len(noise), 3))
-        drawn[:, :2] = last.within(center + spread * noise[:, :2])
+    def _draw(self, last: Pose, noise: Array, middle: Array, width: float) -> Array:
+        """Candidates as rows of center x, y, scale and angle, drawn about the middle one."""
+        spread = width * self.center_deviation * middle[2] * float(np.sqrt(last.size[0] * last.size[1]))
+        drawn = np.empty((len(noise), 4))
+        drawn[:, :2] = last.within(middle[:2] + spread * noise[:, :2])
         deviation = min(width, 1.0) * self.scale_deviation
-        drawn[:, 2] = last.bounded(scale * exponential(deviation * noise[:, 2]))
+        drawn[:, 2] = last.bounded(middle[2] * exponential(deviation * noise[:, 2]))
+        drawn[:, 3] = middle[3]
+        if self.angles > 1:
+            drawn[:, 3] += width * self.angle_deviation * noise[:, 3]
         return drawn
 
-    def _similarity(self, view: View, state: PlusState, boxes: Array) -> tuple[Array, FloatArray, Array]:
-        """Similarity (n,), features (n, 2, f) and contrast (n,) of boxes."""
+    def _boxes(self, last: Pose, candidates: Array) -> Array:
+        """Boxes of candidates (n, 4): those around the ellipse that fills the first box, turned."""
+        cos, sin = cosine(candidates[:, 3])[:, None], cosine(candidates[:, 3] - 0.5 * np.pi)[:, None]
+        size = candidates[:, 2:3] * np.sqrt((cos * last.size) ** 2 + (sin * last.size[::-1]) ** 2)
+        return np.concatenate([candidates[:, :2] - 0.5 * size, size], axis=1)
+
+    def _turned(self, image: Image, pose: Pose, k: int, chances: FloatArray) -> FloatArray:
+        """Features of the first box after k of the angles, shape (1, 2, f)."""
+        angle = 2.0 * np.pi * k / self.angles
+        cos, sin = cosine(angle), cosine(angle - 0.5 * np.pi)
+        box = self._boxes(pose, np.array([[0.0, 0.0, 1.0, angle]]))[0]
+        size = 2 * np.ceil(0.5 * box[2:] + self.rim * box[2:] + 2.0).astype(np.int64)
+        part = np.empty((size[1], size[0], 3), np.uint8)
+        turned_part(image, pose.center, float(cos), float(sin), part)
+        box[:2] += 0.5 * size
+        return self._describe(self._view(part, box[None], chances), box[None])[0]
+
+    def _similarity(
+        self, view: View, state: PlusState, boxes: Array, candidates: Array
+    ) -> tuple[Array, FloatArray, Array]:
+        """Similarity (n,), features (n, 2, f) and contrast (n,) of candidates (n, 4) with their boxes."""
         features, contrast = self._describe(view, boxes)
-        memory = self.loyalty * state.first + (1.0 - self.loyalty) * state.recent
-        gradients, colors = features[:, 0] @ memory[0], features[:, 1] @ memory[1]
+        nearest = np.rint(candidates[:, 3] * (self.angles / (2.0 * np.pi))).astype(np.int64) % self.angles
+        memory = self.loyalty * state.first[nearest] + (1.0 - self.loyalty) * state.recent
+        alike = np.einsum("npf,npf->np", features, memory)
         relative = np.minimum(np.maximum(contrast / max(state.contrast, self.least_contrast), -1.0), 1.5)
         rest = 1.0 - self.gradient_share - self.color_share
-        total = self.gradient_share * gradients + self.color_share * colors + rest * relative
+        total = self.gradient_share * alike[:, 0] + self.color_share * alike[:, 1] + rest * relative
         return total.astype(np.float64), features, contrast
 
     def _view(self, image: Image, boxes: Array, chances: FloatArray) -> View:
@@ -237,16 +273,24 @@ class MonteCarloColorPlus:
         return inside, np.maximum(both - share * inside, 0.0) / (1.0 - share)
 
     def _remember(
-        self, state: PlusState, image: Image, pose: Pose, hidden: bool, features: FloatArray, contrast: float
+        self,
+        state: PlusState,
+        image: Image,
+        pose: Pose,
+        angle: float,
+        box: Array,
+        hidden: bool,
+        features: FloatArray,
+        contrast: float,
     ) -> PlusState:
         """Next state; for a hidden object the reference stays and the velocity decreases."""
-        after = state._replace(pose=pose, frame=state.frame + 1)
+        after = state._replace(pose=pose, angle=angle, frame=state.frame + 1)
         if hidden:
             return after._replace(velocity=self.braking * state.velocity, lost=min(1.0, state.lost + self.losing))
-        inside, outside = self._colors(image, pose.box)
+        inside, outside = self._colors(image, box)
         rate = self.update_rate
         return after._replace(
-            velocity=0.5 * (state.velocity + pose.center - state.pose.center),
+            velocity=0.5 * (state.velocity + np.array([*(pose.center - state.pose.center), angle - state.angle])),
             inside=(1.0 - rate) * state.inside + rate * inside,
             # The surroundings change faster, as the object moves.
             outside=(1.0 - 2.0 * rate) * state.outside + 2.0 * rate * outside,

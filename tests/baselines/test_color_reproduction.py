@@ -32,7 +32,7 @@ from servotrack.baselines.papers.monte_carlo_color.findings import (
 from servotrack.baselines.papers.reproduce import reproduce_paper
 from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.tuning.color_search import mean_auc, search
-from servotrack.envs.track.color.config import LEVEL_NAMES
+from servotrack.envs.track.color.config import PAPER_SCENARIOS
 
 SMALL = {"horizon": 5, "width": 160, "height": 120, "head_height": 30.0}
 SECONDS = dict.fromkeys(METHODS, 0.001)
@@ -41,7 +41,7 @@ SECONDS = dict.fromkeys(METHODS, 0.001)
 def invented(quality: dict[str, float], films: int = 4) -> dict[str, dict[str, Measures]]:
     """Measures of trackers whose overlap is the same in every frame, with little differences between films."""
     found = {}
-    for scenario in LEVEL_NAMES:
+    for scenario in PAPER_SCENARIOS:
         found[scenario] = {}
         for name in METHODS:
             level = quality.get(name, 0.4) + 0.01 * np.arange(films)[:, None]

@@ -20,7 +20,7 @@ def script(seed: int = 3, **keywords):
     return draw_script(color_config(**keywords), Streams(seed))
 
 
-@pytest.mark.parametrize("level", range(6))
+@pytest.mark.parametrize("level", range(8))
 def test_the_head_stays_inside_and_starts_at_its_size(level: int) -> None:
     config = color_config(level)
     for seed in range(3):
@@ -30,7 +30,7 @@ def test_the_head_stays_inside_and_starts_at_its_size(level: int) -> None:
         assert 0.7 < boxes[0, 3] / config.head_height < 1.6
 
 
-@pytest.mark.parametrize("level", [0, 3])
+@pytest.mark.parametrize("level", [0, 3, 6, 7])
 def test_the_true_box_is_where_the_head_is_drawn(level: int) -> None:
     # Without noise, the frame with a head less the frame with another head in its place differs inside the box only.
     config = color_config(level, sensor_noise=0.0)
@@ -39,7 +39,8 @@ def test_the_true_box_is_where_the_head_is_drawn(level: int) -> None:
         name: layer._replace(pixels=np.zeros_like(layer.pixels))
         for name, layer in scene.target._asdict().items() if name != "body"
     }))  # fmt: skip
-    for k in (0, 40, 111):
+    # On level 6 the head is seen from every side by then.
+    for k in (0, 40, 111, 150, 199):
         apart = (Painter(config, scene).frame(k) != Painter(config, bare).frame(k)).any(axis=2)
         rows, columns = np.nonzero(apart)
         left, top, width, height = scene.boxes[k]
@@ -55,6 +56,11 @@ def test_levels_do_what_their_names_say() -> None:
     zooms = np.concatenate([script(seed, level=3).zooms for seed in range(6)])
     assert zooms.max() > 1.4
     assert zooms.min() < 0.75
+    turns = np.concatenate([script(seed, level=6).target.turns for seed in range(6)])
+    assert turns.max() > np.pi and turns.min() < -np.pi
+    growing = [script(seed, level=7).target.heights for seed in range(6)]
+    assert np.concatenate(growing).max() > 1.4 * 48.0 > 2.0 * np.concatenate(growing).min()
+    assert max(np.abs(np.diff(np.log(heights))).max() for heights in growing) > 0.06, "within tenths of a second"
     gains = np.concatenate([script(seed, level=4).gains for seed in range(6)])
     assert gains.max() > 1.5
     assert gains.min() < 0.65
@@ -153,7 +159,7 @@ def test_an_episode_reports_its_scores_at_the_end_and_counts_the_first_frame() -
 @pytest.mark.parametrize(
     ("keywords", "match"),
     [
-        ({"level": 6}, "level must be a whole number from 0 to 5"),
+        ({"level": 8}, "level must be a whole number from 0 to 7"),
         ({"scenario": "fog"}, "scenario must be one of irregular, occlusion"),
         ({"zoom": 0.5}, r"zoom must lie in \[1, 2.5\], got 0.5"),
         ({"sensor_noise": float("nan")}, "sensor_noise must lie in"),

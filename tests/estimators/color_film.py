@@ -34,3 +34,16 @@ def box(left: int, top: int, scale: float = 1.0) -> np.ndarray:
 def walk(count: int = 25) -> list[tuple[int, int]]:
     """Places of a patch that goes right and down."""
     return [(20 + 3 * k, 20 + 2 * k) for k in range(count)]
+
+
+def turned_frame(angle: float, seed: int = 0) -> np.ndarray:
+    """A frame with the patch in its middle, turned by an angle (rad) from the right to down, with smooth edges."""
+    fine = 4
+    image = np.random.default_rng(seed).integers(90, 130, SHAPE, dtype=np.uint8)
+    image = image.repeat(fine, axis=0).repeat(fine, axis=1).astype(np.float64)
+    rows, columns = (np.mgrid[: image.shape[0], : image.shape[1]] + 0.5) / fine
+    x, y = columns - SHAPE[1] / 2, rows - SHAPE[0] / 2
+    u, v = np.cos(angle) * x + np.sin(angle) * y + SIZE[0] / 2, np.cos(angle) * y - np.sin(angle) * x + SIZE[1] / 2
+    inside = (u >= 0) & (u < SIZE[0]) & (v >= 0) & (v < SIZE[1])
+    image[inside] = patch(*SIZE)[v[inside].astype(int), u[inside].astype(int)]
+    return image.reshape(SHAPE[0], fine, SHAPE[1], fine, 3).mean(axis=(1, 3)).astype(np.uint8)

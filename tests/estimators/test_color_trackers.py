@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from color_film import box, frame, walk
+from color_film import SHAPE, SIZE, box, frame, turned_frame, walk
 
 from servotrack.estimators.color import back_projection, opencv_trackers
 from servotrack.estimators.color.contract import Pose, normals
@@ -122,6 +122,26 @@ def scaled(name: str, change: float) -> float:
         place = round(60 - 12 * (scale - 1)), round(40 - 16 * (scale - 1))
         state, estimate = tracker.step(state, frame(*place, seed=number, scale=scale))
     return float(estimate.box[2]) / 24.0
+
+
+@pytest.mark.parametrize("rate", [0.12, -0.12])
+def test_a_patch_that_turns_over_is_followed_in_angle(rate: float) -> None:
+    tracker = MonteCarloColorPlus()
+    left, top = (SHAPE[1] - SIZE[0]) / 2, (SHAPE[0] - SIZE[1]) / 2
+    state = tracker.initial(turned_frame(0.0), [left, top, *SIZE])
+    for number in range(1, 70):
+        state, estimate = tracker.step(state, turned_frame(rate * number, seed=number))
+        # Never the same patch upside down, although its outline is the same.
+        assert abs(state.angle - rate * number) < 0.3
+        assert np.abs(estimate.box[:2] + estimate.box[2:] / 2 - [SHAPE[1] / 2, SHAPE[0] / 2]).max() < 2.5
+
+
+def test_one_direction_follows_no_turn() -> None:
+    tracker = MonteCarloColorPlus(angles=1)
+    state = tracker.initial(frame(60, 40), box(60, 40))
+    state, estimate = tracker.step(state, frame(61, 40, seed=1))
+    assert state.angle == 0.0 and state.first.shape[0] == 1
+    assert np.allclose(estimate.box[2] / estimate.box[3], SIZE[0] / SIZE[1])
 
 
 @pytest.mark.parametrize("name", ["monte carlo", "plus", "particle filter", "mean shift"])

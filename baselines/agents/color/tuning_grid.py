@@ -7,7 +7,7 @@ from typing import Any
 
 EPISODES = 4
 """Number of tune seeds of each scenario."""
-_SCENARIOS, _FRAMES = 6, 200
+_SCENARIOS, _LEVELS, _FRAMES = 6, 8, 200
 _HUES: Mapping[str, Sequence[Any]] = {
     "saturation": (0, 30, 60, 90, 120, 150),
     "bins": (16, 32, 64, 128),
@@ -51,8 +51,14 @@ GRIDS: Mapping[str, Mapping[str, Sequence[Any]]] = {
 
 A threshold of 1 would disable eq. (12) of the paper.
 """
+ROBUST_GRIDS: Mapping[str, Mapping[str, Sequence[Any]]] = {
+    "monte-carlo-color-plus": {"scale_deviation": (0.05, 0.08, 0.11), "angle_deviation": (0.07, 0.1, 0.15)},
+}
+"""Values tried afterward on all levels, the paper's scenarios and two more, and chosen by the worst level."""
 
 
 def tuning_steps(name: str) -> int:
-    """Return the environment steps of one round of the search: every value on every film; 0 without a grid."""
-    return sum(map(len, GRIDS.get(name, {}).values())) * EPISODES * _SCENARIOS * _FRAMES
+    """Return the environment steps of one round of the searches: every value on every film; 0 without a grid."""
+    films = _SCENARIOS * sum(map(len, GRIDS.get(name, {}).values()))
+    films += _LEVELS * sum(map(len, ROBUST_GRIDS.get(name, {}).values()))
+    return EPISODES * films * _FRAMES

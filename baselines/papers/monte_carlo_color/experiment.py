@@ -15,7 +15,7 @@ from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.papers.parts import read_part, setting_of, write_part
 from servotrack.baselines.running.workers import in_workers
 from servotrack.baselines.tuning.color_films import film, track
-from servotrack.envs.track.color.config import LEVEL_NAMES
+from servotrack.envs.track.color.config import PAPER_SCENARIOS
 from servotrack.estimators.types import Array
 
 Method = tuple[str, Mapping[str, Any]]
@@ -92,7 +92,7 @@ def plan(runs: int) -> list[tuple[int, int, tuple[str, ...]]]:
     fast = (*TRACKERS, *VARIANTS)
     return [
         (level, seed, (*fast, *SLOW_TRACKERS) if number < few else fast)
-        for level in range(len(LEVEL_NAMES))
+        for level in range(len(PAPER_SCENARIOS))
         for number, seed in enumerate(scored_seeds(runs))
     ]
 
@@ -120,7 +120,7 @@ def run_all(
         ResultsError: A file has another setting or version, or the folder cannot be written.
     """
     world = dict(env_kwargs or {})
-    paths = [folder / LEVEL_NAMES[level] / f"{seed}.npz" for level, seed, _ in films]
+    paths = [folder / PAPER_SCENARIOS[level] / f"{seed}.npz" for level, seed, _ in films]
     todo = [(entry, path) for entry, path in zip(films, paths, strict=True) if not path.exists()]
     bar = progress.add_task("films", total=len(films), completed=len(films) - len(todo))
     tasks = (delayed(_run)(*entry, world, path) for entry, path in todo)
@@ -128,7 +128,7 @@ def run_all(
         progress.advance(bar)
     found: dict[str, dict[str, list[Measures]]] = {}
     for entry, path in zip(films, paths, strict=True):
-        scenario = found.setdefault(LEVEL_NAMES[entry[0]], {})
+        scenario = found.setdefault(PAPER_SCENARIOS[entry[0]], {})
         for method, measures in _read(path, *entry, world).items():
             scenario.setdefault(method, []).append(measures)
     return {

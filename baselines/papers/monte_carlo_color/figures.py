@@ -31,7 +31,7 @@ from servotrack.baselines.papers.monte_carlo_color.experiment import (
 from servotrack.baselines.papers.monte_carlo_color.findings import end_sizes, over_scenarios
 from servotrack.baselines.reporting.figure import STYLE
 from servotrack.baselines.tuning.color_films import film, track
-from servotrack.envs.track.color.config import LEVEL_NAMES
+from servotrack.envs.track.color.config import PAPER_SCENARIOS
 from servotrack.envs.track.color.render import ANSWER, TRUTH, draw_box
 from servotrack.envs.track.color.scoring import SUCCESS_THRESHOLDS, success_curve
 from servotrack.estimators.types import Array, Labels
@@ -62,7 +62,7 @@ def draw_success(found: Mapping[str, Mapping[str, Measures]]) -> Figure:
 
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.4, 5.4), layout="constrained")
-        for panel, (axes, scenario) in enumerate(zip(figure.subplots(2, 3).flat, LEVEL_NAMES, strict=True)):
+        for panel, (axes, scenario) in enumerate(zip(figure.subplots(2, 3).flat, PAPER_SCENARIOS, strict=True)):
             for name in (*TRACKERS, *SLOW_TRACKERS):
                 curve = np.mean([success_curve(iou) for iou in found[scenario][name].iou], axis=0)
                 label = f"{name} (a tenth of the films)" if name in SLOW_TRACKERS else name
@@ -91,7 +91,7 @@ def draw_tracked(seed: int) -> Figure:
 
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.4, 6.35))
-        grid = figure.subplots(len(LEVEL_NAMES), _SHOWN)
+        grid = figure.subplots(len(PAPER_SCENARIOS), _SHOWN)
         figure.subplots_adjust(left=0.035, right=0.995, top=0.945, bottom=0.005, wspace=0.03, hspace=0.04)
         for level, row in enumerate(grid):
             _draw_row(row, level, seed)
@@ -115,7 +115,7 @@ def _draw_row(row: Sequence[Axes], level: int, seed: int) -> None:
     seen = film(seed + level, level=level)
     paper, plus = (track(color_tracker(name), seen).boxes for name in ("monte-carlo-color", "monte-carlo-color-plus"))
     chosen = np.linspace(0, len(seen.frames) - 1, len(row) + 1).astype(int)[1:]
-    if LEVEL_NAMES[level] == "occlusion":
+    if PAPER_SCENARIOS[level] == "occlusion":
         chosen = _frames_around_first_jump(paper, seen.boxes, len(row))
     for axes, k in zip(row, chosen, strict=True):
         image = _enlarged(seen.frames[k])
@@ -126,7 +126,7 @@ def _draw_row(row: Sequence[Axes], level: int, seed: int) -> None:
         axes.set_yticks([])
         axes.spines[:].set_visible(False)
         axes.text(0.03, 0.05, f"{k}", transform=axes.transAxes, fontsize=6, color="white", path_effects=_rim())
-    row[0].set_ylabel(LEVEL_NAMES[level].replace("_", " and "), fontsize=7)
+    row[0].set_ylabel(PAPER_SCENARIOS[level].replace("_", " and "), fontsize=7)
 
 
 def _frames_around_first_jump(boxes: Array, truth: Array, count: int) -> Labels:

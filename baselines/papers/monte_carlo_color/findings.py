@@ -26,7 +26,7 @@ from servotrack.baselines.papers.monte_carlo_color.experiment import (
     threshold_name,
 )
 from servotrack.baselines.reporting.grid import Grid
-from servotrack.envs.track.color.config import LEVEL_NAMES
+from servotrack.envs.track.color.config import PAPER_SCENARIOS
 from servotrack.envs.track.color.scoring import failures, precision, success_curve
 from servotrack.estimators.types import Array
 
@@ -54,23 +54,23 @@ def tracked(measures: Measures) -> Array:
 
 def over_scenarios(found: Found, method: str) -> Array:
     """Return the AUC of every film of all scenarios, in the order of the scenarios."""
-    return np.concatenate([aucs(found[scenario][method]) for scenario in LEVEL_NAMES])
+    return np.concatenate([aucs(found[scenario][method]) for scenario in PAPER_SCENARIOS])
 
 
 def auc_grid(found: Found) -> Grid:
     """Return the AUC by scenario and tracker, with its interval over films, as a table."""
     rows = []
     for name in (*TRACKERS, *SLOW_TRACKERS):
-        cells = [_interval(bootstrap_mean(aucs(found[scenario][name]))) for scenario in LEVEL_NAMES]
+        cells = [_interval(bootstrap_mean(aucs(found[scenario][name]))) for scenario in PAPER_SCENARIOS]
         rows.append([name, *cells, _interval(bootstrap_mean(over_scenarios(found, name)))])
-    return Grid(["tracker", *LEVEL_NAMES, "all"], rows, 1)
+    return Grid(["tracker", *PAPER_SCENARIOS, "all"], rows, 1)
 
 
 def quality_grid(found: Found, seconds: Mapping[str, float]) -> Grid:
     """Return precision, failures and speed of all trackers as a table."""
     rows = []
     for name in (*TRACKERS, *SLOW_TRACKERS):
-        films = [(found[s][name].iou[k], found[s][name].center_error[k]) for s in LEVEL_NAMES
+        films = [(found[s][name].iou[k], found[s][name].center_error[k]) for s in PAPER_SCENARIOS
                  for k in range(len(found[s][name].iou))]  # fmt: skip
         precise = bootstrap_mean([precision(error) for _, error in films])
         lost = bootstrap_mean([failures(iou) for iou, _ in films])
@@ -89,9 +89,9 @@ def sensitivity_grid(found: Found) -> Grid:
     for title, variants in groups:
         for value, name in variants:
             size = bootstrap_mean(end_sizes(found, name))
-            cells = [f"{aucs(found[scenario][name]).mean():.3f}" for scenario in LEVEL_NAMES]
+            cells = [f"{aucs(found[scenario][name]).mean():.3f}" for scenario in PAPER_SCENARIOS]
             rows.append([title, value, *cells, _interval(bootstrap_mean(over_scenarios(found, name))), _interval(size)])
-    return Grid(["parameter", "value", *LEVEL_NAMES, "all", "size at the end"], rows, 2)
+    return Grid(["parameter", "value", *PAPER_SCENARIOS, "all", "size at the end"], rows, 2)
 
 
 def size_error(measures: Measures) -> float:
@@ -101,7 +101,7 @@ def size_error(measures: Measures) -> float:
 
 def end_sizes(found: Found, method: str) -> Array:
     """Return box size over true size, mean of each film's last fifth, films of all scenarios."""
-    sizes = [found[scenario][method].size for scenario in LEVEL_NAMES]
+    sizes = [found[scenario][method].size for scenario in PAPER_SCENARIOS]
     return np.concatenate([size[:, -max(1, size.shape[1] // 5) :].mean(axis=1) for size in sizes])
 
 

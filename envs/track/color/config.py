@@ -7,8 +7,10 @@ from typing import Any
 
 from servotrack.envs.arguments import check_fields, check_keywords, check_level
 
-LEVEL_NAMES = ("irregular", "occlusion", "distractor", "scale", "light", "pan_zoom")
-"""Scenarios of Zhang and Li 2008 (figure 4 and text), in the order of the levels."""
+PAPER_SCENARIOS = ("irregular", "occlusion", "distractor", "scale", "light", "pan_zoom")
+"""Scenarios of Zhang and Li 2008 (figure 4 and text)."""
+LEVEL_NAMES = (*PAPER_SCENARIOS, "rotation", "growth")
+"""Names of the levels, in their order."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,9 @@ class ColorConfig:
         restlessness: Mean number of velocity changes of the head per second.
         turning: Amplitude of the yaw of the head, 0 (always frontal) to 1 (face nearly invisible).
         tilt: Standard deviation of the head's roll, rad.
+        spin: Standard deviation of the angular velocity with which the whole figure turns over, rad/s.
+        growth: Maximum factor by which the head comes closer or moves away, within some tenths of a second. Camera and
+            room stay.
         occlusions: Number of times that an object occludes the head.
         occlusion_frames: Approximate duration of an occlusion, frames.
         distractors: Number of people near the target who look like it.
@@ -46,6 +51,8 @@ class ColorConfig:
     restlessness: float = 1.0
     turning: float = 0.5
     tilt: float = 0.08
+    spin: float = 0.0
+    growth: float = 1.0
     occlusions: int = 0
     occlusion_frames: float = 6.0
     distractors: int = 0
@@ -61,11 +68,11 @@ class ColorConfig:
         """Check every field. A ValueError names the argument, its value and the valid values."""
         check_fields(self, _BOUNDS, _WHOLE)
         tallest = min(_MAX_HEIGHT_SHARE * self.height, _MAX_WIDTH_SHARE * self.width)
-        if self.head_height * self.zoom > tallest:
+        largest = self.head_height * self.zoom * self.growth
+        if largest > tallest:
             raise ValueError(
-                f"head_height * zoom must be at most {_MAX_HEIGHT_SHARE:g} of the frame's height and "
-                f"{_MAX_WIDTH_SHARE:g} of its width = {tallest:g} px, "
-                f"got {self.head_height * self.zoom:g}; the head must fit into the frame"
+                f"head_height * zoom * growth must be at most {_MAX_HEIGHT_SHARE:g} of the frame's height and "
+                f"{_MAX_WIDTH_SHARE:g} of its width = {tallest:g} px, got {largest:g}; the head must fit into the frame"
             )
 
 
@@ -79,6 +86,8 @@ _BOUNDS: tuple[tuple[str, float, float], ...] = (
     ("restlessness", 0.0, 25.0),
     ("turning", 0.0, 1.0),
     ("tilt", 0.0, 0.5),
+    ("spin", 0.0, 20.0),
+    ("growth", 1.0, 2.5),
     ("occlusions", 0, 50),
     ("occlusion_frames", 0.0, 100.0),
     ("distractors", 0, 8),
@@ -103,6 +112,8 @@ _LEVELS: tuple[dict[str, Any], ...] = (
     {"zoom": 1.8},
     {"light_change": 1.9, "light_tint": 1.25},
     {"zoom": 1.5, "pan": 45.0, "speed": 4.0},
+    {"spin": 2.5},
+    {"growth": 1.8},
 )
 AXES = tuple(f.name for f in fields(ColorConfig))
 
@@ -111,7 +122,8 @@ def color_config(level: int = 0, scenario: str | None = None, **axes: Any) -> Co
     """Return the configuration of a level, with some parameters overridden.
 
     Args:
-        level: 0 `irregular`, 1 `occlusion`, 2 `distractor`, 3 `scale`, 4 `light`, 5 `pan_zoom`.
+        level: 0 `irregular`, 1 `occlusion`, 2 `distractor`, 3 `scale`, 4 `light`, 5 `pan_zoom`,
+            6 `rotation`, 7 `growth`.
         scenario: Name of a level, instead of `level`.
         **axes: Fields of `ColorConfig` with the values to use.
 

@@ -29,7 +29,7 @@ class ColorTrackingEnv(TrackEnv):
     A camera records a person in a room at 25 frames per second. The bounding box of the person's head is given for the
     first frame; the agent then reports the box in every frame. Person, room, motion and light are random. Hair, face
     and clothes are separate layers that shift against each other as the head turns and tilts, so that the color
-    histogram of the head changes all the time. The levels are the scenarios of Zhang and Li 2008:
+    histogram of the head changes all the time. Levels 0 to 5 are the scenarios of Zhang and Li 2008:
 
     | level | scenario |
     |---|---|
@@ -39,6 +39,8 @@ class ColorTrackingEnv(TrackEnv):
     | 3 `scale` | the camera zooms in and out by a factor of up to 1.8 |
     | 4 `light` | brightness changes by a factor of up to 1.9, and the color of the light changes |
     | 5 `pan_zoom` | the camera pans and zooms |
+    | 6 `rotation` | the person turns over in the image plane, with a standard deviation of 2.5 rad/s |
+    | 7 `growth` | the person comes closer or moves away by a factor of up to 1.8 within some tenths of a second |
 
     ## Action Space
 
@@ -79,7 +81,7 @@ class ColorTrackingEnv(TrackEnv):
 
     ## Arguments
 
-    `level` (0 to 5, default 0) or `scenario` (its name), and every field of `ColorConfig` as a keyword that overrides
+    `level` (0 to 7, default 0) or `scenario` (its name), and every field of `ColorConfig` as a keyword that overrides
     the value of the level, for example `gym.make("ColorTracking-v0", scenario="distractor", similarity=1.0,
     occlusions=2)`. `normalized_actions`: True for actions in [-1, 1], default False. `render_mode`: `rgb_array` or
     `human`.
@@ -153,7 +155,7 @@ class ColorTrackingVectorEnv(TrackVectorEnv):
 
     Args:
         num_envs: Number of scenes N.
-        level: Level from 0 to 5; see `ColorTrackingEnv`.
+        level: Level from 0 to 7; see `ColorTrackingEnv`.
         scenario: Name of a level, instead of `level`.
         normalized_actions: True for actions in [-1, 1] instead of px.
         render_mode: None or `rgb_array`; `render()` returns a tuple of N frames.

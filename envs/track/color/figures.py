@@ -81,7 +81,9 @@ def paint_figure(appearance: Appearance, rng: np.random.Generator) -> Figure:
     return Figure(_body(appearance, rng), _hair(appearance, rng), _face(appearance, rng), _fringe(appearance, rng))
 
 
-def put_figure(image: Image, figure: Figure, center: Array, height: float, roll: float, yaw: float) -> None:
+def put_figure(
+    image: Image, figure: Figure, center: Array, height: float, roll: float, yaw: float, turn: float
+) -> None:
     """Draw a figure into an image, in place.
 
     Args:
@@ -91,14 +93,15 @@ def put_figure(image: Image, figure: Figure, center: Array, height: float, roll:
         height: Height of the head, px.
         roll: Roll of the head, rad.
         yaw: Turn of the head to the side, -1 to 1.
+        turn: Rotation of the whole figure about the head, rad.
     """
-    body = Placement(float(center[0]), float(center[1]), height / HEAD, 0.25 * roll, -0.05 * yaw * HEAD)
+    body = Placement(float(center[0]), float(center[1]), height / HEAD, 0.25 * roll + turn, -0.05 * yaw * HEAD)
     put(image, figure.body, body)
-    for layer, placement in zip(figure[1:], _head(center, height, roll, yaw), strict=True):
+    for layer, placement in zip(figure[1:], _head(center, height, roll + turn, yaw), strict=True):
         put(image, layer, placement)
 
 
-def head_boxes(figure: Figure, centers: Array, heights: Array, rolls: Array, yaws: Array) -> Array:
+def head_boxes(figure: Figure, centers: Array, heights: Array, rolls: Array, yaws: Array, turns: Array) -> Array:
     """Return the bounding boxes of a head (hair and face) as `put_figure` draws it, including occluded parts.
 
     Args:
@@ -107,11 +110,13 @@ def head_boxes(figure: Figure, centers: Array, heights: Array, rolls: Array, yaw
         heights: Height of the head, shape (F,), px.
         rolls: Roll of the head, shape (F,), rad.
         yaws: Turn of the head to the side, -1 to 1, shape (F,).
+        turns: Rotation of the whole figure about the head, shape (F,), rad.
 
     Returns:
         Left, top, width and height of the boxes, shape (F, 4), px.
     """
-    heads = [_head(*pose) for pose in zip(centers, heights.tolist(), rolls.tolist(), yaws.tolist(), strict=True)]
+    poses = zip(centers, heights.tolist(), (rolls + turns).tolist(), yaws.tolist(), strict=True)
+    heads = [_head(*pose) for pose in poses]
     lows, highs = [], []
     for number, layer in enumerate(figure[1:]):
         x, y, scale, roll, shift, squash = np.array([head[number] for head in heads]).T[:, :, None]

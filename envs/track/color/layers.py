@@ -134,8 +134,14 @@ def _put(image, pixels, origin, x, y, cos, sin, shift, squash):  # type: ignore[
     v0 = origin[1] - 0.5 - (0.5 - x) * sin + (0.5 - y) * cos
     for row in range(image.shape[0]):
         u, v = u0 + b * row, v0 + cos * row
-        # Both coordinates must lie inside the layer; a is positive because rolls stay below a right angle.
-        first, last = -u / a, (width - 1.001 - u) / a
+        # Both coordinates must lie inside the layer.
+        if a == 0.0:
+            if u < 0.0 or u > width - 1.001:
+                continue
+            first, last = 0.0, image.shape[1] - 1.0
+        else:
+            one, two = -u / a, (width - 1.001 - u) / a
+            first, last = min(one, two), max(one, two)
         if sin == 0.0:
             if v < 0.0 or v > height - 1.001:
                 continue

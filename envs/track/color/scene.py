@@ -104,11 +104,11 @@ class Painter:
             put_figure(image, figure, *_at(motion, k))
         put_figure(image, scene.target, *_at(scene.script.target, k))
         for thing, motion in zip(scene.occluders, scene.script.occluders, strict=True):
-            center, height, roll, yaw = _at(motion, k)
+            center, height, roll, yaw, turn = _at(motion, k)
             if isinstance(thing, Layer):
                 put(image, thing, Placement(float(center[0]), float(center[1]), height / HEAD, roll))
             else:
-                put_figure(image, thing, center, _OCCLUDER_SCALE * height, roll, yaw)
+                put_figure(image, thing, center, _OCCLUDER_SCALE * height, roll, yaw, turn)
         top, left = scene.noise_shifts[k]
         height, width = image.shape[:2]
         gains = np.rint(256.0 * scene.script.gains[k]).astype(np.int32)
@@ -138,8 +138,9 @@ _OCCLUDER_SCALE = 1.75
 """Size of an occluding person relative to the target; it is closer to the camera."""
 
 
-def _at(motion: Motion, k: int) -> tuple[Array, float, float, float]:
-    return motion.centers[k], float(motion.heights[k]), float(motion.rolls[k]), float(motion.yaws[k])
+def _at(motion: Motion, k: int) -> tuple[Array, float, float, float, float]:
+    """Return center, height, roll, yaw and turn of a figure in frame k."""
+    return motion.centers[k], *(float(values[k]) for values in motion[1:])  # type: ignore[return-value]
 
 
 def _paint_backdrop(config: ColorConfig, rng: np.random.Generator, appearance: Appearance) -> Image:

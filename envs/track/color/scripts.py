@@ -32,6 +32,8 @@ class Stream(IntEnum):
     BACKDROP = 11
     NOISE = 12
     NOISE_SHIFT = 13
+    SPIN = 14
+    GROWTH = 15
 
 
 class Motion(NamedTuple):
@@ -42,12 +44,14 @@ class Motion(NamedTuple):
         heights: Height of the head in the frame, shape (F,), px.
         rolls: Roll of the head, shape (F,), rad.
         yaws: Turn of the head to the side, -1 to 1, shape (F,).
+        turns: Rotation of the whole figure about its head, shape (F,), rad.
     """
 
     centers: Array
     heights: Array
     rolls: Array
     yaws: Array
+    turns: Array
 
 
 class Script(NamedTuple):
@@ -75,6 +79,8 @@ SCENE_ROOM = 1.12
 """Size of the painted scene relative to the view at the widest zoom."""
 _HALF_WIDTH, _HALF_HEIGHT = 0.62, 0.72
 """Half width and half height of a head with its hair, head heights. They must stay inside the frame."""
+_GROWTH_TIME, _SPIN_TIME = 0.4, 1.0
+"""Time constants of the head's growth and of its angular velocity, s."""
 _OCCLUDER_SIZE = 2.3
 """Width of an occluder, head widths."""
 _HEAD_WIDTH = 0.8
@@ -85,13 +91,14 @@ def draw_script(config: ColorConfig, streams: Streams) -> Script:
     """Draw the motion of an episode. Every quantity has its own random stream."""
     frames = config.horizon + 1
     slow = 1.6 * config.frame_rate
-    zooms = exponential(math.log(config.zoom) * np.clip(wander(streams[Stream.ZOOM], frames, slow), -1.6, 1.6) / 1.6)
-    # The zoom starts at 1, so that the head starts with `head_height`.
-    zooms = zooms / zooms[0] if config.zoom > 1.0 else zooms
-    zooms = np.clip(zooms, 1.0 / config.zoom, config.zoom)
+    zooms = _draw_factors(streams[Stream.ZOOM], frames, slow, config.zoom)
     pan = np.stack([wander(streams[Stream.PAN, axis], frames, slow) for axis in (0, 1)], axis=1)
     pans = config.pan * np.array([1.0, 0.5]) * np.clip(pan, -2.0, 2.0)
     heights = config.head_height * zooms
+    if config.growth > 1.0:
+        heights = heights * _draw_factors(
+            streams[Stream.GROWTH], frames, _GROWTH_TIME * config.frame_rate, config.growth
+        )
     target = _draw_target(config, streams, heights)
     return Script(
         target,
@@ -101,6 +108,12 @@ def draw_script(config: ColorConfig, streams: Streams) -> Script:
         pans,
         _draw_light(config, streams, frames),
     )
+
+
+def _draw_factors(rng: np.random.Generator, frames: int, period: float, most: float) -> Array:
+    """Draw factors between 1 / most and most that wander with a time constant (frames) and start at 1."""
+    factors = exponential(math.log(most) * np.clip(wander(rng, frames, period), -1.6, 1.6) / 1.6)
+    return np.clip(factors / factors[0], 1.0 / most, most) if most > 1.0 else factors
 
 
 def wander(rng: np.random.Generator, frames: int, period: float, columns: int = 1) -> Array:
@@ -139,7 +152,11 @@ def _filtered_twice(white, keep):  # type: ignore[no-untyped-def]
 
 def _draw_target(config: ColorConfig, streams: Streams, heights: Array) -> Motion:
     rolls, yaws = _draw_pose(config, streams, Stream.POSE, len(heights))
-    return Motion(_draw_path(config, streams[Stream.PATH], heights), heights, rolls, yaws)
+    turns = np.zeros(len(heights))
+    if config.spin > 0.0:
+        rate = wander(streams[Stream.SPIN], len(heights), _SPIN_TIME * config.frame_rate)
+        turns = config.spin / config.frame_rate * (np.cumsum(rate) - rate[0])
+    return Motion(_draw_path(config, streams[Stream.PATH], heights), heights, rolls, yaws, turns)
 
 
 def _draw_pose(config: ColorConfig, streams: Streams, stream: Stream, frames: int) -> tuple[Array, Array]:
@@ -151,7 +168,7 @@ def _draw_path(config: ColorConfig, rng: np.random.Generator, heights: Array) ->
     """Return a path whose velocity changes at random times and is reflected at the border of the frame."""
     size = np.array([config.width, config.height], dtype=np.float64)
     draws = rng.random((len(heights), 4))
-    half = np.array([_HALF_WIDTH, _HALF_HEIGHT])
+    half = np.array([_HALF_HEIGHT if config.spin > 0.0 else _HALF_WIDTH, _HALF_HEIGHT])
     center = size / 2.0 + 0.35 * (draws[0, :2] - 0.5) * size
     chance = config.restlessness / config.frame_rate
     velocity = np.zeros(2)
@@ -187,9 +204,8 @@ def _draw_distractor(config: ColorConfig, streams: Streams, target: Motion, memb
     down = 0.1 + 0.12 * sway[:, 1]
     offset = np.stack([across, down], axis=1) * target.heights[:, None] * np.array([_HEAD_WIDTH, 1.0])
     heights = target.heights * (0.9 + 0.15 * size)
-    return Motion(
-        target.centers + offset, heights, config.tilt * sway[:, 2], config.turning * hyperbolic_tangent(sway[:, 3])
-    )
+    yaws = config.turning * hyperbolic_tangent(sway[:, 3])
+    return Motion(target.centers + offset, heights, config.tilt * sway[:, 2], yaws, np.zeros(frames))
 
 
 def _draw_occluder(config: ColorConfig, streams: Streams, target: Motion, member: int) -> Motion:
@@ -207,7 +223,8 @@ def _draw_occluder(config: ColorConfig, streams: Streams, target: Motion, member
     time = np.arange(frames) - meeting
     x = target.centers[meeting, 0] + speed * time
     y = np.full(frames, target.centers[meeting, 1] + 0.1 * (shift - 0.5) * height)
-    return Motion(np.stack([x, y], axis=1), np.full(frames, height), np.zeros(frames), np.zeros(frames))
+    still = np.zeros(frames)
+    return Motion(np.stack([x, y], axis=1), np.full(frames, height), still, still, still)
 
 
 def _draw_light(config: ColorConfig, streams: Streams, frames: int) -> Array:
