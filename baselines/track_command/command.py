@@ -233,6 +233,8 @@ def _report(run: TrackRun, console: Console) -> int:
     """Print files, warnings, rate and the reason for an early end; return the exit code."""
     for path in run.files:
         console.print(str(path), soft_wrap=True)
+    for note in run.notes:
+        console.print(f"note: {note}", style="cyan", soft_wrap=True)
     for warning in run.warnings:
         console.print(f"warning: {warning}", style="yellow", soft_wrap=True)
     console.print(f"{len(run.frames)} frames, {run.rows} boxes, {run.rate:.0f} frames/s")

@@ -118,7 +118,7 @@ def read_mot_tracks(path: str | Path) -> RecordedTracks:
     return rows.finish()
 
 
-def read_mot_detections(path: str | Path) -> Mapping[int, Detections]:
+def read_mot_detections(path: str | Path) -> MotDetections:
     """Read the detections of a det.txt.
 
     Args:
@@ -137,14 +137,29 @@ def read_mot_detections(path: str | Path) -> Mapping[int, Detections]:
         # The identity column, -1, has no meaning.
         confidence = values[_FLAG] if len(values) > _FLAG else 1.0
         rows.add_detection(line, step, (values[2], values[3], values[4], values[5]), confidence)
-    return _DetectionsByFrame(*rows.by_frame())
+    return MotDetections(*rows.by_frame())
 
 
-class _DetectionsByFrame(Mapping[int, Detections]):
-    """Detections made on access: one object per frame would need fifty times the memory of their numbers."""
+class MotDetections(Mapping[int, Detections]):
+    """Detections by step. They are made on access: one object per frame would need fifty times the memory.
+
+    Args:
+        frames: Frames with detections, from 0, increasing, shape (f,).
+        bounds: Index of the first row of each frame, then the number of rows, shape (f + 1,).
+        rows: Left, top, width, height, px, and confidence, shape (n, 5).
+    """
 
     def __init__(self, frames: Labels, bounds: Labels, rows: Array) -> None:
         self._frames, self._bounds, self._rows = frames, bounds, rows
+
+    @property
+    def boxes(self) -> Array:
+        """All boxes, shape (n, 4)."""
+        return self._rows[:, :4]
+
+    def scaled(self, width: float, height: float) -> MotDetections:
+        """Return the detections with horizontal numbers times `width` and vertical ones times `height`."""
+        return MotDetections(self._frames, self._bounds, self._rows * [width, height, width, height, 1.0])
 
     def __getitem__(self, frame: int) -> Detections:
         at = int(np.searchsorted(self._frames, frame))
