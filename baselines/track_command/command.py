@@ -22,11 +22,18 @@ from servotrack.baselines.track_command.inputs import FileInput, Input, PixelInp
 from servotrack.baselines.track_command.offline import OFFLINE_TRACKS, write_offline
 from servotrack.baselines.track_command.painter import BoxPainter
 from servotrack.baselines.track_command.run import FILM, TRACKS, TrackRun, track
-from servotrack.baselines.track_command.scores import MATCH_RULES, TrackScores, score_grid, score_tracks
+from servotrack.baselines.track_command.scores import (
+    MATCH_RULES,
+    TrackScores,
+    check_benchmark,
+    score_grid,
+    score_tracks,
+)
 from servotrack.envs.track.files.frames import SIDES
+from servotrack.envs.track.files.labeled import LabeledTruth, read_labeled, truth_tracks
 from servotrack.envs.track.files.mot_files import find_mot_folder
 from servotrack.envs.track.files.read import read_tracks
-from servotrack.envs.track.files.recorded import RecordedTracks
+from servotrack.estimators.metrics.benchmarks import BENCHMARKS
 
 FILE_DETECTOR = "file"
 """Detector name that stands for the detections of a MOTChallenge sequence."""
@@ -51,6 +58,7 @@ class TrackRequest:
             longer and show smaller people.
         truth: File of true tracks; None for the one in a MOTChallenge folder, if any.
         match: Rule of `MATCH_RULES`.
+        benchmark: Rules of a benchmark in `BENCHMARKS`; None for those that fit the truth.
         start: First frame, from 0.
         frames: Largest number of frames; None for all.
         stride: Use every stride-th frame.
@@ -67,6 +75,7 @@ class TrackRequest:
     size: str = "fit"
     truth: Path | None = None
     match: str = "iou"
+    benchmark: str | None = None
     start: int = 0
     frames: int | None = None
     stride: int = 1
@@ -93,7 +102,12 @@ def run_command(request: TrackRequest, console: Console) -> int:
     """
     if request.match not in MATCH_RULES:
         raise ValueError(f"match must be one of {', '.join(MATCH_RULES)}, got {request.match!r}")
-    truth = _truth(request)
+    if request.benchmark is not None:
+        check_benchmark(request.benchmark)
+    labeled = _truth(request)
+    truth = None
+    if labeled is not None:
+        truth = truth_tracks(labeled, BENCHMARKS[request.benchmark or labeled.benchmark].scored)
     source, detector = _open(request, 0 if truth is None else truth.length)
     width, height = source.source_size or (0, 0)
     working = (round(width / source.scale[0]), round(height / source.scale[1])) if width else None
@@ -119,10 +133,10 @@ def run_command(request: TrackRequest, console: Console) -> int:
     if request.offline:
         found[f"{request.tracker}, offline"] = write_offline(out / TRACKS, run.frames, frame_rate)
         run.files.append(out / OFFLINE_TRACKS)
-    if truth is not None:
+    if truth is not None and labeled is not None:
         if not len(truth.ids):
-            run.warnings.append("the truth holds no boxes: every reported box counts as false")
-        _score(request, detector, truth, run, found, out, console)
+            run.warnings.append("the truth holds no boxes that count: every reported box counts as false")
+        _score(request, detector, labeled, run, found, out, console)
     return _report(run, console)
 
 
@@ -147,11 +161,11 @@ def _progress(console: Console) -> Progress:
     )
 
 
-def _truth(request: TrackRequest) -> RecordedTracks | None:
+def _truth(request: TrackRequest) -> LabeledTruth | None:
     if request.truth is not None:
-        return read_tracks(request.truth)
+        return read_labeled(request.truth)
     sequence = find_mot_folder(request.source)
-    return None if sequence is None or sequence.truth is None else read_tracks(sequence.truth)
+    return None if sequence is None or sequence.truth is None else read_labeled(sequence.truth)
 
 
 def _open(request: TrackRequest, length: int) -> tuple[Input, str]:
@@ -195,7 +209,7 @@ def _size(text: str) -> tuple[int, int] | str:
 def _score(
     request: TrackRequest,
     detector: str,
-    truth: RecordedTracks,
+    truth: LabeledTruth,
     run: TrackRun,
     found: dict[str, Path],
     out: Path,
@@ -203,11 +217,15 @@ def _score(
 ) -> None:
     """Score the written tracks, print the table, and write it as Markdown and JSON."""
     scores: dict[str, TrackScores] = {
-        name: score_tracks(truth, read_tracks(path), run.frames, request.match) for name, path in found.items()
+        name: score_tracks(truth, read_tracks(path), run.frames, request.match, request.benchmark)
+        for name, path in found.items()
     }
     grids = [score_grid(one, name) for name, one in scores.items()]
     grid = Grid(grids[0].headings, [row for one in grids for row in one.rows], grids[0].words)
-    note = f"Match: {MATCH_RULES[request.match].summary}. Ratios in percent. All true boxes count, hidden ones too."
+    rules = BENCHMARKS[request.benchmark or truth.benchmark]
+    note = (
+        f"Rules of {rules.name}; match: {MATCH_RULES[request.match].summary}. Ratios in percent. Hidden people count."
+    )
     print_tables(console, {f"{Path(request.source).name}: {detector}": grid})
     console.print(note, style="dim", highlight=False)
     record = {
@@ -216,6 +234,7 @@ def _score(
         "source": request.source,
         "detector": detector,
         "match": request.match,
+        "benchmark": request.benchmark or truth.benchmark,
         "first_frame": run.frames[0],
         "stopped": run.stopped,
         "frames_per_second": round(run.rate, 1),

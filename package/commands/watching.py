@@ -41,12 +41,20 @@ def track(
     truth: Annotated[
         Path | None,
         typer.Option(
-            help="True tracks, for scores: MOTChallenge gt.txt or CAVIAR XML. Default: gt.txt of a MOTChallenge folder."
+            help="True tracks, for scores: MOTChallenge gt.txt, labels of KITTI, or CAVIAR XML. "
+            "Default: gt.txt of a MOTChallenge folder."
         ),
     ] = None,
     match: Annotated[
         str, typer.Option(help="Match rule: `iou`: at least 0.5; `centroid`: within 0.6 of the true height.")
     ] = "iou",
+    benchmark: Annotated[
+        str | None,
+        typer.Option(
+            help="Rules of scoring: mot15, mot16, mot17, mot20, dancetrack, kitti-pedestrian, kitti-car. "
+            "Default: by the form of the truth."
+        ),
+    ] = None,
     start: Annotated[int, typer.Option(min=0, help="First frame, from 0.")] = 0,
     frames: Annotated[int | None, typer.Option(min=1, help="Largest number of frames. Default: all.")] = None,
     stride: Annotated[int, typer.Option(min=1, help="Use every N-th frame.")] = 1,
@@ -80,6 +88,7 @@ def track(
         size,
         truth,
         match,
+        benchmark,
         start,
         frames,
         stride,
