@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.text import Text
 
-from servotrack.baselines.agents.people.catalog import DETECTORS, create_detector, create_tracker
+from servotrack.baselines.agents.people.catalog import DETECTORS, Detector, create_detector, create_tracker
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.files import atomic_path
@@ -51,11 +51,13 @@ class TrackRequest:
     Attributes:
         source: Video file, folder of images, MOTChallenge folder, or a camera's index.
         out: Folder for all output; None for results/track/ and the source's name.
-        detector: Name, or `file` for a MOTChallenge sequence's own detections. `auto`: `file` if it has
+        detector: Name, an ONNX file, or `file` for a MOTChallenge sequence's own detections. `auto`: `file` if it has
             detections, else the first detector.
+        classes: Names or numbers of the classes that a network finds; None for people.
+        confidence: Smallest confidence of detections of a network or a file; None: 0.25 for a network, all of a file.
         tracker: Name of the tracker.
         size: Frame size for the detector: `WxH`, `source`, or `fit` into 384 by 288 px. Larger frames take
-            longer and show smaller people.
+            longer and show smaller people. `auto`: `source` for a network, which resizes itself, else `fit`.
         truth: File of true tracks; None for the one in a MOTChallenge folder, if any.
         match: Rule of `MATCH_RULES`.
         benchmark: Rules of a benchmark in `BENCHMARKS`; None for those that fit the truth.
@@ -63,6 +65,7 @@ class TrackRequest:
         frames: Largest number of frames; None for all.
         stride: Use every stride-th frame.
         background: Number of frames sampled in a first pass to initialize the background model. 0 disables the pass.
+        white: Value that is white in images of more than 8 bits; None: from the images.
         offline: If true, also write `tracks_offline.txt` with gaps filled and short tracks dropped.
         video: If true, write the annotated video.
         show_truth: If true, the video shows the true boxes, too.
@@ -71,8 +74,10 @@ class TrackRequest:
     source: str
     out: Path | None = None
     detector: str = "auto"
+    classes: tuple[str, ...] | None = None
+    confidence: float | None = None
     tracker: str = "pmb"
-    size: str = "fit"
+    size: str = "auto"
     truth: Path | None = None
     match: str = "iou"
     benchmark: str | None = None
@@ -80,6 +85,7 @@ class TrackRequest:
     frames: int | None = None
     stride: int = 1
     background: int = 40
+    white: float | None = None
     offline: bool = False
     video: bool = True
     show_truth: bool = False
@@ -175,23 +181,44 @@ def _open(request: TrackRequest, length: int) -> tuple[Input, str]:
         sequence = find_mot_folder(request.source)
         name = FILE_DETECTOR if sequence is not None and sequence.detections is not None else next(iter(DETECTORS))
     if name == FILE_DETECTOR:
+        _no_classes(request, "of a file")
         return FileInput(
             request.source,
+            confidence=request.confidence,
             pictures=request.video,
             length=length,
             start=request.start,
             count=request.frames,
             stride=request.stride,
         ), name
+    network = name.lower().endswith(".onnx")
+    detector: Detector
+    if network:
+        from servotrack.baselines.agents.people.onnx_detector import CONFIDENCE, OnnxDetector
+
+        confidence = CONFIDENCE if request.confidence is None else request.confidence
+        detector = OnnxDetector(name, request.classes, confidence)
+    else:
+        _no_classes(request, f"of {name}")
+        if request.confidence is not None:
+            raise ValueError(f"confidence is for networks and files; {name} gives none: leave it out")
+        detector = create_detector(name)
+    size = request.size if request.size != "auto" else "source" if network else "fit"
     return PixelInput(
         request.source,
-        create_detector(name),
-        _size(request.size),
+        detector,
+        _size(size),
         start=request.start,
         count=request.frames,
         stride=request.stride,
-        background=request.background,
+        background=0 if network else request.background,
+        white=request.white,
     ), name
+
+
+def _no_classes(request: TrackRequest, whose: str) -> None:
+    if request.classes is not None:
+        raise ValueError(f"classes are for networks (--detector FILE.onnx); detections {whose} have none: leave it out")
 
 
 def _size(text: str) -> tuple[int, int] | str:
@@ -199,7 +226,7 @@ def _size(text: str) -> tuple[int, int] | str:
         return text
     width, cross, height = text.lower().partition("x")
     if not (cross and width.isdecimal() and height.isdecimal() and text.isascii()):
-        raise ValueError(f"size must be WxH such as 384x288, `fit` or `source`, got {text!r}")
+        raise ValueError(f"size must be WxH such as 384x288, `auto`, `fit` or `source`, got {text!r}")
     sides = (int(width), int(height))
     if not all(SIDES[0] <= side <= SIDES[1] for side in sides):
         raise ValueError(f"size must have sides from {SIDES[0]} to {SIDES[1]} px, got {text!r}")

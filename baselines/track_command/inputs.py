@@ -178,6 +178,7 @@ class FileInput:
 
     Args:
         folder: Folder of the sequence.
+        confidence: Smallest confidence of a detection; None for all.
         pictures: If true, read the images, too.
         length: Smallest number of steps, such as the length of the truth. Detections alone do not show where a sequence
             ends.
@@ -195,6 +196,7 @@ class FileInput:
         self,
         folder: str | Path,
         *,
+        confidence: float | None = None,
         pictures: bool = True,
         length: int = 0,
         start: int = 0,
@@ -210,6 +212,7 @@ class FileInput:
         self.source_size = _picture_size(self._frames, sequence.info)
         self._found, note = read_pixel_detections(sequence.detections, self.source_size)
         self._notes = [note] if note else []
+        self._confidence = confidence
         self._numbers = range(start, max([length, *(step + 1 for step in self._found)]), stride)[:count]
         if not len(self._numbers):
             raise SequenceError(f"{sequence.detections} holds no detections from frame {start} on")
@@ -236,7 +239,14 @@ class FileInput:
             while newest is not None and newest.number < number:
                 newest = next(pictures, None)
             picture = newest.image if newest is not None and newest.number == number else None
-            yield Step(number, picture, self._found.get(number, _NOTHING), number / self._rate)
+            yield Step(number, picture, self._detections(number), number / self._rate)
+
+    def _detections(self, number: int) -> Detections:
+        found = self._found.get(number, _NOTHING)
+        if self._confidence is None:
+            return found
+        kept = found.confidences >= self._confidence
+        return Detections(*(values[kept] for values in found))
 
 
 def _check_background(count: int, size: tuple[int, int]) -> None:

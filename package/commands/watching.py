@@ -24,10 +24,18 @@ def track(
         typer.Option(
             "--detector",
             "-d",
-            help="masked, masked-paper, mog2, knn; `file`: det.txt of a MOTChallenge sequence; auto: `file` if it "
-            "exists, else masked.",
+            help="masked, masked-paper, mog2, knn; FILE.onnx: a network (YOLO, RT-DETR, D-FINE); `file`: det.txt of a "
+            "MOTChallenge sequence; auto: `file` if it exists, else masked.",
         ),
     ] = "auto",
+    classes: Annotated[
+        str | None,
+        typer.Option(help="Classes that a network finds, by name or number, with commas. Default: person."),
+    ] = None,
+    confidence: Annotated[
+        float | None,
+        typer.Option(help="Smallest confidence of detections. Default: 0.25 for a network, all of a det.txt."),
+    ] = None,
     tracker: Annotated[
         str,
         typer.Option(
@@ -36,8 +44,12 @@ def track(
     ] = "pmb",
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Output folder. Default: results/track/NAME.")] = None,
     size: Annotated[
-        str, typer.Option(help="Frame size for the detector: WxH, `source`, or `fit`: within 384x288 px.")
-    ] = "fit",
+        str,
+        typer.Option(
+            help="Frame size for the detector: WxH, `source`, or `fit`: within 384x288 px. "
+            "auto: `source` for a network, else `fit`."
+        ),
+    ] = "auto",
     truth: Annotated[
         Path | None,
         typer.Option(
@@ -66,6 +78,10 @@ def track(
             "(strictly online).",
         ),
     ] = 40,
+    white: Annotated[
+        float | None,
+        typer.Option(help="Value that is white in images of more than 8 bits. Default: from the images."),
+    ] = None,
     offline: Annotated[
         bool,
         typer.Option(
@@ -84,6 +100,8 @@ def track(
         source,
         out,
         detector,
+        None if classes is None else tuple(part.strip() for part in classes.split(",")),
+        confidence,
         tracker,
         size,
         truth,
@@ -93,6 +111,7 @@ def track(
         frames,
         stride,
         background,
+        white,
         offline,
         video,
         show_truth,
