@@ -101,7 +101,7 @@ def recorded(recording: Recording) -> Sequence:
 
     def run() -> Iterator[Image]:
         shown = 0
-        for frame in frames:
+        for frame in frames.held():
             shown += 1
             yield frame
         counts = np.zeros(shown, np.int64)

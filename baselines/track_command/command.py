@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.text import Text
 
-from servotrack.baselines.agents.people.catalog import DETECTORS, create_detector, create_tracker
+from servotrack.baselines.agents.people.catalog import DETECTORS, Detector, create_detector, create_tracker
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.files import atomic_path
@@ -22,11 +22,18 @@ from servotrack.baselines.track_command.inputs import FileInput, Input, PixelInp
 from servotrack.baselines.track_command.offline import OFFLINE_TRACKS, write_offline
 from servotrack.baselines.track_command.painter import BoxPainter
 from servotrack.baselines.track_command.run import FILM, TRACKS, TrackRun, track
-from servotrack.baselines.track_command.scores import MATCH_RULES, TrackScores, score_grid, score_tracks
+from servotrack.baselines.track_command.scores import (
+    MATCH_RULES,
+    TrackScores,
+    check_benchmark,
+    score_grid,
+    score_tracks,
+)
 from servotrack.envs.track.files.frames import SIDES
+from servotrack.envs.track.files.labeled import LabeledTruth, read_labeled, truth_tracks
 from servotrack.envs.track.files.mot_files import find_mot_folder
 from servotrack.envs.track.files.read import read_tracks
-from servotrack.envs.track.files.recorded import RecordedTracks
+from servotrack.estimators.metrics.benchmarks import BENCHMARKS
 
 FILE_DETECTOR = "file"
 """Detector name that stands for the detections of a MOTChallenge sequence."""
@@ -44,17 +51,21 @@ class TrackRequest:
     Attributes:
         source: Video file, folder of images, MOTChallenge folder, or a camera's index.
         out: Folder for all output; None for results/track/ and the source's name.
-        detector: Name, or `file` for a MOTChallenge sequence's own detections. `auto`: `file` if it has
+        detector: Name, an ONNX file, or `file` for a MOTChallenge sequence's own detections. `auto`: `file` if it has
             detections, else the first detector.
+        classes: Names or numbers of the classes that a network finds; None for people.
+        confidence: Smallest confidence of detections of a network or a file; None: 0.25 for a network, all of a file.
         tracker: Name of the tracker.
         size: Frame size for the detector: `WxH`, `source`, or `fit` into 384 by 288 px. Larger frames take
-            longer and show smaller people.
+            longer and show smaller people. `auto`: `source` for a network, which resizes itself, else `fit`.
         truth: File of true tracks; None for the one in a MOTChallenge folder, if any.
         match: Rule of `MATCH_RULES`.
+        benchmark: Rules of a benchmark in `BENCHMARKS`; None for those that fit the truth.
         start: First frame, from 0.
         frames: Largest number of frames; None for all.
         stride: Use every stride-th frame.
         background: Number of frames sampled in a first pass to initialize the background model. 0 disables the pass.
+        white: Value that is white in images of more than 8 bits; None: from the images.
         offline: If true, also write `tracks_offline.txt` with gaps filled and short tracks dropped.
         video: If true, write the annotated video.
         show_truth: If true, the video shows the true boxes, too.
@@ -63,14 +74,18 @@ class TrackRequest:
     source: str
     out: Path | None = None
     detector: str = "auto"
+    classes: tuple[str, ...] | None = None
+    confidence: float | None = None
     tracker: str = "pmb"
-    size: str = "fit"
+    size: str = "auto"
     truth: Path | None = None
     match: str = "iou"
+    benchmark: str | None = None
     start: int = 0
     frames: int | None = None
     stride: int = 1
     background: int = 40
+    white: float | None = None
     offline: bool = False
     video: bool = True
     show_truth: bool = False
@@ -93,7 +108,12 @@ def run_command(request: TrackRequest, console: Console) -> int:
     """
     if request.match not in MATCH_RULES:
         raise ValueError(f"match must be one of {', '.join(MATCH_RULES)}, got {request.match!r}")
-    truth = _truth(request)
+    if request.benchmark is not None:
+        check_benchmark(request.benchmark)
+    labeled = _truth(request)
+    truth = None
+    if labeled is not None:
+        truth = truth_tracks(labeled, BENCHMARKS[request.benchmark or labeled.benchmark].scored)
     source, detector = _open(request, 0 if truth is None else truth.length)
     width, height = source.source_size or (0, 0)
     working = (round(width / source.scale[0]), round(height / source.scale[1])) if width else None
@@ -119,10 +139,10 @@ def run_command(request: TrackRequest, console: Console) -> int:
     if request.offline:
         found[f"{request.tracker}, offline"] = write_offline(out / TRACKS, run.frames, frame_rate)
         run.files.append(out / OFFLINE_TRACKS)
-    if truth is not None:
+    if truth is not None and labeled is not None:
         if not len(truth.ids):
-            run.warnings.append("the truth holds no boxes: every reported box counts as false")
-        _score(request, detector, truth, run, found, out, console)
+            run.warnings.append("the truth holds no boxes that count: every reported box counts as false")
+        _score(request, detector, labeled, run, found, out, console)
     return _report(run, console)
 
 
@@ -147,11 +167,11 @@ def _progress(console: Console) -> Progress:
     )
 
 
-def _truth(request: TrackRequest) -> RecordedTracks | None:
+def _truth(request: TrackRequest) -> LabeledTruth | None:
     if request.truth is not None:
-        return read_tracks(request.truth)
+        return read_labeled(request.truth)
     sequence = find_mot_folder(request.source)
-    return None if sequence is None or sequence.truth is None else read_tracks(sequence.truth)
+    return None if sequence is None or sequence.truth is None else read_labeled(sequence.truth)
 
 
 def _open(request: TrackRequest, length: int) -> tuple[Input, str]:
@@ -161,23 +181,44 @@ def _open(request: TrackRequest, length: int) -> tuple[Input, str]:
         sequence = find_mot_folder(request.source)
         name = FILE_DETECTOR if sequence is not None and sequence.detections is not None else next(iter(DETECTORS))
     if name == FILE_DETECTOR:
+        _no_classes(request, "of a file")
         return FileInput(
             request.source,
+            confidence=request.confidence,
             pictures=request.video,
             length=length,
             start=request.start,
             count=request.frames,
             stride=request.stride,
         ), name
+    network = name.lower().endswith(".onnx")
+    detector: Detector
+    if network:
+        from servotrack.baselines.agents.people.onnx_detector import CONFIDENCE, OnnxDetector
+
+        confidence = CONFIDENCE if request.confidence is None else request.confidence
+        detector = OnnxDetector(name, request.classes, confidence)
+    else:
+        _no_classes(request, f"of {name}")
+        if request.confidence is not None:
+            raise ValueError(f"confidence is for networks and files; {name} gives none: leave it out")
+        detector = create_detector(name)
+    size = request.size if request.size != "auto" else "source" if network else "fit"
     return PixelInput(
         request.source,
-        create_detector(name),
-        _size(request.size),
+        detector,
+        _size(size),
         start=request.start,
         count=request.frames,
         stride=request.stride,
-        background=request.background,
+        background=0 if network else request.background,
+        white=request.white,
     ), name
+
+
+def _no_classes(request: TrackRequest, whose: str) -> None:
+    if request.classes is not None:
+        raise ValueError(f"classes are for networks (--detector FILE.onnx); detections {whose} have none: leave it out")
 
 
 def _size(text: str) -> tuple[int, int] | str:
@@ -185,7 +226,7 @@ def _size(text: str) -> tuple[int, int] | str:
         return text
     width, cross, height = text.lower().partition("x")
     if not (cross and width.isdecimal() and height.isdecimal() and text.isascii()):
-        raise ValueError(f"size must be WxH such as 384x288, `fit` or `source`, got {text!r}")
+        raise ValueError(f"size must be WxH such as 384x288, `auto`, `fit` or `source`, got {text!r}")
     sides = (int(width), int(height))
     if not all(SIDES[0] <= side <= SIDES[1] for side in sides):
         raise ValueError(f"size must have sides from {SIDES[0]} to {SIDES[1]} px, got {text!r}")
@@ -195,7 +236,7 @@ def _size(text: str) -> tuple[int, int] | str:
 def _score(
     request: TrackRequest,
     detector: str,
-    truth: RecordedTracks,
+    truth: LabeledTruth,
     run: TrackRun,
     found: dict[str, Path],
     out: Path,
@@ -203,11 +244,15 @@ def _score(
 ) -> None:
     """Score the written tracks, print the table, and write it as Markdown and JSON."""
     scores: dict[str, TrackScores] = {
-        name: score_tracks(truth, read_tracks(path), run.frames, request.match) for name, path in found.items()
+        name: score_tracks(truth, read_tracks(path), run.frames, request.match, request.benchmark)
+        for name, path in found.items()
     }
     grids = [score_grid(one, name) for name, one in scores.items()]
     grid = Grid(grids[0].headings, [row for one in grids for row in one.rows], grids[0].words)
-    note = f"Match: {MATCH_RULES[request.match].summary}. Ratios in percent. All true boxes count, hidden ones too."
+    rules = BENCHMARKS[request.benchmark or truth.benchmark]
+    note = (
+        f"Rules of {rules.name}; match: {MATCH_RULES[request.match].summary}. Ratios in percent. Hidden people count."
+    )
     print_tables(console, {f"{Path(request.source).name}: {detector}": grid})
     console.print(note, style="dim", highlight=False)
     record = {
@@ -216,6 +261,7 @@ def _score(
         "source": request.source,
         "detector": detector,
         "match": request.match,
+        "benchmark": request.benchmark or truth.benchmark,
         "first_frame": run.frames[0],
         "stopped": run.stopped,
         "frames_per_second": round(run.rate, 1),
@@ -233,6 +279,8 @@ def _report(run: TrackRun, console: Console) -> int:
     """Print files, warnings, rate and the reason for an early end; return the exit code."""
     for path in run.files:
         console.print(str(path), soft_wrap=True)
+    for note in run.notes:
+        console.print(f"note: {note}", style="cyan", soft_wrap=True)
     for warning in run.warnings:
         console.print(f"warning: {warning}", style="yellow", soft_wrap=True)
     console.print(f"{len(run.frames)} frames, {run.rows} boxes, {run.rate:.0f} frames/s")

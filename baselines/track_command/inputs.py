@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -10,7 +10,8 @@ import numpy as np
 
 from servotrack.baselines.agents.people.catalog import Detector
 from servotrack.envs.track.files.frames import SIDES, FrameSource, open_frames, resize, resized
-from servotrack.envs.track.files.mot_files import SequenceInfo, find_mot_folder, read_mot_detections
+from servotrack.envs.track.files.mot_files import SequenceInfo, find_mot_folder
+from servotrack.envs.track.files.pixel_detections import read_pixel_detections
 from servotrack.envs.track.files.recorded import SequenceError
 from servotrack.estimators.detect.detections import Detections, detections_from_boxes
 from servotrack.estimators.types import Image
@@ -19,6 +20,9 @@ _BACKGROUND_SPACING = 25
 """Largest spacing of the frames of the first pass. Wider sampling would mix different light into one background."""
 _MAX_BACKGROUND = 1 << 32
 """Largest memory for the frames of the first pass, bytes."""
+_LONGEST_GAP = 60.0
+"""Longest gap that is filled with steps without detections, s. No tracker keeps anybody for longer."""
+_NOTHING = detections_from_boxes(np.zeros((0, 4)))
 _FITTED = (384, 288)
 """Largest frame for `fit`, px."""
 NOMINAL_RATE = 25.0
@@ -31,12 +35,16 @@ class Step(NamedTuple):
     Attributes:
         number: Number of the frame in the source, from 0.
         picture: Decoded RGB frame; None if the source has only detections.
-        detections: Detections in working px.
+        detections: Detections in working px; none for a missing frame.
+        time: Time since frame 0, s.
+        missing: True for a frame that the source does not hold. Tracks move on, but are not reported.
     """
 
     number: int
     picture: Image | None
     detections: Detections
+    time: float = 0.0
+    missing: bool = False
 
 
 class Input(Protocol):
@@ -49,6 +57,7 @@ class Input(Protocol):
         source_size: Width and height of the source's frames, px; None if unknown.
         scale: Source px per working px, horizontally and vertically.
         warning: Reason why the steps ended early; empty if they did not.
+        notes: What was found out about the source and the user should know.
     """
 
     name: str
@@ -56,6 +65,10 @@ class Input(Protocol):
     length: int | None
     source_size: tuple[int, int] | None
     scale: tuple[float, float]
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What was found out about the source and the user should know."""
 
     @property
     def warning(self) -> str:
@@ -77,7 +90,8 @@ class PixelInput:
         count: Largest number of frames; None for all.
         stride: Use every stride-th frame.
         background: Number of frames, at most 25 frames apart, that a first pass gives to the detector as background. 0
-            starts from the first frame. A camera has no first pass.
+            starts from the first frame. A camera has no first pass, and a network needs none.
+        white: Value that is white in images of more than 8 bits; None: from the images.
 
     Raises:
         SequenceError: The source cannot be opened.
@@ -94,8 +108,10 @@ class PixelInput:
         count: int | None = None,
         stride: int = 1,
         background: int = 0,
+        white: float | None = None,
     ) -> None:
-        self._frames = open_frames(source, start=start, count=count, stride=stride)
+        self._frames = open_frames(source, start=start, count=count, stride=stride, white=white)
+        self._white = white
         self._source, self._detector = source, detector
         self._start, self._stride = start, stride
         self._background = 0 if self._frames.live else background
@@ -109,6 +125,11 @@ class PixelInput:
         self.scale = (width / self._size[0], height / self._size[1])
 
     @property
+    def notes(self) -> Sequence[str]:
+        """What was found out about the source and the user should know."""
+        return list(self._frames.notes)
+
+    @property
     def warning(self) -> str:
         """Reason why the frames ended early; empty if they did not."""
         return self._frames.warning
@@ -116,20 +137,32 @@ class PixelInput:
     def __iter__(self) -> Iterator[Step]:
         """Decode, resize and detect; yield one step per frame."""
         state: Any = self._detector.initial(self._first_pass()) if self._background else None
+        expected: int | None = None
         try:
-            for k, picture in enumerate(self._frames):
+            for number, time, picture in self._frames.numbered():
+                yield from self._missing(expected, number)
                 frame = resize(picture, self._size)
                 if state is None:
                     state = self._detector.initial(frame)
                 state, found = self._detector.step(state, frame)
-                yield Step(self._start + k * self._stride, picture, found)
+                yield Step(number, picture, found, self._time(number) if time is None else time)
+                expected = number + self._stride
         finally:
             self._frames.close()
+
+    def _time(self, number: int) -> float:
+        return number / (self.frame_rate * self._stride)
+
+    def _missing(self, expected: int | None, number: int) -> Iterator[Step]:
+        """Yield the steps of missing frames; of a long gap those after which nobody is tracked any more."""
+        gap = range(number if expected is None else expected, number, self._stride)
+        for one in gap[-max(round(_LONGEST_GAP * self.frame_rate), 1) :]:
+            yield Step(one, None, _NOTHING, self._time(one), missing=True)
 
     def _first_pass(self) -> list[Image]:
         known = self._frames.length or self._background * _BACKGROUND_SPACING
         spacing = min(max((known - self._start) // self._background, 1), _BACKGROUND_SPACING)
-        spaced = open_frames(self._source, start=self._start, count=self._background, stride=spacing)
+        spaced = open_frames(self._source, start=self._start, count=self._background, stride=spacing, white=self._white)
         found: list[Image] = []
         try:
             found.extend(resize(picture, self._size) for picture in spaced)
@@ -145,6 +178,7 @@ class FileInput:
 
     Args:
         folder: Folder of the sequence.
+        confidence: Smallest confidence of a detection; None for all.
         pictures: If true, read the images, too.
         length: Smallest number of steps, such as the length of the truth. Detections alone do not show where a sequence
             ends.
@@ -162,6 +196,7 @@ class FileInput:
         self,
         folder: str | Path,
         *,
+        confidence: float | None = None,
         pictures: bool = True,
         length: int = 0,
         start: int = 0,
@@ -171,17 +206,25 @@ class FileInput:
         sequence = find_mot_folder(folder)
         if sequence is None or sequence.detections is None:
             raise SequenceError(f"{folder} holds no det/det.txt; give a MOTChallenge sequence or another detector")
-        self._found = read_mot_detections(sequence.detections)
+        self._frames: FrameSource | None = None
+        if pictures and sequence.images is not None:
+            self._frames = open_frames(folder, start=start, stride=stride)
+        self.source_size = _picture_size(self._frames, sequence.info)
+        self._found, note = read_pixel_detections(sequence.detections, self.source_size)
+        self._notes = [note] if note else []
+        self._confidence = confidence
         self._numbers = range(start, max([length, *(step + 1 for step in self._found)]), stride)[:count]
         if not len(self._numbers):
             raise SequenceError(f"{sequence.detections} holds no detections from frame {start} on")
-        self._frames: FrameSource | None = None
-        if pictures and sequence.images is not None:
-            self._frames = open_frames(folder, start=start, count=len(self._numbers), stride=stride)
         self.name = sequence.info.name
         self.frame_rate = (sequence.info.frame_rate or NOMINAL_RATE) / stride
         self.length: int | None = len(self._numbers)
-        self.source_size = _picture_size(self._frames, sequence.info)
+        self._rate = sequence.info.frame_rate or NOMINAL_RATE
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What was found out about the source and the user should know."""
+        return [*self._notes, *([] if self._frames is None else self._frames.notes)]
 
     @property
     def warning(self) -> str:
@@ -190,10 +233,20 @@ class FileInput:
 
     def __iter__(self) -> Iterator[Step]:
         """Yield the detections of each frame, with its image if there is one."""
-        nothing = detections_from_boxes(np.zeros((0, 4)))
-        pictures = iter(()) if self._frames is None else iter(self._frames)
+        pictures = iter(()) if self._frames is None else self._frames.numbered()
+        newest = next(pictures, None)
         for number in self._numbers:
-            yield Step(number, next(pictures, None), self._found.get(number, nothing))
+            while newest is not None and newest.number < number:
+                newest = next(pictures, None)
+            picture = newest.image if newest is not None and newest.number == number else None
+            yield Step(number, picture, self._detections(number), number / self._rate)
+
+    def _detections(self, number: int) -> Detections:
+        found = self._found.get(number, _NOTHING)
+        if self._confidence is None:
+            return found
+        kept = found.confidences >= self._confidence
+        return Detections(*(values[kept] for values in found))
 
 
 def _check_background(count: int, size: tuple[int, int]) -> None:

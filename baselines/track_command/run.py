@@ -46,6 +46,7 @@ class TrackRun:
         signal: Number of the signal that stopped it; 0 for none.
         error: Error that stopped it; None without one.
         warnings: Warnings for the user.
+        notes: What was found out about the source.
         files: Files written, complete and valid.
     """
 
@@ -56,6 +57,7 @@ class TrackRun:
     signal: int = 0
     error: Exception | None = None
     warnings: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
 
     @property
@@ -94,6 +96,8 @@ def track(
     with Interruption() as interruption, TracksFile(out / TRACKS) as tracks, _filming(source, out, painter) as film:
         try:
             for step, estimate in _estimates(source, tracker):
+                if step.missing:
+                    continue
                 guard.check()
                 tracks.write(step.number + 1, estimate)
                 film.show(step, estimate)
@@ -113,6 +117,7 @@ def track(
             raise ResultsError(f"{error}; or write no video (--no-video)") from error
     run.seconds, run.rows = time.perf_counter() - started, tracks.rows
     run.warnings.extend([source.warning] if source.warning else [])
+    run.notes.extend(source.notes)
     run.files.append(out / TRACKS)
     if film.count:
         _keep_film(out / FILM, run)

@@ -8,15 +8,18 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.baselines.reporting.grid import Grid
+from servotrack.envs.track.files.labeled import LabeledTruth, boxes_of
 from servotrack.envs.track.files.recorded import RecordedTracks
 from servotrack.estimators.metrics import (
-    Track,
-    box_distances,
+    BENCHMARKS,
+    LabeledBoxes,
+    benchmark_sequence,
+    box_similarities,
     centroid_distances,
-    members_by_step,
-    mot_scores,
     score_distances,
+    sequence_scores,
 )
+from servotrack.estimators.metrics.sequence import TrackSequence
 from servotrack.estimators.types import Array, Labels
 
 
@@ -24,21 +27,30 @@ class MatchRule(NamedTuple):
     """Rule that matches estimated boxes to true ones.
 
     Attributes:
-        distances: Function of true boxes (n, 4) and estimated boxes (m, 4) that returns distances (n, m).
+        similarities: Function of true boxes (n, 4) and estimated boxes (m, 4) that returns similarities (n, m), 0 to 1.
         cutoff: Distance at which similarity is 0; the c of OSPA. A larger value accepts coarser matches.
         threshold: Smallest similarity that CLEAR MOT and IDF1 count as a match.
         summary: Description for tables.
     """
 
-    distances: Callable[[Array, Array], Array]
+    similarities: Callable[[Array, Array], Array]
     cutoff: float
     threshold: float
     summary: str
 
 
+_CENTROID_CUTOFF = 1.2
+
+
+def _centroid_similarities(first: Array, second: Array) -> Array:
+    return np.clip(1.0 - centroid_distances(first, second) / _CENTROID_CUTOFF, 0.0, 1.0)
+
+
 MATCH_RULES = {
-    "iou": MatchRule(box_distances, 1.0, 0.5, "boxes overlap by an IoU of at least 0.5"),
-    "centroid": MatchRule(centroid_distances, 1.2, 0.5, "centers are at most 0.6 of the true height apart"),
+    "iou": MatchRule(box_similarities, 1.0, 0.5, "boxes overlap by an IoU of at least 0.5"),
+    "centroid": MatchRule(
+        _centroid_similarities, _CENTROID_CUTOFF, 0.5, "centers are at most 0.6 of the true height apart"
+    ),
 }
 
 
@@ -69,28 +81,44 @@ class TrackScores(NamedTuple):
 
 
 def score_tracks(
-    truth: RecordedTracks, found: RecordedTracks, frames: Sequence[int], match: str = "iou"
+    truth: LabeledTruth | RecordedTracks,
+    found: RecordedTracks | LabeledBoxes,
+    frames: Sequence[int],
+    match: str = "iou",
+    benchmark: str | None = None,
 ) -> TrackScores:
-    """Score the tracks in the given frames. As on MOTChallenge every true box counts, hidden ones too.
+    """Score the tracks in the given frames by the rules of a benchmark. Every box that it counts counts, hidden or not.
 
     Args:
-        truth: True tracks.
+        truth: True tracks; of recorded tracks all count.
         found: Tracks of a tracker.
         frames: Numbers of the tracked frames, from 0, increasing.
         match: Name in `MATCH_RULES`.
+        benchmark: Name in `BENCHMARKS`; None: the one that fits the truth.
 
     Raises:
-        ValueError: Unknown rule, or no frames.
+        ValueError: Unknown rule or benchmark, classes that the benchmark does not know, or no frames.
     """
     if match not in MATCH_RULES:
         raise ValueError(f"match must be one of {', '.join(MATCH_RULES)}, got {match!r}")
     if len(frames) == 0:
         raise ValueError("frames must hold at least one frame, got none")
-    rule = MATCH_RULES[match]
-    numbers = np.asarray(frames, dtype=np.int64)
-    true, estimated = _within(truth, numbers), _within(found, numbers)
-    right, ospa = _by_frame(true, estimated, len(numbers), rule)
-    scores = mot_scores(true, estimated, rule.distances, rule.cutoff, rule.threshold)
+    if isinstance(truth, RecordedTracks):
+        truth = LabeledTruth(boxes_of(truth), boxes_of(RecordedTracks(np.zeros(0, np.int64), [], [])), "mot15")
+    rules = BENCHMARKS[check_benchmark(benchmark or truth.benchmark)]
+    rule, numbers = MATCH_RULES[match], np.asarray(frames, dtype=np.int64)
+    answers = found if isinstance(found, LabeledBoxes) else boxes_of(found)
+    if isinstance(found, RecordedTracks) and rules.scored is not None:
+        answers = answers._replace(classes=np.full_like(answers.classes, rules.scored))
+    sequence = benchmark_sequence(
+        _within(truth.boxes, numbers),
+        _within(answers, numbers),
+        rules,
+        _within(truth.regions, numbers),
+        rule.similarities,
+    )
+    right, ospa = _by_frame(sequence, len(numbers), rule)
+    scores = sequence_scores(sequence, rule.threshold)
     return TrackScores(
         len(numbers),
         right,
@@ -102,6 +130,17 @@ def score_tracks(
         scores.false_positives,
         scores.misses,
     )
+
+
+def check_benchmark(name: str) -> str:
+    """Return the name if it is one of `BENCHMARKS`.
+
+    Raises:
+        ValueError: Another name.
+    """
+    if name not in BENCHMARKS:
+        raise ValueError(f"benchmark must be one of {', '.join(BENCHMARKS)}, got {name!r}")
+    return name
 
 
 def score_grid(scores: TrackScores, name: str) -> Grid:
@@ -118,31 +157,25 @@ def score_grid(scores: TrackScores, name: str) -> Grid:
     return Grid(headings, [cells], 1)
 
 
-def _within(tracks: RecordedTracks, numbers: Labels) -> list[Track]:
-    """Tracks with steps counted in tracked frames; tracks outside of them are left out."""
-    kept = []
-    for track in tracks.tracks:
-        at = np.searchsorted(numbers, track.steps)
-        inside = numbers[np.minimum(at, len(numbers) - 1)] == track.steps
-        if inside.any():
-            kept.append(Track(at[inside], track.states[inside]))
-    return kept
+def _within(boxes: LabeledBoxes, numbers: Labels) -> LabeledBoxes:
+    """Boxes of tracked frames."""
+    inside = np.isin(boxes.steps, numbers)
+    return LabeledBoxes(*(values[inside] for values in boxes))
 
 
-def _by_frame(true: list[Track], estimated: list[Track], length: int, rule: MatchRule) -> tuple[float, float]:
-    """Share of frames with the right number of people, and mean OSPA."""
-    true_rows, found_rows = members_by_step(true, length, 4), members_by_step(estimated, length, 4)
-    right = np.array([len(a.rows) == len(b.rows) for a, b in zip(true_rows, found_rows, strict=True)])
-    ospa = [
-        float(
+def _by_frame(sequence: TrackSequence, length: int, rule: MatchRule) -> tuple[float, float]:
+    """Share of frames with the right number of people, and mean OSPA. Frames without anybody are right, with OSPA 0."""
+    wrong, total = 0, 0.0
+    for frame in sequence.frames:
+        there, here = len(frame.truth), len(frame.estimate)
+        wrong += there != here
+        total += float(
             score_distances(
-                rule.distances(a.states, b.states),
-                np.ones(len(a.rows), np.bool_),
-                np.ones(len(b.rows), np.bool_),
+                rule.cutoff * (1.0 - frame.similarity),
+                np.ones(there, np.bool_),
+                np.ones(here, np.bool_),
                 rule.cutoff,
             ).ospa
         )
-        for a, b in zip(true_rows, found_rows, strict=True)
-    ]
     # Rounding may leave a distance of equal boxes below 0.
-    return float(right.mean()), max(float(np.mean(ospa)), 0.0)
+    return 1.0 - wrong / length, max(total / length, 0.0)

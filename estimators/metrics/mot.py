@@ -11,7 +11,7 @@ from servotrack.estimators.metrics.clear import clear_mot
 from servotrack.estimators.metrics.distances import box_distances
 from servotrack.estimators.metrics.hota import hota_scores
 from servotrack.estimators.metrics.identity import identity_scores
-from servotrack.estimators.metrics.sequence import track_sequence
+from servotrack.estimators.metrics.sequence import TrackSequence, track_sequence
 from servotrack.estimators.metrics.tracks import Track
 from servotrack.estimators.types import Array
 
@@ -64,7 +64,16 @@ def mot_scores(
     """
     if not 0.0 < threshold <= 1.0:
         raise ValueError(f"threshold must be above 0 and at most 1, got {threshold!r}")
-    sequence = track_sequence(truth, estimate, distances, cutoff, ignored, threshold)
+    return sequence_scores(track_sequence(truth, estimate, distances, cutoff, ignored, threshold), threshold)
+
+
+def sequence_scores(sequence: TrackSequence, threshold: float = 0.5) -> MotScores:
+    """Score a sequence of `track_sequence` or `benchmark_sequence`.
+
+    Args:
+        sequence: Similarities at each step.
+        threshold: Smallest similarity of a match in CLEAR MOT and IDF1, in (0, 1].
+    """
     clear, identity, hota = clear_mot(sequence, threshold), identity_scores(sequence, threshold), hota_scores(sequence)
     return MotScores(
         hota=float(np.mean(hota.hota)),

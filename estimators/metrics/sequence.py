@@ -77,6 +77,32 @@ class TrackSequence(NamedTuple):
     truth_counts: Labels
     estimate_counts: Labels
 
+    @classmethod
+    def of(
+        cls,
+        sizes: Labels,
+        truth: NDArray[np.intp],
+        estimate: NDArray[np.intp],
+        similarity: Array,
+        true_tracks: int,
+        estimated_tracks: int,
+    ) -> TrackSequence:
+        """Make a sequence of whole arrays.
+
+        Args:
+            sizes: Numbers of true and of estimated tracks at each step, shape (T, 2).
+            truth: Indices of the true tracks of all steps, concatenated.
+            estimate: Indices of the estimated tracks of all steps, concatenated.
+            similarity: Similarities of all pairs of all steps, flattened and concatenated.
+            true_tracks: Number of true tracks.
+            estimated_tracks: Number of estimated tracks.
+        """
+        return cls(
+            _Frames(sizes, truth, estimate, similarity),
+            np.bincount(truth, minlength=true_tracks).astype(np.int64),
+            np.bincount(estimate, minlength=estimated_tracks).astype(np.int64),
+        )
+
     def meetings(self) -> Iterator[Frame]:
         """Iterate over the steps with at least one true and one estimated track."""
         return (frame for frame in self.frames if frame.similarity.size)
@@ -127,12 +153,7 @@ def track_sequence(
         those.append(a)
         others.append(b)
         pairs.append(similarity.ravel())
-    true_rows, estimated_rows = those.array(), others.array()
-    return TrackSequence(
-        _Frames(sizes, true_rows, estimated_rows, pairs.array()),
-        np.bincount(true_rows, minlength=len(truth)).astype(np.int64),
-        np.bincount(estimated_rows, minlength=len(estimate)).astype(np.int64),
-    )
+    return TrackSequence.of(sizes, those.array(), others.array(), pairs.array(), len(truth), len(estimate))
 
 
 def _not_ignored(similarity: Array, counted: Mask, threshold: float) -> Mask:

@@ -24,10 +24,18 @@ def track(
         typer.Option(
             "--detector",
             "-d",
-            help="masked, masked-paper, mog2, knn; `file`: det.txt of a MOTChallenge sequence; auto: `file` if it "
-            "exists, else masked.",
+            help="masked, masked-paper, mog2, knn; FILE.onnx: a network (YOLO, RT-DETR, D-FINE); `file`: det.txt of a "
+            "MOTChallenge sequence; auto: `file` if it exists, else masked.",
         ),
     ] = "auto",
+    classes: Annotated[
+        str | None,
+        typer.Option(help="Classes that a network finds, by name or number, with commas. Default: person."),
+    ] = None,
+    confidence: Annotated[
+        float | None,
+        typer.Option(help="Smallest confidence of detections. Default: 0.25 for a network, all of a det.txt."),
+    ] = None,
     tracker: Annotated[
         str,
         typer.Option(
@@ -36,17 +44,29 @@ def track(
     ] = "pmb",
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Output folder. Default: results/track/NAME.")] = None,
     size: Annotated[
-        str, typer.Option(help="Frame size for the detector: WxH, `source`, or `fit`: within 384x288 px.")
-    ] = "fit",
+        str,
+        typer.Option(
+            help="Frame size for the detector: WxH, `source`, or `fit`: within 384x288 px. "
+            "auto: `source` for a network, else `fit`."
+        ),
+    ] = "auto",
     truth: Annotated[
         Path | None,
         typer.Option(
-            help="True tracks, for scores: MOTChallenge gt.txt or CAVIAR XML. Default: gt.txt of a MOTChallenge folder."
+            help="True tracks, for scores: MOTChallenge gt.txt, labels of KITTI, or CAVIAR XML. "
+            "Default: gt.txt of a MOTChallenge folder."
         ),
     ] = None,
     match: Annotated[
         str, typer.Option(help="Match rule: `iou`: at least 0.5; `centroid`: within 0.6 of the true height.")
     ] = "iou",
+    benchmark: Annotated[
+        str | None,
+        typer.Option(
+            help="Rules of scoring: mot15, mot16, mot17, mot20, dancetrack, kitti-pedestrian, kitti-car. "
+            "Default: by the form of the truth."
+        ),
+    ] = None,
     start: Annotated[int, typer.Option(min=0, help="First frame, from 0.")] = 0,
     frames: Annotated[int | None, typer.Option(min=1, help="Largest number of frames. Default: all.")] = None,
     stride: Annotated[int, typer.Option(min=1, help="Use every N-th frame.")] = 1,
@@ -58,6 +78,10 @@ def track(
             "(strictly online).",
         ),
     ] = 40,
+    white: Annotated[
+        float | None,
+        typer.Option(help="Value that is white in images of more than 8 bits. Default: from the images."),
+    ] = None,
     offline: Annotated[
         bool,
         typer.Option(
@@ -76,14 +100,18 @@ def track(
         source,
         out,
         detector,
+        None if classes is None else tuple(part.strip() for part in classes.split(",")),
+        confidence,
         tracker,
         size,
         truth,
         match,
+        benchmark,
         start,
         frames,
         stride,
         background,
+        white,
         offline,
         video,
         show_truth,

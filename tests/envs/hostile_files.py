@@ -160,11 +160,17 @@ _MUTATIONS: tuple[Callable[[random.Random, bytes], bytes], ...] = (
 def check_tracks(content: bytes, found: RecordedTracks) -> None:
     """Check the tracks of a file against a plain second reading of its rows, number by number."""
     rows = sorted(
-        (row[1], row[0] - 1, *row[2:6], 1.0 if len(row) != 9 or row[8] == -1 else row[8])
+        (row[1], row[0] - 1, *row[2:6], _visible(row))
         for row in _rows(content)
-        if len(row) < 7 or row[6] != 0
+        if (len(row) < 7 or row[6] != 0) and not (len(row) == 9 and row[7] in (3, 4, 5, 6, 9, 10, 11, 13))
     )
     assert _listed(found) == rows
+
+
+def _visible(row: list[float]) -> float:
+    if len(row) == 9 and row[7] in (2, 7, 8, 12):
+        return 0.0
+    return 1.0 if len(row) != 9 or row[8] == -1 else row[8]
 
 
 def check_detections(content: bytes, found: Any) -> None:
@@ -243,7 +249,8 @@ def _rows(content: bytes) -> list[list[float]]:
 
 
 def _ignored(row: list[str]) -> bool:
-    return len(row) > 6 and float(row[6]) == 0.0
+    other = len(row) == 9 and float(row[7]) in (3, 4, 5, 6, 9, 10, 11, 13)
+    return other or (len(row) > 6 and float(row[6]) == 0.0)
 
 
 def _listed(found: RecordedTracks) -> list[tuple[float, ...]]:

@@ -47,20 +47,16 @@ def to_rgb(image: NDArray[Any], where: str) -> Image:
     """Convert a decoded image to RGB, uint8, shape (H, W, 3).
 
     Args:
-        image: Image in OpenCV's format: gray, BGR or BGRA, 8 or 16 bits. Of 16 bits the high byte is used.
+        image: Image in OpenCV's format: gray, BGR or BGRA, 8 bits.
         where: Source and frame, for the error message.
 
     Raises:
         SequenceError: If the image has another format.
     """
-    if image.dtype == np.uint16:
-        image = (image >> 8).astype(np.uint8)
     channels = 1 if image.ndim == 2 else image.shape[2]
     codes = {1: cv2.COLOR_GRAY2RGB, 3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGB}
     if image.dtype != np.uint8 or channels not in codes:
-        raise SequenceError(
-            f"{where}: images must have 8 or 16 bits and 1, 3 or 4 channels, got {image.dtype}, {channels} channel(s)"
-        )
+        raise SequenceError(f"{where}: images must have 1, 3 or 4 channels, got {image.dtype}, {channels} channel(s)")
     return cv2.cvtColor(image, codes[channels])  # type: ignore[return-value]
 
 
@@ -80,7 +76,7 @@ def _check_header(file: Path, content: bytes) -> None:
         # Pillow raises errors of many kinds. What it cannot read OpenCV might read, but without this check.
         raise SequenceError(
             f"{file} cannot be decoded as an image; replace it or remove it from the folder "
-            f"({', '.join(_HEADER_FORMATS)} of 8 or 16 bits are read)"
+            f"({', '.join(_HEADER_FORMATS)} are read)"
         ) from error
     if max(width, height) > MAX_SIDE:
         raise SequenceError(too_large(str(file), width, height))

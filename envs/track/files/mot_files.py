@@ -26,7 +26,9 @@ _TEXT_REMEDY = "split the file"
 _MAX_SIDE = 1e6
 _MAX_LENGTH = 1e12
 _TRACK_COLUMNS = 6
-_FLAG, _VISIBILITY = 6, 8
+_FLAG, _CLASS, _VISIBILITY = 6, 7, 8
+_DISTRACTORS = (2.0, 7.0, 8.0, 12.0)
+_OTHER_CLASSES = (3.0, 4.0, 5.0, 6.0, 9.0, 10.0, 11.0, 13.0)
 _WITH_VISIBILITY = 9
 """Number of columns of rows with visibility (MOT16 and later). Rows of ten columns end in three coordinates."""
 
@@ -93,6 +95,9 @@ def find_mot_folder(path: str | Path) -> MotFolder | None:
 def read_mot_tracks(path: str | Path) -> RecordedTracks:
     """Read the tracks of a gt.txt or of the results of a tracker. Rows with flag (or confidence) 0 are ignored.
 
+    In rows of nine columns the eighth is the class: 1 is a pedestrian. People on vehicles, static people, distractors
+    and reflections (2, 7, 8, 12) get the visible share 0, and other classes are ignored.
+
     Args:
         path: File with rows of frame (from 1), id, left, top, width, height, and optionally flag, class and visibility.
             At most 1 GiB, 10 million lines, and 5000 boxes in a frame.
@@ -105,7 +110,7 @@ def read_mot_tracks(path: str | Path) -> RecordedTracks:
     """
     file = Path(path)
     rows = TrackRows(file)
-    for line, values in _rows(rows):
+    for line, values in mot_rows(rows):
         frame, identity, left, top, width, height = values[:_TRACK_COLUMNS]
         step, name = _whole(rows, line, "frame", frame) - 1, _whole(rows, line, "id", identity)
         flag = values[_FLAG] if len(values) > _FLAG else 1.0
@@ -114,11 +119,16 @@ def read_mot_tracks(path: str | Path) -> RecordedTracks:
         if flag == 0.0:
             continue
         visible = values[_VISIBILITY] if len(values) == _WITH_VISIBILITY else 1.0
+        kind = values[_CLASS] if len(values) == _WITH_VISIBILITY else 1.0
+        if kind in _OTHER_CLASSES:
+            continue
+        if kind in _DISTRACTORS:
+            visible = 0.0
         rows.add(line, step, name, (left, top, width, height), 1.0 if visible == -1.0 else visible)
     return rows.finish()
 
 
-def read_mot_detections(path: str | Path) -> Mapping[int, Detections]:
+def read_mot_detections(path: str | Path) -> MotDetections:
     """Read the detections of a det.txt.
 
     Args:
@@ -132,19 +142,34 @@ def read_mot_detections(path: str | Path) -> Mapping[int, Detections]:
         SequenceError: If the file is missing, too large or not text, or a row is invalid.
     """
     rows = TrackRows(Path(path))
-    for line, values in _rows(rows):
+    for line, values in mot_rows(rows):
         step = _whole(rows, line, "frame", values[0]) - 1
         # The identity column, -1, has no meaning.
         confidence = values[_FLAG] if len(values) > _FLAG else 1.0
         rows.add_detection(line, step, (values[2], values[3], values[4], values[5]), confidence)
-    return _DetectionsByFrame(*rows.by_frame())
+    return MotDetections(*rows.by_frame())
 
 
-class _DetectionsByFrame(Mapping[int, Detections]):
-    """Detections made on access: one object per frame would need fifty times the memory of their numbers."""
+class MotDetections(Mapping[int, Detections]):
+    """Detections by step. They are made on access: one object per frame would need fifty times the memory.
+
+    Args:
+        frames: Frames with detections, from 0, increasing, shape (f,).
+        bounds: Index of the first row of each frame, then the number of rows, shape (f + 1,).
+        rows: Left, top, width, height, px, and confidence, shape (n, 5).
+    """
 
     def __init__(self, frames: Labels, bounds: Labels, rows: Array) -> None:
         self._frames, self._bounds, self._rows = frames, bounds, rows
+
+    @property
+    def boxes(self) -> Array:
+        """All boxes, shape (n, 4)."""
+        return self._rows[:, :4]
+
+    def scaled(self, width: float, height: float) -> MotDetections:
+        """Return the detections with horizontal numbers times `width` and vertical ones times `height`."""
+        return MotDetections(self._frames, self._bounds, self._rows * [width, height, width, height, 1.0])
 
     def __getitem__(self, frame: int) -> Detections:
         at = int(np.searchsorted(self._frames, frame))
@@ -238,8 +263,8 @@ def write_seqinfo(path: str | Path, info: SequenceInfo) -> None:
         parser.write(file, space_around_delimiters=False)
 
 
-def _rows(rows: TrackRows) -> Iterator[tuple[int, list[float]]]:
-    """Yield line number and values of every row that is not blank. The length of lines is limited, to limit memory."""
+def mot_rows(rows: TrackRows) -> Iterator[tuple[int, list[float]]]:
+    """Yield line number and values of every row of a file that is not blank. The length of lines is limited."""
     stream = io.BytesIO(read_bounded(rows.path, MAX_TEXT, _TEXT_REMEDY))
     line = 0
     while content := stream.readline(_MAX_LINE + 1):

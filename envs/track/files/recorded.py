@@ -196,6 +196,15 @@ class TrackRows:
             [values[part, 4].copy() for part in parts],
         )
 
+    def listed(self) -> tuple[Labels, Labels, Array]:
+        """Return frames (from 0) and identities, shape (n,), and boxes, shape (n, 4), in the order of the file.
+
+        Raises:
+            SequenceError: If a frame holds too many boxes.
+        """
+        keys, values = self._arrays()
+        return keys[:, 1].copy(), keys[:, 0].copy(), values[:, :4].copy()
+
     def by_frame(self) -> tuple[Labels, Labels, Array]:
         """Return the boxes in the order of their frames, and of the file within a frame.
 

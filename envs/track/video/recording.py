@@ -6,13 +6,16 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
 from servotrack.envs.arguments import check_fields
 from servotrack.envs.track.files.frames import SIDES, FrameSource, open_frames, resized
-from servotrack.envs.track.files.mot_files import MotFolder, SequenceInfo, find_mot_folder, read_mot_detections
+from servotrack.envs.track.files.mot_files import MotFolder, SequenceInfo, find_mot_folder
+from servotrack.envs.track.files.pixel_detections import read_pixel_detections
 from servotrack.envs.track.files.read import read_tracks
 from servotrack.envs.track.files.recorded import PeopleInFrame, RecordedTracks, SequenceError
 from servotrack.envs.track.pedestrians.config import PedestrianConfig
@@ -134,12 +137,10 @@ def load_recording(config: VideoConfig) -> Recording:
         return _rendered(config)
     sequence = find_mot_folder(str(config.source))
     found: Mapping[int, Detections] = {}
-    if config.observation == "detections":
-        if sequence is None or sequence.detections is None:
-            raise SequenceError(
-                f"source {config.source!r} holds no det/det.txt; give a MOTChallenge sequence or observation='pixels'"
-            )
-        found = read_mot_detections(sequence.detections)
+    if config.observation == "detections" and (sequence is None or sequence.detections is None):
+        raise SequenceError(
+            f"source {config.source!r} holds no det/det.txt; give a MOTChallenge sequence or observation='pixels'"
+        )
     truth = _truth(config, sequence)
     info = SequenceInfo(str(config.source)) if sequence is None else sequence.info
     frames = None
@@ -148,8 +149,14 @@ def load_recording(config: VideoConfig) -> Recording:
         info = info._replace(name=frames.name, frame_rate=frames.frame_rate)
         size, scale = frames.size, (frames.size[0] / frames.source_size[0], frames.size[1] / frames.source_size[1])
         last = frames.length
+        source_size: tuple[int, int] | None = frames.source_size
     else:
         size, scale = _declared_size(config, info)
+        assert info.width is not None and info.height is not None
+        source_size = (info.width, info.height)
+    if config.observation == "detections" and sequence is not None and sequence.detections is not None:
+        found = _read_detections(sequence.detections, source_size)
+    if frames is None:
         last = max([step + 1 for step in found] + [truth.length if truth else 0])
     horizon = config.horizon or DEFAULT_MAX_FRAMES
     if last is not None:
@@ -164,11 +171,18 @@ def load_recording(config: VideoConfig) -> Recording:
         frame_rate=(info.frame_rate or _DEFAULT_FRAME_RATE) / config.stride,
         horizon=horizon,
         # Every observer has its own decoder; a camera has only one.
-        open=None if frames is None else frames.__iter__ if frames.live else lambda: iter(_open(config)),
+        open=None if frames is None else frames.held if frames.live else lambda: _open(config).held(),
         scored=truth is not None,
         **_truth_arrays(people, numbers, np.array([*scale, *scale])),
         detections=_detections(config, found, numbers, scale, size) if config.observation == "detections" else None,
     )
+
+
+def _read_detections(path: Path, size: tuple[int, int] | None) -> Mapping[int, Detections]:
+    found, note = read_pixel_detections(path, size)
+    if note:
+        gym.logger.warn(note)
+    return found
 
 
 def _open(config: VideoConfig) -> FrameSource:

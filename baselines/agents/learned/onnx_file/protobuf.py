@@ -75,7 +75,7 @@ def read_message(table: Table, data: memoryview, what: str, budget: Budget) -> d
     """
     found: dict[str, Any] = {}
     seen: dict[int, int] = {}
-    for number, encoding, value in _fields(data, budget):
+    for number, encoding, value in iterate_fields(data, budget):
         field = table.get(number)
         if field is None:
             raise ValueError(f"{what} has an unknown field {number}: it is not ONNX, or its version is not supported")
@@ -138,7 +138,7 @@ def _packed(kind: str, data: memoryview, where: str, budget: Budget) -> list[Any
     return numbers
 
 
-def _fields(data: memoryview, budget: Budget) -> Iterator[tuple[int, int, Any]]:
+def iterate_fields(data: memoryview, budget: Budget) -> Iterator[tuple[int, int, Any]]:
     """Split a message into number, encoding and raw value of each field."""
     at, end = 0, len(data)
     while at < end:
