@@ -51,8 +51,8 @@ def read_sequence(given: str) -> PeopleSequence:
     """Read a sequence.
 
     Args:
-        given: The folder of a MOTChallenge sequence with det/det.txt and gt/gt.txt, or NAME=DETECTIONS,TRUTH,RATE with a
-            det.txt, a file that `read_tracks` reads, and the frames per second.
+        given: The folder of a MOTChallenge sequence with det/det.txt and gt/gt.txt, or NAME=DETECTIONS,TRUTH,RATE with
+            a det.txt, a file that `read_tracks` reads, and the frames per second.
 
     Raises:
         SequenceError: A missing or invalid file, or another form.

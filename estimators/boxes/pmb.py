@@ -111,11 +111,11 @@ class PersonOdds(NamedTuple):
     """
 
     intercept: float = 1.37
-    mean: float = 0.47
-    high: float = 0.68
+    mean: float = 0.475
+    high: float = 0.66
     knee: float = 3.0
-    last: float = 0.35
-    height: float = 0.52
+    last: float = 0.36
+    height: float = 0.54
 
     def probability(self, evidence: Array) -> Array:
         """Probability of a person for rows of `BoxTracks.evidence`, shape (k, 3)."""
