@@ -25,7 +25,7 @@ def with_values(estimator: EstimatorT, values: Mapping[str, float]) -> Estimator
     """Return a copy of an estimator with other numbers; the estimator's own checks apply.
 
     Args:
-        estimator: A dataclass, which may hold dataclasses and tuples of them.
+        estimator: A dataclass, which may hold dataclasses, named tuples, and tuples of them.
         values: Path to number.
 
     Raises:
@@ -40,15 +40,17 @@ def _replaced(owner: Any, rest: str, path: str, value: float) -> Any:
     name, dot, deeper = rest.partition(".")
     old = _part(owner, name, path)
     new = _replaced(old, deeper, path, value) if dot else value
+    if hasattr(owner, "_replace"):
+        return owner._replace(**{name: new})
     if isinstance(owner, tuple):
         return (*owner[: int(name)], new, *owner[int(name) + 1 :])
     return replace(owner, **{name: new})
 
 
 def _part(owner: Any, name: str, path: str) -> Any:
-    if isinstance(owner, tuple) and name.isdigit() and int(name) < len(owner):
+    if isinstance(owner, tuple) and not hasattr(owner, "_fields") and name.isdigit() and int(name) < len(owner):
         return owner[int(name)]
-    known = [field.name for field in fields(owner)] if is_dataclass(owner) else []
+    known = [field.name for field in fields(owner)] if is_dataclass(owner) else list(getattr(owner, "_fields", ()))
     if name in known:
         return getattr(owner, name)
     has = ", ".join(known) or (f"{len(owner)} members" if isinstance(owner, tuple) else "no parts")

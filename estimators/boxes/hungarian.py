@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.boxes.kalman import center_boxes, correct_boxes, predict_boxes, started_boxes
-from servotrack.estimators.boxes.report import box_covariances, checked_detections, set_of_boxes
+from servotrack.estimators.boxes.report import box_covariances, checked_detections, checked_period, set_of_boxes
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import box_distances
@@ -97,16 +97,24 @@ class KalmanHungarian:
         none = np.zeros(0, np.int64)
         return KalmanState(np.zeros((0, 6)), np.zeros((0, 8)), none, none, none, 1)
 
-    def step(self, state: KalmanState, detections: Detections) -> tuple[KalmanState, SetEstimate]:
+    def step(
+        self, state: KalmanState, detections: Detections, dt: float | None = None
+    ) -> tuple[KalmanState, SetEstimate]:
         """Predict, assign, correct.
 
+        Args:
+            state: State after the last frame.
+            detections: Detections of this frame.
+            dt: Time since the last frame, s; None for 1 / `frame_rate`.
+
         Raises:
-            ValueError: Detections are invalid, see `checked_detections`.
+            ValueError: Detections are invalid, see `checked_detections`, or `dt` is not positive.
         """
         boxes = checked_detections(detections).boxes
-        noise = self.position_noise, self.size_noise
-        motion = self.acceleration, self.drift, np.inf
-        mean, variance = predict_boxes(state.mean, state.variance, state.missed, 1.0 / self.frame_rate, motion)
+        noise = np.array([self.position_noise, self.position_noise, self.size_noise, self.size_noise])
+        acceleration, drift = np.full(2, float(self.acceleration)), np.full(2, float(self.drift))
+        period = checked_period(dt, self.frame_rate)
+        mean, variance = predict_boxes(state.mean, state.variance, state.missed, period, acceleration, drift, np.inf)
         tracks, count = len(mean), len(boxes)
         cost = np.ones((tracks, count + tracks)) - self.overlap
         cost[:, :count] = box_distances(center_boxes(mean), boxes)

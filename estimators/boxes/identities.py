@@ -131,12 +131,21 @@ class KeptIdentities:
         known = KnownIdentities(none, none, np.zeros((0, 4)), np.zeros((0, 2)), np.zeros((0, features)), none, none)
         return IdentityState(self.tracker.initial(detections), known, 1)
 
-    def step(self, state: IdentityState, detections: Detections) -> tuple[IdentityState, SetEstimate]:
-        """Update with the detections of a frame; errors as in the tracker's `step`."""
+    def step(
+        self, state: IdentityState, detections: Detections, dt: float | None = None
+    ) -> tuple[IdentityState, SetEstimate]:
+        """Update with the detections of a frame; errors as in the tracker's `step`.
+
+        Args:
+            state: State after the last frame.
+            detections: Detections of this frame.
+            dt: Time since the last frame, s, for trackers whose `step` takes it; None for the nominal one.
+        """
         detections = checked_detections(detections, state.known.appearance.shape[1])
         if self.split:
             detections = split_merged(detections, _expected(state.known), self.split_rules)
-        inner, estimate = self.tracker.step(state.tracker, detections)
+        passed = () if dt is None else (dt,)
+        inner, estimate = self.tracker.step(state.tracker, detections, *passed)
         appearance, seen = self._appearances(estimate.states, detections)
         known, next_name = self._adopt(state.known, estimate, appearance, seen, state.next_name)
         known = self._watch(known, estimate, appearance, seen)

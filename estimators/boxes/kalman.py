@@ -11,7 +11,7 @@ from servotrack.estimators.types import Array
 
 
 @njit(cache=True, nogil=True)
-def predict_boxes(mean, variance, missed, period, noise):  # type: ignore[no-untyped-def]
+def predict_boxes(mean, variance, missed, period, acceleration, drift, memory):  # type: ignore[no-untyped-def]
     """Predict all tracks one frame ahead: nearly constant velocity of the center, nearly constant size.
 
     Args:
@@ -20,21 +20,21 @@ def predict_boxes(mean, variance, missed, period, noise):  # type: ignore[no-unt
             and then for rows; then variances of width and height. Shape (T, 8).
         missed: Number of frames since the last detection. Shape (T,).
         period: Time between frames, s.
-        noise: Acceleration, heights/s^1.5; drift of the sizes, 1/s^0.5; time constant of the velocity of an undetected
-            track, s.
+        acceleration: Root spectral densities of the acceleration along columns and rows, heights/s^1.5. Shape (2,).
+        drift: Relative random walks of width and height, 1/s^0.5. Shape (2,).
+        memory: Time constant of the velocity of an undetected track, s.
 
     Returns:
         Predicted mean and variance.
     """
-    acceleration, drift, memory = noise
     t = period
     out_mean, out = np.empty_like(mean), np.empty_like(variance)
     for i in range(mean.shape[0]):
         height = mean[i, 5]
-        q = (acceleration * height) ** 2
         keep = math.exp(-t / memory) if missed[i] > 0 else 1.0
         for axis in range(2):
             a, k = 2 * axis, 3 * axis
+            q = (acceleration[axis] * height) ** 2
             out_mean[i, a] = mean[i, a] + t * mean[i, a + 1]
             out_mean[i, a + 1] = keep * mean[i, a + 1]
             p, c, v = variance[i, k], variance[i, k + 1], variance[i, k + 2]
@@ -43,7 +43,7 @@ def predict_boxes(mean, variance, missed, period, noise):  # type: ignore[no-unt
             out[i, k + 2] = keep * keep * v + q * t
         for axis in range(2):
             out_mean[i, 4 + axis] = mean[i, 4 + axis]
-            out[i, 6 + axis] = variance[i, 6 + axis] + (drift * mean[i, 4 + axis]) ** 2 * t
+            out[i, 6 + axis] = variance[i, 6 + axis] + (drift[axis] * mean[i, 4 + axis]) ** 2 * t
     return out_mean, out
 
 
@@ -56,9 +56,13 @@ def correct_boxes(mean, variance, partner, boxes, noise, smallest_size):  # type
         variance: Variances as in `predict_boxes`; changed. Shape (T, 8).
         partner: Index of each track's detection, -1 for none. Shape (T,).
         boxes: Left, top, width, height of the detections. Shape (Z, 4), px.
-        noise: Standard deviations of a measured center and of a measured size, heights.
+        noise: Standard deviations of a measured center column, center row, width and height, heights. Shape (4,).
         smallest_size: Lower limit of width and height, px.
+
+    Returns:
+        Innovations divided by their standard deviations, zero without a partner. Shape (T, 4).
     """
+    innovation = np.zeros((mean.shape[0], 4))
     for i in range(mean.shape[0]):
         j = partner[i]
         if j < 0:
@@ -66,38 +70,41 @@ def correct_boxes(mean, variance, partner, boxes, noise, smallest_size):  # type
         height = mean[i, 5]
         for k in range(2):
             a, p = 2 * k, 3 * k
-            S = (noise[0] * height) ** 2 + variance[i, p]
+            S = (noise[k] * height) ** 2 + variance[i, p]
             gain, gain_velocity = variance[i, p] / S, variance[i, p + 1] / S
             gap = boxes[j, k] + boxes[j, 2 + k] / 2 - mean[i, a]
+            innovation[i, k] = gap / math.sqrt(S)
             mean[i, a] += gain * gap
             mean[i, a + 1] += gain_velocity * gap
             variance[i, p + 2] -= gain_velocity * variance[i, p + 1]
             variance[i, p + 1] *= 1.0 - gain
             variance[i, p] *= 1.0 - gain
         for k in range(2):
-            S = (noise[1] * height) ** 2 + variance[i, 6 + k]
+            S = (noise[2 + k] * height) ** 2 + variance[i, 6 + k]
             gain = variance[i, 6 + k] / S
-            mean[i, 4 + k] = max(mean[i, 4 + k] + gain * (boxes[j, 2 + k] - mean[i, 4 + k]), smallest_size)
+            gap = boxes[j, 2 + k] - mean[i, 4 + k]
+            innovation[i, 2 + k] = gap / math.sqrt(S)
+            mean[i, 4 + k] = max(mean[i, 4 + k] + gain * gap, smallest_size)
             variance[i, 6 + k] *= 1.0 - gain
+    return innovation
 
 
-def started_boxes(boxes: Array, noise: tuple[float, float], speed: float, smallest_size: float) -> tuple[Array, Array]:
+def started_boxes(boxes: Array, noise: Array, speed: float, smallest_size: float) -> tuple[Array, Array]:
     """Mean and variance of new tracks with one detection each.
 
     Args:
         boxes: Left, top, width, height of the detections. Shape (k, 4), px.
-        noise: Standard deviations of a measured center and of a measured size, heights.
+        noise: Standard deviations of a measured center column, center row, width and height, heights. Shape (4,).
         speed: Standard deviation of the velocity, heights/s.
         smallest_size: Lower limit of width and height, px.
     """
-    position_noise, size_noise = noise
     height = boxes[:, 3:]
     mean, variance = np.zeros((len(boxes), 6)), np.zeros((len(boxes), 8))
     mean[:, [0, 2]] = boxes[:, :2] + boxes[:, 2:] / 2.0
     mean[:, 4:] = np.maximum(boxes[:, 2:], smallest_size)
-    variance[:, [0, 3]] = (position_noise * height) ** 2
+    variance[:, [0, 3]] = (noise[:2] * height) ** 2
     variance[:, [2, 5]] = (speed * height) ** 2
-    variance[:, 6:] = (size_noise * height) ** 2
+    variance[:, 6:] = (noise[2:] * height) ** 2
     return mean, variance
 
 

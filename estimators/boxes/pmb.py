@@ -2,10 +2,15 @@
 
 The recursion is Williams (2015), with one Gaussian per track and states from the best assignment; existence comes from
 the marginals of all assignments. It is specialized to people as follows. All noise is in shares of a person's height
-and all rates are per second, so that one set of parameters serves other zooms and frame rates. A person behind a nearer
-one, or missed in the last frame, has a lower detection probability, so the track survives longer. A lost person keeps
-a small probability of returning. Blobs that cover several known people are split. Appearance enters the likelihood if
-the detector gives it.
+and all rates are per second, so that one set of parameters serves other zooms and frame rates, and the noise of a
+sequence is learned from its innovations (`noise`). A person behind a nearer one, or missed in the last frame, has a
+lower detection probability, so the track survives longer. A lost person keeps a small probability of returning. Blobs
+that cover several known people are split. Appearance enters the likelihood if the detector gives it.
+
+A track is something that persists; it need not be a person. The probability that it is one follows from the scores of
+its detections, whose scale is learned (`confidence`), and from its height at its place in the image (`perspective`).
+Existence is the product of both probabilities. Only people with a detection in the frame are reported; all others are
+held.
 """
 
 from __future__ import annotations
@@ -18,13 +23,22 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
+from servotrack.estimators.boxes.confidence import initial_confidence, learn_persistence, read_scores, score_log_odds
 from servotrack.estimators.boxes.kalman import center_boxes, correct_boxes, predict_boxes, started_boxes
 from servotrack.estimators.boxes.merged import SplitRules, split_merged
+from servotrack.estimators.boxes.noise import NoiseLearning, NoiseScales, initial_noise, learn_noise
 from servotrack.estimators.boxes.overlap import covered_by
-from servotrack.estimators.boxes.pmb_kernel import associate, mix_appearances, pair_distances, visible_shares
-from servotrack.estimators.boxes.report import LARGEST_HELD, box_covariances, checked_detections, set_of_boxes
+from servotrack.estimators.boxes.perspective import height_errors, initial_heights, learn_heights
+from servotrack.estimators.boxes.pmb_kernel import associate, mix_appearances, pair_log_densities, visible_shares
+from servotrack.estimators.boxes.report import (
+    LARGEST_HELD,
+    box_covariances,
+    checked_detections,
+    checked_period,
+    set_of_boxes,
+)
 from servotrack.estimators.detect.detections import Detections
-from servotrack.estimators.rfs.sets import REPORTED, SetEstimate
+from servotrack.estimators.rfs.sets import HELD, REPORTED, SetEstimate
 from servotrack.estimators.types import Array, Labels, Mask
 
 
@@ -35,34 +49,33 @@ class BoxTracks(NamedTuple):
         mean: Center column, its velocity, center row, its velocity, width, height. Shape (T, 6), px and px/s.
         variance: Variance of the position, covariance of position and velocity, variance of the velocity, for columns
             and then for rows; then variances of width and height. Shape (T, 8).
-        existence: Probabilities of existence. Shape (T,).
+        existence: Probabilities that the track is of something that persists. Shape (T,).
+        person: Probabilities that it is a person, if so. Shape (T,).
+        evidence: Mean log odds of the scores, log odds of the last one, and deviation of the height in standard
+            deviations, at the last detection. Shape (T, 3).
         label: Identities. Shape (T,).
         missed: Number of frames since the last detection. Shape (T,).
+        absent: Time since the last detection, s. Shape (T,).
         seen: Number of detections so far. Shape (T,).
+        reading: Score of the last detection, as `read_scores` reads it. Shape (T,).
+        readings: Readings of all detections, summed. Shape (T,).
+        innovation: Normalized innovations of the last frame, zero without a detection. Shape (T, 4).
         appearance: Mean appearance vector of unit length, or zero. Shape (T, F).
     """
 
     mean: Array
     variance: Array
     existence: Array
+    person: Array
+    evidence: Array
     label: Labels
     missed: Labels
+    absent: Array
     seen: Labels
+    reading: Array
+    readings: Array
+    innovation: Array
     appearance: Array
-
-
-class Confidence(NamedTuple):
-    """Running statistics of the detections' confidences.
-
-    Attributes:
-        mean: Mean confidence.
-        deviation: Mean absolute deviation from it.
-        number: Number of detections so far.
-    """
-
-    mean: float
-    deviation: float
-    number: int
 
 
 class BoxPMBState(NamedTuple):
@@ -71,12 +84,62 @@ class BoxPMBState(NamedTuple):
     Attributes:
         tracks: Tracks of all people who may exist.
         next_label: The next new identity.
-        confidence: Running statistics of the confidences.
+        noise: Noise of this sequence.
+        confidence: Scale of the scores, see `initial_confidence`. Shape (10,).
+        heights: Heights by place in the image, see `initial_heights`. Shape (11,).
     """
 
     tracks: BoxTracks
     next_label: int
-    confidence: Confidence
+    noise: NoiseScales
+    confidence: Array
+    heights: Array
+
+
+class PersonOdds(NamedTuple):
+    """Log odds that a track with a detection is a person: a logistic regression.
+
+    The coefficients were fitted to detections of MOTChallenge sequences; docs/video.md has the protocol.
+
+    Attributes:
+        intercept: Log odds against a person whose scores have log odds 0. Raising it reports fewer people.
+        mean: Weight of the mean log odds of the track's scores.
+        high: Further weight of what exceeds `knee`: high scores say more.
+        knee: Log odds above which `high` applies.
+        last: Weight of the log odds of the last score.
+        height: Lowers the log odds for each standard deviation from the height expected at this place.
+    """
+
+    intercept: float = 1.37
+    mean: float = 0.475
+    high: float = 0.66
+    knee: float = 3.0
+    last: float = 0.36
+    height: float = 0.54
+
+    def probability(self, evidence: Array) -> Array:
+        """Probability of a person for rows of `BoxTracks.evidence`, shape (k, 3)."""
+        mean, last, height = evidence.T
+        log_odds = self.mean * mean + self.high * np.maximum(mean - self.knee, 0.0) + self.last * last
+        return np.asarray(1.0 / (1.0 + np.exp(self.intercept + self.height * height - log_odds)))
+
+
+class _Frame(NamedTuple):
+    """Detections of a frame and what is known about them.
+
+    Attributes:
+        detections: Detections, merged blobs split.
+        reading: Scores as read. Shape (Z,).
+        odds: Log odds of the scores. Shape (Z,).
+        dt: Time since the last frame, s.
+        noise: Standard deviations of the measurements, heights. Shape (4,).
+    """
+
+    detections: Detections
+    reading: Array
+    odds: Array
+    dt: float
+    noise: Array
 
 
 @dataclass(frozen=True)
@@ -84,26 +147,32 @@ class BoxPMB:
     """Poisson multi-Bernoulli filter of boxes.
 
     Args:
-        frame_rate: Frames per second.
+        frame_rate: Frames per second, where `step` is not given the time between frames.
         frame_size: Width and height of the frame, px; None if unknown: then the existence of people at the border does
             not fall.
-        acceleration: Root spectral density of people's acceleration, heights/s^1.5. Raising it follows turns faster and
-            smooths less.
+        acceleration: Initial root spectral density of people's acceleration, heights/s^1.5. Raising it follows turns
+            faster and smooths less.
         speed: Standard deviation of a new person's velocity, heights/s.
-        drift: Relative random walk of sizes, 1/s^0.5.
-        position_noise: Standard deviation of a detection's center, heights. Raising it smooths more.
-        size_noise: Standard deviation of a detection's width and height, heights.
+        drift: Initial relative random walk of sizes, 1/s^0.5.
+        position_noise: Initial standard deviation of a detection's center, heights. Raising it smooths more.
+        size_noise: Initial standard deviation of a detection's width and height, heights.
+        learning: Gains by which the noise of the sequence is learned; None keeps the initial noise.
         detection: Probability that a person in full view is detected, in (0, 1). Raising it ends missed tracks sooner.
         miss_half_life: Half-life of the probability that a missed person stays undetected, s. Raising it keeps missed
             tracks longer.
-        association_log_ratio: Log of the ratio of the density of detections at a person's exact prediction to that of
-            false and new ones. Raising it assigns more distant detections to tracks.
-        birth: Probability that an unexplained detection is a person, in (0, 1). Raising it reports people sooner, also
-            false ones.
+        clutter_log_density: Log density of false and new detections, heights^-4. Raising it assigns fewer distant
+            detections to tracks.
+        score_weight: Weight of a detection's log odds in its assignment to tracks. Raising it leaves detections of low
+            scores to nobody.
+        typical_score: Log odds at which the score does not matter in the assignment.
+        birth: Probability that an unexplained detection belongs to something that persists, in (0, 1). Raising it
+            reports people sooner, also false ones.
         overlap: The birth probability of a detection is multiplied by (1 - s)**overlap, with s the fraction covered by
             tracked people. Raising it starts fewer second tracks of one person.
-        doubt: A detection whose confidence is more than this many mean deviations below the mean updates tracks but
-            starts none (the second association of Zhang et al. 2022, on any scale of confidence).
+        person: Log odds that a track is a person.
+        height_memory: Time for which heights are remembered, s.
+        report: Smallest existence of reported people, in (0, 1). Raising it reports fewer.
+        coast: Time for which undetected people are still reported, s; 0 for those with a detection in the frame only.
         lifetime: Mean time for which people stay, s.
         velocity_memory: Time in which the velocity of an undetected person falls by a factor e, s.
         memory: Time after which an undetected person's track ends, s. Raising it bridges longer occlusions.
@@ -117,10 +186,10 @@ class BoxPMB:
         least_existence: Tracks of less existence are dropped, and detections of less birth probability start none.
         established: Number of detections from which `revival` applies and a person may be part of a merged blob.
         least_visible: Lower limit of the visible share of a person in the detection probability.
-        full_view: Smallest visible share at which a detection's appearance updates the person's.
+        full_view: Smallest visible share at which a detection's appearance updates the person's, and at which a missed
+            detection says something about the scores.
         appearance_rate: Smallest weight of a new frame in a track's mean appearance, in (0, 1].
         appearance_limits: Lower and upper limit of the log likelihood ratio of an appearance.
-        confidence_memory: Approximate number of last detections in the mean confidence.
         smallest_size: Lower limit of a track's width and height, px.
         split_rules: Conditions under which a blob is split.
 
@@ -130,33 +199,38 @@ class BoxPMB:
 
     frame_rate: float = 25.0
     frame_size: tuple[int, int] | None = None
-    acceleration: float = 0.2
-    speed: float = 1.0
-    drift: float = 0.07
-    position_noise: float = 0.07
-    size_noise: float = 0.18
-    detection: float = 0.87
-    miss_half_life: float = 0.055
-    association_log_ratio: float = 10.0
-    birth: float = 0.03
-    overlap: float = 8.0
-    doubt: float = 1.6
+    acceleration: float = 0.25
+    speed: float = 0.9
+    drift: float = 0.11
+    position_noise: float = 0.065
+    size_noise: float = 0.13
+    learning: NoiseLearning | None = field(default_factory=NoiseLearning)
+    detection: float = 0.8
+    miss_half_life: float = 0.12
+    clutter_log_density: float = -0.5
+    score_weight: float = 0.5
+    typical_score: float = 2.5
+    birth: float = 0.9
+    overlap: float = 10.0
+    person: PersonOdds = field(default_factory=PersonOdds)
+    height_memory: float = 20.0
+    report: float = 0.42
+    coast: float = 0.0
     lifetime: float = 20.0
-    velocity_memory: float = 5.0
-    memory: float = 2.3
-    revival: float = 0.04
+    velocity_memory: float = 2.0
+    memory: float = 2.0
+    revival: float = 0.03
     appearance: float = 6.0
     typical_similarity: float = 0.72
     split: bool = True
-    confirm: int = 2
-    gate_tail: float = 1e-4
+    confirm: int = 1
+    gate_tail: float = 1e-5
     least_existence: float = 0.01
     established: int = 3
     least_visible: float = 0.02
     full_view: float = 0.7
     appearance_rate: float = 0.1
     appearance_limits: tuple[float, float] = (-3.0, 1.5)
-    confidence_memory: int = 500
     smallest_size: float = 2.0
     split_rules: SplitRules = field(default_factory=SplitRules)
 
@@ -165,20 +239,19 @@ class BoxPMB:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"{name} must be finite and > 0, got {value!r}")
-        for name in ("detection", "birth", "gate_tail"):
+        for name in ("detection", "birth", "gate_tail", "report"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ValueError(f"{name} must be in (0, 1), got {getattr(self, name)!r}")
         if not 0.0 <= self.revival < 1.0:
             raise ValueError(f"revival must be in [0, 1), got {self.revival!r}")
-        for name in ("confirm", "confidence_memory"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)!r}")
+        if self.confirm < 1:
+            raise ValueError(f"confirm must be at least 1, got {self.confirm!r}")
         for name in ("least_existence", "least_visible", "full_view", "appearance_rate"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} must be in (0, 1], got {getattr(self, name)!r}")
         if not self.appearance_limits[0] <= self.appearance_limits[1]:
             raise ValueError(f"appearance_limits must be ascending, got {self.appearance_limits!r}")
-        for name in ("overlap", "appearance"):
+        for name in ("overlap", "appearance", "score_weight", "coast"):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"{name} must be at least 0, got {getattr(self, name)!r}")
 
@@ -188,104 +261,160 @@ class BoxPMB:
         Raises:
             ValueError: Detections are invalid, see `checked_detections`.
         """
-        none, features = np.zeros(0, np.int64), checked_detections(detections).features.shape[1]
-        tracks = BoxTracks(np.zeros((0, 6)), np.zeros((0, 8)), np.zeros(0), none, none, none, np.zeros((0, features)))
-        return BoxPMBState(tracks, 1, Confidence(0.0, 0.0, 0))
+        features = checked_detections(detections).features
+        tracks = _new_tracks(np.zeros((0, 6)), np.zeros((0, 8)), np.zeros(0), 1, np.zeros(0), features[:0])
+        return BoxPMBState(tracks, 1, initial_noise(), initial_confidence(), initial_heights())
 
-    def step(self, state: BoxPMBState, detections: Detections) -> tuple[BoxPMBState, SetEstimate]:
+    def step(
+        self, state: BoxPMBState, detections: Detections, dt: float | None = None
+    ) -> tuple[BoxPMBState, SetEstimate]:
         """Predict to the next frame and update with its detections.
 
+        Args:
+            state: State after the last frame.
+            detections: Detections of this frame.
+            dt: Time since the last frame, s; None for 1 / `frame_rate`.
+
         Raises:
-            ValueError: Detections are invalid, see `checked_detections`.
+            ValueError: Detections are invalid, see `checked_detections`, or `dt` is not positive.
         """
         detections = checked_detections(detections, state.tracks.appearance.shape[1])
-        tracks, visible = self._predicted(state.tracks)
+        dt = checked_period(dt, self.frame_rate)
+        tracks, visible = self._predicted(state.tracks, state.noise, dt)
         if self.split:
             known = (tracks.existence >= REPORTED) & (tracks.seen >= self.established)
             detections = split_merged(detections, center_boxes(tracks.mean[known]), self.split_rules)
-        confidence = watched_confidence(state.confidence, detections.confidences, self.confidence_memory)
-        tracks, fresh = self._corrected(tracks, visible, detections)
-        believable = detections.confidences >= confidence.mean - self.doubt * confidence.deviation
-        after, next_label = self._extended(tracks, detections, self.birth * fresh * believable, state.next_label)
-        covariances = box_covariances(after.variance[:, [0, 3]], after.variance[:, 6:])
-        # A track with fewer than `confirm` detections is held, whatever its existence.
-        shown = np.where(after.seen >= self.confirm, after.existence, np.minimum(after.existence, LARGEST_HELD))
-        estimate = set_of_boxes(center_boxes(after.mean), covariances, after.label, shown)
-        return BoxPMBState(after, next_label, confidence), estimate
+        confidence, reading = read_scores(state.confidence, np.ascontiguousarray(detections.confidences))
+        odds = score_log_odds(confidence, reading)
+        noise = self._measurement_noise * np.exp(0.5 * state.noise.measurement)
+        frame = _Frame(detections, reading, odds, dt, noise)
+        tracks, fresh = self._corrected(tracks, visible, frame)
+        found = tracks.missed == 0
+        counts = (state.tracks.missed == 0) & (visible >= self.full_view)
+        learn_persistence(confidence, state.tracks.reading, found, counts, math.exp(-dt / CONFIDENCE_MEMORY))
+        scales = self._learned_noise(state, tracks, found)
+        tracks, next_label = self._extended(tracks, frame, fresh, state.next_label)
+        tracks, heights = self._judged(tracks, frame, confidence, state.heights)
+        return BoxPMBState(tracks, next_label, scales, confidence, heights), self._estimate(tracks)
 
     @cached_property
     def _gate(self) -> float:
         """Largest squared Mahalanobis distance between a detection and a track's prediction."""
         return float(chdtri(4, self.gate_tail))
 
-    def _predicted(self, tracks: BoxTracks) -> tuple[BoxTracks, Array]:
+    @cached_property
+    def _measurement_noise(self) -> Array:
+        """Initial standard deviations of the measurements, heights. Shape (4,)."""
+        return np.array([self.position_noise, self.position_noise, self.size_noise, self.size_noise])
+
+    @cached_property
+    def _process_noise(self) -> Array:
+        """Initial process noise: acceleration twice, drift twice. Shape (4,)."""
+        return np.array([self.acceleration, self.acceleration, self.drift, self.drift])
+
+    def _predicted(self, tracks: BoxTracks, scales: NoiseScales, dt: float) -> tuple[BoxTracks, Array]:
         """Tracks predicted to the next frame, and the visible share of each."""
-        period = 1.0 / self.frame_rate
-        motion = self.acceleration, self.drift, self.velocity_memory
-        mean, variance = predict_boxes(tracks.mean, tracks.variance, tracks.missed, period, motion)
+        process = self._process_noise * np.exp(0.5 * scales.process)
+        mean, variance = predict_boxes(
+            tracks.mean, tracks.variance, tracks.missed, dt, process[:2], process[2:], float(self.velocity_memory)
+        )
         width, height = self.frame_size or (0, 0)
-        visible, inside = visible_shares(mean, tracks.existence, float(width), float(height))
+        there = tracks.existence * tracks.person
+        visible, inside = visible_shares(mean, there, float(width), float(height))
         # A person who is more than half outside the frame may have left.
         staying = np.clip(2.0 * inside, 1e-3, 1.0)
-        existence = tracks.existence * math.exp(-period / self.lifetime) * staying
+        existence = tracks.existence * math.exp(-dt / self.lifetime) * staying
         floor = np.where(tracks.seen >= self.established, self.revival * staying, 0.0)
         return tracks._replace(mean=mean, variance=variance, existence=np.maximum(existence, floor)), visible
 
-    def _corrected(self, tracks: BoxTracks, visible: Array, detections: Detections) -> tuple[BoxTracks, Array]:
+    def _corrected(self, tracks: BoxTracks, visible: Array, frame: _Frame) -> tuple[BoxTracks, Array]:
         """Tracks updated with the detections, and the probability of each detection that no track explains it."""
         mean, variance, r = tracks.mean.copy(), tracks.variance.copy(), tracks.existence
-        boxes = np.ascontiguousarray(detections.boxes, dtype=np.float64)
-        noise = self.position_noise, self.size_noise
-        again = 1.0 - 0.5 ** (1.0 / (self.frame_rate * self.miss_half_life))
+        boxes = np.ascontiguousarray(frame.detections.boxes, dtype=np.float64)
+        again = 1.0 - 0.5 ** (frame.dt / self.miss_half_life)
         detectable = np.where(tracks.missed > 0, again, self.detection) * np.clip(visible, self.least_visible, 1.0)
         absence = 1.0 - r * detectable
-        distance, thinness = pair_distances(mean, variance, boxes, noise, self._gate)
-        log_weight = np.log(r * detectable / absence)[:, None] + self.association_log_ratio + thinness - 0.5 * distance
+        log_weight = pair_log_densities(mean, variance, boxes, frame.noise, self._gate)
+        log_weight += np.log(r * detectable / absence)[:, None] - self.clutter_log_density
+        log_weight += self.score_weight * (frame.odds - self.typical_score)
         if tracks.appearance.shape[1] and len(boxes):
-            similar = tracks.appearance @ detections.features.T
+            similar = tracks.appearance @ frame.detections.features.T
             ratio = np.clip(self.appearance * (similar - self.typical_similarity), *self.appearance_limits)
             log_weight += np.where(similar > 0.0, ratio, 0.0)
         missed, assigned, fresh, partner = associate(np.exp(log_weight))
-        correct_boxes(mean, variance, partner, boxes, noise, float(self.smallest_size))
+        innovation = correct_boxes(mean, variance, partner, boxes, frame.noise, float(self.smallest_size))
         found = partner >= 0
         # A detection that belongs to a track in the best assignment starts no other track.
         fresh[partner[found]] = 0.0
-        after = BoxTracks(
-            mean,
-            variance,
-            np.minimum(missed * r * (1.0 - detectable) / absence + assigned, 1.0),
-            tracks.label,
-            np.where(found, 0, tracks.missed + 1),
-            tracks.seen + found,
-            self._learned_appearances(tracks, found & (visible >= self.full_view), partner, detections.features),
+        reading, readings = tracks.reading.copy(), tracks.readings.copy()
+        reading[found] = frame.reading[partner[found]]
+        readings[found] += reading[found]
+        after = tracks._replace(
+            mean=mean,
+            variance=variance,
+            existence=np.minimum(missed * r * (1.0 - detectable) / absence + assigned, 1.0),
+            missed=np.where(found, 0, tracks.missed + 1),
+            absent=np.where(found, 0.0, tracks.absent + frame.dt),
+            seen=tracks.seen + found,
+            reading=reading,
+            readings=readings,
+            innovation=innovation,
+            appearance=self._learned_appearances(
+                tracks, found & (visible >= self.full_view), partner, frame.detections.features
+            ),
         )
         return after, fresh
 
-    def _extended(self, tracks: BoxTracks, detections: Detections, chance: Array, label: int) -> tuple[BoxTracks, int]:
+    def _extended(self, tracks: BoxTracks, frame: _Frame, fresh: Array, label: int) -> tuple[BoxTracks, int]:
         """Drop improbable tracks and add a new one for each detection that no track explains."""
+        chance = self.birth * fresh
         likely = tracks.existence >= REPORTED
         if likely.any() and len(chance):
-            cover = covered_by(detections.boxes, center_boxes(tracks.mean[likely])).max(axis=1)
+            cover = covered_by(frame.detections.boxes, center_boxes(tracks.mean[likely])).max(axis=1)
             chance = chance * np.maximum(1.0 - cover, 0.0) ** self.overlap
-        lasting = tracks.missed <= self.memory * self.frame_rate
-        keep = np.flatnonzero((tracks.existence >= self.least_existence) & lasting)
+        keep = np.flatnonzero((tracks.existence >= self.least_existence) & (tracks.absent <= self.memory))
         new = np.flatnonzero(chance >= self.least_existence)
         if len(keep) == len(tracks.existence) and len(new) == 0:
             return tracks, label
-        count = len(new)
-        noise = self.position_noise, self.size_noise
-        mean, variance = started_boxes(detections.boxes[new], noise, self.speed, self.smallest_size)
-        arrivals = BoxTracks(
-            mean,
-            variance,
-            chance[new],
-            label + np.arange(count),
-            np.zeros(count, np.int64),
-            np.ones(count, np.int64),
-            detections.features[new],
-        )
+        mean, variance = started_boxes(frame.detections.boxes[new], frame.noise, self.speed, self.smallest_size)
+        arrivals = _new_tracks(mean, variance, chance[new], label, frame.reading[new], frame.detections.features[new])
         joined = [np.concatenate([old[keep], fresh]) for old, fresh in zip(tracks, arrivals, strict=True)]
-        return BoxTracks(*joined), label + count
+        return BoxTracks(*joined), label + len(new)
+
+    def _judged(self, tracks: BoxTracks, frame: _Frame, confidence: Array, heights: Array) -> tuple[BoxTracks, Array]:
+        """Tracks with the probabilities that those with a detection are people, and what their heights teach."""
+        found = np.flatnonzero(tracks.missed == 0)
+        if len(found) == 0:
+            return tracks, heights
+        boxes, seen = center_boxes(tracks.mean[found]), tracks.seen[found]
+        error = height_errors(heights, boxes, FARTHEST_HEIGHT)
+        evidence, person = tracks.evidence.copy(), tracks.person.copy()
+        evidence[found, 0] = score_log_odds(confidence, tracks.readings[found] / seen)
+        evidence[found, 1] = score_log_odds(confidence, tracks.reading[found])
+        evidence[found, 2] = error
+        person[found] = self.person.probability(evidence[found])
+        return tracks._replace(evidence=evidence, person=person), learn_heights(
+            heights, boxes, error, person[found], frame.dt, float(self.height_memory)
+        )
+
+    def _estimate(self, tracks: BoxTracks) -> SetEstimate:
+        """Report the people with a detection; hold the others."""
+        existence = tracks.existence * tracks.person
+        shown = (tracks.absent <= self.coast) & (tracks.seen >= self.confirm)
+        # Whoever has been followed for a while keeps the identity until the track ends.
+        least = np.where(tracks.seen >= self.established, HELD, 0.0)
+        existence = np.where(shown, existence, np.clip(existence, least, min(LARGEST_HELD, 0.99 * self.report)))
+        covariances = box_covariances(tracks.variance[:, [0, 3]], tracks.variance[:, 6:])
+        return set_of_boxes(center_boxes(tracks.mean), covariances, tracks.label, existence, self.report)
+
+    def _learned_noise(self, state: BoxPMBState, tracks: BoxTracks, found: Mask) -> NoiseScales:
+        """Noise of the sequence after the innovations of established tracks."""
+        counts = found & (state.tracks.seen >= self.established)
+        if self.learning is None or not counts.any():
+            return state.noise
+        return NoiseScales(
+            *learn_noise(*state.noise, tracks.innovation, state.tracks.innovation, counts, self.learning)
+        )
 
     def _learned_appearances(self, tracks: BoxTracks, own: Mask, partner: Labels, features: Array) -> Array:
         """Mean appearances after a frame; only tracks whose detection shows them alone are updated."""
@@ -297,21 +426,34 @@ class BoxPMB:
         return out
 
 
-def watched_confidence(known: Confidence, confidences: Array, memory: int) -> Confidence:
-    """Update the statistics with the confidences of a frame; a frame without detections changes nothing.
+CONFIDENCE_MEMORY = 60.0
+"""Time for which the persistence of detections is remembered, s."""
 
-    Args:
-        known: Statistics so far.
-        confidences: Confidences of the frame's detections. Shape (k,).
-        memory: Approximate number of last detections in the mean.
-    """
-    count = len(confidences)
-    if count == 0:
-        return known
-    rate = min(count / min(known.number + count, memory), 1.0)
-    mean = known.mean + rate * (float(np.mean(confidences)) - known.mean)
-    deviation = known.deviation + rate * (float(np.mean(np.abs(confidences - mean))) - known.deviation)
-    return Confidence(mean, deviation, known.number + count)
+FARTHEST_HEIGHT = 4.0
+"""Upper limit of a deviation from the expected height, standard deviations."""
+
+
+def _new_tracks(
+    mean: Array, variance: Array, existence: Array, label: int, reading: Array, appearance: Array
+) -> BoxTracks:
+    """Tracks with one detection each."""
+    count = len(mean)
+    none, zeros = np.zeros(count, np.int64), np.zeros(count)
+    return BoxTracks(
+        mean,
+        variance,
+        existence,
+        zeros,
+        np.zeros((count, 3)),
+        label + np.arange(count),
+        none,
+        zeros,
+        none + 1,
+        reading,
+        reading,
+        np.zeros((count, 4)),
+        appearance,
+    )
 
 
 _POSITIVE = (
@@ -325,5 +467,6 @@ _POSITIVE = (
     "lifetime",
     "velocity_memory",
     "memory",
+    "height_memory",
     "smallest_size",
 )

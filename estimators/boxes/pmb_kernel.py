@@ -45,39 +45,34 @@ def visible_shares(mean, existence, frame_width, frame_height):  # type: ignore[
 
 
 @njit(cache=True, nogil=True)
-def pair_distances(mean, variance, boxes, noise, gate):  # type: ignore[no-untyped-def]
-    """Squared Mahalanobis distance and log sqrt(det R / det S) of every pair inside the gate.
-
-    The second lowers the likelihood of a track whose predicted measurement is uncertain.
+def pair_log_densities(mean, variance, boxes, noise, gate):  # type: ignore[no-untyped-def]
+    """Log density of every detection under every track's prediction, in heights^-4 and without the constant of 2 pi.
 
     Args:
         mean: Predicted means. Shape (T, 6).
         variance: Predicted variances. Shape (T, 8).
         boxes: Left, top, width, height. Shape (Z, 4), px.
-        noise: Standard deviations of a measured center and of a measured size, heights.
-        gate: Largest squared distance; for other pairs the distance is infinite.
+        noise: Standard deviations of a measured center column, center row, width and height, heights. Shape (4,).
+        gate: Largest squared Mahalanobis distance; for other pairs the log density is -inf.
 
     Returns:
-        Both arrays, shape (T, Z) each.
+        Shape (T, Z).
     """
-    distance = np.full((mean.shape[0], boxes.shape[0]), np.inf)
-    thinness = np.zeros((mean.shape[0], boxes.shape[0]))
-    center = boxes[:, :2] + boxes[:, 2:] / 2.0
+    out = np.full((mean.shape[0], boxes.shape[0]), -np.inf)
     S = np.empty(4)
     for i in range(mean.shape[0]):
-        spread = 0.0
+        height, spread = mean[i, 5], 0.0
         for k in range(4):
-            R = (noise[k // 2] * mean[i, 5]) ** 2
-            S[k] = R + (variance[i, 3 * k] if k < 2 else variance[i, 4 + k])
-            spread += 0.5 * math.log(R / S[k])
+            S[k] = (noise[k] * height) ** 2 + (variance[i, 3 * k] if k < 2 else variance[i, 4 + k])
+            spread += 0.5 * math.log(S[k] / height**2)
         for j in range(boxes.shape[0]):
             total = 0.0
             for k in range(2):
-                total += (center[j, k] - mean[i, 2 * k]) ** 2 / S[k]
+                total += (boxes[j, k] + boxes[j, 2 + k] / 2.0 - mean[i, 2 * k]) ** 2 / S[k]
                 total += (boxes[j, 2 + k] - mean[i, 4 + k]) ** 2 / S[2 + k]
             if total <= gate:
-                distance[i, j], thinness[i, j] = total, spread
-    return distance, thinness
+                out[i, j] = -spread - 0.5 * total
+    return out
 
 
 @njit(cache=True, nogil=True)

@@ -21,9 +21,11 @@ from servotrack.estimators.boxes import (
     fill_gaps,
     split_merged,
 )
+from servotrack.estimators.boxes.report import LARGEST_HELD
 from servotrack.estimators.detect import Detections, detections_from_boxes
 from servotrack.estimators.metrics import Track
 from servotrack.estimators.rfs import GMPHD, PMB, GMCBMeMBer, MeasurementBirth, Reduction, Spawn
+from servotrack.estimators.rfs.sets import HELD
 
 NOBODY = detections_from_boxes(np.zeros((0, 4)))
 
@@ -107,18 +109,19 @@ def test_covariances_are_those_of_boxes() -> None:
         assert P[0, 0] == pytest.approx(P[0, 0] + 2.0 * P[0, 2] + P[2, 2], rel=1e-6)
 
 
-def test_pmb_waits_for_a_person_hidden_by_a_nearer_one() -> None:
-    hidden, nearer = person(100.0, 95.0), person(100.0, 105.0)
-
-    def frames(gone: bool) -> list[Detections]:
-        before = [detections_from_boxes([person(100.0 - 2.0 * (15 - k), 95.0), nearer]) for k in range(15)]
-        return before + [detections_from_boxes([nearer])] * 12 if not gone else before
-
-    answers = follow(BoxPMB(), frames(False))
-    assert len(answers[-1]) == 2
-    # Without anybody before it, a person who is not detected is gone from the answer after as long.
-    alone = [detections_from_boxes([hidden])] * 15 + [NOBODY] * 12
-    assert not follow(BoxPMB(), alone)[-1]
+def test_pmb_holds_a_person_hidden_by_a_nearer_one() -> None:
+    nearer = person(100.0, 105.0)
+    before = [detections_from_boxes([person(100.0 - 2.0 * (15 - k), 95.0), nearer]) for k in range(15)]
+    hidden = [detections_from_boxes([nearer])] * 12
+    tracker, state = BoxPMB(), BoxPMB().initial(NOBODY)
+    for frame in before + hidden:
+        state, estimate = tracker.step(state, frame)
+    # Only people with a detection are reported; the other one is held with a smaller existence.
+    assert len(estimate.labels) == len(estimate.held_labels) == 1
+    assert HELD <= estimate.held_existence[0] <= LARGEST_HELD
+    followed = follow(BoxPMB(), [*before, *hidden, before[-1]])
+    assert followed[-1].keys() == followed[14].keys()
+    assert len(follow(BoxPMB(coast=1.0), before + hidden)[-1]) == 2
 
 
 def test_pmb_knows_a_lost_person_again() -> None:
@@ -130,13 +133,112 @@ def test_pmb_knows_a_lost_person_again() -> None:
 
 
 def test_pmb_starts_nobody_on_a_doubtful_detection() -> None:
-    def frames(confidence: float) -> list[Detections]:
-        sure = detections_from_boxes([person(50.0), person(100.0), person(150.0)], [10.0, 9.0, 11.0])
+    def frames(score: float) -> list[Detections]:
+        sure = detections_from_boxes([person(50.0), person(100.0), person(150.0)], [0.98, 0.95, 0.99])
         four = [person(50.0), person(100.0), person(150.0), person(220.0)]
-        return [sure] * 10 + [detections_from_boxes(four, [10.0, 9.0, 11.0, confidence])] * 3
+        return [sure] * 10 + [detections_from_boxes(four, [0.98, 0.95, 0.99, score])] * 3
 
-    assert len(follow(BoxPMB(), frames(2.0))[-1]) == 3
-    assert len(follow(BoxPMB(), frames(10.0))[-1]) == 4
+    assert len(follow(BoxPMB(), frames(0.55))[-1]) == 3
+    assert len(follow(BoxPMB(), frames(0.98))[-1]) == 4
+
+
+@pytest.mark.parametrize("constant", [0.0, 0.3, 1.0, 100.0, -4.0])
+def test_constant_scores_say_nothing(constant: float) -> None:
+    boxes = [[person(50.0 + 2.0 * k), person(200.0 - k)] for k in range(20)]
+    without = follow(BoxPMB(), [detections_from_boxes(both) for both in boxes])
+    same = follow(BoxPMB(), [detections_from_boxes(both, [constant, constant]) for both in boxes])
+    for a, b in zip(without, same, strict=True):
+        assert a.keys() == b.keys()
+        assert all(np.array_equal(a[label], b[label]) for label in a)
+
+
+def test_scores_on_any_scale_tell_people_from_clutter() -> None:
+    rng = np.random.default_rng(0)
+
+    def found(scale: Any) -> float:
+        """Share of false boxes among those reported in the second half."""
+        tracker, state, false, all_ = BoxPMB(), BoxPMB().initial(NOBODY), 0, 0
+        for k in range(100):
+            clutter = [person(float(x), float(y)) for x, y in rng.uniform([20.0, 220.0], [800.0, 500.0], (4, 2))]
+            odds = np.concatenate([rng.normal(4.0, 1.0, 2), rng.normal(0.0, 1.0, 4)])
+            scores = scale(odds)
+            frame = detections_from_boxes([person(50.0 + 2.0 * k), person(400.0 - 2.0 * k), *clutter], scores)
+            state, estimate = tracker.step(state, frame)
+            if k >= 50:
+                all_ += len(estimate.labels)
+                false += int((estimate.states[:, 1] > 150.0).sum())
+        assert all_ - false >= 90
+        return false / all_
+
+    for scale in (
+        lambda x: 1.0 / (1.0 + np.exp(-x)),
+        lambda x: 100.0 / (1.0 + np.exp(-x)),
+        lambda x: x,
+        lambda x: 9.0 * x,
+    ):
+        assert found(scale) < 0.7 * found(np.zeros_like)
+
+
+def test_scores_that_do_not_tell_which_detections_persist_are_not_believed() -> None:
+    rng = np.random.default_rng(1)
+    frames = [
+        detections_from_boxes([person(50.0 + 2.0 * k), person(300.0 - k)], rng.uniform(0.2, 0.6, 2)) for k in range(60)
+    ]
+    reported = [len(answer) for answer in follow(BoxPMB(), frames)]
+    assert sum(reported[:5]) < 10
+    assert sum(reported[40:]) == 40
+
+
+def test_pmb_learns_the_heights_of_people_by_place() -> None:
+    def walker(x: float, row: float) -> list[float]:
+        height = 20.0 + 0.2 * row
+        return [x - 0.2 * height, row - height, 0.4 * height, height]
+
+    near = [[walker(30.0 + 2.0 * k, 200.0), walker(300.0 - 2.0 * k, 400.0)] for k in range(80)]
+    scores = [0.93, 0.93]
+    frames = [detections_from_boxes(both, scores) for both in near]
+    right, wrong = walker(250.0, 300.0), [230.0, 120.0, 60.0, 180.0]
+    last = [person_and_odd([*near[-1], box]) for box in (right, wrong)]
+    assert len(follow(BoxPMB(), [*frames, last[0]])[-1]) == 3
+    assert len(follow(BoxPMB(), [*frames, last[1]])[-1]) == 2
+
+
+def person_and_odd(boxes: list[list[float]]) -> Detections:
+    return detections_from_boxes(boxes, [0.93, 0.93, 0.9])
+
+
+def test_pmb_learns_the_noise_of_a_sequence() -> None:
+    def scales(jitter: float, turn: float) -> Any:
+        rng = np.random.default_rng(2)
+        tracker, state = BoxPMB(), BoxPMB().initial(NOBODY)
+        for k in range(200):
+            x = 150.0 + (60.0 * np.sin(turn * k) if turn else 0.0) + jitter * rng.normal()
+            state, _ = tracker.step(state, people([float(x)]))
+        return state.noise
+
+    calm, restless, turning = scales(0.3, 0.0), scales(6.0, 0.0), scales(0.3, 0.3)
+    assert calm.measurement[0] < restless.measurement[0] - 0.6
+    assert turning.process[0] > calm.process[0] + 1.0
+    fixed = BoxPMB(learning=None)
+    state = fixed.initial(NOBODY)
+    for k in range(20):
+        state, _ = fixed.step(state, people([50.0 + 3.0 * k]))
+    assert not state.noise.measurement.any()
+
+
+@pytest.mark.parametrize("tracker", [BoxPMB(), KalmanHungarian(), KeptIdentities(KalmanHungarian())])
+def test_time_that_passed_is_used(tracker: Any) -> None:
+    rng = np.random.default_rng(3)
+    times = np.cumsum(rng.choice([1, 2, 3], 40)) / 25.0
+    state, seen = tracker.initial(NOBODY), set()
+    for k, time in enumerate(times):
+        # 150 px/s: with the nominal 6 px per frame, a gap of three frames would be a jump of the box's width.
+        dt = time if k == 0 else time - times[k - 1]
+        state, estimate = tracker.step(state, people([20.0 + 150.0 * time, 700.0 - 150.0 * time]), dt)
+        seen |= set(estimate.labels.tolist())
+    assert len(seen) == 2
+    with pytest.raises(ValueError, match="dt"):
+        tracker.step(state, NOBODY, 0.0)
 
 
 def test_pmb_is_the_same_at_any_zoom_and_frame_rate() -> None:

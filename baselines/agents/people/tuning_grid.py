@@ -38,3 +38,21 @@ GRIDS: Mapping[str, Grid] = {
     },
 }
 """Values tried, by agent and path into its tracker."""
+
+SEARCHED: Mapping[str, float] = {
+    "acceleration": 0.3,
+    "drift": 0.3,
+    "position_noise": 0.2,
+    "size_noise": 0.2,
+    "speed": 0.3,
+    "learning.return_rate": 0.4,
+    "clutter_log_density": 1.0,
+    "score_weight": 0.3,
+    "detection": 0.07,
+    "miss_half_life": 0.4,
+    "memory": 0.3,
+    "velocity_memory": 0.4,
+    "overlap": 0.3,
+    "report": 0.1,
+}
+"""Parameters of `pmb` that `people_search` changes, and the standard deviation of the logarithm of a change."""

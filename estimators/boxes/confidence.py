@@ -1,0 +1,126 @@
+"""Scores of any detector as log odds of a person, on a scale that the detections themselves confirm or refute.
+
+A score between 0 and 1 is read as a probability; any other scale is standardized, and scores that do not vary get a
+typical value. Whether these readings mean anything shows in persistence: a detection of a person is followed by another
+one of the same track in the next frame, a false one seldom is. Two models predict that outcome: log odds that rise with
+the reading as they do for usual detectors of people, and one high rate for all
+detections. As long as the first predicts
+better, readings are taken at face value; otherwise they say nothing and are replaced by the typical value.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from servotrack.estimators.compilation import njit
+from servotrack.estimators.types import Array
+
+FIELDS = 10
+"""Size of the state: number, mean, sum of squares, lowest and highest of the scores; intercept of the first model and
+its precision; followed and all detections, discounted; log Bayes factor of the second model."""
+
+CENTER, SPREAD = 3.0, 2.0
+"""Mean and standard deviation that standardized scores are given, typical of log odds of scores of people."""
+
+USUAL = -0.2
+"""Log odds that a detection of reading 0 is followed by another one, for usual detectors; they rise by 1 per unit."""
+
+INTERCEPT_PRECISION = 10.0
+"""Precision of the prior of the first model's intercept, as if from about 50 outcomes."""
+
+RATE_PRIOR = (9.0, 10.0)
+"""Detections followed by another one, and all, that the prior of the second model counts for."""
+
+LEAST_RATE = 0.9
+"""Smallest rate of the second model: where fewer detections persist, their association fails or many are false."""
+
+FIRST_FACTOR, LARGEST_FACTOR = -10.0, 20.0
+"""Log Bayes factor before any outcome, and its limit, which lets the models change places within seconds."""
+
+FLOOR, CEILING = 1e-3, 1.0 - 5e-4
+"""Scores are limited to this range before their log odds are taken."""
+
+
+def initial_confidence() -> Array:
+    """State before the first detection. Shape (10,)."""
+    return np.array([0.0, 0.0, 0.0, np.inf, -np.inf, USUAL, INTERCEPT_PRECISION, *RATE_PRIOR, FIRST_FACTOR])
+
+
+@njit(cache=True, nogil=True)
+def read_scores(state, scores):  # type: ignore[no-untyped-def]
+    """Update the range of the scores and read those of a frame.
+
+    Args:
+        state: State as in `initial_confidence`.
+        scores: Scores of the frame's detections, on any scale. Shape (Z,).
+
+    Returns:
+        New state; readings x, shape (Z,).
+    """
+    out = state.copy()
+    for score in scores:
+        out[0] += 1.0
+        gap = score - out[1]
+        out[1] += gap / out[0]
+        out[2] += gap * (score - out[1])
+        out[3], out[4] = min(out[3], score), max(out[4], score)
+    deviation = math.sqrt(out[2] / max(out[0], 1.0))
+    varies = out[4] - out[3] > 1e-9 * max(abs(out[3]), abs(out[4]))
+    reading = np.full(len(scores), CENTER)
+    for j in range(len(scores) if varies else 0):
+        if out[3] >= 0.0 and out[4] <= 1.0:
+            share = min(max(scores[j], FLOOR), CEILING)
+            reading[j] = math.log(share / (1.0 - share))
+        else:
+            reading[j] += SPREAD * (scores[j] - out[1]) / deviation
+    return out, reading
+
+
+@njit(cache=True, nogil=True)
+def score_log_odds(state, reading):  # type: ignore[no-untyped-def]
+    """Log odds of readings: themselves, or a typical value if readings do not tell which detections persist.
+
+    Args:
+        state: State as in `initial_confidence`.
+        reading: Readings x. Shape (k,).
+
+    Returns:
+        Shape (k,).
+    """
+    share = 1.0 / (1.0 + math.exp(-state[9]))
+    return (1.0 - share) * reading + share * CENTER
+
+
+@njit(cache=True, nogil=True)
+def learn_persistence(state, reading, followed, counts, keep):  # type: ignore[no-untyped-def]
+    """Update the two models, in place, with the outcomes of the last frame's detections.
+
+    Args:
+        state: State as in `initial_confidence`; changed.
+        reading: Reading x of each track's last detection. Shape (T,).
+        followed: True where this frame has another detection of the track. Shape (T,).
+        counts: True where the track had a detection in the last frame and nothing hides it now. Shape (T,).
+        keep: Share of the past that still counts, in (0, 1].
+    """
+    state[6] = INTERCEPT_PRECISION + keep * (state[6] - INTERCEPT_PRECISION)
+    state[7] = RATE_PRIOR[0] + keep * (state[7] - RATE_PRIOR[0])
+    state[8] = RATE_PRIOR[1] + keep * (state[8] - RATE_PRIOR[1])
+    rate = max(state[7] / state[8], LEAST_RATE)
+    gradient = (1.0 - keep) * INTERCEPT_PRECISION * (USUAL - state[5])
+    for i in range(len(reading)):
+        if not counts[i]:
+            continue
+        p = 1.0 / (1.0 + math.exp(-(state[5] + reading[i])))
+        if followed[i]:
+            gradient += 1.0 - p
+            state[9] += math.log(rate / max(p, 1e-3))
+            state[7] += 1.0
+        else:
+            gradient -= p
+            state[9] += math.log((1.0 - rate) / max(1.0 - p, 1e-3))
+        state[8] += 1.0
+        state[6] += p * (1.0 - p)
+    state[5] += gradient / state[6]
+    state[9] = min(max(state[9], -LARGEST_FACTOR), LARGEST_FACTOR)

@@ -1,0 +1,297 @@
+"""Numbers of people with intervals: in the frame, in a zone, and across a line.
+
+Every box has a probability that it is a person, and boxes count as independent, so their number has a Poisson-binomial
+distribution. People whom the detector never finds add to the number in the frame: their number is Poisson, in
+proportion to those who were found. A count without an interval hides both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import gammaln
+
+from servotrack.estimators.compilation import njit
+from servotrack.estimators.rfs.sets import SetEstimate
+from servotrack.estimators.types import Array, Labels, Mask
+
+NEGLIGIBLE = 1e-12
+"""Probability of a number below which the number is left out of a distribution."""
+
+UNDETECTED = 0.3
+"""Expected number of undetected people for each one with a track. Measured on MOTChallenge sequences, see docs/video.md."""
+
+
+class Count(NamedTuple):
+    """A number of people.
+
+    Attributes:
+        expected: Expected number.
+        low, high: Ends of the interval, both included.
+    """
+
+    expected: float
+    low: int
+    high: int
+
+
+class NumberDistribution(NamedTuple):
+    """Distribution of a number.
+
+    Attributes:
+        first: Smallest possible number.
+        probability: Probabilities of first, first + 1, ... Shape (k,).
+    """
+
+    first: int
+    probability: Array
+
+    def count(self, level: float = 0.9) -> Count:
+        """Expected number and central interval.
+
+        Args:
+            level: Smallest probability of the interval, in (0, 1). Raising it widens the interval.
+
+        Raises:
+            ValueError: `level` is out of range.
+        """
+        if not 0.0 < level < 1.0:
+            raise ValueError(f"level must be in (0, 1), got {level!r}")
+        below = np.cumsum(self.probability)
+        tail = (1.0 - level) / 2.0
+        numbers = self.first + np.arange(len(below))
+        last = len(below) - 1
+        low, high = np.searchsorted(below, tail), np.searchsorted(below, 1.0 - tail - 1e-12)
+        return Count(
+            float(numbers @ self.probability), int(numbers[min(low, last)]), int(numbers[min(int(high), last)])
+        )
+
+
+NOBODY = NumberDistribution(0, np.ones(1))
+"""Distribution of a number that is 0."""
+
+
+def add_chances(number: NumberDistribution, chances: ArrayLike) -> NumberDistribution:
+    """Add independent events to a number.
+
+    Args:
+        number: Distribution of the number so far.
+        chances: Probability of each event. Shape (k,).
+
+    Raises:
+        ValueError: A probability is not in [0, 1].
+    """
+    p = np.asarray(chances, dtype=np.float64).reshape(-1)
+    if not np.all((p >= 0.0) & (p <= 1.0)):
+        raise ValueError(f"chances must be in [0, 1], got {p[~((p >= 0.0) & (p <= 1.0))][0]}")
+    return _trimmed(number.first, _convolved(np.ascontiguousarray(number.probability), p))
+
+
+def people_count(estimate: SetEstimate, undetected: float = UNDETECTED, level: float = 0.9) -> Count:
+    """Number of people in the frame: reported ones, held ones, and those without a track.
+
+    Args:
+        estimate: Estimate of a frame.
+        undetected: Expected number of people without a track for each one with a track, at least 0. Raising it raises
+            the number and widens the interval; 0 counts only people whom the detector finds.
+        level: Probability of the interval, in (0, 1).
+
+    Raises:
+        ValueError: An argument is out of range.
+    """
+    if not undetected >= 0.0:
+        raise ValueError(f"undetected must be at least 0, got {undetected!r}")
+    chances = np.concatenate([estimate.existence, estimate.held_existence])
+    number = add_chances(NOBODY, chances)
+    rate = undetected * float(chances.sum())
+    if rate > 0.0:
+        numbers = np.arange(int(rate + 10.0 * np.sqrt(rate)) + 20)
+        others = np.exp(numbers * np.log(rate) - rate - gammaln(numbers + 1.0))
+        number = _trimmed(number.first, np.convolve(number.probability, others))
+    return number.count(level)
+
+
+@dataclass(frozen=True)
+class ZoneCount:
+    """Number of people whose feet, the middle of the box's lower edge, are in a polygon.
+
+    Args:
+        corners: Corners of the polygon, at least three, px. The last one is joined to the first.
+        level: Probability of the interval, in (0, 1).
+
+    Raises:
+        ValueError: Fewer than three corners, or numbers that are not finite.
+    """
+
+    corners: Sequence[tuple[float, float]]
+    level: float = 0.9
+
+    def __post_init__(self) -> None:
+        _check_points("corners", self.corners, 3)
+
+    def count(self, estimate: SetEstimate) -> Count:
+        """Number of people in the zone in a frame, reported and held ones."""
+        states = np.concatenate([estimate.states, estimate.held_states])
+        chances = np.concatenate([estimate.existence, estimate.held_existence])
+        inside = _inside(_feet(states), np.asarray(self.corners, dtype=np.float64))
+        return add_chances(NOBODY, chances[inside]).count(self.level)
+
+
+class LineState(NamedTuple):
+    """State of a `LineCount`.
+
+    Attributes:
+        labels: Identities reported before. Shape (k,).
+        feet: Last reported feet of each. Shape (k, 2), px.
+        existence: Smallest probability of existence since the last crossing. Shape (k,).
+        absent: Number of frames since the last report. Shape (k,).
+        forward, backward: Distributions of the numbers of crossings so far.
+    """
+
+    labels: Labels
+    feet: Array
+    existence: Array
+    absent: Labels
+    forward: NumberDistribution
+    backward: NumberDistribution
+
+
+class Crossings(NamedTuple):
+    """People who crossed a line so far.
+
+    Attributes:
+        forward: From the left to the right side of the line, seen from its first point to its second one in the image.
+        backward: From the right to the left side.
+    """
+
+    forward: Count
+    backward: Count
+
+
+@dataclass(frozen=True)
+class LineCount:
+    """Numbers of people whose feet crossed a line segment, in both directions.
+
+    Args:
+        start: First point of the segment, px.
+        end: Second point, px.
+        level: Probability of the intervals, in (0, 1).
+        memory: Number of frames for which an unreported person is remembered. Raising it counts people who cross while
+            they are hidden.
+
+    Raises:
+        ValueError: Points that are equal or not finite, or a negative memory.
+    """
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    level: float = 0.9
+    memory: int = 100
+
+    def __post_init__(self) -> None:
+        _check_points("start and end", [self.start, self.end], 2)
+        if tuple(self.start) == tuple(self.end):
+            raise ValueError(f"start and end must be different points, got {self.start!r} twice")
+        if not self.memory >= 0:
+            raise ValueError(f"memory must be at least 0, got {self.memory!r}")
+
+    def initial(self) -> LineState:
+        """State before the first frame."""
+        none = np.zeros(0, np.int64)
+        return LineState(none, np.zeros((0, 2)), np.zeros(0), none, NOBODY, NOBODY)
+
+    def step(self, state: LineState, estimate: SetEstimate) -> tuple[LineState, Crossings]:
+        """Count the crossings between the last reports and this frame.
+
+        Args:
+            state: State after the last frame.
+            estimate: Estimate of this frame; only reported people cross.
+        """
+        feet = _feet(estimate.states)
+        before = np.full(len(feet), -1)
+        order = np.argsort(state.labels)
+        if len(order) and len(feet):
+            at = np.minimum(np.searchsorted(state.labels[order], estimate.labels), len(order) - 1)
+            known = state.labels[order][at] == estimate.labels
+            before[known] = order[at[known]]
+        old = before >= 0
+        existence = np.array(estimate.existence, dtype=np.float64)
+        existence[old] = np.minimum(existence[old], state.existence[before[old]])
+        side = np.zeros(len(feet))
+        side[old] = self._crossed(state.feet[before[old]], feet[old])
+        forward = add_chances(state.forward, existence[side > 0.0])
+        backward = add_chances(state.backward, existence[side < 0.0])
+        # After a crossing the evidence for the next one begins anew.
+        existence[side != 0.0] = estimate.existence[side != 0.0]
+        gone = np.ones(len(state.labels), np.bool_)
+        gone[before[old]] = False
+        gone &= state.absent < self.memory
+        after = LineState(
+            np.concatenate([estimate.labels, state.labels[gone]]),
+            np.concatenate([feet, state.feet[gone]]),
+            np.concatenate([existence, state.existence[gone]]),
+            np.concatenate([np.zeros(len(feet), np.int64), state.absent[gone] + 1]),
+            forward,
+            backward,
+        )
+        return after, Crossings(forward.count(self.level), backward.count(self.level))
+
+    def _crossed(self, a: Array, b: Array) -> Array:
+        """1, -1 or 0 for each move from a to b, shape (k, 2) each: across the segment forward, backward, or not."""
+        start, end = np.asarray(self.start, dtype=np.float64), np.asarray(self.end, dtype=np.float64)
+        # A point on the line counts as on its right side, so that nobody crosses twice by stopping there.
+        from_side, to_side = _side(start, end, a) >= 0.0, _side(start, end, b) >= 0.0
+        within = (_side(a, b, start) >= 0.0) != (_side(a, b, end) >= 0.0)
+        return np.where(within, to_side.astype(np.float64) - from_side, 0.0)
+
+
+def _side(start: Array, end: Array, point: Array) -> Array:
+    """Positive for points to the right of the line in the image, whose rows grow downward."""
+    line, to = end - start, point - start
+    return np.asarray(line[..., 0] * to[..., 1] - line[..., 1] * to[..., 0])
+
+
+def _feet(boxes: Array) -> Array:
+    """Middle of the lower edge. Shape (k, 2), px."""
+    return np.column_stack([boxes[:, 0] + boxes[:, 2] / 2.0, boxes[:, 1] + boxes[:, 3]])
+
+
+def _inside(points: Array, corners: Array) -> Mask:
+    """Mask of the points in a polygon, by the number of edges that a ray to the right meets."""
+    x, y = points[:, 0, None], points[:, 1, None]
+    a, b = corners, np.roll(corners, -1, axis=0)
+    spans = (a[:, 1] > y) != (b[:, 1] > y)
+    rise = np.where(b[:, 1] == a[:, 1], 1.0, b[:, 1] - a[:, 1])
+    meets = spans & (x < a[:, 0] + (y - a[:, 1]) * (b[:, 0] - a[:, 0]) / rise)
+    return np.asarray(meets.sum(axis=1) % 2 == 1)
+
+
+def _trimmed(first: int, probability: Array) -> NumberDistribution:
+    """Distribution without the numbers at its ends that are next to impossible."""
+    likely = np.flatnonzero(probability > NEGLIGIBLE)
+    kept = probability[likely[0] : likely[-1] + 1]
+    return NumberDistribution(first + int(likely[0]), kept / kept.sum())
+
+
+def _check_points(name: str, points: Sequence[tuple[float, float]], least: int) -> None:
+    array = np.asarray(points, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 2 or len(array) < least or not np.isfinite(array).all():
+        raise ValueError(f"{name} must be at least {least} points (x, y) with finite numbers, got {points!r}")
+
+
+@njit(cache=True, nogil=True)
+def _convolved(probability, chances):  # type: ignore[no-untyped-def]
+    """Poisson-binomial recursion. Shape (k + number of chances,)."""
+    out = np.zeros(len(probability) + len(chances))
+    out[: len(probability)] = probability
+    size = len(probability)
+    for chance in chances:
+        for k in range(size, 0, -1):
+            out[k] = out[k] * (1.0 - chance) + out[k - 1] * chance
+        out[0] *= 1.0 - chance
+        size += 1
+    return out

@@ -1,0 +1,94 @@
+"""Numbers of people with intervals."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from servotrack.estimators.boxes import LineCount, ZoneCount, people_count, set_of_boxes
+from servotrack.estimators.boxes.counting import NOBODY, add_chances
+from servotrack.estimators.rfs.sets import SetEstimate
+
+
+def seen(feet: list[tuple[float, float]], labels: list[int], existence: list[float]) -> SetEstimate:
+    boxes = np.array([[x - 10.0, y - 60.0, 20.0, 60.0] for x, y in feet]).reshape(-1, 4)
+    return set_of_boxes(boxes, np.zeros((len(boxes), 4, 4)), np.array(labels, np.int64), np.array(existence))
+
+
+def test_numbers_have_the_distribution_of_all_combinations() -> None:
+    chances = [0.9, 0.5, 0.2, 0.7]
+    wanted = np.zeros(5)
+    for here in product([0, 1], repeat=4):
+        wanted[sum(here)] += np.prod([p if a else 1.0 - p for p, a in zip(chances, here, strict=True)])
+    number = add_chances(add_chances(NOBODY, chances[:1]), chances[1:])
+    assert number.first == 0
+    assert np.allclose(number.probability, wanted)
+    assert number.count().expected == pytest.approx(sum(chances))
+    assert add_chances(NOBODY, [1.0, 1.0]).count() == (2.0, 2, 2)
+
+
+def test_intervals_cover_the_number_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(0)
+    inside = 0
+    for _ in range(400):
+        existence = rng.uniform(0.1, 1.0, 40)
+        estimate = seen([(10.0, 70.0)] * 40, list(range(1, 41)), existence.tolist())
+        held = np.concatenate([estimate.existence, estimate.held_existence])
+        number = (rng.random(len(held)) < held).sum() + rng.poisson(0.3 * held.sum())
+        count = people_count(estimate, undetected=0.3)
+        inside += count.low <= number <= count.high
+    assert 0.87 <= inside / 400 <= 0.97
+
+
+def test_undetected_people_raise_the_number_and_widen_the_interval() -> None:
+    estimate = seen([(10.0, 70.0)] * 5, [1, 2, 3, 4, 5], [1.0] * 5)
+    sure, doubtful = people_count(estimate, undetected=0.0), people_count(estimate, undetected=0.5)
+    assert sure == (5.0, 5, 5)
+    assert doubtful.expected == pytest.approx(7.5)
+    assert doubtful.low >= 5
+    assert doubtful.high > 7
+
+
+def test_a_zone_holds_those_whose_feet_are_in_it() -> None:
+    zone = ZoneCount([(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (60.0, 100.0), (60.0, 50.0), (0.0, 50.0)])
+    estimate = seen([(50.0, 25.0), (80.0, 90.0), (30.0, 80.0), (120.0, 50.0)], [1, 2, 3, 4], [1.0, 0.75, 1.0, 1.0])
+    count = zone.count(estimate)
+    assert count.expected == pytest.approx(1.75)
+    assert (count.low, count.high) == (1, 2)
+
+
+def test_a_line_counts_each_direction_once() -> None:
+    line = LineCount((50.0, 0.0), (50.0, 100.0))
+    state = line.initial()
+    paths = {1: (40.0, 2.0, 50.0), 2: (62.0, -3.0, 30.0), 3: (40.0, 2.0, 300.0), 4: (20.0, 1.0, 50.0)}
+    for k in range(12):
+        feet = [(x + v * k, y) for x, v, y in paths.values()]
+        # The second person is hidden while crossing.
+        shown = [i for i in range(4) if not (i == 1 and 3 <= k <= 6)]
+        estimate = seen([feet[i] for i in shown], [i + 1 for i in shown], [[1.0, 0.8, 1.0, 1.0][i] for i in shown])
+        state, crossings = line.step(state, estimate)
+    assert crossings.backward.expected + crossings.forward.expected == pytest.approx(1.8)
+    one, other = sorted([crossings.forward, crossings.backward])
+    assert other == (1.0, 1, 1)
+    assert one.expected == pytest.approx(0.8)
+    assert (one.low, one.high) == (0, 1)
+    # Down the image, a person who walks to the left of the picture goes from its left to its right side.
+    assert crossings.forward.expected == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: ZoneCount([(0.0, 0.0), (1.0, 1.0)]), "corners"),
+        (lambda: LineCount((1.0, 1.0), (1.0, 1.0)), "different"),
+        (lambda: LineCount((1.0, np.nan), (1.0, 1.0)), "start and end"),
+        (lambda: add_chances(NOBODY, [1.2]), "chances"),
+        (lambda: people_count(seen([], [], []), undetected=-1.0), "undetected"),
+        (lambda: people_count(seen([], [], []), level=1.0), "level"),
+    ],
+)
+def test_errors_name_the_argument(make: object, name: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        make()  # type: ignore[operator]
