@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.text import Text
 
-from servotrack.baselines.agents.people.catalog import DETECTORS, Detector, create_detector, create_tracker
+from servotrack.baselines.agents.hyper_parameters import with_values
+from servotrack.baselines.agents.people.catalog import create_tracker
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.files import atomic_path
@@ -18,10 +21,11 @@ from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.reporting.terminal import print_tables
 from servotrack.baselines.running.stopping import Stopped
 from servotrack.baselines.track_command.claim import claim_folder
-from servotrack.baselines.track_command.inputs import FileInput, Input, PixelInput
+from servotrack.baselines.track_command.exports import FORMATS, write_formats
 from servotrack.baselines.track_command.offline import OFFLINE_TRACKS, write_offline
+from servotrack.baselines.track_command.opening import SourceRequest, open_input, working_size
 from servotrack.baselines.track_command.painter import BoxPainter
-from servotrack.baselines.track_command.run import FILM, TRACKS, TrackRun, track
+from servotrack.baselines.track_command.run import FILMS, TRACKS, TrackRun, track
 from servotrack.baselines.track_command.scores import (
     MATCH_RULES,
     TrackScores,
@@ -29,64 +33,46 @@ from servotrack.baselines.track_command.scores import (
     score_grid,
     score_tracks,
 )
-from servotrack.envs.track.files.frames import SIDES
+from servotrack.baselines.track_command.timed import TimedTracker
 from servotrack.envs.track.files.labeled import LabeledTruth, read_labeled, truth_tracks
 from servotrack.envs.track.files.mot_files import find_mot_folder
 from servotrack.envs.track.files.read import read_tracks
 from servotrack.estimators.metrics.benchmarks import BENCHMARKS
 
-FILE_DETECTOR = "file"
-"""Detector name that stands for the detections of a MOTChallenge sequence."""
 SCORES = "scores"
 """Name of the score files without .json and .md."""
-OUTPUTS = (TRACKS, OFFLINE_TRACKS, FILM, SCORES + ".json", SCORES + ".md")
+OUTPUTS = (TRACKS, OFFLINE_TRACKS, *FORMATS.values(), *FILMS, SCORES + ".json", SCORES + ".md")
 """Names of all files that a run may write."""
 _FORMAT, _FORMAT_VERSION = "servotrack-track-scores", 1
 
 
 @dataclass(frozen=True)
 class TrackRequest:
-    """Arguments of `servotrack track`.
+    """Arguments of `servotrack track` for one source.
 
     Attributes:
-        source: Video file, folder of images, MOTChallenge folder, or a camera's index.
+        source: The source and its detector.
         out: Folder for all output; None for results/track/ and the source's name.
-        detector: Name, an ONNX file, or `file` for a MOTChallenge sequence's own detections. `auto`: `file` if it has
-            detections, else the first detector.
-        classes: Names or numbers of the classes that a network finds; None for people.
-        confidence: Smallest confidence of detections of a network or a file; None: 0.25 for a network, all of a file.
         tracker: Name of the tracker.
-        size: Frame size for the detector: `WxH`, `source`, or `fit` into 384 by 288 px. Larger frames take
-            longer and show smaller people. `auto`: `source` for a network, which resizes itself, else `fit`.
+        values: Parameters of the tracker that differ from its defaults.
         truth: File of true tracks; None for the one in a MOTChallenge folder, if any.
         match: Rule of `MATCH_RULES`.
         benchmark: Rules of a benchmark in `BENCHMARKS`; None for those that fit the truth.
-        start: First frame, from 0.
-        frames: Largest number of frames; None for all.
-        stride: Use every stride-th frame.
-        background: Number of frames sampled in a first pass to initialize the background model. 0 disables the pass.
-        white: Value that is white in images of more than 8 bits; None: from the images.
         offline: If true, also write `tracks_offline.txt` with gaps filled and short tracks dropped.
+        formats: Formats besides MOTChallenge's in which tracks are written, of `FORMATS`.
         video: If true, write the annotated video.
         show_truth: If true, the video shows the true boxes, too.
     """
 
-    source: str
+    source: SourceRequest
     out: Path | None = None
-    detector: str = "auto"
-    classes: tuple[str, ...] | None = None
-    confidence: float | None = None
     tracker: str = "pmb"
-    size: str = "auto"
+    values: Mapping[str, float] = field(default_factory=dict)
     truth: Path | None = None
     match: str = "iou"
     benchmark: str | None = None
-    start: int = 0
-    frames: int | None = None
-    stride: int = 1
-    background: int = 40
-    white: float | None = None
     offline: bool = False
+    formats: tuple[str, ...] = ()
     video: bool = True
     show_truth: bool = False
 
@@ -114,13 +100,15 @@ def run_command(request: TrackRequest, console: Console) -> int:
     truth = None
     if labeled is not None:
         truth = truth_tracks(labeled, BENCHMARKS[request.benchmark or labeled.benchmark].scored)
-    source, detector = _open(request, 0 if truth is None else truth.length)
-    width, height = source.source_size or (0, 0)
-    working = (round(width / source.scale[0]), round(height / source.scale[1])) if width else None
-    tracker = create_tracker(request.tracker, working, source.frame_rate)
-    out = request.out or Path("results") / "track" / (Path(request.source).stem or source.name)
+    for name in request.formats:
+        if name not in FORMATS:
+            raise ValueError(f"formats must be of {', '.join(FORMATS)}, got {name!r}")
+    source, detector = open_input(request.source, request.video, 0 if truth is None else truth.length)
+    made = create_tracker(request.tracker, working_size(source), source.frame_rate)
+    tracker = TimedTracker(with_values(made, request.values), source.frame_rate)
+    out = request.out or Path("results") / "track" / folder_name(str(request.source.source))
     ResultsFolder(out).check_writable()
-    claim_folder(out, OUTPUTS, {"source": request.source, "detector": detector, "tracker": request.tracker})
+    claim_folder(out, OUTPUTS, {"source": source.name, "detector": detector, "tracker": request.tracker})
     painter = None
     if request.video and source.source_size is not None:
         painter = BoxPainter(source.source_size, truth, request.show_truth)
@@ -133,8 +121,9 @@ def run_command(request: TrackRequest, console: Console) -> int:
         if out / name not in run.files:
             (out / name).unlink(missing_ok=True)
     # Free memory: scoring an hour of tracks takes a lot of it.
-    frame_rate = source.frame_rate
-    del painter, tracker, source
+    frame_rate, size = source.frame_rate, source.source_size
+    del painter, tracker, made, source
+    run.files.extend(write_formats(out, request.formats, run, size))
     found = {request.tracker: out / TRACKS}
     if request.offline:
         found[f"{request.tracker}, offline"] = write_offline(out / TRACKS, run.frames, frame_rate)
@@ -170,67 +159,8 @@ def _progress(console: Console) -> Progress:
 def _truth(request: TrackRequest) -> LabeledTruth | None:
     if request.truth is not None:
         return read_labeled(request.truth)
-    sequence = find_mot_folder(request.source)
+    sequence = find_mot_folder(str(request.source.source))
     return None if sequence is None or sequence.truth is None else read_labeled(sequence.truth)
-
-
-def _open(request: TrackRequest, length: int) -> tuple[Input, str]:
-    """Return the sequence with its detector, and the detector's name."""
-    name = request.detector
-    if name == "auto":
-        sequence = find_mot_folder(request.source)
-        name = FILE_DETECTOR if sequence is not None and sequence.detections is not None else next(iter(DETECTORS))
-    if name == FILE_DETECTOR:
-        _no_classes(request, "of a file")
-        return FileInput(
-            request.source,
-            confidence=request.confidence,
-            pictures=request.video,
-            length=length,
-            start=request.start,
-            count=request.frames,
-            stride=request.stride,
-        ), name
-    network = name.lower().endswith(".onnx")
-    detector: Detector
-    if network:
-        from servotrack.baselines.agents.people.onnx_detector import CONFIDENCE, OnnxDetector
-
-        confidence = CONFIDENCE if request.confidence is None else request.confidence
-        detector = OnnxDetector(name, request.classes, confidence)
-    else:
-        _no_classes(request, f"of {name}")
-        if request.confidence is not None:
-            raise ValueError(f"confidence is for networks and files; {name} gives none: leave it out")
-        detector = create_detector(name)
-    size = request.size if request.size != "auto" else "source" if network else "fit"
-    return PixelInput(
-        request.source,
-        detector,
-        _size(size),
-        start=request.start,
-        count=request.frames,
-        stride=request.stride,
-        background=0 if network else request.background,
-        white=request.white,
-    ), name
-
-
-def _no_classes(request: TrackRequest, whose: str) -> None:
-    if request.classes is not None:
-        raise ValueError(f"classes are for networks (--detector FILE.onnx); detections {whose} have none: leave it out")
-
-
-def _size(text: str) -> tuple[int, int] | str:
-    if text in ("fit", "source"):
-        return text
-    width, cross, height = text.lower().partition("x")
-    if not (cross and width.isdecimal() and height.isdecimal() and text.isascii()):
-        raise ValueError(f"size must be WxH such as 384x288, `auto`, `fit` or `source`, got {text!r}")
-    sides = (int(width), int(height))
-    if not all(SIDES[0] <= side <= SIDES[1] for side in sides):
-        raise ValueError(f"size must have sides from {SIDES[0]} to {SIDES[1]} px, got {text!r}")
-    return sides
 
 
 def _score(
@@ -253,12 +183,12 @@ def _score(
     note = (
         f"Rules of {rules.name}; match: {MATCH_RULES[request.match].summary}. Ratios in percent. Hidden people count."
     )
-    print_tables(console, {f"{Path(request.source).name}: {detector}": grid})
+    print_tables(console, {f"{folder_name(str(request.source.source))}: {detector}": grid})
     console.print(note, style="dim", highlight=False)
     record = {
         "format": _FORMAT,
         "version": _FORMAT_VERSION,
-        "source": request.source,
+        "source": folder_name(str(request.source.source)),
         "detector": detector,
         "match": request.match,
         "benchmark": request.benchmark or truth.benchmark,
@@ -273,6 +203,15 @@ def _score(
         with atomic_path(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
         run.files.append(path)
+
+
+def folder_name(source: str) -> str:
+    """Return the name of the folder of results of a source: that of the file, or host and path of an address."""
+    if "://" in source:
+        # A password and parameters of an address belong into no name.
+        place = source.partition("://")[2].split("?")[0].rpartition("@")[2]
+        return re.sub(r"[^A-Za-z0-9._-]+", "-", place).strip("-.") or "stream"
+    return Path(source).stem or Path(source).resolve().name
 
 
 def _report(run: TrackRun, console: Console) -> int:

@@ -20,8 +20,6 @@ _BACKGROUND_SPACING = 25
 """Largest spacing of the frames of the first pass. Wider sampling would mix different light into one background."""
 _MAX_BACKGROUND = 1 << 32
 """Largest memory for the frames of the first pass, bytes."""
-_LONGEST_GAP = 60.0
-"""Longest gap that is filled with steps without detections, s. No tracker keeps anybody for longer."""
 _NOTHING = detections_from_boxes(np.zeros((0, 4)))
 _FITTED = (384, 288)
 """Largest frame for `fit`, px."""
@@ -35,16 +33,14 @@ class Step(NamedTuple):
     Attributes:
         number: Number of the frame in the source, from 0.
         picture: Decoded RGB frame; None if the source has only detections.
-        detections: Detections in working px; none for a missing frame.
+        detections: Detections in working px.
         time: Time since frame 0, s.
-        missing: True for a frame that the source does not hold. Tracks move on, but are not reported.
     """
 
     number: int
     picture: Image | None
     detections: Detections
-    time: float = 0.0
-    missing: bool = False
+    time: float
 
 
 class Input(Protocol):
@@ -137,27 +133,18 @@ class PixelInput:
     def __iter__(self) -> Iterator[Step]:
         """Decode, resize and detect; yield one step per frame."""
         state: Any = self._detector.initial(self._first_pass()) if self._background else None
-        expected: int | None = None
         try:
             for number, time, picture in self._frames.numbered():
-                yield from self._missing(expected, number)
                 frame = resize(picture, self._size)
                 if state is None:
                     state = self._detector.initial(frame)
                 state, found = self._detector.step(state, frame)
                 yield Step(number, picture, found, self._time(number) if time is None else time)
-                expected = number + self._stride
         finally:
             self._frames.close()
 
     def _time(self, number: int) -> float:
         return number / (self.frame_rate * self._stride)
-
-    def _missing(self, expected: int | None, number: int) -> Iterator[Step]:
-        """Yield the steps of missing frames; of a long gap those after which nobody is tracked any more."""
-        gap = range(number if expected is None else expected, number, self._stride)
-        for one in gap[-max(round(_LONGEST_GAP * self.frame_rate), 1) :]:
-            yield Step(one, None, _NOTHING, self._time(one), missing=True)
 
     def _first_pass(self) -> list[Image]:
         known = self._frames.length or self._background * _BACKGROUND_SPACING

@@ -6,25 +6,32 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from servotrack.baselines.agents.people.catalog import BoxTracker
 from servotrack.baselines.reporting.files import ResultsError, storage_error
-from servotrack.baselines.reporting.film import Film, FilmError
+from servotrack.baselines.reporting.film import Film, FilmError, browser_suffix
+from servotrack.baselines.reporting.h264 import has_h264
 from servotrack.baselines.running.stopping import Interruption
 from servotrack.baselines.track_command.disk_space import SpaceGuard
 from servotrack.baselines.track_command.inputs import Input, Step
+from servotrack.baselines.track_command.timed import TimedTracker, estimates
 from servotrack.baselines.track_command.tracks_file import TracksFile
 from servotrack.envs.track.files.recorded import SequenceError
 from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.types import Image
 
-TRACKS, FILM = "tracks.txt", "tracks.mp4"
+TRACKS, FILMS = "tracks.txt", ("tracks.mp4", "tracks.webm")
+"""Names of the tracks, and of the film, which depends on the encoders that are there."""
 _FILM_RATES = (1.0, 60.0)
+
+
+def film_name() -> str:
+    """Return the name of the film, one of `FILMS`."""
+    return f"tracks{browser_suffix()}"
 
 
 class Painter(Protocol):
@@ -40,6 +47,7 @@ class TrackRun:
 
     Attributes:
         frames: Numbers of the tracked frames, from 0.
+        times: Their times since frame 0, s.
         rows: Number of boxes written.
         seconds: Duration, s.
         stopped: Reason why the run ended before the sequence; empty if it did not.
@@ -51,6 +59,7 @@ class TrackRun:
     """
 
     frames: list[int] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
     rows: int = 0
     seconds: float = 0.0
     stopped: str = ""
@@ -68,7 +77,7 @@ class TrackRun:
 
 def track(
     source: Input,
-    tracker: BoxTracker,
+    tracker: TimedTracker,
     out: Path,
     painter: Painter | None = None,
     on_frame: Callable[[], None] = lambda: None,
@@ -77,8 +86,8 @@ def track(
 
     Args:
         source: Sequence with detections.
-        tracker: Tracker of boxes.
-        out: Folder for `tracks.txt` and, with a painter, `tracks.mp4`.
+        tracker: Tracker of boxes with its state, before the first frame.
+        out: Folder for `tracks.txt` and, with a painter, the film of `film_name`.
         painter: Draws the video; None for no video.
         on_frame: Called after every frame.
 
@@ -95,13 +104,12 @@ def track(
     guard = SpaceGuard(out)
     with Interruption() as interruption, TracksFile(out / TRACKS) as tracks, _filming(source, out, painter) as film:
         try:
-            for step, estimate in _estimates(source, tracker):
-                if step.missing:
-                    continue
+            for step, estimate in estimates(source, tracker):
                 guard.check()
                 tracks.write(step.number + 1, estimate)
                 film.show(step, estimate)
                 run.frames.append(step.number)
+                run.times.append(step.time)
                 on_frame()
                 if interruption.signal:
                     run.signal, run.stopped = interruption.signal, "interrupted"
@@ -118,21 +126,12 @@ def track(
     run.seconds, run.rows = time.perf_counter() - started, tracks.rows
     run.warnings.extend([source.warning] if source.warning else [])
     run.notes.extend(source.notes)
+    if film.count and not has_h264():
+        run.notes.append("the film is written in WebM, which takes long: pip install av makes it a quick MP4")
     run.files.append(out / TRACKS)
     if film.count:
-        _keep_film(out / FILM, run)
+        _keep_film(out / film_name(), run)
     return run
-
-
-def _estimates(source: Input, tracker: BoxTracker) -> Iterator[tuple[Step, SetEstimate]]:
-    """Yield every step with its tracks, in the source's px."""
-    factor = np.array([*source.scale, *source.scale])
-    state: Any = None
-    for step in source:
-        if state is None:
-            state = tracker.initial(step.detections)
-        state, estimate = tracker.step(state, step.detections)
-        yield step, replace(estimate, states=estimate.states * factor, held_states=estimate.held_states * factor)
 
 
 class _Filming:
@@ -165,7 +164,10 @@ def _filming(source: Input, out: Path, painter: Painter | None) -> Iterator[_Fil
             yield _Filming(None, None, pool)
         return
     # The pool shuts down before the film is closed.
-    with Film(out / FILM, float(np.clip(source.frame_rate, *_FILM_RATES))) as film, ThreadPoolExecutor(1) as pool:
+    with (
+        Film(out / film_name(), float(np.clip(source.frame_rate, *_FILM_RATES))) as film,
+        ThreadPoolExecutor(1) as pool,
+    ):
         yield _Filming(film, painter, pool)
 
 

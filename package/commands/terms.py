@@ -91,3 +91,22 @@ def env_kwargs(level: int | None, settings: list[str] | None) -> dict[str, Any]:
         except (ValueError, SyntaxError):
             kwargs[key] = value
     return kwargs
+
+
+def tracker_values(settings: list[str] | None) -> dict[str, float]:
+    """Return parameters of a tracker from PATH=NUMBER; raises ValueError for anything else."""
+    values: dict[str, float] = {}
+    for setting in settings or []:
+        path, equals, text = setting.partition("=")
+        number = {"true": 1.0, "false": 0.0}.get(text.lower())
+        try:
+            number = float(text) if number is None else number
+        except ValueError:
+            equals = ""
+        if not equals or not all(part.isidentifier() or part.isdigit() for part in path.split(".")):
+            raise ValueError(f"--set takes NAME=NUMBER, got {setting!r}; for example --set birth=0.05")
+        if path in values:
+            raise ValueError(f"{path} is given twice, got {setting!r} after {values[path]:g}")
+        assert number is not None
+        values[path] = int(number) if number.is_integer() and "." not in text else number
+    return values

@@ -14,11 +14,19 @@ from servotrack.commands.terms import (
     console,
     env_kwargs,
     find_user_modules,
+    tracker_values,
+    words,
 )
 
 
 def track(
-    source: Annotated[str, typer.Argument(help="Video file, folder of images, MOTChallenge folder, or camera index.")],
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            help="Video files, folders of images, MOTChallenge folders, camera indices, or addresses (http, https, "
+            "rtsp). Several ones are tracked one after the other."
+        ),
+    ],
     detector: Annotated[
         str,
         typer.Option(
@@ -42,7 +50,21 @@ def track(
             "--tracker", "-t", help="pmb, gm-phd, gm-phd-paper, gm-cbmember, kalman-hungarian, no-filter, ..."
         ),
     ] = "pmb",
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Output folder. Default: results/track/NAME.")] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Parameter of the tracker, such as birth=0.05; repeatable."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Output folder; of several sources a folder with one for each. Default: results/track/NAME.",
+        ),
+    ] = None,
+    tracks: Annotated[
+        str, typer.Option(help="Formats besides MOTChallenge's, with commas: csv, jsonl, coco. Default: none.")
+    ] = "",
     size: Annotated[
         str,
         typer.Option(
@@ -89,36 +111,53 @@ def track(
             help="Also write tracks_offline.txt: gaps up to 1 s interpolated, tracks under 0.3 s dropped.",
         ),
     ] = False,
-    video: Annotated[bool, typer.Option(help="Write the annotated video tracks.mp4.")] = True,
+    video: Annotated[
+        bool, typer.Option(help="Write the annotated video tracks.mp4, or tracks.webm without PyAV.")
+    ] = True,
     show_truth: Annotated[bool, typer.Option("--show-truth", help="Draw the true boxes into the video, too.")] = False,
     table_format: TableFormat = "table",
 ) -> None:
     """Track people in a real sequence; write MOTChallenge tracks, an annotated video and, with --truth, scores."""
-    from servotrack.baselines.track_command.command import TrackRequest, run_command
+    from servotrack.baselines.track_command.command import TrackRequest, folder_name, run_command
+    from servotrack.baselines.track_command.opening import SourceRequest
 
-    request = TrackRequest(
-        source,
-        out,
-        detector,
-        None if classes is None else tuple(part.strip() for part in classes.split(",")),
-        confidence,
-        tracker,
-        size,
-        truth,
-        match,
-        benchmark,
-        start,
-        frames,
-        stride,
-        background,
-        white,
-        offline,
-        video,
-        show_truth,
-    )
-    code = run_command(request, console(table_format))
-    if code:
-        raise typer.Exit(code)
+    names = [folder_name(source) for source in sources]
+    if len(sources) > 1 and truth is not None:
+        raise ValueError("--truth is of one source; give sources with their own gt/gt.txt, or track them one by one")
+    if len(set(names)) < len(names):
+        raise ValueError(f"sources must have different names, got {', '.join(names)}; track them one by one")
+    worst = 0
+    for source, name in zip(sources, names, strict=True):
+        request = TrackRequest(
+            SourceRequest(
+                source,
+                detector,
+                None if classes is None else tuple(words(classes)),
+                confidence,
+                size,
+                start,
+                frames,
+                stride,
+                background,
+                white,
+            ),
+            out / name if out is not None and len(sources) > 1 else out,
+            tracker,
+            tracker_values(settings),
+            truth,
+            match,
+            benchmark,
+            offline,
+            tuple(words(tracks)),
+            video,
+            show_truth,
+        )
+        code = run_command(request, console(table_format))
+        worst = max(worst, code)
+        if code > 128:
+            break
+    if worst:
+        raise typer.Exit(worst)
 
 
 def render(

@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from servotrack.baselines.reporting.film import CODECS, Film, FilmError, write_film
+from servotrack.baselines.reporting import film as film_module
+from servotrack.baselines.reporting.film import CODECS, Film, FilmError, browser_suffix, write_film
 
 
 def picture(k: int, width: int = 64, height: int = 48) -> np.ndarray:
@@ -96,7 +97,7 @@ def test_film_that_could_not_be_written_in_full_is_removed(tmp_path, suffix):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, before[1]))
     try:
-        with pytest.raises(FilmError, match=rf"film\{suffix} could not be written: \d+ of 60 frames can be read back"):
+        with pytest.raises(FilmError, match=rf"film\{suffix} could not be (written: \d+ of 60 frames|finished)"):
             write_film((np.random.default_rng(k).integers(0, 256, (96, 128, 3), np.uint8) for k in range(60)),
                        tmp_path / f"film{suffix}", 10.0)  # fmt: skip
     finally:
@@ -109,3 +110,20 @@ def test_name_of_a_folder_is_no_address(tmp_path, monkeypatch):
     write_film([picture(0)], Path("file:out") / "film.mp4", 10.0)
     assert len(frames_of(tmp_path / "file:out" / "film.mp4")) == 1
     assert [item.name for item in tmp_path.iterdir()] == ["file:out"]
+
+
+def test_film_that_browsers_play_has_its_index_first(tmp_path):
+    pytest.importorskip("av")
+    assert browser_suffix() == ".mp4"
+    write_film((picture(k) for k in range(5)), tmp_path / "film.mp4", 29.97)
+    content = (tmp_path / "film.mp4").read_bytes()
+    # H.264 in MP4, and playable before all of it has come.
+    assert b"avc1" in content and content.index(b"moov") < content.index(b"mdat")
+    assert cv2.VideoCapture(str(tmp_path / "film.mp4")).get(cv2.CAP_PROP_FPS) == pytest.approx(29.97, abs=1e-3)
+
+
+def test_without_pyav_films_for_browsers_are_webm(tmp_path, monkeypatch):
+    monkeypatch.setattr(film_module, "has_h264", lambda: False)
+    assert browser_suffix() == ".webm"
+    write_film((picture(k) for k in range(3)), tmp_path / "film.mp4", 10.0)
+    assert len(frames_of(tmp_path / "film.mp4")) == 3

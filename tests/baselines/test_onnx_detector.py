@@ -12,6 +12,7 @@ from rich.console import Console
 from servotrack.baselines.agents.people.onnx_detector import OnnxDetector
 from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.track_command.command import TrackRequest, run_command
+from servotrack.baselines.track_command.opening import SourceRequest
 from servotrack.envs.track.files.read import read_tracks
 from servotrack.estimators.detect.network_frames import GRAY, letterbox, non_maximum_suppression, stretch
 from servotrack.estimators.testing import FrameInputs, check_estimator
@@ -348,17 +349,18 @@ def test_track_command_takes_a_network(tmp_path):
         frame[24:72, 8 * k : 8 * k + 24] = 255
         Image.fromarray(frame).save(folder / f"{k:03}.png")
     network = finding_network(tmp_path / "a.onnx")
-    request = TrackRequest(
-        str(folder), tmp_path / "out", detector=str(network), classes=("person",), confidence=0.5, video=False
-    )
+    source = SourceRequest(str(folder), str(network), ("person",), 0.5)
+    request = TrackRequest(source, tmp_path / "out", video=False)
     assert run_command(request, Console(quiet=True)) == 0
     (track,) = read_tracks(tmp_path / "out" / "tracks.txt").tracks
     expected = np.array([[8 * k, 24, 24, 48] for k in range(12)], float)[track.steps]
     assert len(track.steps) >= 9 and np.abs(track.states - expected).max() < 6
-    with pytest.raises(ValueError, match=r"classes are for networks .* of masked have none"):
-        run_command(TrackRequest(str(folder), tmp_path / "b", detector="masked", classes=("car",)), Console(quiet=True))
-    with pytest.raises(ValueError, match="confidence is for networks and files; masked gives none"):
-        run_command(TrackRequest(str(folder), tmp_path / "b", detector="masked", confidence=0.5), Console(quiet=True))
+    for wrong, message in (
+        (SourceRequest(str(folder), "masked", ("car",)), r"classes are for networks .* of masked have none"),
+        (SourceRequest(str(folder), "masked", None, 0.5), "confidence is for networks and files; masked gives none"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            run_command(TrackRequest(wrong, tmp_path / "b"), Console(quiet=True))
 
 
 @pytest.mark.slow

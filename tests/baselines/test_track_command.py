@@ -22,8 +22,9 @@ from servotrack.baselines.track_command.claim import claim_folder
 from servotrack.baselines.track_command.command import OUTPUTS
 from servotrack.baselines.track_command.inputs import FileInput, PixelInput
 from servotrack.baselines.track_command.painter import BoxPainter
-from servotrack.baselines.track_command.run import track
+from servotrack.baselines.track_command.run import film_name, track
 from servotrack.baselines.track_command.scores import score_tracks
+from servotrack.baselines.track_command.timed import TimedTracker
 from servotrack.baselines.track_command.tracks_file import TracksFile
 from servotrack.envs.track.files.read import read_tracks
 from servotrack.envs.track.files.recorded import RecordedTracks, SequenceError
@@ -59,6 +60,10 @@ class Following:
 
     def step(self, state: int, detections: Detections) -> tuple[int, SetEstimate]:
         return state + 1, estimate_of(detections.boxes)
+
+
+def following() -> TimedTracker:
+    return TimedTracker(Following(), 10.0)
 
 
 def estimate_of(boxes: np.ndarray) -> SetEstimate:
@@ -97,13 +102,13 @@ def film_frames(path: Path) -> int:
 def test_tracks_are_in_the_sources_px_whatever_size_the_detector_works_at(tmp_path):
     detector = Brightness()
     source = PixelInput(write_video(tmp_path / "v.avi"), detector, (64, 48), background=4)
-    run = track(source, Following(), tmp_path / "out", BoxPainter((128, 96), truth_of()))
+    run = track(source, following(), tmp_path / "out", BoxPainter((128, 96), truth_of()))
     assert detector.learned == 4
     assert run.frames == list(range(FRAMES)) and run.stopped == "" and run.rate > 0
     found = read_tracks(tmp_path / "out" / "tracks.txt")
     np.testing.assert_allclose(found.tracks[0].states, truth_of().tracks[0].states, atol=2.0)
-    assert film_frames(tmp_path / "out" / "tracks.mp4") == FRAMES
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["tracks.mp4", "tracks.txt"]
+    assert film_frames(tmp_path / "out" / film_name()) == FRAMES
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [film_name(), "tracks.txt"]
     scores = score_tracks(truth_of(), found, run.frames, "iou")
     assert (scores.count_accuracy, scores.mota, scores.idf1, scores.identity_switches) == (1.0, 1.0, 1.0, 0)
     assert scores.ospa < 0.1
@@ -121,7 +126,7 @@ def test_first_pass_that_needs_too_much_memory_is_refused(tmp_path):
 def test_start_count_and_stride_keep_the_sources_numbers(tmp_path):
     source = PixelInput(write_video(tmp_path / "v.avi"), Brightness(), "source", start=2, count=3, stride=4)
     assert (source.length, source.frame_rate) == (3, 2.5)
-    run = track(source, Following(), tmp_path / "out")
+    run = track(source, following(), tmp_path / "out")
     assert run.frames == [2, 6, 10]
     found = read_tracks(tmp_path / "out" / "tracks.txt")
     assert found.tracks[0].steps.tolist() == [2, 6, 10]
@@ -135,8 +140,8 @@ def test_detections_of_a_sequence_without_images_are_tracked(tmp_path):
     (tmp_path / "seqinfo.ini").write_text("[Sequence]\nseqLength=4000000000\nframeRate=8\nimWidth=64\nimHeight=48\n")
     source = FileInput(tmp_path)
     assert source.length == 5 and source.source_size == (64, 48)
-    run = track(source, Following(), tmp_path / "out", BoxPainter((64, 48)))
-    assert run.rows == 2 and film_frames(tmp_path / "out" / "tracks.mp4") == 5
+    run = track(source, following(), tmp_path / "out", BoxPainter((64, 48)))
+    assert run.rows == 2 and film_frames(tmp_path / "out" / film_name()) == 5
     assert read_tracks(tmp_path / "out" / "tracks.txt").tracks[0].steps.tolist() == [1, 4]
     with pytest.raises(SequenceError, match=r"holds no det/det\.txt"):
         FileInput(tmp_path / "det")
@@ -152,10 +157,10 @@ def test_broken_source_keeps_what_was_tracked(tmp_path, background):
         cv2.imwrite(str(folder / f"{k}.png"), np.full((64, 64, 3), 255 if k < 5 else 0, np.uint8))
     (folder / "4.png").write_bytes(b"broken")
     source = PixelInput(folder, Brightness(), background=background)
-    run = track(source, Following(), tmp_path / "out", BoxPainter((64, 64)))
+    run = track(source, following(), tmp_path / "out", BoxPainter((64, 64)))
     assert run.frames == [0, 1, 2, 3] and "4.png cannot be decoded as an image" in run.stopped and run.error is not None
     assert read_tracks(tmp_path / "out" / "tracks.txt").length == 4
-    assert film_frames(tmp_path / "out" / "tracks.mp4") == 4
+    assert film_frames(tmp_path / "out" / film_name()) == 4
 
 
 def test_nothing_tracked_leaves_an_earlier_file_alone(tmp_path):
@@ -167,7 +172,7 @@ def test_nothing_tracked_leaves_an_earlier_file_alone(tmp_path):
     source = PixelInput(tmp_path / "f", Brightness())
     (tmp_path / "f" / "1.png").write_bytes(b"broken")
     with pytest.raises(SequenceError, match="cannot be decoded as an image"):
-        track(source, Following(), out)
+        track(source, following(), out)
     assert [p.name for p in out.iterdir()] == ["tracks.txt"] and "earlier" in (out / "tracks.txt").read_text()
 
 
@@ -202,20 +207,20 @@ def test_run_ends_before_the_disk_is_full(tmp_path, monkeypatch):
     usage = disk_space.shutil.disk_usage(tmp_path)
     monkeypatch.setattr(disk_space.shutil, "disk_usage", lambda _: usage._replace(free=free.pop(0)))
     source = PixelInput(write_video(tmp_path / "v.avi", 40), Brightness())
-    run = track(source, Following(), tmp_path / "out", BoxPainter(SIZE))
+    run = track(source, following(), tmp_path / "out", BoxPainter(SIZE))
     assert len(run.frames) == 16 and "No space left on device (1024 KiB free)" in run.stopped
     assert read_tracks(tmp_path / "out" / "tracks.txt").length == 16
-    assert film_frames(tmp_path / "out" / "tracks.mp4") == 16
+    assert film_frames(tmp_path / "out" / film_name()) == 16
 
 
 def test_film_that_does_not_play_is_removed_with_a_warning(tmp_path, monkeypatch):
     source = PixelInput(write_video(tmp_path / "v.avi"), Brightness())
-    film = tmp_path / "out" / "tracks.mp4"
+    film = tmp_path / "out" / film_name()
     from servotrack.baselines.track_command import run as module
 
     keep = module._keep_film
     monkeypatch.setattr(module, "_keep_film", lambda f, r: (film.write_bytes(b"half a film"), keep(f, r)))
-    run = track(source, Following(), tmp_path / "out", BoxPainter(SIZE))
+    run = track(source, following(), tmp_path / "out", BoxPainter(SIZE))
     assert "could not be finished" in run.warnings[0] and not film.exists()
     assert [path.name for path in run.files] == ["tracks.txt"]
 
@@ -224,9 +229,9 @@ def test_folder_that_cannot_be_written_is_named_before_anything_is_decoded(tmp_p
     (tmp_path / "out").write_text("a file")
     source = PixelInput(write_video(tmp_path / "v.avi"), Brightness())
     with pytest.raises(ResultsError, match="out is a file, not a results folder"):
-        track(source, Following(), tmp_path / "out")
+        track(source, following(), tmp_path / "out")
     with pytest.raises(ResultsError, match="is not writable"):
-        track(source, Following(), Path("/proc/nowhere"))
+        track(source, following(), Path("/proc/nowhere"))
 
 
 @pytest.fixture
@@ -247,9 +252,9 @@ def test_signal_is_taken_between_two_frames(tmp_path):
         if len(seen) == 5:
             os.kill(os.getpid(), signal.SIGINT)
 
-    run = track(source, Following(), tmp_path / "out", BoxPainter(SIZE), on_frame=interrupt)
+    run = track(source, following(), tmp_path / "out", BoxPainter(SIZE), on_frame=interrupt)
     assert run.signal == signal.SIGINT and run.stopped == "interrupted" and run.frames == list(range(5))
-    assert film_frames(tmp_path / "out" / "tracks.mp4") == 5
+    assert film_frames(tmp_path / "out" / film_name()) == 5
     with pytest.raises(KeyboardInterrupt):  # outside, it acts as ever
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(1.0)
@@ -291,7 +296,7 @@ def test_command_writes_tracks_film_and_scores(sequence, tmp_path):
     text, _ = process.communicate(timeout=120)
     assert process.returncode == 0, text
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names == {"track.json", "tracks.txt", "tracks.mp4", "tracks_offline.txt", "scores.json", "scores.md"}
+    assert names == {"track.json", "tracks.txt", film_name(), "tracks_offline.txt", "scores.json", "scores.md"}
     record = json.loads((tmp_path / "out" / "scores.json").read_text())
     assert set(record["scores"]) == {"pmb", "pmb, offline"} and record["match"] == "centroid"
     assert record["scores"]["pmb"]["frames"] == FRAMES
@@ -310,10 +315,10 @@ def test_interrupt_in_the_middle_keeps_valid_files_and_says_so(tmp_path):
     text, _ = process.communicate(timeout=60)
     assert process.returncode == 130, text
     found = read_tracks(tmp_path / "out" / "tracks.txt")
-    kept = film_frames(tmp_path / "out" / "tracks.mp4")
+    kept = film_frames(tmp_path / "out" / film_name())
     assert 20 < found.length <= kept < 2000
     assert f"stopped by SIGINT; {kept} frames are kept, up to frame {kept - 1}" in text
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["track.json", "tracks.mp4", "tracks.txt"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["track.json", film_name(), "tracks.txt"]
 
 
 def test_files_of_others_are_neither_replaced_nor_removed(sequence, tmp_path):
