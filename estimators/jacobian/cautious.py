@@ -28,7 +28,8 @@ class Cautious:
         gain: Share g of the error to remove in one period, in (0, 1]. Larger values converge faster, amplify noise, and
             oscillate with motors that lag.
         integral_gain: Gain of the time integral of the error, 1/s, which counts while the target moves: it removes what
-            the estimate of the target's velocity lags behind. Larger values remove it faster and may oscillate.
+            the estimate of the target's velocity lags behind. Larger values remove it faster and may oscillate. The
+            goal's velocity is known and needs none.
         period: Control period, s.
         risk: Largest expected error from the uncertainty of J, as a share of the error that is to be removed. Larger
             values move faster along a poor estimate.
@@ -112,9 +113,11 @@ class Cautious:
         covariance, variance = uncertainty(estimate)
         *batch, m, d = estimate.jacobian.shape
         rows = int(np.prod(batch, dtype=np.int64))
+        given = getattr(estimate, "goal_velocity", None)
         motion, curvature, integral = _motions(
             integral.reshape(rows, m),
             np.ascontiguousarray(estimate.error).reshape(rows, m),
+            np.zeros((rows, m)) if given is None else np.ascontiguousarray(given).reshape(rows, m),
             np.ascontiguousarray(variance).reshape(rows, m),
             np.ascontiguousarray(estimate.jacobian).reshape(rows, m, d),
             np.ascontiguousarray(covariance).reshape(rows, m, d, d),
@@ -166,7 +169,7 @@ def row_weights(jacobian, covariance, variance):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _motions(integrals, errors, variances, jacobians, covariances, period, tuning):  # type: ignore[no-untyped-def]
+def _motions(integrals, errors, given, variances, jacobians, covariances, period, tuning):  # type: ignore[no-untyped-def]
     """Motion of each row within a period, see `Cautious`, and its quadratic form. Shapes (rows, n), (rows, n, n)."""
     gain, integral_gain, risk, certain, significance = tuning
     integrals = integrals.copy()
@@ -181,7 +184,8 @@ def _motions(integrals, errors, variances, jacobians, covariances, period, tunin
         length, counted, drift, drift_doubt = 0.0, 0.0, 0.0, 0.0
         for i in range(m):
             if weights[i] > 0.0:
-                drift += weights[i] * jacobian[i, n] ** 2 / variance[i]
+                own = jacobian[i, n] + given[row, i]
+                drift += weights[i] * own**2 / variance[i]
                 drift_doubt += weights[i] * covariance[i, n, n] / variance[i]
         # Steep in the ratio, whose mean over many features hardly passes 2 by chance.
         ratio = min(drift / (4.0 * drift_doubt), 1e3) ** 4 if drift_doubt > 0.0 else 0.0
@@ -192,7 +196,9 @@ def _motions(integrals, errors, variances, jacobians, covariances, period, tunin
             weight = weights[i] / variance[i]
             # The integral stands for what the estimate of the target's velocity lags behind.
             integrals[row, i] = known * (integrals[row, i] + period * errors[row, i])
-            wanted = -gain * errors[row, i] - known * jacobian[i, n] * period - integral_gain * integrals[row, i]
+            # The goal's velocity is given, and that of the target counts as far as it is significant.
+            velocity = known * (jacobian[i, n] + given[row, i]) - given[row, i]
+            wanted = -gain * errors[row, i] - velocity * period - integral_gain * integrals[row, i]
             length += weight * wanted * wanted
             counted += weights[i]
             for j in range(n):

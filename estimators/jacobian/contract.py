@@ -118,6 +118,8 @@ class LinearEstimate:
             n + 1).
         error_variance: Variance of each entry of `error`, infinite for a feature that was never seen; None from
             estimators without one. Shape (*batch, m), px^2.
+        goal_velocity: Velocity of the goal, which is already subtracted from the last column of `jacobian` and has no
+            variance; None: it rests. Shape (*batch, m), px/s.
     """
 
     error: Array
@@ -126,6 +128,7 @@ class LinearEstimate:
     nis: Array
     covariance: Array | None = None
     error_variance: Array | None = None
+    goal_velocity: Array | None = None
 
     def predict_error(self, joint_motion: Array, duration: Array | float) -> Array:
         """Predict the error after a motion, to first order. Arguments as in `ServoEstimate.predict_error`."""

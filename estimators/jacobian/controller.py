@@ -192,4 +192,5 @@ def _relative(estimate: Any, velocity: Array) -> Any:
     """Estimate whose time column is that of the error: the velocity of the goal is subtracted."""
     jacobian = estimate.jacobian.copy()
     jacobian[..., -1] -= velocity
-    return replace(estimate, jacobian=jacobian)
+    given = {"goal_velocity": velocity} if hasattr(estimate, "goal_velocity") else {}
+    return replace(estimate, jacobian=jacobian, **given)

@@ -33,6 +33,7 @@ def exact(jacobian, deviation=1.0, error=None, noise=0.5):
         nis=np.zeros(()),
         covariance=np.tile(np.diag([deviation**2] * n + [1.0]), (m, 1, 1)),
         error_variance=np.full(m, noise**2),
+        goal_velocity=np.zeros(m),
     )
 
 
@@ -46,6 +47,23 @@ def test_a_certain_estimate_is_inverted():
         1
     ]
     np.testing.assert_allclose(rate * law.period, 0.3 * wanted, rtol=1e-6)
+
+
+def test_a_velocity_counts_in_full_where_it_is_given_and_else_as_far_as_it_is_significant():
+    """The goal's velocity is known; the same velocity of the target is an estimate, here with a larger deviation."""
+    rng = np.random.default_rng(4)
+    jacobian, wanted = rng.normal(0.0, 300.0, (8, 5)), rng.normal(0.0, 0.005, 5)
+    still = exact(jacobian, 1e-3, np.zeros(8))
+    still.covariance[:, -1, -1] = 5.0**2
+    law = Cautious()
+    begin = law.initial(ServoMeasurement(np.zeros(5), np.zeros(8), np.zeros(8), True, 0.0, 0.0))
+    moved = still.jacobian.copy()
+    moved[:, -1] = -jacobian @ wanted
+    assert np.abs(moved[:, -1]).max() < 5.0
+    by_goal = dataclasses.replace(still, jacobian=moved, goal_velocity=jacobian @ wanted)
+    np.testing.assert_allclose(law.rate(begin, by_goal)[1], wanted, rtol=1e-6)
+    by_itself = dataclasses.replace(still, jacobian=moved)
+    assert np.abs(law.rate(begin, by_itself)[1]).max() < 0.01 * np.abs(wanted).max()
 
 
 def test_the_risk_of_a_motion_is_bounded():
