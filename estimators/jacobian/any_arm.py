@@ -16,7 +16,11 @@ from servotrack.estimators.jacobian.contract import JacobianEstimator, ServoMeas
 from servotrack.estimators.jacobian.measurement import checked
 
 
-def chain_bank(plays: Sequence[float] = (0.0, 0.0087, 0.0175), revolute: tuple[bool, ...] | None = None) -> ChainBank:
+def chain_bank(
+    plays: Sequence[float] = (0.0, 0.0087, 0.0175),
+    moving: Sequence[float] = (0.0,),
+    revolute: tuple[bool, ...] | None = None,
+) -> ChainBank:
     """Create a bank of `ChainJacobian`s, each with an `AdaptiveKalmanJacobian` beside it, one per play of the gears.
 
     Play between encoder and link is what no calibration shows and what a servo trips over: near the goal, joints turn
@@ -25,11 +29,12 @@ def chain_bank(plays: Sequence[float] = (0.0, 0.0087, 0.0175), revolute: tuple[b
     Args:
         plays: Assumed plays of all joints, rad: none, half a degree and a degree. Computing time grows in proportion
             to their number.
+        moving: The same, of chains whose target moves by itself.
         revolute: True for each joint that turns, False for those that slide; None: all turn. Shape (n,).
     """
     alignment = Alignment(revolute=revolute)
     chain = ChainJacobian(linear=AdaptiveKalmanJacobian(alignment=alignment), alignment=alignment, revolute=revolute)
-    return ChainBank(chain, tuple(plays))
+    return ChainBank(chain, tuple(plays), tuple(moving))
 
 
 @dataclass(frozen=True)

@@ -189,13 +189,15 @@ def _motions(integrals, errors, given, variances, jacobians, covariances, period
                 drift_doubt += weights[i] * covariance[i, n, n] / variance[i]
         # Steep in the ratio, whose mean over many features hardly passes 2 by chance.
         ratio = min(drift / (4.0 * drift_doubt), 1e3) ** 4 if drift_doubt > 0.0 else 0.0
-        known = ratio / (1.0 + ratio)
+        lagging = ratio / (1.0 + ratio)
+        # A velocity without any variance counts in full, and is not taken to lag.
+        known = lagging if drift_doubt > 0.0 else 1.0
         for i in range(m):
             if weights[i] == 0.0:
                 continue
             weight = weights[i] / variance[i]
             # The integral stands for what the estimate of the target's velocity lags behind.
-            integrals[row, i] = known * (integrals[row, i] + period * errors[row, i])
+            integrals[row, i] = lagging * (integrals[row, i] + period * errors[row, i])
             # The goal's velocity is given, and that of the target counts as far as it is significant.
             velocity = known * (jacobian[i, n] + given[row, i]) - given[row, i]
             wanted = -gain * errors[row, i] - velocity * period - integral_gain * integrals[row, i]

@@ -72,7 +72,7 @@ class ChainJacobian:
     Joint axes, points and focal length are fitted to keyframes spread over all postures so far, by Levenberg-Marquardt
     steps on a robust likelihood with weak priors. The features at present are the chain's, which averages the noise of
     all frames and knows points out of view. A linear filter runs beside it and takes over where it predicts new frames
-    better, as when the target moves: the chain assumes a target at rest, and its J_t is 0.
+    better, as when the target moves: unless `moving`, the chain assumes a target at rest, and its J_t is 0.
 
     Args:
         linear: Linear filter, for whose features an entry of `visible` each is valid. It serves until the chain is as
@@ -113,6 +113,13 @@ class ChainJacobian:
             keep them during longer disturbances.
         drift: Standard deviation of the features' velocity that is not the arm's while the chain serves, px/s; it only
             enters `covariance`.
+        moving: True for a rigid target that moves by itself, in the hand's or the world's frame. Its motion is filtered
+            from what the chain leaves unexplained, and gives J_t, without a variance: a law feeds it forward in full.
+        target_speed: Prior standard deviation of a moving target's rates, rad/s and mean depths of the points/s.
+        target_change: Standard deviation of their change within a second while the target seems to rest. Larger values
+            follow sooner, and average less.
+        target_turn: The same as a share of the rates themselves. Larger values follow targets that turn, and average
+            less.
         alignment: Pairing of joints and features by time stamps; use the linear filter's.
     """
 
@@ -140,6 +147,10 @@ class ChainJacobian:
     offset_time: float = 1.0
     patience: float = 40.0
     drift: float = 5.0
+    moving: bool = False
+    target_speed: float = 0.02
+    target_change: float = 0.015
+    target_turn: float = 1.0
     alignment: Alignment = field(default_factory=Alignment)
 
     row_covariances: ClassVar[bool] = True
@@ -207,6 +218,7 @@ class ChainJacobian:
             nis=np.zeros(batch),
             best=np.zeros(batch, np.int64),
             chained=np.zeros(batch, np.bool_),
+            parameters=np.zeros((*batch, state.chain.parameters.shape[-1])),
         )
         axes = len(batch)
         update_chains(_rows(memory, axes), _rows(frame, axes), self.settings(n), _rows(output, axes))
@@ -260,7 +272,7 @@ class ChainJacobian:
             covariance=np.where(chained[..., None, None], output.covariance, covariance),
             error_variance=np.where(chained, output.variance, variance),
             chained=chained,
-            parameters=np.take_along_axis(chain.parameters, output.best[..., None, None], axis=-2)[..., 0, :],
+            parameters=output.parameters,
             reverse=np.take_along_axis(chain.reverse, output.best[..., None], axis=-1)[..., 0],
             focal=np.full(output.best.shape, float(self.focal)),
             angles=angles,
@@ -296,6 +308,10 @@ class ChainJacobian:
             served=np.zeros(batch),
             least_error=np.full(batch, ChainSettings._field_defaults["no_error"]),
             frames=np.zeros(batch),
+            moves=np.full(batch, self.moving),
+            motion=np.zeros((*batch, 12)),
+            motion_covariance=np.zeros((*batch, 12, 12)),
+            evidence=np.zeros(batch),
         )
 
     def settings(self, joints: int) -> ChainSettings:
@@ -333,6 +349,9 @@ _POSITIVE = (
     "offset_time",
     "patience",
     "drift",
+    "target_speed",
+    "target_change",
+    "target_turn",
 )
 
 
@@ -378,6 +397,7 @@ def _frame(state: ChainState, alignment: AlignmentState, increment: Increment) -
         linear_error=features - expected,
         compared=seen & state.seen,
         present=alignment.frame_joints + increment.pending_joints,
+        pending=increment.pending_time,
     )
 
 

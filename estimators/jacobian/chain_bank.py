@@ -36,14 +36,17 @@ class _Prepared(NamedTuple):
 
 @dataclass(frozen=True)
 class ChainBank:
-    """Estimator that returns the estimate of the best of K rigid chains, which differ in the play of their gears.
+    """Estimator that returns the estimate of the best of K rigid chains: plays of the gears, targets that move or rest.
 
-    A chain is as good as its predictions of new frames, as in `EstimatorBank`.
+    A chain is as good as its predictions of new frames, as in `EstimatorBank`. Whether the target moves is decided
+    without the offsets of the features, which follow what a wrong chain leaves: the best chain with a moving target
+    serves while it explains the past frames better than the best one with a target at rest.
 
     Args:
         chain: Chain of which every play has a copy. Its linear filter must be an `AdaptiveKalmanJacobian`. The plays of
             both alignments are not read.
         plays: Assumed plays of all joints, rad. Computing time grows in proportion to their number.
+        moving: Assumed plays of all joints of further chains whose target moves (`ChainJacobian.moving`), rad.
         forgetting: Memory of the weights per frame, in (0, 1]. Smaller values switch sooner.
         floor: Smallest logarithm of a weight relative to the best, negative. Values nearer to 0 let a chain recover
             sooner.
@@ -51,6 +54,7 @@ class ChainBank:
 
     chain: ChainJacobian = field(default_factory=ChainJacobian)
     plays: tuple[float, ...] = (0.0, 0.0087, 0.0175)
+    moving: tuple[float, ...] = ()
     forgetting: float = 0.98
     floor: float = -30.0
 
@@ -59,10 +63,11 @@ class ChainBank:
     _prepared: dict[tuple[int, int], _Prepared] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "plays", tuple(float(play) for play in self.plays))
+        for name in ("plays", "moving"):
+            object.__setattr__(self, name, tuple(float(play) for play in getattr(self, name)))
         if not self.plays:
             raise ValueError("plays must have at least one value, got ()")
-        for play in self.plays:
+        for play in self.plays + self.moving:
             Alignment(play=play)
         if not isinstance(self.chain.linear, AdaptiveKalmanJacobian):
             kind = type(self.chain.linear).__name__
@@ -71,11 +76,19 @@ class ChainBank:
             )
         check_memory(self.forgetting, self.floor)
 
+    @property
+    def count(self) -> int:
+        """Number K of chains."""
+        return len(self.plays) + len(self.moving)
+
     def initial(self, measurement: ServoMeasurement) -> EstimatorBankState:
         """Return the state with equally likely chains. Raises ValueError as `ChainJacobian` does."""
         alone = self.chain.initial(measurement)
-        axis, count = np.ndim(measurement.time), len(self.plays)
+        axis, count = np.ndim(measurement.time), self.count
         members = _mapped(alone, lambda each: np.repeat(np.expand_dims(each, axis), count, axis))
+        moves = members.chain.moves.copy()
+        moves[..., len(self.plays) :] = True
+        members = members._replace(chain=members.chain._replace(moves=moves))
         return EstimatorBankState(members, np.zeros((*np.shape(measurement.time), count)))
 
     def step(
@@ -86,7 +99,7 @@ class ChainBank:
         batch, n, m = whole.time.shape, whole.joint_angles.shape[-1], whole.features.shape[-1]
         before: ChainState = state.members
         self._check(before, whole)
-        count, axes = len(self.plays), len(batch)
+        count, axes = self.count, len(batch)
         rows = int(np.prod(batch, dtype=np.int64))
         prepared = self._prepared.get((n, m)) or self._prepare(n, m)
 
@@ -178,7 +191,7 @@ class ChainBank:
         """Raise ValueError if a measurement does not continue a state, as `Alignment.step` does."""
         axis, m = whole.time.ndim, before.seen_features.shape[-1]
         first: Any = before.alignment
-        if first.seen.ndim != axis + 1 or first.seen.shape[-1] != len(self.plays):
+        if first.seen.ndim != axis + 1 or first.seen.shape[-1] != self.count:
             first = _mapped(first, lambda each: each[..., None])
         else:
             first = AlignmentState(*(each[(slice(None),) * axis + (0,)] for each in first))
@@ -187,9 +200,9 @@ class ChainBank:
     def _prepare(self, joints: int, features: int) -> _Prepared:
         linear: Any = self.chain.linear
         frames, rows = self.chain.alignment, linear.alignment
-        halves = np.array([gears(frames.revolute, play, joints)[1] for play in self.plays])
+        halves = np.array([gears(frames.revolute, play, joints)[1] for play in self.plays + self.moving])
         prepared = _Prepared(
-            settings=self.chain.settings(joints),
+            settings=self.chain.settings(joints)._replace(forgetting=self.forgetting),
             turning=gears(frames.revolute, 0.0, joints)[0],
             half_play=halves,
             row_turning=gears(rows.revolute, 0.0, joints)[0],

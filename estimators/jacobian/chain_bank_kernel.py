@@ -9,9 +9,10 @@ import numpy as np
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.jacobian.adaptive import filter_rows
 from servotrack.estimators.jacobian.alignment import AlignmentState, Readings, align_rows
-from servotrack.estimators.jacobian.chain_fit import update_row
+from servotrack.estimators.jacobian.chain_fit import copy_chain, update_row
 from servotrack.estimators.jacobian.chain_records import ChainFrame, ChainOutput
 from servotrack.estimators.jacobian.chain_scores import write_present
+from servotrack.estimators.jacobian.chain_target import restart_target
 from servotrack.estimators.jacobian.contract import Increment
 from servotrack.estimators.types import Array, Mask
 
@@ -157,6 +158,7 @@ def update_bank(  # type: ignore[no-untyped-def]
         np.zeros(rows * count),
         np.zeros(rows * count, np.int64),
         np.zeros(rows * count, np.bool_),
+        np.zeros((rows * count, size)),
     )
     normals, weights = np.empty((count, 2, size, size)), np.empty((rows, count))
     error, jacobian, covariance = np.empty((rows, m)), np.empty((rows, m, n + 1)), np.empty((rows, m, n + 1, n + 1))
@@ -170,12 +172,13 @@ def update_bank(  # type: ignore[no-untyped-def]
             if not output.chained[r]:
                 output.log_likelihood[r], output.nis[r] = linear[2][r], linear[3][r]
             weights[row, k] = weighting[0] * log_weight[row, k] + output.log_likelihood[r] / m
-        k = _normalize(weights[row], weighting[1])
+        _renew_failed(memory, row * count, count, weights[row], settings)
+        k = _chosen(weights[row], memory, row * count, weighting[1])
         r = row * count + k
         best = output.best[r]
         write_present(memory, frame, settings, output, normals[k, best], r)
         log_likelihood[row], nis[row] = output.log_likelihood[r], output.nis[r]
-        parameters[row], reverse[row] = memory.parameters[r, best], memory.reverse[r, best]
+        parameters[row], reverse[row] = output.parameters[r], memory.reverse[r, best]
         for j in range(n):
             angles[row, j] = frame.present[r, j] - memory.origin[r, j]
         for i in range(m):
@@ -189,6 +192,36 @@ def update_bank(  # type: ignore[no-untyped-def]
                 jacobian[row, i], covariance[row, i] = linear[1][r, i], linear[4][r, i]
     found = (error, jacobian, log_likelihood, nis, covariance, variance, chained, parameters, reverse, focal, angles)
     return seen, weights, found
+
+
+@njit(cache=True, nogil=True)
+def _renew_failed(memory, first, count, weights, settings):  # type: ignore[no-untyped-def]
+    """Let chains with a moving target that have gone astray begin anew as the best chain at rest."""
+    best = -1
+    for k in range(count):
+        if not memory.moves[first + k] and (best < 0 or weights[k] > weights[best]):
+            best = k
+    if best < 0:
+        return
+    for r in range(first, first + count):
+        if memory.moves[r] and memory.failures[r] >= settings.patience:
+            copy_chain(memory, r, first + best)
+            restart_target(memory, settings, r)
+
+
+@njit(cache=True, nogil=True)
+def _chosen(weights, memory, first, floor):  # type: ignore[no-untyped-def]
+    """Normalize logarithms of weights, among chains at rest and among those that move, and return the chosen index."""
+    rest = 0
+    while rest < weights.shape[0] and not memory.moves[first + rest]:
+        rest += 1
+    if rest == weights.shape[0]:
+        return _normalize(weights, floor)
+    moving = rest + _normalize(weights[rest:], floor)
+    if rest == 0:
+        return moving
+    still = _normalize(weights[:rest], floor)
+    return moving if memory.evidence[first + moving] > memory.evidence[first + still] else still
 
 
 @njit(cache=True, nogil=True)
@@ -226,5 +259,5 @@ def _frames(before, aligned, foreseen):  # type: ignore[no-untyped-def]
                 joints[r, i], features[r, i] = frame_joints[r], frame_features[r, i]
                 times[r, i], known[r, i] = frame_time[r], True
     present = frame_joints + aligned[12]
-    frame = ChainFrame(fresh, frame_joints, centered, shown, aligned[9], linear_error, compared, present)
+    frame = ChainFrame(fresh, frame_joints, centered, shown, aligned[9], linear_error, compared, present, aligned[13])
     return frame, (joints, features, times, known)

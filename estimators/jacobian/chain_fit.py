@@ -19,7 +19,13 @@ from servotrack.estimators.jacobian.chain_equations import (
 )
 from servotrack.estimators.jacobian.chain_kernel import LEAST_DEPTH
 from servotrack.estimators.jacobian.chain_keyframes import noise_of, place_points, store_frame
-from servotrack.estimators.jacobian.chain_scores import better_chain, follow_offsets, score_frame, write_present
+from servotrack.estimators.jacobian.chain_scores import (
+    better_chain,
+    follow_offsets,
+    score_frame,
+    write_present,
+)
+from servotrack.estimators.jacobian.chain_target import forecast_target, place_target, restart_target
 
 
 @njit(cache=True, nogil=True)
@@ -104,6 +110,7 @@ def update_row(memory, frame, settings, output, normals, row):  # type: ignore[n
     if fresh and not memory.started[row]:
         memory.started[row] = True
         memory.origin[row] = frame.angles[row]
+        restart_target(memory, settings, row)
     store = (memory.angles[row], memory.features[row], memory.weights[row])
     newest = (np.zeros((1, n)), np.zeros((1, m)), np.zeros((1, m)))
     old = np.zeros(m, np.bool_)
@@ -123,7 +130,7 @@ def update_row(memory, frame, settings, output, normals, row):  # type: ignore[n
     for k in range(count):
         if any_weight(store[2][k]):
             known_at[k] = store[0][k]
-    for h in range(2):
+    for h in (before, 1 - before):
         if h != before and idle:
             continue
         if memory.damping[row, h] == 0.0:
@@ -161,7 +168,7 @@ def update_row(memory, frame, settings, output, normals, row):  # type: ignore[n
         parameters, reverse = memory.parameters[row, best], memory.reverse[row, best]
         follow_offsets(memory, frame, settings, newest, row)
         memory.scatter[row] += store_frame(
-            parameters, reverse, store, (newest[0][0], newest[1][0], frame.seen[row]), noise, settings
+            parameters, reverse, store, (newest[0][0], newest[1][0], newest[2][0]), noise, settings
         )
         if idle and best != before:
             known_at[:] = np.nan
@@ -205,9 +212,13 @@ def _take_frame(memory, frame, settings, newest, old, row):  # type: ignore[no-u
         newest[2][0, i] = 1.0 if seen else 0.0
         old[i] = seen and known
         new[i] = not known and frame.seen[row, i - i % 2] and frame.seen[row, i - i % 2 + 1]
+    if memory.moves[row]:
+        forecast_target(memory, frame.duration[row], settings, row)
     for h in range(2):
         reverse = memory.reverse[row, h]
         place_points(memory.parameters[row, h], newest[0][0], reverse, settings.focal, newest[1][0], new)
+        if memory.moves[row]:
+            place_target(memory.parameters[row, h], frame.angles.shape[1], memory.motion[row], new)
     for j in range(m // 2):
         memory.known[row, j] = memory.known[row, j] or new[2 * j]
 
@@ -272,3 +283,32 @@ def _restart(memory, settings, row):  # type: ignore[no-untyped-def]
     memory.offset_power[row] = 0.0
     memory.residual_power[row] = memory.noise[row]
     memory.white[row] = memory.noise[row]
+    restart_target(memory, settings, row)
+
+
+@njit(cache=True, nogil=True)
+def copy_chain(memory, to, origin):  # type: ignore[no-untyped-def]
+    """Copy what a row knows, but for the motion of its target, to another row."""
+    memory.angles[to] = memory.angles[origin]
+    memory.features[to] = memory.features[origin]
+    memory.weights[to] = memory.weights[origin]
+    memory.scatter[to] = memory.scatter[origin]
+    memory.known[to] = memory.known[origin]
+    memory.parameters[to] = memory.parameters[origin]
+    memory.damping[to] = memory.damping[origin]
+    memory.cost[to] = memory.cost[origin]
+    memory.reverse[to] = memory.reverse[origin]
+    memory.challenge[to] = memory.challenge[origin]
+    memory.noise[to] = memory.noise[origin]
+    memory.offset[to] = memory.offset[origin]
+    memory.offset_variance[to] = memory.offset_variance[origin]
+    memory.offset_power[to] = memory.offset_power[origin]
+    memory.residual_power[to] = memory.residual_power[origin]
+    memory.white[to] = memory.white[origin]
+    memory.residual[to] = memory.residual[origin]
+    memory.errors[to] = memory.errors[origin]
+    memory.served[to] = memory.served[origin]
+    memory.least_error[to] = memory.least_error[origin]
+    memory.frames[to] = memory.frames[origin]
+    memory.evidence[to] = memory.evidence[origin]
+    memory.failures[to] = 0.0

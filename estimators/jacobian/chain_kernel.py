@@ -50,7 +50,7 @@ def _coefficients(square, full):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _joint_pose(parameters, at, angle):  # type: ignore[no-untyped-def]
+def joint_pose(parameters, at, angle):  # type: ignore[no-untyped-def]
     """Return the rows of the pose exp(twist angle) of the twist whose components begin at `at`."""
     x, y, z = parameters[at] * angle, parameters[at + 1] * angle, parameters[at + 2] * angle
     u, v, w = parameters[at + 3] * angle, parameters[at + 4] * angle, parameters[at + 5] * angle
@@ -180,7 +180,7 @@ def chain_pose(parameters, angles, reverse):  # type: ignore[no-untyped-def]
     pose = _origin()
     for at in range(n):
         k = n - 1 - at if reverse else at
-        pose = _product(pose, _joint_pose(parameters, 6 * k, angles[k]))
+        pose = _product(pose, joint_pose(parameters, 6 * k, angles[k]))
     return pose
 
 
@@ -289,7 +289,7 @@ def chain_motions(parameters, angles, reverse, rates, motions):  # type: ignore[
             shift = _rotated(pose, (parameters[v], parameters[v + 1], parameters[v + 2]))
             _write_motion(rates, k, turn, _carried(pose, turn, shift))
         if motions.shape[1] == 0:
-            pose = _product(pose, _joint_pose(parameters, w, angles[k]))
+            pose = _product(pose, joint_pose(parameters, w, angles[k]))
             continue
         step, turns, shifts = _joint(parameters, w, angles[k])
         for j in range(3):

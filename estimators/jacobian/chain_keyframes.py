@@ -112,7 +112,7 @@ def store_frame(parameters, reverse, store, frame, noise, settings):  # type: ig
         parameters: Parameters of the chain. Shape (N,).
         reverse: True if the last joint is next to the camera.
         store: See `_merge`; changed.
-        frame: Joint angles, features and mask of the frame. Shapes (n,), (m,), (m,).
+        frame: Joint angles, features and their weights, 0 where they are not seen. Shapes (n,), (m,), (m,).
         noise: Variance of a feature, px^2.
         settings: A `ChainSettings`.
     """
@@ -126,10 +126,11 @@ def store_frame(parameters, reverse, store, frame, noise, settings):  # type: ig
     for i in range(seen.shape[0]):
         features[slot, i] = seen_at[i]
         weights[slot, i] = 0.0
-        if seen[i]:
+        if seen[i] > 0.0:
             # An outlier must not get weight by being merged.
             square = residual[i] * residual[i]
-            weights[slot, i] = 1.0 if square <= settings.outlier * noise else settings.outlier * noise / square
+            trusted = 1.0 if square <= settings.outlier * noise else settings.outlier * noise / square
+            weights[slot, i] = trusted * seen[i]
     if not any_weight(weights[slot]):
         return squares
     into, nearest = -1, settings.spacing
@@ -180,6 +181,6 @@ def noise_of(parameters, reverse, store, scatter, noise, settings, known):  # ty
                 count += weights[k, i]
                 used += 1.0
     # Parameters fit as many residuals of keyframes as they are; half of the residuals count in any case.
-    free = count - min(float(parameters.shape[0]), 0.5 * used)
+    free = max(count - min(float(parameters.shape[0]), 0.5 * used), 0.0)
     prior = 4.0
     return max((prior * settings.noise**2 + squares) / (prior + free), settings.least_noise**2)

@@ -32,6 +32,9 @@ class ChainSettings(NamedTuple):
         margin: Factor of the mean squared errors that the chain must not exceed.
         patience: Frames of failure after which the chain starts anew.
         drift: Standard deviation of the features' velocity at rest, px/s.
+        target_speed: Prior standard deviation of a moving target's rates, rad/s and mean depths/s.
+        target_change: Standard deviation of their change within a second, at rest.
+        target_turn: The same as a share of the rates themselves.
         first_damping: Damping of the first fit, relative to the diagonal of the normal equations.
         least_damping: Least damping.
         largest_damping: Largest damping.
@@ -46,6 +49,7 @@ class ChainSettings(NamedTuple):
         no_error: Least error before there is one, px^2.
         outlier: Square of a residual, relative to the variance, that counts at most in the estimate of the noise.
         difference: Change of a parameter for the derivatives of the Jacobian.
+        forgetting: Memory of the evidence per frame, see `ChainMemory`.
     """
 
     focal: float
@@ -69,6 +73,9 @@ class ChainSettings(NamedTuple):
     margin: float
     patience: float
     drift: float
+    target_speed: float
+    target_change: float
+    target_turn: float
     first_damping: float = 1e-3
     least_damping: float = 1e-6
     largest_damping: float = 1e6
@@ -82,10 +89,16 @@ class ChainSettings(NamedTuple):
     no_error: float = 1e12
     outlier: float = 9.0
     difference: float = 1e-6
+    forgetting: float = 0.98
 
 
 class ChainMemory(NamedTuple):
-    """State of the chain, see `ChainState`."""
+    """State of the chain, see `ChainState`.
+
+    `moves` is true for chains whose target moves, `motion` and `motion_covariance` are its turn and shift, and their
+    rates, see `chain_target`. `evidence` is the mean log density of a feature, without its offset, summed over past
+    frames with decreasing weights.
+    """
 
     started: Mask
     origin: Array
@@ -111,6 +124,10 @@ class ChainMemory(NamedTuple):
     served: Array
     least_error: Array
     frames: Array
+    moves: Mask
+    motion: Array
+    motion_covariance: Array
+    evidence: Array
 
 
 class ChainFrame(NamedTuple):
@@ -125,6 +142,7 @@ class ChainFrame(NamedTuple):
         linear_error: Innovation of the linear filter. Shape (B, m), px.
         compared: Mask of the features that have such an innovation. Shape (B, m).
         present: Joint angles at present. Shape (B, n), rad.
+        pending: Age of the newest frame. Shape (B,), s.
     """
 
     fresh: Mask
@@ -135,10 +153,14 @@ class ChainFrame(NamedTuple):
     linear_error: Array
     compared: Mask
     present: Array
+    pending: Array
 
 
 class ChainOutput(NamedTuple):
-    """Results of each row: features, Jacobian by the joints, covariances and scores, see `ChainEstimate`."""
+    """Results of each row: features, Jacobian by the joints, covariances and scores, see `ChainEstimate`.
+
+    `parameters` are those of the better chain, with its points where they are at present.
+    """
 
     features: Array
     jacobian: Array
@@ -148,3 +170,4 @@ class ChainOutput(NamedTuple):
     nis: Array
     best: Labels
     chained: Mask
+    parameters: Array

@@ -10,6 +10,13 @@ from servotrack.estimators.compilation import njit
 from servotrack.estimators.jacobian.chain_equations import factored, whiten
 from servotrack.estimators.jacobian.chain_kernel import chain_derivatives
 from servotrack.estimators.jacobian.chain_keyframes import chain_residuals
+from servotrack.estimators.jacobian.chain_target import (
+    at_rest,
+    correct_target,
+    moved_target,
+    spread,
+    target_derivatives,
+)
 
 
 @njit(cache=True, nogil=True)
@@ -25,23 +32,35 @@ def score_frame(memory, frame, settings, output, normal, newest, old, row):  # t
     best = better_chain(memory, row)
     size = normal.shape[0]
     parameters, reverse = memory.parameters[row, best], memory.reverse[row, best]
+    moves = memory.moves[row]
+    if moves:
+        parameters = moved_target(parameters, n, memory.motion[row])
     predicted, by_angles, derivatives = np.empty(m), np.empty((m, n)), np.zeros((m, size))
     chain_derivatives(parameters, newest[0][0], reverse, settings.focal, predicted, by_angles, derivatives)
     factor, columns = np.empty((size, size)), derivatives.T.copy()
     if factored(normal, settings.least_damping, settings.least_pivot, factor):
         whiten(factor, columns)
     fading = math.exp(-frame.duration[row] / settings.offset_time)
+    rows = target_derivatives(parameters, derivatives, n, memory.motion[row]) if moves else np.empty((m, 6))
+    innovations = np.zeros(m)
     squares, linear, both = 0.0, 0.0, 0
-    normalized, density, used = 0.0, 0.0, 0
+    normalized, density, used, bare = 0.0, 0.0, 0, 0.0
     for i in range(m):
         if not old[i]:
             continue
         innovation = newest[1][0, i] - predicted[i] - fading * memory.offset[row, i]
+        innovations[i] = innovation
         variance = memory.white[row] + memory.offset_variance[row, i]
+        if moves:
+            variance += spread(rows, memory.motion_covariance[row], 0, i)
         for a in range(size):
             variance += columns[a, i] ** 2
         normalized += innovation * innovation / variance
         density -= 0.5 * (innovation * innovation / variance + math.log(2.0 * math.pi * variance))
+        # An offset that follows what a wrong chain leaves would hide that it is wrong.
+        left = newest[1][0, i] - predicted[i]
+        variance += memory.noise[row] - memory.white[row] - memory.offset_variance[row, i]
+        bare -= 0.5 * (left * left / variance + math.log(variance))
         used += 1
         if frame.compared[row, i]:
             squares += innovation * innovation
@@ -50,11 +69,16 @@ def score_frame(memory, frame, settings, output, normal, newest, old, row):  # t
     if used > 0:
         output.nis[row] = normalized / used
         output.log_likelihood[row] = density
+        memory.evidence[row] = settings.forgetting * memory.evidence[row] + bare / used
     if both > 0:
         keep = 1.0 - 1.0 / settings.memory
         errors = memory.errors[row]
         errors[0] = keep * errors[0] + (1.0 - keep) * linear / both
         errors[1] = keep * errors[1] + (1.0 - keep) * squares / both
+    if moves and used > 0:
+        forecast = memory.motion[row].copy()
+        correct_target(memory, innovations, old, rows, columns, settings, row)
+        at_rest(memory, forecast, newest, rows, best, settings, row)
 
 
 @njit(cache=True, nogil=True)
@@ -84,7 +108,8 @@ def follow_offsets(memory, frame, settings, newest, row):  # type: ignore[no-unt
         memory.residual_power[row] += (square / count - memory.residual_power[row]) / settings.memory
     # Two standard deviations of the mean product of white residuals count as none.
     chance = 2.0 * memory.residual_power[row] / math.sqrt(2.0 * settings.memory * max(count, 1))
-    power = memory.offset_power[row] if memory.offset_power[row] > chance else 0.0
+    # The motion of a target explains what remains correlated.
+    power = memory.offset_power[row] if memory.offset_power[row] > chance and not memory.moves[row] else 0.0
     noise = max(memory.residual_power[row] - power, settings.least_noise**2)
     memory.white[row] = noise
     for i in range(m):
@@ -106,6 +131,12 @@ def write_present(memory, frame, settings, output, normal, row):  # type: ignore
     best = output.best[row]
     parameters = memory.parameters[row, best].copy()
     size = parameters.shape[0]
+    moves, age = memory.moves[row], frame.pending[row]
+    motion, doubt = memory.motion[row].copy(), memory.motion_covariance[row]
+    if moves:
+        motion[:6] += age * motion[6:]
+        parameters = moved_target(parameters, n, motion)
+    output.parameters[row] = parameters
     theta = frame.present[row] - memory.origin[row]
     reverse, focal_unit = memory.reverse[row, best], settings.focal
     jacobian, derivatives = np.empty((m, n)), np.zeros((m, size))
@@ -121,6 +152,7 @@ def write_present(memory, frame, settings, output, normal, row):  # type: ignore
             for k in range(n):
                 columns[a, i * n + k] = (changed[i, k] - jacobian[i, k]) / settings.difference
             columns[a, m * n + i] = derivatives[i, a]
+    rows = target_derivatives(parameters, derivatives, n, motion) if moves else np.empty((m, 6))
     factor = np.empty((size, size))
     if factored(normal, settings.least_damping, settings.least_pivot, factor):
         whiten(factor, columns)
@@ -129,6 +161,8 @@ def write_present(memory, frame, settings, output, normal, row):  # type: ignore
         total = memory.offset_variance[row, i]
         for a in range(size):
             total += columns[a, m * n + i] ** 2
+        if moves:
+            total += spread(rows, doubt, 0, i) + age * age * spread(rows, doubt, 6, i)
         output.variance[row, i] = total
         covariance = output.covariance[row, i]
         covariance[:] = 0.0
@@ -137,7 +171,11 @@ def write_present(memory, frame, settings, output, normal, row):  # type: ignore
             for k in range(n):
                 for j in range(n):
                     covariance[k, j] += part[k] * part[j]
-        covariance[n, n] = settings.drift**2
+        # Whether the target moves is settled by comparison: no doubt of its rates, as the law sees it.
+        covariance[n, n] = 0.0 if moves else settings.drift**2
+        if moves:
+            for a in range(6):
+                output.jacobian[row, i, n] += rows[i, a] * motion[6 + a]
         for k in range(n):
             # The differences have rounding errors.
             covariance[k, k] *= 1.0 + 1e-9
