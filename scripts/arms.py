@@ -28,7 +28,7 @@ _NOTES = """
 ## A goal that moves
 
 A camera in the world sees the goal move, and its velocity is known: it is fed forward in full. A camera in the hand
-sees a goal that rests while the board moves. What the arm does to the image and what the board does are told apart only
+sees a goal that rests while the board moves. What the arm does to the image and what the board does are separated only
 by time: the board's velocity changes slowly. `any-arm` filters it as soon as a chain with a moving board explains the
 past better than all chains with a board at rest. Two limits remain:
 
