@@ -23,7 +23,7 @@ NEGLIGIBLE = 1e-12
 """Probability of a number below which the number is left out of a distribution."""
 
 UNDETECTED = 0.3
-"""Expected number of undetected people for each one with a track. Measured on MOTChallenge sequences, see docs/video.md."""
+"""Expected number of undetected people for each one with a track, as on the MOTChallenge sequences of docs/video.md."""
 
 
 class Count(NamedTuple):

@@ -1,7 +1,8 @@
 """Agents answer as they always did: rows of results that version 0.1.0 wrote come out again.
 
 The rows are those of the code before its modules were moved. A difference means that a world, an agent or a score has
-changed; then the rows are wrong, or the id needs a new version.
+changed; then the rows are wrong, or the id needs a new version. The rows of `pmb` on people are those of its second
+version, which reports detected people only.
 """
 
 from __future__ import annotations
