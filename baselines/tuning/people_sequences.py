@@ -91,7 +91,7 @@ def rendered_sequence(level: int, seed: int, detector: str = "masked") -> People
     env = gym.make(ENVIRONMENT, level=level)
     image, info = env.reset(seed=seed)
     model = env.get_wrapper_attr("scene_model")
-    answer = np.zeros(env.action_space.shape, env.action_space.dtype)  # type: ignore[arg-type]
+    answer = np.zeros(env.action_space.shape or (), np.float32)
     found = create_detector(detector)
     state: Any = found.initial(image)
     frames: list[Detections] = []

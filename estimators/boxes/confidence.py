@@ -45,7 +45,7 @@ FLOOR, CEILING = 1e-3, 1.0 - 5e-4
 
 def initial_confidence() -> Array:
     """State before the first detection. Shape (10,)."""
-    return np.array([0.0, 0.0, 0.0, np.inf, -np.inf, USUAL, INTERCEPT_PRECISION, *RATE_PRIOR, FIRST_FACTOR])
+    return np.array([0.0, 0.0, 0.0, 0.0, 0.0, USUAL, INTERCEPT_PRECISION, *RATE_PRIOR, FIRST_FACTOR])
 
 
 @njit(cache=True, nogil=True)
@@ -65,7 +65,8 @@ def read_scores(state, scores):  # type: ignore[no-untyped-def]
         gap = score - out[1]
         out[1] += gap / out[0]
         out[2] += gap * (score - out[1])
-        out[3], out[4] = min(out[3], score), max(out[4], score)
+        first = out[0] == 1.0
+        out[3], out[4] = score if first else min(out[3], score), score if first else max(out[4], score)
     deviation = math.sqrt(out[2] / max(out[0], 1.0))
     varies = out[4] - out[3] > 1e-9 * max(abs(out[3]), abs(out[4]))
     reading = np.full(len(scores), CENTER)

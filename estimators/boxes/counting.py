@@ -23,7 +23,7 @@ NEGLIGIBLE = 1e-12
 """Probability of a number below which the number is left out of a distribution."""
 
 UNDETECTED = 0.3
-"""Expected number of undetected people for each one with a track. Measured on MOTChallenge sequences, see docs/video.md."""
+"""Expected number of undetected people for each one with a track, as on the MOTChallenge sequences of docs/video.md."""
 
 
 class Count(NamedTuple):
@@ -39,7 +39,8 @@ class Count(NamedTuple):
     high: int
 
 
-class NumberDistribution(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class NumberDistribution:
     """Distribution of a number.
 
     Attributes:
@@ -50,7 +51,7 @@ class NumberDistribution(NamedTuple):
     first: int
     probability: Array
 
-    def count(self, level: float = 0.9) -> Count:
+    def interval(self, level: float = 0.9) -> Count:
         """Expected number and central interval.
 
         Args:
@@ -65,10 +66,8 @@ class NumberDistribution(NamedTuple):
         tail = (1.0 - level) / 2.0
         numbers = self.first + np.arange(len(below))
         last = len(below) - 1
-        low, high = np.searchsorted(below, tail), np.searchsorted(below, 1.0 - tail - 1e-12)
-        return Count(
-            float(numbers @ self.probability), int(numbers[min(low, last)]), int(numbers[min(int(high), last)])
-        )
+        low, high = (min(int(np.searchsorted(below, share)), last) for share in (tail, 1.0 - tail - NEGLIGIBLE))
+        return Count(float(numbers @ self.probability), int(numbers[low]), int(numbers[high]))
 
 
 NOBODY = NumberDistribution(0, np.ones(1))
@@ -112,7 +111,7 @@ def people_count(estimate: SetEstimate, undetected: float = UNDETECTED, level: f
         numbers = np.arange(int(rate + 10.0 * np.sqrt(rate)) + 20)
         others = np.exp(numbers * np.log(rate) - rate - gammaln(numbers + 1.0))
         number = _trimmed(number.first, np.convolve(number.probability, others))
-    return number.count(level)
+    return number.interval(level)
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ class ZoneCount:
         states = np.concatenate([estimate.states, estimate.held_states])
         chances = np.concatenate([estimate.existence, estimate.held_existence])
         inside = _inside(_feet(states), np.asarray(self.corners, dtype=np.float64))
-        return add_chances(NOBODY, chances[inside]).count(self.level)
+        return add_chances(NOBODY, chances[inside]).interval(self.level)
 
 
 class LineState(NamedTuple):
@@ -238,7 +237,7 @@ class LineCount:
             forward,
             backward,
         )
-        return after, Crossings(forward.count(self.level), backward.count(self.level))
+        return after, Crossings(forward.interval(self.level), backward.interval(self.level))
 
     def _crossed(self, a: Array, b: Array) -> Array:
         """1, -1 or 0 for each move from a to b, shape (k, 2) each: across the segment forward, backward, or not."""

@@ -25,8 +25,8 @@ def test_numbers_have_the_distribution_of_all_combinations() -> None:
     number = add_chances(add_chances(NOBODY, chances[:1]), chances[1:])
     assert number.first == 0
     assert np.allclose(number.probability, wanted)
-    assert number.count().expected == pytest.approx(sum(chances))
-    assert add_chances(NOBODY, [1.0, 1.0]).count() == (2.0, 2, 2)
+    assert number.interval().expected == pytest.approx(sum(chances))
+    assert add_chances(NOBODY, [1.0, 1.0]).interval() == (2.0, 2, 2)
 
 
 def test_intervals_cover_the_number_as_often_as_they_say() -> None:

@@ -18,13 +18,13 @@ _MIXTURE: Grid = {
 
 GRIDS: Mapping[str, Grid] = {
     "pmb": {
-        "detection": (0.8, 0.87, 0.93),
-        "miss_half_life": (0.03, 0.055, 0.1),
-        "association_log_ratio": (8.0, 10.0, 12.0),
-        "birth": (0.01, 0.03, 0.1),
-        "memory": (1.2, 2.3, 4.0),
-        "acceleration": (0.1, 0.2, 0.4),
-        "position_noise": (0.05, 0.07, 0.1),
+        "detection": (0.7, 0.8, 0.9),
+        "miss_half_life": (0.06, 0.12, 0.24),
+        "clutter_log_density": (-2.0, -0.5, 1.0),
+        "birth": (0.6, 0.9, 0.97),
+        "memory": (1.0, 2.0, 4.0),
+        "acceleration": (0.12, 0.25, 0.5),
+        "position_noise": (0.045, 0.065, 0.09),
         "appearance": (3.0, 6.0, 12.0),
     },
     "gm-phd": {**_IDENTITIES, **_MIXTURE, "tracker.filter.reduction.prune": (1e-4, 1e-3, 1e-2)},
