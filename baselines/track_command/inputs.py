@@ -96,7 +96,7 @@ class PixelInput:
 
     def __init__(
         self,
-        source: str | Path,
+        source: str | Path | int,
         detector: Detector,
         size: tuple[int, int] | str = "fit",
         *,

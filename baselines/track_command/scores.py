@@ -159,8 +159,7 @@ def score_grid(scores: TrackScores, name: str) -> Grid:
 
 def _within(boxes: LabeledBoxes, numbers: Labels) -> LabeledBoxes:
     """Boxes of tracked frames."""
-    inside = np.isin(boxes.steps, numbers)
-    return LabeledBoxes(*(values[inside] for values in boxes))
+    return boxes.part(np.isin(boxes.steps, numbers))
 
 
 def _by_frame(sequence: TrackSequence, length: int, rule: MatchRule) -> tuple[float, float]:

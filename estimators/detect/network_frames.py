@@ -36,8 +36,8 @@ class Placement(NamedTuple):
         Args:
             corners: The same in the input of the network.
         """
-        moved = corners - np.array([*self.offset, *self.offset], np.float32)
-        moved = moved / np.array([*self.scale, *self.scale], np.float32)
+        scales: NDArray[np.float32] = np.array([*self.scale, *self.scale], np.float32)
+        moved = (corners - np.array([*self.offset, *self.offset], np.float32)) / scales
         width, height = self.size
         return np.clip(moved, 0.0, np.array([width, height, width, height], np.float32))
 

@@ -40,6 +40,10 @@ class LabeledBoxes(NamedTuple):
     classes: Labels
     counted: Mask
 
+    def part(self, mask: Mask) -> LabeledBoxes:
+        """Return the boxes where a mask of shape (n,) is true."""
+        return LabeledBoxes(self.steps[mask], self.ids[mask], self.boxes[mask], self.classes[mask], self.counted[mask])
+
 
 def plain_boxes(steps: Labels, ids: Labels, boxes: Array, kind: int = 1) -> LabeledBoxes:
     """Return boxes of one class that all count."""
@@ -156,8 +160,8 @@ def benchmark_sequence(
             )
     if benchmark.scored is not None and not benchmark.all_classes_match:
         wanted = [benchmark.scored, *benchmark.distractors]
-        truth = _part(truth, np.isin(truth.classes, wanted))
-        found = _part(found, found.classes == benchmark.scored)
+        truth = truth.part(np.isin(truth.classes, wanted))
+        found = found.part(found.classes == benchmark.scored)
     counts = truth.counted & (True if benchmark.scored is None else truth.classes == benchmark.scored)
     true_names, found_names = np.unique(truth.ids[counts]), np.unique(found.ids)
     sizes, rows, columns, pairs = [], Joined(np.intp), Joined(np.intp), Joined(np.float64)
@@ -178,10 +182,6 @@ def benchmark_sequence(
         len(true_names),
         len(found_names),
     )
-
-
-def _part(boxes: LabeledBoxes, mask: Mask) -> LabeledBoxes:
-    return LabeledBoxes(*(values[mask] for values in boxes))
 
 
 def _by_step(
@@ -238,7 +238,7 @@ def _inside(answers: Array, zones: Array) -> Mask:
     corners = _corners(answers)
     overlap, areas = _overlap(corners, _corners(zones)), _areas(corners)[:, None]
     share = np.divide(overlap, areas, out=np.zeros_like(overlap), where=areas > EPSILON)
-    return (share > _REGION_SHARE + EPSILON).any(axis=1)
+    return np.asarray((share > _REGION_SHARE + EPSILON).any(axis=1), np.bool_)
 
 
 def _corners(boxes: Array) -> Array:
