@@ -163,7 +163,7 @@ def _within(boxes: LabeledBoxes, numbers: Labels) -> LabeledBoxes:
 
 
 def _by_frame(sequence: TrackSequence, length: int, rule: MatchRule) -> tuple[float, float]:
-    """Share of frames with the right number of people, and mean OSPA. Frames without anybody are right, with OSPA 0."""
+    """Share of frames with the right number of people, and mean OSPA; frames outside of the sequence are empty."""
     wrong, total = 0, 0.0
     for frame in sequence.frames:
         there, here = len(frame.truth), len(frame.estimate)
