@@ -53,7 +53,7 @@ class Input(Protocol):
         source_size: Width and height of the source's frames, px; None if unknown.
         scale: Source px per working px, horizontally and vertically.
         warning: Reason why the steps ended early; empty if they did not.
-        notes: What was found out about the source and the user should know.
+        notes: Facts about the source for the user.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Input(Protocol):
 
     @property
     def notes(self) -> Sequence[str]:
-        """What was found out about the source and the user should know."""
+        """Facts about the source for the user."""
 
     @property
     def warning(self) -> str:
@@ -96,7 +96,7 @@ class PixelInput:
 
     def __init__(
         self,
-        source: str | Path,
+        source: str | Path | int,
         detector: Detector,
         size: tuple[int, int] | str = "fit",
         *,
@@ -122,7 +122,7 @@ class PixelInput:
 
     @property
     def notes(self) -> Sequence[str]:
-        """What was found out about the source and the user should know."""
+        """Facts about the source for the user."""
         return list(self._frames.notes)
 
     @property
@@ -210,7 +210,7 @@ class FileInput:
 
     @property
     def notes(self) -> Sequence[str]:
-        """What was found out about the source and the user should know."""
+        """Facts about the source for the user."""
         return [*self._notes, *([] if self._frames is None else self._frames.notes)]
 
     @property

@@ -48,7 +48,7 @@ def open_input(request: SourceRequest, pictures: bool = True, length: int = 0) -
     """Return the sequence with its detector, and the detector's name.
 
     Args:
-        request: What to open.
+        request: Source and detector.
         pictures: True reads the images of a sequence with detections, too.
         length: Smallest number of steps of such a sequence.
 

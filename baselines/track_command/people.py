@@ -92,8 +92,8 @@ def write_tracks(tracks: Iterable[Tracks], path: str | Path, size: tuple[int, in
 
     Args:
         tracks: Tracks frame by frame, for example those of `servotrack.track`.
-        path: Its suffix chooses the format: .csv, .jsonl (one person a line), .txt (MOTChallenge, frames from 1) or
-            .json (COCO with `track_id`).
+        path: File; the suffix chooses the format: .csv, .jsonl (one person a line), .txt (MOTChallenge, frames from
+            1) or .json (COCO with `track_id`).
         size: Width and height of the frames for COCO, px; None if unknown.
 
     Returns:

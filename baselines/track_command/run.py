@@ -47,14 +47,14 @@ class TrackRun:
 
     Attributes:
         frames: Numbers of the tracked frames, from 0.
-        times: Their times since frame 0, s.
+        times: Times of these frames since frame 0, s.
         rows: Number of boxes written.
         seconds: Duration, s.
         stopped: Reason why the run ended before the sequence; empty if it did not.
         signal: Number of the signal that stopped it; 0 for none.
         error: Error that stopped it; None without one.
         warnings: Warnings for the user.
-        notes: What was found out about the source.
+        notes: Facts about the source for the user.
         files: Files written, complete and valid.
     """
 

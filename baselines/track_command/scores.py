@@ -159,12 +159,11 @@ def score_grid(scores: TrackScores, name: str) -> Grid:
 
 def _within(boxes: LabeledBoxes, numbers: Labels) -> LabeledBoxes:
     """Boxes of tracked frames."""
-    inside = np.isin(boxes.steps, numbers)
-    return LabeledBoxes(*(values[inside] for values in boxes))
+    return boxes.part(np.isin(boxes.steps, numbers))
 
 
 def _by_frame(sequence: TrackSequence, length: int, rule: MatchRule) -> tuple[float, float]:
-    """Share of frames with the right number of people, and mean OSPA. Frames without anybody are right, with OSPA 0."""
+    """Share of frames with the right number of people, and mean OSPA; frames outside of the sequence are empty."""
     wrong, total = 0, 0.0
     for frame in sequence.frames:
         there, here = len(frame.truth), len(frame.estimate)

@@ -17,13 +17,13 @@ from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.types import Labels
 
 LONGEST_GAP = 60.0
-"""Longest time that is bridged, s. No tracker keeps anybody for longer."""
+"""Longest time that is bridged, s. No tracker keeps a track for longer."""
 _SAME = 1e-6
 """Largest difference between a period and the nominal one that is rounding, relative."""
 
 
 class TimedTracker:
-    """A tracker of boxes that is told when each frame was taken, and whose identities are small numbers.
+    """A tracker of boxes with the times of the frames, and with small numbers as identities.
 
     Args:
         tracker: The tracker.
@@ -87,7 +87,7 @@ class TimedTracker:
         return None if abs(period * self._rate - 1.0) <= _SAME else period
 
 
-def takes_time(tracker: Any) -> bool:
+def takes_time(tracker: BoxTracker) -> bool:
     """Return True if a tracker's `step` takes the time since the last frame."""
     if "dt" not in inspect.signature(tracker.step).parameters:
         return False

@@ -11,11 +11,6 @@ from PIL import Image as PillowImage
 
 from servotrack.estimators.types import Array, Image
 
-GRAY = 114
-"""Gray level of the border around a letterboxed frame."""
-_HALF = 0.1
-"""What decides on which side the odd row or column of the border lies, px."""
-
 
 class Placement(NamedTuple):
     """Place of a frame in the input of a network: pixel x of the frame lies at `scale[0]` * x + `offset[0]`.
@@ -36,18 +31,19 @@ class Placement(NamedTuple):
         Args:
             corners: The same in the input of the network.
         """
-        moved = corners - np.array([*self.offset, *self.offset], np.float32)
-        moved = moved / np.array([*self.scale, *self.scale], np.float32)
+        scales: NDArray[np.float32] = np.array([*self.scale, *self.scale], np.float32)
+        moved = (corners - np.array([*self.offset, *self.offset], np.float32)) / scales
         width, height = self.size
         return np.clip(moved, 0.0, np.array([width, height, width, height], np.float32))
 
 
-def letterbox(frame: Image, size: tuple[int, int]) -> tuple[Image, Placement]:
+def letterbox(frame: Image, size: tuple[int, int], gray: int = 114) -> tuple[Image, Placement]:
     """Fit a frame into the input of a network with its shape kept, and fill the border with gray, as YOLO does.
 
     Args:
         frame: RGB, uint8, shape (H, W, 3).
         size: Width and height of the input, px.
+        gray: Gray level of the border.
 
     Returns:
         The input, shape (height, width, 3), uint8, and the place of the frame in it.
@@ -56,10 +52,11 @@ def letterbox(frame: Image, size: tuple[int, int]) -> tuple[Image, Placement]:
     scale = min(size[1] / height, size[0] / width)
     inner = max(round(width * scale), 1), max(round(height * scale), 1)
     image = frame if (width, height) == inner else cv2.resize(frame, inner, interpolation=cv2.INTER_LINEAR)
-    across, down = (size[0] - inner[0]) / 2.0, (size[1] - inner[1]) / 2.0
-    left, right = round(across - _HALF), round(across + _HALF)
-    top, bottom = round(down - _HALF), round(down + _HALF)
-    boxed = cv2.copyMakeBorder(image, top, bottom, left, right, cv2.BORDER_CONSTANT, value=(GRAY, GRAY, GRAY))
+    across, down = size[0] - inner[0], size[1] - inner[1]
+    # An odd row or column of the border lies at the bottom or the right.
+    left, top = across // 2, down // 2
+    right, bottom = across - left, down - top
+    boxed = cv2.copyMakeBorder(image, top, bottom, left, right, cv2.BORDER_CONSTANT, value=(gray, gray, gray))
     # Rounding to whole px makes the two factors differ a little.
     scales = inner[0] / width, inner[1] / height
     return boxed, Placement(scales, (float(left), float(top)), (width, height))  # type: ignore[return-value]
@@ -91,7 +88,12 @@ def centered_corners(boxes: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def non_maximum_suppression(
-    corners: NDArray[np.float32], scores: NDArray[np.float32], classes: NDArray[np.int64], overlap: float, most: int
+    corners: NDArray[np.float32],
+    scores: NDArray[np.float32],
+    classes: NDArray[np.int64],
+    overlap: float,
+    most: int,
+    apart: float = 7680.0,
 ) -> NDArray[np.int64]:
     """Return the boxes that no better box of their class covers, best first, shape (m,).
 
@@ -101,12 +103,13 @@ def non_maximum_suppression(
         classes: Shape (k,).
         overlap: Intersection over union above which the lower score is dropped. Raising it keeps more boxes.
         most: Largest number of boxes.
+        apart: Distance by which classes are moved apart, px; it must exceed every input.
 
     References:
         Neubeck and Van Gool, "Efficient non-maximum suppression", ICPR 2006.
     """
     # Classes are moved apart instead of being treated one by one; rounding as in single precision.
-    moved = corners + (classes.astype(np.float32) * np.float32(_APART))[:, None]
+    moved = corners + (classes.astype(np.float32) * np.float32(apart))[:, None]
     areas = (moved[:, 2] - moved[:, 0]) * (moved[:, 3] - moved[:, 1])
     rest = np.argsort(-scores, kind="stable")
     kept: list[int] = []
@@ -120,10 +123,6 @@ def non_maximum_suppression(
         ratio = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0.0)
         rest = rest[ratio <= overlap]
     return np.array(kept, np.int64)
-
-
-_APART = 7680.0
-"""Distance by which classes are moved apart, px; larger than any input."""
 
 
 def boxes_from_corners(corners: NDArray[np.float32]) -> Array:

@@ -11,14 +11,6 @@ from numpy.typing import NDArray
 
 from servotrack.estimators.detect.network_frames import centered_corners
 
-STRIDES = (8, 16, 32, 64)
-"""Strides of the grids of dense heads; the last one only in networks for large inputs."""
-_ANCHORS = (1, 3)
-"""Boxes for each cell of a grid."""
-_LARGEST_NORMALIZED = 2.0
-"""Largest number in boxes that are fractions of the input."""
-_CORNERS = 4
-
 
 class Candidates(NamedTuple):
     """Boxes that a network gives for a frame.
@@ -79,20 +71,20 @@ class Head:
                 boxes[kept].astype(np.float32), scores[kept].astype(np.float32), first[kept].astype(np.int64)
             )
         if self.kind == "queries":
-            return _best(first[:, _CORNERS:], _in_input(first[:, :_CORNERS], size), least)
+            return _best(first[:, 4:], _in_input(first[:, :4], size), least)
         logits = np.asarray(outputs[self.outputs[1]][0], dtype=np.float32)
         return _best(_probabilities(logits), _in_input(first, size), least)
 
     def _dense(self, rows: NDArray[Any], least: float) -> Candidates:
         assert self.classes is not None
-        begin = _CORNERS + self.objectness
+        begin = 4 + self.objectness
         rows = rows[:, : begin + self.classes].astype(np.float32)
         scores = rows[:, begin:]
         if self.objectness:
             # First as in the networks' own code, which saves time, too.
-            rows = rows[rows[:, _CORNERS] > least]
-            scores = rows[:, begin:] * rows[:, _CORNERS : _CORNERS + 1]
-        return _best(scores, rows[:, :_CORNERS], least)
+            rows = rows[rows[:, 4] > least]
+            scores = rows[:, begin:] * rows[:, 4 : 4 + 1]
+        return _best(scores, rows[:, :4], least)
 
 
 def recognize_head(
@@ -118,14 +110,14 @@ def recognize_head(
     cubes = {name: shape for name, shape in shapes.items() if len(shape) == 3 and shape[0] == 1}
     if scaled := _scaled(outputs):
         return Head("scaled", scaled, classes)
-    boxes = [name for name, shape in cubes.items() if shape[2] == _CORNERS]
+    boxes = [name for name, shape in cubes.items() if shape[2] == 4]
     logits = [name for name, shape in cubes.items() if name not in boxes and boxes and shape[1] == cubes[boxes[0]][1]]
     if len(boxes) == 1 and len(logits) == 1:
         return Head("logits", (boxes[0], logits[0]), cubes[logits[0]][2])
     for name in cubes:
         if head := _single(name, outputs[name], size, classes, extra):
-            inside = outputs[name][..., :_CORNERS]
-            small = bool(inside.any()) and np.abs(inside).max() <= _LARGEST_NORMALIZED
+            inside = outputs[name][..., :4]
+            small = bool(inside.any()) and _are_fractions(inside)
             return replace(head, kind="chosen") if head.kind == "listed" and (fractions or small) else head
     described = ", ".join(f"{name} {tuple(shape)}" for name, shape in shapes.items())
     raise ValueError(
@@ -139,7 +131,7 @@ def _scaled(outputs: Mapping[str, NDArray[Any]]) -> tuple[str, ...]:
     """Return the names of labels, boxes and scores; () if the outputs are others."""
     shapes = {name: values.shape for name, values in outputs.items()}
     flat = [name for name, shape in shapes.items() if len(shape) == 2]
-    boxes = [name for name, shape in shapes.items() if len(shape) == 3 and shape[2] == _CORNERS]
+    boxes = [name for name, shape in shapes.items() if len(shape) == 3 and shape[2] == 4]
     labels = [name for name in flat if outputs[name].dtype.kind in "iu"] or [
         name for name in flat if "label" in name.lower()
     ]
@@ -152,15 +144,15 @@ def _scaled(outputs: Mapping[str, NDArray[Any]]) -> tuple[str, ...]:
 def _single(name: str, values: NDArray[Any], size: tuple[int, int], classes: int | None, extra: bool) -> Head | None:
     """Return the head of one output (1, boxes, numbers) or (1, numbers, boxes); None if it is of no known kind."""
     counts, shape = _grid_counts(size), values.shape
-    if shape[1] in counts and shape[2] > _CORNERS:
+    if shape[1] in counts and shape[2] > 4:
         return _dense_head(name, shape[2], False, classes, extra)
-    if shape[2] in counts and shape[1] > _CORNERS:
+    if shape[2] in counts and shape[1] > 4:
         return _dense_head(name, shape[1], True, classes, extra)
-    listed = shape[2] == _CORNERS + 2 or (extra and shape[2] > _CORNERS + 2 and classes != shape[2] - _CORNERS)
+    listed = shape[2] == 4 + 2 or (extra and shape[2] > 4 + 2 and classes != shape[2] - 4)
     # Two classes of RT-DETR have as many columns as a score and a class.
     if listed and (classes != 2 or (values[..., 5] == np.rint(values[..., 5])).all()):
         return Head("listed", (name,), classes)
-    found = shape[2] - _CORNERS
+    found = shape[2] - 4
     if found >= 1 and (classes is None or classes == found) and shape[1] > found:
         return Head("queries", (name,), found)
     return None
@@ -169,21 +161,24 @@ def _single(name: str, values: NDArray[Any], size: tuple[int, int], classes: int
 def _dense_head(name: str, numbers: int, transposed: bool, classes: int | None, extra: bool) -> Head | None:
     if classes is None:
         # YOLO v5 to v7 list boxes and have an objectness; later ones have neither.
-        count = numbers - _CORNERS - (not transposed)
+        count = numbers - 4 - (not transposed)
         return Head("dense", (name,), count, transposed, not transposed) if count >= 1 else None
-    if numbers == _CORNERS + classes or (extra and transposed and numbers > _CORNERS + classes):
+    if numbers == 4 + classes or (extra and transposed and numbers > 4 + classes):
         return Head("dense", (name,), classes, transposed)
-    if numbers == _CORNERS + 1 + classes or (extra and not transposed and numbers > _CORNERS + 1 + classes):
+    if numbers == 4 + 1 + classes or (extra and not transposed and numbers > 4 + 1 + classes):
         return Head("dense", (name,), classes, transposed, True)
     return None
 
 
 def _grid_counts(size: tuple[int, int]) -> set[int]:
-    """Return the numbers of boxes that dense heads have for an input."""
+    """Return the numbers of boxes that dense heads have for an input: one or three for each cell of their grids.
+
+    The grids have strides of 8, 16 and 32 px, in networks for large inputs also of 64 px.
+    """
     found = set()
-    for last in (3, 4):
-        cells = sum(-(-size[0] // stride) * -(-size[1] // stride) for stride in STRIDES[:last])
-        found |= {cells * anchors for anchors in _ANCHORS}
+    for strides in ((8, 16, 32), (8, 16, 32, 64)):
+        cells = sum(-(-size[0] // stride) * -(-size[1] // stride) for stride in strides)
+        found |= {cells, 3 * cells}
     return found
 
 
@@ -196,9 +191,14 @@ def _best(scores: NDArray[Any], boxes: NDArray[Any], least: float) -> Candidates
     return Candidates(corners, best[kept].astype(np.float32), classes[kept].astype(np.int64))
 
 
+def _are_fractions(boxes: NDArray[Any], largest: float = 2.0) -> bool:
+    """Return True if boxes are fractions of the input; they may lie outside of it in part."""
+    return boxes.size == 0 or bool(np.abs(boxes).max() <= largest)
+
+
 def _in_input(boxes: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float32]:
     """Return boxes by center and size in px of the input, which may be fractions of it."""
-    scale = np.ones(2) if boxes.size and np.abs(boxes).max() > _LARGEST_NORMALIZED else np.array(size)
+    scale = np.array(size) if _are_fractions(boxes) else np.ones(2)
     return (boxes * np.concatenate([scale, scale])).astype(np.float32)
 
 

@@ -16,11 +16,6 @@ from servotrack.estimators.metrics.joined import Joined
 from servotrack.estimators.metrics.sequence import EPSILON, TrackSequence
 from servotrack.estimators.types import Array, Labels, Mask
 
-_MATCH = 0.5
-"""Smallest similarity at which an answer belongs to an object that does not count."""
-_REGION_SHARE = 0.5
-"""Share of an answer inside an ignored region from which it is left out."""
-
 
 class LabeledBoxes(NamedTuple):
     """Boxes of a sequence with what benchmarks say of them, in the order of the file.
@@ -39,6 +34,10 @@ class LabeledBoxes(NamedTuple):
     boxes: Array
     classes: Labels
     counted: Mask
+
+    def part(self, mask: Mask) -> LabeledBoxes:
+        """Return the boxes where a mask of shape (n,) is true."""
+        return LabeledBoxes(self.steps[mask], self.ids[mask], self.boxes[mask], self.classes[mask], self.counted[mask])
 
 
 def plain_boxes(steps: Labels, ids: Labels, boxes: Array, kind: int = 1) -> LabeledBoxes:
@@ -61,6 +60,8 @@ class Benchmark:
         uncounted_match: True if answers that match a box that a flag excludes are left out, too.
         least_height: Answers without a match that are at most this high are left out, px.
         ignores_regions: True if answers without a match in ignored regions are left out.
+        match: Smallest similarity at which an answer belongs to an object that does not count.
+        region_share: Share of an answer inside an ignored region above which it is left out.
     """
 
     name: str
@@ -71,6 +72,8 @@ class Benchmark:
     uncounted_match: bool = False
     least_height: float | None = None
     ignores_regions: bool = False
+    match: float = 0.5
+    region_share: float = 0.5
 
 
 KITTI_CLASSES: Mapping[str, int] = {
@@ -156,8 +159,8 @@ def benchmark_sequence(
             )
     if benchmark.scored is not None and not benchmark.all_classes_match:
         wanted = [benchmark.scored, *benchmark.distractors]
-        truth = _part(truth, np.isin(truth.classes, wanted))
-        found = _part(found, found.classes == benchmark.scored)
+        truth = truth.part(np.isin(truth.classes, wanted))
+        found = found.part(found.classes == benchmark.scored)
     counts = truth.counted & (True if benchmark.scored is None else truth.classes == benchmark.scored)
     true_names, found_names = np.unique(truth.ids[counts]), np.unique(found.ids)
     sizes, rows, columns, pairs = [], Joined(np.intp), Joined(np.intp), Joined(np.float64)
@@ -178,10 +181,6 @@ def benchmark_sequence(
         len(true_names),
         len(found_names),
     )
-
-
-def _part(boxes: LabeledBoxes, mask: Mask) -> LabeledBoxes:
-    return LabeledBoxes(*(values[mask] for values in boxes))
 
 
 def _by_step(
@@ -216,7 +215,7 @@ def _kept_answers(
         return kept
     unmatched = kept.copy()
     if similarity.size:
-        eligible = np.where(similarity < _MATCH - EPSILON, 0.0, similarity)
+        eligible = np.where(similarity < benchmark.match - EPSILON, 0.0, similarity)
         rows, columns = linear_sum_assignment(eligible, maximize=True)
         matched = eligible[rows, columns] > EPSILON
         rows, columns = there[rows[matched]], columns[matched]
@@ -229,16 +228,16 @@ def _kept_answers(
         corners = _corners(answers)
         kept &= ~(unmatched & (corners[:, 3] - corners[:, 1] <= benchmark.least_height + EPSILON))
     if benchmark.ignores_regions and zones is not None and len(zones):
-        kept &= ~(unmatched & _inside(answers, zones))
+        kept &= ~(unmatched & _inside(answers, zones, benchmark.region_share))
     return kept
 
 
-def _inside(answers: Array, zones: Array) -> Mask:
-    """Return the answers of which more than half lies in one of the regions, shape (k,)."""
+def _inside(answers: Array, zones: Array, least: float) -> Mask:
+    """Return the answers of which more than a share lies in one of the regions, shape (k,)."""
     corners = _corners(answers)
     overlap, areas = _overlap(corners, _corners(zones)), _areas(corners)[:, None]
     share = np.divide(overlap, areas, out=np.zeros_like(overlap), where=areas > EPSILON)
-    return (share > _REGION_SHARE + EPSILON).any(axis=1)
+    return np.asarray((share > least + EPSILON).any(axis=1), np.bool_)
 
 
 def _corners(boxes: Array) -> Array:

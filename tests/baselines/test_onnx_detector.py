@@ -14,7 +14,7 @@ from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.track_command.command import TrackRequest, run_command
 from servotrack.baselines.track_command.opening import SourceRequest
 from servotrack.envs.track.files.read import read_tracks
-from servotrack.estimators.detect.network_frames import GRAY, letterbox, non_maximum_suppression, stretch
+from servotrack.estimators.detect.network_frames import letterbox, non_maximum_suppression, stretch
 from servotrack.estimators.testing import FrameInputs, check_estimator
 
 onnx = pytest.importorskip("onnx")
@@ -252,8 +252,8 @@ def test_letterbox_centers_the_frame_and_scales_it_once():
     assert boxed.shape == (64, 64, 3) and place.scale == (64 / 61, inner / 30)
     top = (64 - inner) // 2
     assert place.offset == (0.0, float(top))
-    assert (boxed[:top] == GRAY).all() and (boxed[top + inner :] == GRAY).all()
-    assert (boxed[top : top + inner] != GRAY).any(axis=(1, 2)).all()
+    assert (boxed[:top] == 114).all() and (boxed[top + inner :] == 114).all()
+    assert (boxed[top : top + inner] != 114).any(axis=(1, 2)).all()
     same, _ = letterbox(frame, (61, 30))
     np.testing.assert_array_equal(same, frame)
     corners = np.float32([[10, 5, 40, 25]])

@@ -37,7 +37,7 @@ _DEFAULT_SIDE = 640
 _SIDES = (32, 8192)
 _LONGEST_METADATA = 100_000
 _WANTED = "person"
-_MEAN, _DEVIATION = np.float32([0.485, 0.456, 0.406]), np.float32([0.229, 0.224, 0.225])
+_MEAN, _DEVIATION = np.array([0.485, 0.456, 0.406], np.float32), np.array([0.229, 0.224, 0.225], np.float32)
 """Mean and deviation of the colors of ImageNet, which RF-DETR expects to be removed."""
 _INPUT_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(uint8)": np.uint8}
 
@@ -151,7 +151,7 @@ class OnnxDetector:
                 found.corners[kept], found.scores[kept], found.classes[kept], self._overlap, _MOST_BOXES
             )
             kept = kept[chosen]
-        return Candidates(*(values[kept] for values in found))
+        return Candidates(found.corners[kept], found.scores[kept], found.classes[kept])
 
     def _in_frame(self, corners: NDArray[np.float32], place: Placement) -> NDArray[np.float32]:
         if self.head.kind != "scaled":
@@ -201,9 +201,10 @@ class OnnxDetector:
                 f"{image.type}; export it so"
             )
         sides = _sides(self._metadata("imgsz"))
-        self.size = tuple(
-            side if isinstance(side, int) else given for side, given in zip((width, height), sides[::-1], strict=True)
-        )  # type: ignore[assignment]
+        self.size: tuple[int, int] = (
+            width if isinstance(width, int) else sides[1],
+            height if isinstance(height, int) else sides[0],
+        )
         if not all(_SIDES[0] <= side <= _SIDES[1] for side in self.size):
             raise ValueError(f"{self.path}: the input must have sides from 32 to 8192 px, got {self.size}")
         self._image, self._type = image.name, _INPUT_TYPES[image.type]

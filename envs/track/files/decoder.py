@@ -31,7 +31,7 @@ class Decoder(ABC):
         live: True if the source cannot restart.
         length: Number of images that the source claims, once open; None if unknown.
         frame_rate: Frames per second, once open; None if unknown.
-        notes: What was found out about the source and the user should know.
+        notes: Facts about the source for the user.
         warning: Reason for doubt in the images so far; empty if there is none.
         end: Number after that of the last frame, at the end; None if it is that of the last delivered one.
     """
@@ -46,7 +46,7 @@ class Decoder(ABC):
 
     @property
     def notes(self) -> Sequence[str]:
-        """What was found out about the source and the user should know."""
+        """Facts about the source for the user."""
         return ()
 
     @property

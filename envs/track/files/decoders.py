@@ -23,6 +23,8 @@ from servotrack.envs.track.files.video_process import OPTIONS_VARIABLE
 
 _ATTEMPTS = 5
 """Number of failed reads in a row after which a camera has ended."""
+_LEAST_LEAD = 3
+"""Number of frames before the first time stamp from which it is said. Fewer are common in sound files."""
 _ADDRESS = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]*)://")
 PROTOCOLS = {
     "http": "http,tcp",
@@ -138,6 +140,29 @@ class VideoFile(_Video):
         super().__init__(str(path))
         self.path = path
         self._doubt: str | None = None
+        self._note = ""
+
+    @property
+    def notes(self) -> list[str]:
+        """Facts about the source for the user."""
+        return [self._note] if self._note else []
+
+    def open(self, start: int = 0, stride: int = 1) -> None:
+        """Open the video; do nothing if it is open."""
+        super().open(start, stride)
+        assert self._remote is not None
+        lead = self._remote.form["lead"]
+        if lead >= _LEAST_LEAD and self._from_zero():
+            self._note = (
+                f"{self.path}: its first time stamp is that of frame {lead}; frames are counted from there, which is "
+                "wrong if its beginning was lost"
+            )
+
+    def _from_zero(self) -> bool:
+        """Return True if the time stamps of the container begin at 0: MP4, Matroska, WebM, FLV."""
+        with self.path.open("rb") as file:
+            head = file.read(8)
+        return head[4:] == b"ftyp" or head.startswith((b"\x1aE\xdf\xa3", b"FLV"))
 
     @property
     def warning(self) -> str:

@@ -82,7 +82,7 @@ class FrameSource:
 
     @property
     def notes(self) -> Sequence[str]:
-        """What was found out about the source and the user should know."""
+        """Facts about the source for the user."""
         return self._decoder.notes
 
     def __iter__(self) -> Iterator[Image]:

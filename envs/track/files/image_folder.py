@@ -53,7 +53,7 @@ class ImageFolder(Decoder):
 
     @property
     def notes(self) -> list[str]:
-        """What was found out about the images."""
+        """Facts about the images for the user."""
         return [note for note in (self._numbering_note, self._levels.note) if note]
 
     @property

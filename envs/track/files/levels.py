@@ -28,7 +28,7 @@ class Levels:
         white: Value that becomes 255; None: from the samples.
 
     Attributes:
-        note: How the images are read, if not as 8 bits; else empty.
+        note: Scale of images of other than 8 bits, for the user; else empty.
         clipped: Number of converted images with values outside the range.
     """
 

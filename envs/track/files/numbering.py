@@ -19,7 +19,7 @@ class Numbering(NamedTuple):
 
     Attributes:
         numbers: Frame of each image, from 0, increasing, shape (n,), int.
-        note: What was found in the names, if it is more than consecutive numbers; else empty.
+        note: Gaps and steps in the numbers, for the user; empty for consecutive numbers.
     """
 
     numbers: Labels

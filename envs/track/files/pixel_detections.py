@@ -22,7 +22,7 @@ class PixelDetections(NamedTuple):
 
     Attributes:
         found: Detections by step, px.
-        note: What was changed, for the user; empty for nothing.
+        note: Change of the coordinates, for the user; empty for none.
     """
 
     found: MotDetections

@@ -36,7 +36,7 @@ class DecoderLostError(Exception):
 
 
 class VideoProcess:
-    """A decoding process and the frames that it was asked for.
+    """A decoding process and the requests that it has not answered yet.
 
     Raises:
         DecoderLostError: The process cannot be started, has ended, or does not answer.

@@ -66,10 +66,12 @@ class Clock(NamedTuple):
         origin: Stamp of frame 0, s.
         stamped: True if the container stores the stamps. AVI counts chunks, and a decoder that reorders frames delays
             its stamps.
+        lead: Number of frames that fit before the first stamp on the container's own scale.
     """
 
     origin: float
     stamped: bool
+    lead: int = 0
 
 
 class NumberedCapture:
@@ -84,6 +86,7 @@ class NumberedCapture:
         clock: Time stamps; None where the frame rate varies or is unknown.
 
     Attributes:
+        clock: Time stamps; None where the frame rate varies or is unknown.
         rate: Frames per second; None if unknown.
         length: Claimed number of frames; None if unknown.
         next: Number after that of the last frame.
@@ -92,7 +95,7 @@ class NumberedCapture:
 
     def __init__(self, capture: Any, clock: Clock | None = None) -> None:
         self._capture = capture
-        self._clock = clock
+        self.clock = clock
         self.rate = _rate(capture)
         length = self._property(cv2.CAP_PROP_FRAME_COUNT)
         self.length = int(length) if 1.0 <= length < 2**31 else None
@@ -104,8 +107,8 @@ class NumberedCapture:
         """Advance to the next frame that can be decoded; None at the end."""
         while (advanced := self._advance()) is not None:
             stamp, failures = advanced
-            if self._clock is not None and self.next == 0 and not (failures or self._clock.stamped):
-                self._clock = self._clock._replace(origin=stamp)
+            if self.clock is not None and self.next == 0 and not (failures or self.clock.stamped):
+                self.clock = self.clock._replace(origin=stamp)
             by_time, image = self._by_time(stamp), None
             number = self.next + failures
             if by_time is not None:
@@ -141,9 +144,9 @@ class NumberedCapture:
         return self._property(cv2.CAP_PROP_POS_MSEC) / 1e3, failures
 
     def _by_time(self, stamp: float) -> int | None:
-        if self._clock is None or self.rate is None:
+        if self.clock is None or self.rate is None:
             return None
-        number = round((stamp - self._clock.origin) * self.rate)
+        number = round((stamp - self.clock.origin) * self.rate)
         most = self.next + 10 * round(self.rate) if self.length is None else max(self.length, self.next + 1)
         return number if number < most else None
 
@@ -156,7 +159,7 @@ class NumberedCapture:
         return following is not None and following > number
 
     def _seconds(self, stamp: float, number: int) -> float | None:
-        if self._clock is not None and self.rate is not None:
+        if self.clock is not None and self.rate is not None:
             return number / self.rate
         return stamp if stamp > 0.0 or number == 0 else None
 
@@ -188,9 +191,14 @@ def read_clock(packets: Any, stamped: bool) -> Clock | None:
     rate = _rate(packets)
     if rate is None:
         return None
-    stamps = np.array([packets.get(cv2.CAP_PROP_POS_MSEC) / 1e3 for _ in range(_PACKETS) if packets.grab()])
-    if not len(stamps):
+    found = [
+        (packets.get(cv2.CAP_PROP_POS_MSEC) / 1e3, packets.get(cv2.CAP_PROP_PTS))
+        for _ in range(_PACKETS)
+        if packets.grab()
+    ]
+    if not found:
         return None
+    stamps, counts = np.array(found).T
     steps = np.diff(np.sort(stamps)) * rate
     # The grid of most stamps, because damaged ones can be anywhere.
     nearest = [np.abs((stamps - origin) * rate - np.rint((stamps - origin) * rate)) for origin in stamps]
@@ -199,7 +207,8 @@ def read_clock(packets: Any, stamped: bool) -> Clock | None:
     regular = len(steps) == 0 or np.median(steps) <= 1.2
     if fits[best].mean() < _REGULAR or not regular:
         return None
-    return Clock(_first(stamps[fits[best]], rate), stamped)
+    origin = _first(stamps[fits[best]], rate)
+    return Clock(origin, stamped, int(counts[stamps == origin].min()))
 
 
 def _first(stamps: NDArray[Any], rate: float) -> float:
@@ -286,7 +295,8 @@ class _Server:
         if max(width, height) > largest:
             self._close()
             return {"large": [int(width), int(height)]}
-        return {"rate": self._capture.rate, "length": self._capture.length}
+        lead = 0 if self._capture.clock is None else self._capture.clock.lead
+        return {"rate": self._capture.rate, "length": self._capture.length, "lead": lead}
 
     def _next(self) -> None:
         """Send the next wanted frame."""
