@@ -85,7 +85,7 @@ class VideoProcess:
         self._asked -= 1
         if "shape" not in found:
             return found, None
-        return found, np.frombuffer(pixels, found["type"]).reshape(found["shape"])
+        return found, pixels.view(found["type"]).reshape(found["shape"])
 
     def close(self) -> None:
         """Close the video; the process can open another one."""
@@ -108,14 +108,15 @@ class VideoProcess:
         except OSError as error:
             raise self._lost() from error
 
-    def _answer(self) -> tuple[dict[str, Any], bytearray]:
+    def _answer(self) -> tuple[dict[str, Any], NDArray[np.uint8]]:
         lengths = HEADER.unpack(self._read(HEADER.size))
-        found = json.loads(self._read(lengths[0]))
+        found = json.loads(self._read(lengths[0]).tobytes())
         return found, self._read(lengths[1])
 
-    def _read(self, count: int) -> bytearray:
-        content = bytearray(count)
-        rest = memoryview(content)
+    def _read(self, count: int) -> NDArray[np.uint8]:
+        # Not filled with zeros first, as a bytearray is.
+        content = np.empty(count, np.uint8)
+        rest = content.data
         while rest:
             if os.name == "posix" and not select.select([self._answers], [], [], _PATIENCE)[0]:
                 self._process.kill()
