@@ -22,8 +22,8 @@ class NoiseScales(NamedTuple):
 
     Attributes:
         measurement: Factors of the variances of detections: center column, center row, width, height. Shape (4,).
-        process: Factors of the spectral densities of acceleration along columns and rows, and of the random walks of width and
-            height. Shape (4,).
+        process: Factors of the spectral densities of acceleration along columns and rows, and of the random walks of
+            width and height. Shape (4,).
         number: Number of innovations, limited.
     """
 
