@@ -34,8 +34,14 @@ from servotrack.estimators.boxes.kalman import center_boxes, correct_boxes, pred
 from servotrack.estimators.boxes.merged import SplitRules, split_merged
 from servotrack.estimators.boxes.noise import NoiseLearning, NoiseScales, initial_noise, learn_noise
 from servotrack.estimators.boxes.overlap import covered_by
-from servotrack.estimators.boxes.perspective import HeightRules, height_errors, initial_heights, learn_heights
-from servotrack.estimators.boxes.pmb_kernel import associate, mix_appearances, pair_log_densities, visible_shares
+from servotrack.estimators.boxes.perspective import HeightRules, initial_heights
+from servotrack.estimators.boxes.pmb_kernel import (
+    associate,
+    judge_tracks,
+    mix_appearances,
+    pair_log_weights,
+    visible_shares,
+)
 from servotrack.estimators.boxes.report import (
     LARGEST_HELD,
     box_covariances,
@@ -342,9 +348,15 @@ class BoxPMB:
         again = 1.0 - 0.5 ** (frame.dt / self.miss_half_life)
         detectable = np.where(tracks.missed > 0, again, self.detection) * np.clip(visible, self.least_visible, 1.0)
         absence = 1.0 - r * detectable
-        log_weight = pair_log_densities(mean, variance, boxes, frame.noise, self._gate)
-        log_weight += np.log(r * detectable / absence)[:, None] - self.clutter_log_density
-        log_weight += self.score_weight * (frame.odds - self.typical_score)
+        log_weight = pair_log_weights(
+            mean,
+            variance,
+            boxes,
+            frame.noise,
+            self._gate,
+            np.log(r * detectable / absence) - self.clutter_log_density,
+            self.score_weight * (frame.odds - self.typical_score),
+        )
         if tracks.appearance.shape[1] and len(boxes):
             similar = tracks.appearance @ frame.detections.features.T
             ratio = np.clip(self.appearance * (similar - self.typical_similarity), *self.appearance_limits)
@@ -394,16 +406,18 @@ class BoxPMB:
         found = np.flatnonzero(tracks.missed == 0)
         if len(found) == 0:
             return tracks, heights
-        boxes, seen = center_boxes(tracks.mean[found]), tracks.seen[found]
-        error = height_errors(heights, boxes, self.heights)
-        evidence, person = tracks.evidence.copy(), tracks.person.copy()
-        evidence[found, 0] = score_log_odds(confidence, tracks.readings[found] / seen, self.scores)
-        evidence[found, 1] = score_log_odds(confidence, tracks.reading[found], self.scores)
-        evidence[found, 2] = error
-        person[found] = self.person.probability(evidence[found])
-        return tracks._replace(evidence=evidence, person=person), learn_heights(
-            heights, boxes, error, person[found], frame.dt, self.heights
+        evidence, person, heights = judge_tracks(
+            (tracks.mean, tracks.seen, tracks.reading, tracks.readings),
+            (tracks.evidence, tracks.person),
+            found,
+            confidence,
+            heights,
+            frame.dt,
+            self.person,
+            self.scores,
+            self.heights,
         )
+        return tracks._replace(evidence=evidence, person=person), heights
 
     def _estimate(self, tracks: BoxTracks) -> SetEstimate:
         """Report the people with a detection; hold the others."""
