@@ -11,50 +11,70 @@ better, readings are taken at face value; otherwise they say nothing and are rep
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
 
-FIELDS = 10
-"""Size of the state: number, mean, sum of squares, lowest and highest of the scores; intercept of the first model and
-its precision; followed and all detections, discounted; log Bayes factor of the second model."""
 
-CENTER, SPREAD = 3.0, 2.0
-"""Mean and standard deviation that standardized scores are given, typical of log odds of scores of people."""
+class ScoreRules(NamedTuple):
+    """Reading of scores.
 
-USUAL = -0.2
-"""Log odds that a detection of reading 0 is followed by another one, for usual detectors; they rise by 1 per unit."""
+    Attributes:
+        typical: Reading of scores that say nothing, and mean of standardized scores, log odds. Raising it reports more
+            people where scores say nothing.
+        spread: Standard deviation that standardized scores are given, log odds.
+        usual: Log odds that a detection of reading 0 is followed by another one, for usual detectors; they rise by 1
+            per unit.
+        intercept_precision: Precision of the prior of the first model's intercept. 10 counts as about 50 outcomes.
+        followed, detections: Detections followed by another one, and all, that the prior of the second model counts
+            for.
+        least_rate: Smallest rate of the second model: where fewer detections persist, their association fails or many
+            are false.
+        first_factor: Log Bayes factor of the second model before any outcome. Raising it distrusts scores sooner.
+        largest_factor: Limit of its absolute value. Raising it lets the models change places more slowly.
+        lowest, highest: Scores are limited to this range before their log odds are taken.
+        memory: Time for which the persistence of detections is remembered, s.
+    """
 
-INTERCEPT_PRECISION = 10.0
-"""Precision of the prior of the first model's intercept, as if from about 50 outcomes."""
-
-RATE_PRIOR = (9.0, 10.0)
-"""Detections followed by another one, and all, that the prior of the second model counts for."""
-
-LEAST_RATE = 0.9
-"""Smallest rate of the second model: where fewer detections persist, their association fails or many are false."""
-
-FIRST_FACTOR, LARGEST_FACTOR = -10.0, 20.0
-"""Log Bayes factor before any outcome, and its limit, which lets the models change places within seconds."""
-
-FLOOR, CEILING = 1e-3, 1.0 - 5e-4
-"""Scores are limited to this range before their log odds are taken."""
+    typical: float = 3.0
+    spread: float = 2.0
+    usual: float = -0.2
+    intercept_precision: float = 10.0
+    followed: float = 9.0
+    detections: float = 10.0
+    least_rate: float = 0.9
+    first_factor: float = -10.0
+    largest_factor: float = 20.0
+    lowest: float = 1e-3
+    highest: float = 1.0 - 5e-4
+    memory: float = 60.0
 
 
-def initial_confidence() -> Array:
-    """State before the first detection. Shape (10,)."""
-    return np.array([0.0, 0.0, 0.0, 0.0, 0.0, USUAL, INTERCEPT_PRECISION, *RATE_PRIOR, FIRST_FACTOR])
+def initial_confidence(rules: ScoreRules) -> Array:
+    """State before the first detection.
+
+    Args:
+        rules: Reading of scores.
+
+    Returns:
+        Number, mean, sum of squares, lowest and highest of the scores; intercept of the first model and its precision;
+        followed and all detections, discounted; log Bayes factor of the second model. Shape (10,).
+    """
+    start = [rules.usual, rules.intercept_precision, rules.followed, rules.detections, rules.first_factor]
+    return np.array([0.0] * 5 + start)
 
 
 @njit(cache=True, nogil=True)
-def read_scores(state, scores):  # type: ignore[no-untyped-def]
+def read_scores(state, scores, rules):  # type: ignore[no-untyped-def]
     """Update the range of the scores and read those of a frame.
 
     Args:
         state: State as in `initial_confidence`.
         scores: Scores of the frame's detections, on any scale. Shape (Z,).
+        rules: A `ScoreRules`.
 
     Returns:
         New state; readings x, shape (Z,).
@@ -69,33 +89,34 @@ def read_scores(state, scores):  # type: ignore[no-untyped-def]
         out[3], out[4] = score if first else min(out[3], score), score if first else max(out[4], score)
     deviation = math.sqrt(out[2] / max(out[0], 1.0))
     varies = out[4] - out[3] > 1e-9 * max(abs(out[3]), abs(out[4]))
-    reading = np.full(len(scores), CENTER)
+    reading = np.full(len(scores), rules.typical)
     for j in range(len(scores) if varies else 0):
         if out[3] >= 0.0 and out[4] <= 1.0:
-            share = min(max(scores[j], FLOOR), CEILING)
+            share = min(max(scores[j], rules.lowest), rules.highest)
             reading[j] = math.log(share / (1.0 - share))
         else:
-            reading[j] += SPREAD * (scores[j] - out[1]) / deviation
+            reading[j] += rules.spread * (scores[j] - out[1]) / deviation
     return out, reading
 
 
 @njit(cache=True, nogil=True)
-def score_log_odds(state, reading):  # type: ignore[no-untyped-def]
+def score_log_odds(state, reading, rules):  # type: ignore[no-untyped-def]
     """Log odds of readings: themselves, or a typical value if readings do not tell which detections persist.
 
     Args:
         state: State as in `initial_confidence`.
         reading: Readings x. Shape (k,).
+        rules: A `ScoreRules`.
 
     Returns:
         Shape (k,).
     """
     share = 1.0 / (1.0 + math.exp(-state[9]))
-    return (1.0 - share) * reading + share * CENTER
+    return (1.0 - share) * reading + share * rules.typical
 
 
 @njit(cache=True, nogil=True)
-def learn_persistence(state, reading, followed, counts, keep):  # type: ignore[no-untyped-def]
+def learn_persistence(state, reading, followed, counts, dt, rules):  # type: ignore[no-untyped-def]
     """Update the two models, in place, with the outcomes of the last frame's detections.
 
     Args:
@@ -103,13 +124,15 @@ def learn_persistence(state, reading, followed, counts, keep):  # type: ignore[n
         reading: Reading x of each track's last detection. Shape (T,).
         followed: True where this frame has another detection of the track. Shape (T,).
         counts: True where the track had a detection in the last frame and nothing hides it now. Shape (T,).
-        keep: Share of the past that still counts, in (0, 1].
+        dt: Time since the last frame, s.
+        rules: A `ScoreRules`.
     """
-    state[6] = INTERCEPT_PRECISION + keep * (state[6] - INTERCEPT_PRECISION)
-    state[7] = RATE_PRIOR[0] + keep * (state[7] - RATE_PRIOR[0])
-    state[8] = RATE_PRIOR[1] + keep * (state[8] - RATE_PRIOR[1])
-    rate = max(state[7] / state[8], LEAST_RATE)
-    gradient = (1.0 - keep) * INTERCEPT_PRECISION * (USUAL - state[5])
+    keep = math.exp(-dt / rules.memory)
+    state[6] = rules.intercept_precision + keep * (state[6] - rules.intercept_precision)
+    state[7] = rules.followed + keep * (state[7] - rules.followed)
+    state[8] = rules.detections + keep * (state[8] - rules.detections)
+    rate = max(state[7] / state[8], rules.least_rate)
+    gradient = (1.0 - keep) * rules.intercept_precision * (rules.usual - state[5])
     for i in range(len(reading)):
         if not counts[i]:
             continue
@@ -124,4 +147,4 @@ def learn_persistence(state, reading, followed, counts, keep):  # type: ignore[n
         state[8] += 1.0
         state[6] += p * (1.0 - p)
     state[5] += gradient / state[6]
-    state[9] = min(max(state[9], -LARGEST_FACTOR), LARGEST_FACTOR)
+    state[9] = min(max(state[9], -rules.largest_factor), rules.largest_factor)

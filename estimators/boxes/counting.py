@@ -1,7 +1,7 @@
 """Numbers of people with intervals: in the frame, in a zone, and across a line.
 
 Every box has a probability that it is a person, and boxes count as independent, so their number has a Poisson-binomial
-distribution. People whom the detector never finds add to the number in the frame: their number is Poisson, in
+distribution. People that the detector never finds add to the number in the frame: their number is Poisson, in
 proportion to those who were found. A count without an interval hides both.
 """
 
@@ -96,7 +96,7 @@ def people_count(estimate: SetEstimate, undetected: float = UNDETECTED, level: f
     Args:
         estimate: Estimate of a frame.
         undetected: Expected number of people without a track for each one with a track, at least 0. Raising it raises
-            the number and widens the interval; 0 counts only people whom the detector finds.
+            the number and widens the interval; 0 counts only people that the detector finds.
         level: Probability of the interval, in (0, 1).
 
     Raises:

@@ -108,9 +108,12 @@ def started_boxes(boxes: Array, noise: Array, speed: float, smallest_size: float
     return mean, variance
 
 
-def center_boxes(mean: Array) -> Array:
-    """Boxes of tracks: left, top, width, height. Shape (T, 4), px."""
-    boxes = np.empty((len(mean), 4))
-    boxes[:, 2:] = mean[:, 4:]
-    boxes[:, :2] = mean[:, [0, 2]] - 0.5 * mean[:, 4:]
+@njit(cache=True, nogil=True)
+def center_boxes(mean):  # type: ignore[no-untyped-def]
+    """Boxes of tracks with means as in `predict_boxes`: left, top, width, height. Shape (T, 4), px."""
+    boxes = np.empty((mean.shape[0], 4))
+    for i in range(mean.shape[0]):
+        for axis in range(2):
+            boxes[i, 2 + axis] = mean[i, 4 + axis]
+            boxes[i, axis] = mean[i, 2 * axis] - 0.5 * mean[i, 4 + axis]
     return boxes

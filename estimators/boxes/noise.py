@@ -21,9 +21,9 @@ class NoiseScales(NamedTuple):
     """Logarithms of the factors of the noise variances, and the number of innovations that they are based on.
 
     Attributes:
-        measurement: Of the variances of detections: center column, center row, width, height. Shape (4,).
-        process: Of the spectral densities of acceleration along columns and rows, and of the random walks of width and
-            height. Shape (4,).
+        measurement: Factors of the variances of detections: center column, center row, width, height. Shape (4,).
+        process: Factors of the spectral densities of acceleration along columns and rows, and of the random walks of
+            width and height. Shape (4,).
         number: Number of innovations, limited.
     """
 

@@ -23,13 +23,25 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from servotrack.estimators.boxes.confidence import initial_confidence, learn_persistence, read_scores, score_log_odds
+from servotrack.estimators.boxes.confidence import (
+    ScoreRules,
+    initial_confidence,
+    learn_persistence,
+    read_scores,
+    score_log_odds,
+)
 from servotrack.estimators.boxes.kalman import center_boxes, correct_boxes, predict_boxes, started_boxes
 from servotrack.estimators.boxes.merged import SplitRules, split_merged
 from servotrack.estimators.boxes.noise import NoiseLearning, NoiseScales, initial_noise, learn_noise
 from servotrack.estimators.boxes.overlap import covered_by
-from servotrack.estimators.boxes.perspective import height_errors, initial_heights, learn_heights
-from servotrack.estimators.boxes.pmb_kernel import associate, mix_appearances, pair_log_densities, visible_shares
+from servotrack.estimators.boxes.perspective import HeightRules, initial_heights
+from servotrack.estimators.boxes.pmb_kernel import (
+    associate,
+    judge_tracks,
+    mix_appearances,
+    pair_log_weights,
+    visible_shares,
+)
 from servotrack.estimators.boxes.report import (
     LARGEST_HELD,
     box_covariances,
@@ -162,15 +174,16 @@ class BoxPMB:
             tracks longer.
         clutter_log_density: Log density of false and new detections, heights^-4. Raising it assigns fewer distant
             detections to tracks.
-        score_weight: Weight of a detection's log odds in its assignment to tracks. Raising it leaves detections of low
-            scores to nobody.
+        score_weight: Weight of a detection's log odds in its assignment to tracks. Raising it assigns fewer detections
+            of low scores.
         typical_score: Log odds at which the score does not matter in the assignment.
         birth: Probability that an unexplained detection belongs to something that persists, in (0, 1). Raising it
             reports people sooner, also false ones.
         overlap: The birth probability of a detection is multiplied by (1 - s)**overlap, with s the fraction covered by
             tracked people. Raising it starts fewer second tracks of one person.
         person: Log odds that a track is a person.
-        height_memory: Time for which heights are remembered, s.
+        scores: Reading of scores.
+        heights: Learning of heights.
         report: Smallest existence of reported people, in (0, 1). Raising it reports fewer.
         coast: Time for which undetected people are still reported, s; 0 for those with a detection in the frame only.
         lifetime: Mean time for which people stay, s.
@@ -213,7 +226,8 @@ class BoxPMB:
     birth: float = 0.9
     overlap: float = 10.0
     person: PersonOdds = field(default_factory=PersonOdds)
-    height_memory: float = 20.0
+    scores: ScoreRules = field(default_factory=ScoreRules)
+    heights: HeightRules = field(default_factory=HeightRules)
     report: float = 0.42
     coast: float = 0.0
     lifetime: float = 20.0
@@ -263,7 +277,7 @@ class BoxPMB:
         """
         features = checked_detections(detections).features
         tracks = _new_tracks(np.zeros((0, 6)), np.zeros((0, 8)), np.zeros(0), 1, np.zeros(0), features[:0])
-        return BoxPMBState(tracks, 1, initial_noise(), initial_confidence(), initial_heights())
+        return BoxPMBState(tracks, 1, initial_noise(), initial_confidence(self.scores), initial_heights())
 
     def step(
         self, state: BoxPMBState, detections: Detections, dt: float | None = None
@@ -284,14 +298,14 @@ class BoxPMB:
         if self.split:
             known = (tracks.existence >= REPORTED) & (tracks.seen >= self.established)
             detections = split_merged(detections, center_boxes(tracks.mean[known]), self.split_rules)
-        confidence, reading = read_scores(state.confidence, np.ascontiguousarray(detections.confidences))
-        odds = score_log_odds(confidence, reading)
+        confidence, reading = read_scores(state.confidence, np.ascontiguousarray(detections.confidences), self.scores)
+        odds = score_log_odds(confidence, reading, self.scores)
         noise = self._measurement_noise * np.exp(0.5 * state.noise.measurement)
         frame = _Frame(detections, reading, odds, dt, noise)
         tracks, fresh = self._corrected(tracks, visible, frame)
         found = tracks.missed == 0
         counts = (state.tracks.missed == 0) & (visible >= self.full_view)
-        learn_persistence(confidence, state.tracks.reading, found, counts, math.exp(-dt / CONFIDENCE_MEMORY))
+        learn_persistence(confidence, state.tracks.reading, found, counts, dt, self.scores)
         scales = self._learned_noise(state, tracks, found)
         tracks, next_label = self._extended(tracks, frame, fresh, state.next_label)
         tracks, heights = self._judged(tracks, frame, confidence, state.heights)
@@ -334,9 +348,15 @@ class BoxPMB:
         again = 1.0 - 0.5 ** (frame.dt / self.miss_half_life)
         detectable = np.where(tracks.missed > 0, again, self.detection) * np.clip(visible, self.least_visible, 1.0)
         absence = 1.0 - r * detectable
-        log_weight = pair_log_densities(mean, variance, boxes, frame.noise, self._gate)
-        log_weight += np.log(r * detectable / absence)[:, None] - self.clutter_log_density
-        log_weight += self.score_weight * (frame.odds - self.typical_score)
+        log_weight = pair_log_weights(
+            mean,
+            variance,
+            boxes,
+            frame.noise,
+            self._gate,
+            np.log(r * detectable / absence) - self.clutter_log_density,
+            self.score_weight * (frame.odds - self.typical_score),
+        )
         if tracks.appearance.shape[1] and len(boxes):
             similar = tracks.appearance @ frame.detections.features.T
             ratio = np.clip(self.appearance * (similar - self.typical_similarity), *self.appearance_limits)
@@ -386,16 +406,18 @@ class BoxPMB:
         found = np.flatnonzero(tracks.missed == 0)
         if len(found) == 0:
             return tracks, heights
-        boxes, seen = center_boxes(tracks.mean[found]), tracks.seen[found]
-        error = height_errors(heights, boxes, FARTHEST_HEIGHT)
-        evidence, person = tracks.evidence.copy(), tracks.person.copy()
-        evidence[found, 0] = score_log_odds(confidence, tracks.readings[found] / seen)
-        evidence[found, 1] = score_log_odds(confidence, tracks.reading[found])
-        evidence[found, 2] = error
-        person[found] = self.person.probability(evidence[found])
-        return tracks._replace(evidence=evidence, person=person), learn_heights(
-            heights, boxes, error, person[found], frame.dt, float(self.height_memory)
+        evidence, person, heights = judge_tracks(
+            (tracks.mean, tracks.seen, tracks.reading, tracks.readings),
+            (tracks.evidence, tracks.person),
+            found,
+            confidence,
+            heights,
+            frame.dt,
+            self.person,
+            self.scores,
+            self.heights,
         )
+        return tracks._replace(evidence=evidence, person=person), heights
 
     def _estimate(self, tracks: BoxTracks) -> SetEstimate:
         """Report the people with a detection; hold the others."""
@@ -424,13 +446,6 @@ class BoxPMB:
         vectors = np.asarray(features, dtype=np.float64)
         mix_appearances(out, own, partner, vectors, tracks.seen, float(self.appearance_rate))
         return out
-
-
-CONFIDENCE_MEMORY = 60.0
-"""Time for which the persistence of detections is remembered, s."""
-
-FARTHEST_HEIGHT = 4.0
-"""Upper limit of a deviation from the expected height, standard deviations."""
 
 
 def _new_tracks(
@@ -467,6 +482,5 @@ _POSITIVE = (
     "lifetime",
     "velocity_memory",
     "memory",
-    "height_memory",
     "smallest_size",
 )

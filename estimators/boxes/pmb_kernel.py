@@ -6,6 +6,9 @@ import math
 
 import numpy as np
 
+from servotrack.estimators.boxes.confidence import score_log_odds
+from servotrack.estimators.boxes.kalman import center_boxes
+from servotrack.estimators.boxes.perspective import height_errors, learn_heights
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.rfs.association import association_marginals
@@ -45,15 +48,19 @@ def visible_shares(mean, existence, frame_width, frame_height):  # type: ignore[
 
 
 @njit(cache=True, nogil=True)
-def pair_log_densities(mean, variance, boxes, noise, gate):  # type: ignore[no-untyped-def]
-    """Log density of every detection under every track's prediction, in heights^-4 and without the constant of 2 pi.
+def pair_log_weights(mean, variance, boxes, noise, gate, track, detection):  # type: ignore[no-untyped-def]
+    """Log weight of every pair: log density of the detection under the track's prediction, plus a summand of either.
+
+    Densities are in heights^-4 and without the constant of 2 pi.
 
     Args:
         mean: Predicted means. Shape (T, 6).
         variance: Predicted variances. Shape (T, 8).
         boxes: Left, top, width, height. Shape (Z, 4), px.
         noise: Standard deviations of a measured center column, center row, width and height, heights. Shape (4,).
-        gate: Largest squared Mahalanobis distance; for other pairs the log density is -inf.
+        gate: Largest squared Mahalanobis distance; for other pairs the log weight is -inf.
+        track: Summand of each track. Shape (T,).
+        detection: Summand of each detection. Shape (Z,).
 
     Returns:
         Shape (T, Z).
@@ -71,7 +78,7 @@ def pair_log_densities(mean, variance, boxes, noise, gate):  # type: ignore[no-u
                 total += (boxes[j, k] + boxes[j, 2 + k] / 2.0 - mean[i, 2 * k]) ** 2 / S[k]
                 total += (boxes[j, 2 + k] - mean[i, 4 + k]) ** 2 / S[2 + k]
             if total <= gate:
-                out[i, j] = -spread - 0.5 * total
+                out[i, j] = track[i] + detection[j] - spread - 0.5 * total
     return out
 
 
@@ -112,6 +119,40 @@ def associate(weight):  # type: ignore[no-untyped-def]
         if partner[i] >= detections:
             partner[i] = -1
     return missed, assigned, fresh, partner
+
+
+@njit(cache=True, nogil=True)
+def judge_tracks(tracks, known, found, confidence, heights, dt, odds, scores, rules):  # type: ignore[no-untyped-def]
+    """Probabilities that tracks with a detection are people, by scores and heights; learn the heights.
+
+    Args:
+        tracks: Means (T, 6), numbers of detections (T,), last readings (T,), summed readings (T,).
+        known: Evidence (T, 3) and probabilities (T,) so far.
+        found: Indices of the tracks with a detection. Shape (k,).
+        confidence: State of `score_log_odds`.
+        heights: State of `height_errors`.
+        dt: Time since the last frame, s.
+        odds: A `PersonOdds`.
+        scores: A `ScoreRules`.
+        rules: A `HeightRules`.
+
+    Returns:
+        New evidence (T, 3), probabilities (T,) and state of the heights.
+    """
+    mean, seen, last, total = tracks
+    evidence, person = known[0].copy(), known[1].copy()
+    boxes = center_boxes(mean[found])
+    error = height_errors(heights, boxes, rules)
+    average = score_log_odds(confidence, total[found] / seen[found], scores)
+    newest = score_log_odds(confidence, last[found], scores)
+    chance = np.empty(len(found))
+    for j in range(len(found)):
+        log_odds = odds.mean * average[j] + odds.high * max(average[j] - odds.knee, 0.0) + odds.last * newest[j]
+        chance[j] = 1.0 / (1.0 + math.exp(odds.intercept + odds.height * error[j] - log_odds))
+        i = found[j]
+        evidence[i, 0], evidence[i, 1], evidence[i, 2] = average[j], newest[j], error[j]
+        person[i] = chance[j]
+    return evidence, person, learn_heights(heights, boxes, error, chance, dt, rules)
 
 
 @njit(cache=True, nogil=True)
