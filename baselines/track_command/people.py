@@ -7,7 +7,7 @@ import importlib
 import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,7 @@ class Tracks:
     ids: Labels
     boxes: Array
     existence: Array
-    image: Image | None = None
+    image: Image | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         """Return the number of people."""

@@ -48,8 +48,13 @@ def detections_from_boxes(boxes: ArrayLike, confidences: ArrayLike | None = None
         array = array.reshape(0, 4)
     if array.ndim != 2 or array.shape[1] != 4:
         raise ValueError(f"boxes must have shape (k, 4), left, top, width, height, got {array.shape}")
-    if not np.isfinite(array).all() or (array[:, 2:] < 0.0).any():
-        raise ValueError("boxes must be finite with width and height of at least 0; leave bad rows out")
+    bad = ~np.isfinite(array).all(axis=1) | (array[:, 2:] < 0.0).any(axis=1)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise ValueError(
+            f"boxes must be finite with width and height of at least 0, got {array[row].tolist()} in row {row}; leave bad "
+            "rows out"
+        )
     count = len(array)
     given = np.ones(count) if confidences is None else np.array(confidences, dtype=np.float64)
     if given.shape != (count,) or not np.isfinite(given).all():

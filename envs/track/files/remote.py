@@ -109,7 +109,7 @@ class VideoProcess:
             raise self._lost() from error
 
     def _answer(self) -> tuple[dict[str, Any], NDArray[np.uint8]]:
-        lengths = HEADER.unpack(self._read(HEADER.size))
+        lengths = HEADER.unpack(self._read(HEADER.size).data)
         found = json.loads(self._read(lengths[0]).tobytes())
         return found, self._read(lengths[1])
 
