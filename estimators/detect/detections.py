@@ -52,8 +52,8 @@ def detections_from_boxes(boxes: ArrayLike, confidences: ArrayLike | None = None
     if bad.any():
         row = int(np.argmax(bad))
         raise ValueError(
-            f"boxes must be finite with width and height of at least 0, got {array[row].tolist()} in row {row}; leave bad "
-            "rows out"
+            f"boxes must be finite with width and height of at least 0, got {array[row].tolist()} in row {row}; leave "
+            "bad rows out"
         )
     count = len(array)
     given = np.ones(count) if confidences is None else np.array(confidences, dtype=np.float64)
