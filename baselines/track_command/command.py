@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.text import Text
 
 from servotrack.baselines.agents.hyper_parameters import with_values
@@ -22,6 +31,7 @@ from servotrack.baselines.reporting.terminal import print_tables
 from servotrack.baselines.running.stopping import Stopped
 from servotrack.baselines.track_command.claim import claim_folder
 from servotrack.baselines.track_command.exports import FORMATS, write_formats
+from servotrack.baselines.track_command.inputs import Input
 from servotrack.baselines.track_command.offline import OFFLINE_TRACKS, write_offline
 from servotrack.baselines.track_command.opening import SourceRequest, open_input, working_size
 from servotrack.baselines.track_command.painter import BoxPainter
@@ -114,7 +124,7 @@ def run_command(request: TrackRequest, console: Console) -> int:
         painter = BoxPainter(source.source_size, truth, request.show_truth)
     with _progress(console) as progress:
         bar = progress.add_task(f"{detector} + {request.tracker}", total=source.length)
-        run = track(source, tracker, out, painter, on_frame=lambda: progress.advance(bar))
+        run = track(source, tracker, out, painter, on_frame=_advance(progress, bar, source))
         progress.update(bar, total=len(run.frames), completed=len(run.frames))
     for name in OUTPUTS:
         # Files of an earlier run would be mistaken for this one's.
@@ -142,6 +152,19 @@ class _RateColumn(ProgressColumn):
         """Return the rate of the last seconds while the task runs, and of the whole task at the end."""
         rate = task.finished_speed or task.speed
         return Text("" if rate is None else f"{rate:.0f} frames/s", style="cyan")
+
+
+def _advance(progress: Progress, bar: TaskID, source: Input) -> Callable[[], None]:
+    """Return a function that advances the bar and prints new notes at once, long before the report."""
+    said: list[str] = []
+
+    def advance() -> None:
+        progress.advance(bar)
+        for note in source.notes[len(said) :]:
+            said.append(note)
+            progress.console.print(f"note: {note}", style="cyan", soft_wrap=True)
+
+    return advance
 
 
 def _progress(console: Console) -> Progress:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from servotrack.baselines.agents.people.catalog import Detector
+from servotrack.baselines.track_command.notices import Notices
 from servotrack.envs.track.files.frames import SIDES, FrameSource, open_frames, resize, resized
 from servotrack.envs.track.files.mot_files import SequenceInfo, find_mot_folder
 from servotrack.envs.track.files.pixel_detections import read_pixel_detections
@@ -108,6 +109,7 @@ class PixelInput:
     ) -> None:
         self._frames = open_frames(source, start=start, count=count, stride=stride, white=white)
         self._white = white
+        self._notices = Notices()
         self._source, self._detector = source, detector
         self._start, self._stride = start, stride
         self._background = 0 if self._frames.live else background
@@ -122,8 +124,8 @@ class PixelInput:
 
     @property
     def notes(self) -> Sequence[str]:
-        """Facts about the source for the user."""
-        return list(self._frames.notes)
+        """Facts about the source, and sentences of the detector on what does not work."""
+        return [*self._frames.notes, *self._notices.lines()]
 
     @property
     def warning(self) -> str:
@@ -138,7 +140,10 @@ class PixelInput:
                 frame = resize(picture, self._size)
                 if state is None:
                     state = self._detector.initial(frame)
+                if not self._notices.begun:
+                    self._notices.take(number, state)
                 state, found = self._detector.step(state, frame)
+                self._notices.take(number, state)
                 yield Step(number, picture, found, self._time(number) if time is None else time)
         finally:
             self._frames.close()

@@ -8,17 +8,35 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.compilation import njit
-from servotrack.estimators.detect.blobs import BlobFinder
-from servotrack.estimators.detect.bodies import BodySizes
+from servotrack.estimators.detect.blobs import REFERENCE_HEIGHT, BlobFinder, Sizes
+from servotrack.estimators.detect.camera_motion import CameraMotion, MotionRules, check_motion, in_doubt, small_copy
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.detect.faint import FaintRules, add_faint_regions, join_by_faint_regions
 from servotrack.estimators.detect.healing import HealingRules, heal_regions
 from servotrack.estimators.detect.images import checked_image, checked_images
 from servotrack.estimators.detect.runs import label_runs, measure_runs
-from servotrack.estimators.types import FloatArray, Image
+from servotrack.estimators.detect.soft_light import SoftLightRules, trim_soft_light
+from servotrack.estimators.detect.stillness import Stillness, StillRules, absorb_still_regions, no_stillness
+from servotrack.estimators.types import Array, FloatArray, Image
+
+
+class NoiseRules(NamedTuple):
+    """Measurement of the noise, with which the lower threshold rises.
+
+    Attributes:
+        quiet: Share of the background below the lower threshold. Raising it completes fewer people in noise.
+        every: Number of frames between two measurements.
+        stride: Distance of the sampled pixels, px.
+        rate: Weight of a new measurement.
+    """
+
+    quiet: float = 0.9
+    every: int = 10
+    stride: int = 7
+    rate: float = 0.36
 
 
 class BackgroundState(NamedTuple):
@@ -31,14 +49,32 @@ class BackgroundState(NamedTuple):
         sizes: Heights of people by row.
         frames: Number of frames so far.
         flooded: Number of consecutive frames whose foreground covered more than `flood` of the image.
+        still: Content of the foreground and for how long it has not changed; None without `MaskedBackground.still`.
+        noise: Gray levels that most background pixels do not exceed; 0 before they are measured.
+        motion: Memory of the checks for a moving camera.
+        notice: Sentence on what does not work at the moment, with the remedy; empty if all is well.
     """
 
     background: FloatArray
     rounded: Image
     mask: Image
-    sizes: BodySizes
+    sizes: Sizes
     frames: int
     flooded: int
+    still: Stillness | None
+    noise: float
+    motion: CameraMotion
+    notice: str
+
+
+class _Regions(NamedTuple):
+    """Regions of the foreground of a frame, and the faint regions around them."""
+
+    mask: Image
+    runs: NDArray[np.int32]
+    number: int
+    faint_runs: NDArray[np.int32] | None
+    faint_boxes: Array | None
 
 
 @dataclass(frozen=True)
@@ -55,6 +91,7 @@ class MaskedBackground:
         least_threshold: Lower limit of Otsu's threshold, gray levels; in an empty scene Otsu's threshold divides noise.
         faint: Lower threshold for slender regions around clear foreground, gray levels; 0 for none. It completes people
             in the background's colors; slender regions cannot join people.
+        noise: Rules by which the lower threshold rises with the noise; None for a fixed one.
         learning_rate: Weight a of a new frame, per frame, in (0, 1). Raising it adapts faster.
         start: First background from the frames given to `initial`: their "median", or their "mean", as in the paper.
         color: Difference of a pixel: "max" over the channels, or of "gray" values.
@@ -68,6 +105,15 @@ class MaskedBackground:
         blobs: Converts the mask to detections.
         faint_rules: Conditions under which a faint region completes a person.
         healing: Conditions under which a region is a ghost or changed light.
+        edges: Share of a region's outline that must be an edge of the ratio of frame and background, 0 to 1. Below it
+            soft light is removed from the region: reflections, highlights and soft shadows; from regions wider than a
+            person also cast shadows (see `servotrack.estimators.detect.soft_light`). 0 for never. Raising it removes
+            more.
+        soft_light: Conditions under which foreground is light.
+        still: Conditions under which a region that does not move becomes background; None for never.
+        motion: Conditions under which the camera moves. Then no detections are reported, and `BackgroundState.notice`
+            says so; None for never.
+        same_light: True to compute the first background only from frames before the first change of light.
 
     Raises:
         ValueError: A parameter is out of range.
@@ -76,17 +122,23 @@ class MaskedBackground:
     threshold: float | str = 30.0
     least_threshold: float = 15.0
     faint: float = 10.0
+    noise: NoiseRules | None = field(default_factory=NoiseRules)
     learning_rate: float = 0.02
     start: str = "median"
     color: str = "max"
     hold: str = "blobs"
     shadows: bool = False
     heal_every: int = 5
-    flood: float = 0.5
+    flood: float = 0.4
     flood_frames: int = 20
     blobs: BlobFinder = field(default_factory=BlobFinder)
     faint_rules: FaintRules = field(default_factory=FaintRules)
     healing: HealingRules = field(default_factory=HealingRules)
+    edges: float = 0.7
+    soft_light: SoftLightRules = field(default_factory=SoftLightRules)
+    still: StillRules | None = field(default_factory=StillRules)
+    motion: MotionRules | None = field(default_factory=MotionRules)
+    same_light: bool = True
 
     def __post_init__(self) -> None:
         """Check the parameters."""
@@ -107,6 +159,8 @@ class MaskedBackground:
             raise ValueError(f"heal_every must be a whole number of frames, 0 for never, got {self.heal_every!r}")
         if not 0.0 < self.flood <= 1.0:
             raise ValueError(f"flood must be a share above 0 and at most 1, got {self.flood!r}")
+        if not 0.0 <= self.edges <= 1.0:
+            raise ValueError(f"edges must be a share from 0 to 1, got {self.edges!r}")
         if not (isinstance(self.flood_frames, int) and self.flood_frames >= 1):
             raise ValueError(f"flood_frames must be a whole number of at least 1, got {self.flood_frames!r}")
 
@@ -124,7 +178,12 @@ class MaskedBackground:
             hold="pixels",
             heal_every=0,
             flood=1.0,
-            blobs=BlobFinder(closing=(1, 1), split=False),
+            noise=None,
+            edges=0.0,
+            still=None,
+            motion=None,
+            same_light=False,
+            blobs=BlobFinder(opening=3, closing=(1, 1), smallest=40, split=False),
         )
 
     def initial(self, frames: ArrayLike) -> BackgroundState:
@@ -138,12 +197,24 @@ class MaskedBackground:
         Raises:
             ValueError: There is no frame, frames differ in shape, or a frame is not a valid image.
         """
-        several = checked_images(frames)
+        several, notice = checked_images(frames), ""
+        if self.same_light and len(several) > 1:
+            count = frames_of_same_light(several, float(self.least_threshold), self.flood)
+            if count < len(several):
+                notice = (
+                    f"the light changes after {count} of the {len(several)} frames for the background; only "
+                    "those before it are used"
+                )
+                several = several[:count]
         average = np.median if self.start == "median" else np.mean
         whole = several[0] if len(several) == 1 else average(np.stack(several), axis=0)
         first = np.array(whole, dtype=np.float32)
-        mask = np.zeros(first.shape[:2], np.uint8)
-        return BackgroundState(first, _rounded(first), mask, self.blobs.initial(), 0, 0)
+        height, width = int(first.shape[0]), int(first.shape[1])
+        mask = np.zeros((height, width), np.uint8)
+        still = no_stillness(height, width) if self.still is not None and self.heal_every else None
+        return BackgroundState(
+            first, _rounded(first), mask, self.blobs.initial(), 0, 0, still, 0.0, CameraMotion(), notice
+        )
 
     def step(self, state: BackgroundState, frame: ArrayLike) -> tuple[BackgroundState, Detections]:
         """Detect in a frame, then learn from it.
@@ -161,32 +232,128 @@ class MaskedBackground:
         image = checked_image(frame, shape=state.rounded.shape)
         difference = self._difference(image, state.rounded)
         foreground, threshold = self._foreground(difference, image, state.rounded)
-        mask = self.blobs.clean(foreground)
-        if 0.0 < self.faint < threshold:
-            faint_runs, faint_regions = label_runs(self.blobs.clean(_above(difference, self.faint)))
-            # The mask may be the foreground itself, which `hold` needs unchanged.
-            mask = mask.copy() if mask is foreground else mask
-            faint_boxes = measure_runs(faint_runs, faint_regions)[0]
-            add_faint_regions(mask, faint_runs, faint_boxes, self.faint_rules)
-            runs, regions = label_runs(mask)
-            join_by_faint_regions(runs, regions, faint_runs, faint_boxes, self.faint_rules)
-        else:
-            runs, regions = label_runs(mask)
-        held = foreground if self.hold == "pixels" else mask
+        noise = self._noise_level(state, difference)
+        found = self._regions(difference, foreground, threshold, noise, state.sizes)
         background = state.background.copy()
+        held = foreground if self.hold == "pixels" else found.mask
         cv2.accumulateWeighted(image, background, self.learning_rate, mask=cv2.bitwise_not(held))
-        frames = state.frames + 1
-        flooded = state.flooded + 1 if cv2.countNonZero(mask) > self.flood * mask.size else 0
-        if flooded > self.flood_frames:
+        frames, still = state.frames + 1, state.still
+        share = cv2.countNonZero(found.mask) / found.mask.size
+        flooded = state.flooded + 1 if share > self.flood else 0
+        motion = state.motion
+        if self.motion is not None and state.frames % self.motion.every == 0:
+            motion = check_motion(motion, image, share, found.number, self.motion)
+        if motion.moving:
+            # The newest frame, so that nothing old is in the background when the camera stops.
+            background = image.astype(np.float32)
+        elif flooded > self.flood_frames:
             background, flooded = image.astype(np.float32), 0
-            runs[:, 3] = -1
-        elif self.heal_every and frames % self.heal_every == 0 and regions:
-            channels = image.reshape(*image.shape[:2], -1)
-            heal_regions(channels, background.reshape(channels.shape), runs, regions, threshold, self.healing)
-        if flooded:
-            runs[:, 3] = -1
-        sizes, found = self.blobs.find(state.sizes, runs, regions, image)
-        return BackgroundState(background, _rounded(background), mask, sizes, frames, flooded), found
+            found.runs[:, 3] = -1
+        elif self.heal_every and frames % self.heal_every == 0 and found.number:
+            still = self._heal(state, image, background, found, threshold)
+        if flooded or in_doubt(motion):
+            found.runs[:, 3] = -1
+        elif self.edges and found.number:
+            found = self._without_soft_light(found, image, state.rounded, background, threshold)
+        sizes, detections = self.blobs.find(state.sizes, found.runs, found.number, image)
+        notice = self._notice(motion, flooded, share) or self.blobs.notice(sizes)
+        return BackgroundState(
+            background, _rounded(background), found.mask, sizes, frames, flooded, still, noise, motion, notice
+        ), detections
+
+    def _notice(self, motion: CameraMotion, flooded: int, share: float) -> str:
+        """Sentence on why nothing is reported; empty if something may be."""
+        if motion.moving:
+            return (
+                f"the camera moves by about {motion.shift:.1f} px per frame, so that everything differs from the "
+                "background; nothing is reported until it stands still; use a detector that needs no background, such "
+                "as --detector model.onnx"
+            )
+        if flooded >= max(self.flood_frames // 2, 1):
+            return (
+                f"the foreground covers {100.0 * share:.0f} % of the image, more than people can; nothing is reported "
+                "until the background is learned anew; if this comes again and again, use a detector that needs no "
+                "background, such as --detector model.onnx"
+            )
+        return ""
+
+    def _noise_level(self, state: BackgroundState, difference: Image) -> float:
+        """Gray levels that most of the background does not exceed, smoothed; from a sample of pixels."""
+        rules = self.noise
+        if rules is None or state.frames % rules.every:
+            return state.noise
+        sampled = (slice(None, None, rules.stride),) * 2
+        sample = difference[sampled][state.mask[sampled] == 0]
+        if len(sample) < rules.stride:
+            return state.noise
+        rank = int(rules.quiet * (len(sample) - 1))
+        level = float(np.partition(sample, rank)[rank])
+        return level if state.noise == 0.0 else state.noise + rules.rate * (level - state.noise)
+
+    def _regions(self, difference: Image, foreground: Image, threshold: float, noise: float, sizes: Sizes) -> _Regions:
+        """Regions of clear foreground, with what belongs to them of the faint foreground."""
+        typical = self.blobs.typical_height(sizes)
+        mask = self.blobs.clean(foreground, typical)
+        faint = max(self.faint, noise) if self.faint > 0.0 else 0.0
+        # The mask may be the foreground itself, which `hold` needs unchanged.
+        mask = mask.copy() if mask is foreground else mask
+        if not 0.0 < faint < threshold:
+            return self._labeled(mask, None, None)
+        faint_runs, count = label_runs(self.blobs.clean(_above(difference, faint), typical))
+        faint_boxes = measure_runs(faint_runs, count)[0]
+        rules = self.faint_rules
+        if typical:
+            seeds = min(rules.seeds, max(round(rules.seeds * (typical / REFERENCE_HEIGHT) ** 2), rules.fewest))
+            rules = rules._replace(seeds=seeds)
+        add_faint_regions(mask, faint_runs, faint_boxes, rules)
+        return self._labeled(mask, faint_runs, faint_boxes)
+
+    def _labeled(self, mask: Image, faint_runs: NDArray[np.int32] | None, faint_boxes: Array | None) -> _Regions:
+        """Regions of a mask; parts within one slender faint region have the same index."""
+        runs, count = label_runs(mask)
+        if faint_runs is not None:
+            join_by_faint_regions(runs, count, faint_runs, faint_boxes, self.faint_rules)
+        return _Regions(mask, runs, count, faint_runs, faint_boxes)
+
+    def _heal(
+        self, state: BackgroundState, image: Image, background: FloatArray, found: _Regions, threshold: float
+    ) -> Stillness | None:
+        """Correct the background under ghosts, changed light and things that do not move; in place."""
+        flat = (*found.mask.shape, -1)
+        channels, known = image.reshape(flat), background.reshape(flat)
+        heal_regions(channels, known, found.runs, found.number, threshold, self.healing)
+        if state.still is None or self.still is None or state.frames // self.heal_every % self.still.every:
+            return state.still
+        still = Stillness(state.still.level.copy(), state.still.age.copy())
+        boxes, _, _ = measure_runs(found.runs, found.number)
+        heights = self.blobs.expected_heights(state.sizes, boxes)
+        absorb_still_regions(
+            channels,
+            known,
+            found.runs,
+            boxes,
+            heights,
+            *still,
+            self.still.every * self.heal_every,
+            threshold,
+            self.still,
+        )
+        return still
+
+    def _without_soft_light(
+        self, found: _Regions, image: Image, known: Image, background: FloatArray, threshold: float
+    ) -> _Regions:
+        """Regions without reflections and soft shadows, which the background learns, in place."""
+        flat, mask = (*found.mask.shape, -1), found.mask.copy()
+        removed = trim_soft_light(
+            image.reshape(flat), known.reshape(flat), background.reshape(flat), found.runs, found.number, mask,
+            threshold, self.edges, self.learning_rate, self.soft_light,
+        )  # fmt: skip
+        if not removed:
+            return found
+        for row, first, stop, _ in found.runs[found.runs[:, 3] < 0]:
+            mask[row, first:stop] = 0
+        return self._labeled(mask, found.faint_runs, found.faint_boxes)
 
     def _difference(self, image: Image, background: Image) -> Image:
         """Difference of each pixel to the background, gray levels."""
@@ -210,6 +377,25 @@ class MaskedBackground:
         if self.shadows and image.ndim == 3:
             _drop_shadows(mask, image, background)
         return mask, threshold
+
+
+def frames_of_same_light(frames: list[Image], change: float, share: float, width: int = 64) -> int:
+    """Return the number of first frames without a change of light, at least 1.
+
+    People change less of the picture than a change of light does.
+
+    Args:
+        frames: Frames of one shape, in the order of time.
+        change: Difference of brightness from which a place has changed, gray levels, on small copies without noise.
+        width: Largest width of the small copies, px.
+        share: Share of the places from which the light has changed, not the people.
+    """
+    first = small_copy(frames[0], width)
+    for count, frame in enumerate(frames[1:], 1):
+        difference = np.asarray(cv2.absdiff(small_copy(frame, width), first), dtype=np.uint8)
+        if cv2.countNonZero(_above(difference, change)) > share * difference.size:
+            return count
+    return len(frames)
 
 
 def _rounded(background: FloatArray) -> Image:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -21,7 +22,24 @@ from servotrack.estimators.detect.bodies import (
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.detect.images import checked_image
 from servotrack.estimators.detect.runs import label_runs, measure_runs
-from servotrack.estimators.types import Image
+from servotrack.estimators.detect.scene_sizes import (
+    TABLE,
+    SceneRules,
+    SceneSizes,
+    contradicted,
+    judge_line,
+    learn_scene,
+    no_scene_sizes,
+    supported,
+)
+from servotrack.estimators.types import Array, Image
+
+REFERENCE_HEIGHT = 66.0
+"""Height of people that `BlobFinder.closing` refers to, px."""
+
+
+Sizes: TypeAlias = BodySizes | SceneSizes
+"""State of a `BlobFinder`: heights of people by row."""
 
 
 @dataclass(frozen=True)
@@ -46,19 +64,23 @@ class BlobFinder:
         cover: Parameters of learning heights, joining parts and dividing regions.
         filled: Number of pixels of a person who is entirely visible, in squares of the height. Raising it lowers the
             confidences.
+        scene: Parameters of learning heights from regions that vote with their pixels, with a test of whether the scene
+            supports them (see `servotrack.estimators.detect.scene_sizes`). Regions are divided and joined only then.
+            None: heights per band of rows from counts of regions, which `least_height` belongs to.
 
     Raises:
         ValueError: A parameter is out of range.
     """
 
-    opening: int = 3
+    opening: int = 2
     closing: tuple[int, int] = (3, 7)
-    smallest: int = 40
+    smallest: int = 12
     split: bool = True
     least_height: float = 20.0
     bins: int = 8
     cover: Cover = field(default_factory=Cover)
     filled: float = 0.2
+    scene: SceneRules | None = field(default_factory=SceneRules)
 
     def __post_init__(self) -> None:
         """Check the parameters."""
@@ -75,27 +97,66 @@ class BlobFinder:
         if not 0.0 < self.filled <= 1.0:
             raise ValueError(f"filled must be above 0 and at most 1, got {self.filled!r}")
 
-    def initial(self) -> BodySizes:
+    def initial(self) -> Sizes:
         """State before the first mask: no known sizes of people."""
-        return no_sizes()
+        return no_scene_sizes() if self.split and self.scene is not None else no_sizes()
 
-    def clean(self, mask: Image) -> Image:
+    def typical_height(self, state: Sizes) -> float:
+        """Median height of people in the scene, px; 0 before it is known."""
+        if not isinstance(state, SceneSizes) or state.line is None or state.seen < self.cover.join_after:
+            return 0.0
+        return state.line.typical
+
+    def notice(self, state: Sizes) -> str:
+        """Sentence on why regions are not divided, empty if they are or if too few people were seen."""
+        if not isinstance(state, SceneSizes) or self.scene is None or state.seen < self.scene.sure:
+            return ""
+        if not supported(state, self.scene):
+            reason = "the heights of people do not follow from their place in the image"
+        elif contradicted(state, self.scene) >= self.scene.contradiction:
+            reason = "most regions with the shape of one person would be divided"
+        else:
+            return ""
+        return (
+            f"people who touch count as one, because {reason}; use a detector that finds people by their shape, such "
+            "as --detector model.onnx"
+        )
+
+    def expected_heights(self, state: Sizes, boxes: Array) -> Array:
+        """Height of a person at the place of each region, shape (k,), px; 0 where none is known.
+
+        Args:
+            state: Sizes of people so far.
+            boxes: Boxes of the regions. Shape (k, 4), px.
+        """
+        typical = self.typical_height(state)
+        heights = np.full(len(boxes), typical)
+        if typical and isinstance(state, SceneSizes) and state.line is not None and supported(state, self.scene):
+            heights = np.maximum(state.line.intercept + state.line.slope * (boxes[:, 1] + boxes[:, 3]), TABLE.lowest)
+        return heights
+
+    def clean(self, mask: Image, typical: float = 0.0) -> Image:
         """Apply the opening, which removes specks, and the closing, which joins the parts of a body.
 
         Args:
             mask: Nonzero on the foreground. Shape (H, W), uint8.
+            typical: Height of people, px, with which the closing shrinks below `REFERENCE_HEIGHT`; 0 if unknown.
 
         Returns:
             Mask of the same shape and type.
         """
         clean = mask
         if self.opening > 1:
-            clean = _morphology(clean, cv2.MORPH_OPEN, self.opening, self.opening)
-        if self.closing != (1, 1):
-            clean = _morphology(clean, cv2.MORPH_CLOSE, *self.closing)
+            clean = _open(clean, self.opening)
+        closing = self.closing
+        if typical:
+            share = min(typical / REFERENCE_HEIGHT, 1.0)
+            closing = (max(round(closing[0] * share), 1), max(round(closing[1] * share), 1))
+        if closing != (1, 1):
+            clean = _morphology(clean, cv2.MORPH_CLOSE, *closing)
         return clean
 
-    def step(self, state: BodySizes, mask: ArrayLike, image: ArrayLike) -> tuple[BodySizes, Detections]:
+    def step(self, state: Sizes, mask: ArrayLike, image: ArrayLike) -> tuple[Sizes, Detections]:
         """Find the detections of one mask.
 
         Args:
@@ -114,9 +175,7 @@ class BlobFinder:
         runs, regions = label_runs(cleaned)
         return self.find(state, runs, regions, checked)
 
-    def find(
-        self, state: BodySizes, runs: NDArray[np.int32], regions: int, image: Image
-    ) -> tuple[BodySizes, Detections]:
+    def find(self, state: Sizes, runs: NDArray[np.int32], regions: int, image: Image) -> tuple[Sizes, Detections]:
         """Find the detections of labeled regions.
 
         Args:
@@ -134,6 +193,8 @@ class BlobFinder:
         runs[:, 3] = number[runs[:, 3]]
         boxes, centroids, areas = boxes[keep], centroids[keep], areas[keep]
         confidences = np.ones(len(boxes))
+        if isinstance(state, SceneSizes):
+            return self._find_in_scene(state, runs, boxes, centroids, areas, image)
         if self.split:
             line = body_line(state, image.shape[0], self.cover)
             cover = self.cover if divisible(state, self.cover) else self.cover._replace(wide=np.inf, tall=np.inf)
@@ -151,6 +212,43 @@ class BlobFinder:
                 confidences = np.minimum(areas / whole, 1.0)
         features = run_appearance(image, runs, len(boxes), self.bins) if self.bins else np.zeros((len(boxes), 0))
         return state, Detections(boxes, centroids, areas, confidences, features)
+
+    def _find_in_scene(
+        self, state: SceneSizes, runs: NDArray[np.int32], boxes: Array, centroids: Array, areas: Array, image: Image
+    ) -> tuple[SceneSizes, Detections]:
+        """Find detections with the heights of the scene, as far as it supports them."""
+        rules, shape = self.scene, image.shape
+        assert rules is not None
+        state = learn_scene(state, boxes, areas, shape, rules)
+        confidences = np.ones(len(boxes))
+        whole, keep = np.zeros(len(boxes)), np.ones(len(boxes), np.bool_)
+        if state.line is not None and state.seen >= self.cover.join_after:
+            line = state.line
+            whole = np.full(len(boxes), self.filled * line.typical**2)
+            keep = areas >= rules.speck * whole
+            if supported(state, rules):
+                divide = state.seen >= self.cover.divide_after and contradicted(state, rules) < rules.contradiction
+                state = judge_line(state, boxes, areas, shape, self.cover.tall, rules)
+                cover = self.cover._replace(first_row=line.first_row, last_row=line.last_row if divide else -np.inf)
+                runs, boxes, heights = find_bodies(runs, boxes, (line.intercept, line.slope), cover)
+                _, centroids, areas = measure_runs(runs, len(boxes))
+                whole = self.filled * heights**2
+                # The part of a person beyond the image's border does not count as hidden.
+                cut = (boxes[:, 0] <= 0.0) | (boxes[:, 0] + boxes[:, 2] >= shape[1])
+                whole[cut] *= np.minimum(boxes[cut, 2] / (self.cover.aspect * heights[cut]), 1.0)
+                confidences = np.minimum(areas / whole, 1.0)
+                keep = (confidences >= rules.part) & (np.maximum(heights, boxes[:, 3]) >= rules.far * line.typical)
+        runs[:, 3] = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)[runs[:, 3]]
+        boxes, centroids, areas, confidences = boxes[keep], centroids[keep], areas[keep], confidences[keep]
+        features = run_appearance(image, runs, len(boxes), self.bins) if self.bins else np.zeros((len(boxes), 0))
+        return state, Detections(boxes, centroids, areas, confidences, features)
+
+
+def _open(mask: Image, side: int) -> Image:
+    """Erosion and dilation by a square. For an even side the anchors differ, so that nothing is shifted."""
+    square, far = np.ones((side, side), np.uint8), side // 2
+    eroded = cv2.erode(mask, square, anchor=(far, far))
+    return np.asarray(cv2.dilate(eroded, square, anchor=(side - 1 - far, side - 1 - far)), dtype=np.uint8)
 
 
 def _morphology(mask: Image, operation: int, width: int, height: int) -> Image:

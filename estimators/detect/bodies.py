@@ -44,6 +44,10 @@ class Cover(NamedTuple):
         divide_after: Number of people after which regions are divided.
         quantile: Quantile of the observed heights in a band that counts as the height of a person. It is above one half
             because parts of people are missing more often than something is added.
+        mass: Exponent of a person's pixels in the order in which people are found. 0: first the person whose bar is
+            filled best; 1: first the person who explains most pixels, so that a near person is not taken for several
+            far ones.
+        first_row, last_row: Rows of the feet outside of which regions are not divided, px.
     """
 
     wide: float = 0.5
@@ -60,6 +64,9 @@ class Cover(NamedTuple):
     join_after: float = 15.0
     divide_after: float = 60.0
     quantile: float = 0.65
+    mass: float = 1.0
+    first_row: float = -np.inf
+    last_row: float = np.inf
 
 
 def no_sizes() -> BodySizes:
@@ -248,9 +255,13 @@ def _explain(pixels, left, top, line, cover):  # type: ignore[no-untyped-def]
                 empty = area - _sum(region, x - half, head, x + half, foot)
                 under = _sum(fresh, x - half, foot, x + half, foot + max(tall // 6, 1))
                 value = (new - penalty * empty - below * under) / (2 * half * tall)
+                if value < cover.score:
+                    continue
+                if cover.mass > 0.0:
+                    value *= (2 * half * tall) ** cover.mass
                 if value > best:
                     best, best_x, best_foot = value, x, foot
-        if best < cover.score:
+        if best < 0.0:
             return found[:count]
         height = _height(top + best_foot, line)
         width = cover.aspect * height
@@ -296,7 +307,8 @@ def _find_bodies(runs, boxes, line, cover):  # type: ignore[no-untyped-def]
         x0, y0 = int(left), int(top)
         bodies = np.empty((0, 4))
         expected = _height(top + height, line)
-        if width > cover.wide * expected or height > cover.tall * expected:
+        supported = cover.first_row <= top + height <= cover.last_row
+        if supported and (width > cover.wide * expected or height > cover.tall * expected):
             pixels = np.zeros((int(height), int(width)), np.uint8)
             for n in range(runs.shape[0]):
                 if runs[n, 3] == i:

@@ -15,11 +15,13 @@ class FaintRules(NamedTuple):
     Attributes:
         slender: Largest ratio of a region's width to its height. Raising it also admits regions of several people.
         seeds: Smallest number of pixels above the upper threshold in a region. Raising it admits fewer regions.
+        fewest: Smallest number of such pixels in a region of a small person.
         whole: Share of a region's rows with such pixels from which the person is complete and nothing is added.
     """
 
     slender: float = 0.65
     seeds: int = 12
+    fewest: int = 3
     whole: float = 0.8
 
 

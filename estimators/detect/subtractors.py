@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from servotrack.estimators.detect.blobs import BlobFinder
-from servotrack.estimators.detect.bodies import BodySizes
+from servotrack.estimators.detect.blobs import BlobFinder, Sizes
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.detect.images import checked_image, checked_images
 from servotrack.estimators.detect.runs import label_runs
@@ -53,7 +52,7 @@ class SubtractorState(NamedTuple):
     model: OpenCVModel
     shape: tuple[int, ...]
     mask: Image
-    sizes: BodySizes
+    sizes: Sizes
     frames: int
 
 

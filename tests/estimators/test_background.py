@@ -98,7 +98,7 @@ def test_a_walker_is_found_where_he_is():
 def test_after_a_step_of_light_the_printed_rule_is_stuck_and_ours_recovers(kind):
     person = [(90, 60)]
     frames = [frame(k, person, LIGHTS[kind] if k >= 20 else None) for k in range(140)]
-    printed = MaskedBackground(heal_every=0, flood=1.0, blobs=PLAIN)
+    printed = MaskedBackground(heal_every=0, flood=1.0, edges=0.0, blobs=PLAIN)
     shares, _, _ = follow(printed, frames, start=frame(0))
     assert (shares[20:] - 900 / (H * W) > 0.05).all()
     shares, found, _ = follow(MaskedBackground(blobs=PLAIN), frames, start=frame(0))
@@ -163,7 +163,7 @@ def test_shadows_are_taken_away():
         return picture
 
     for shadows, count in ((False, 2), (True, 1)):
-        detector = MaskedBackground(threshold=20.0, shadows=shadows, blobs=PLAIN)
+        detector = MaskedBackground(threshold=20.0, shadows=shadows, edges=0.0, blobs=PLAIN)
         _, found = detector.step(detector.initial(frame(0)), frame(1, [(50, 40)], shade))
         assert len(found.boxes) == count
 

@@ -14,6 +14,11 @@ SHAPE = (288, 384)
 IMAGE = np.full((*SHAPE, 3), 128, np.uint8)
 
 
+def bands(**parameters):
+    """A finder that learns heights per band of rows, as the worlds' detector does."""
+    return BlobFinder(**({"opening": 3, "smallest": 40, "scene": None} | parameters))
+
+
 def person_height(foot):
     return 10.0 + 0.25 * foot
 
@@ -35,7 +40,7 @@ def blank():
 @pytest.fixture(scope="module")
 def taught():
     """A finder's state after a while of single people at all depths."""
-    finder, rng = BlobFinder(), np.random.default_rng(0)
+    finder, rng = bands(), np.random.default_rng(0)
     state = finder.initial()
     for _ in range(60):
         mask = blank()
@@ -72,11 +77,11 @@ def test_specks_go_and_bodies_hold_together():
     mask[118:122, 100:114] = 0
     mask[40:42, 40:42] = 255
     mask[60:65, 60:66] = 255
-    _, found = BlobFinder().step(BlobFinder().initial(), mask, IMAGE)
+    _, found = bands().step(bands().initial(), mask, IMAGE)
     np.testing.assert_array_equal(found.boxes, [[100, 100, 14, 40]])
     np.testing.assert_array_equal(found.centroids, [[107, 120]])
     assert found.areas.tolist() == [560]
-    _, apart = BlobFinder(closing=(1, 1)).step(BlobFinder().initial(), mask, IMAGE)
+    _, apart = bands(closing=(1, 1)).step(bands().initial(), mask, IMAGE)
     assert len(apart.boxes) == 2
 
 
@@ -107,34 +112,34 @@ def test_people_who_touch_are_told_apart(taught, people):
     for x, foot in people:
         draw(mask, x, foot)
     assert label_runs(mask)[1] == 1
-    _, found = BlobFinder().step(taught, mask, IMAGE)
+    _, found = bands().step(taught, mask, IMAGE)
     assert len(found.boxes) == len(people)
     centers = found.boxes[:, :2] + found.boxes[:, 2:] / 2.0
     for x, foot in people:
         h = person_height(foot)
         assert np.hypot(*(centers - (x, foot - h / 2)).T).min() < 0.2 * h
     # Every pixel belongs to one of them.
-    assert found.areas.sum() == pytest.approx(np.count_nonzero(BlobFinder().clean(mask)))
+    assert found.areas.sum() == pytest.approx(np.count_nonzero(bands().clean(mask)))
 
 
 def test_without_splitting_they_are_one(taught):
     mask = draw(draw(blank(), 150, 220), 168, 222)
-    _, found = BlobFinder(split=False).step(taught, mask, IMAGE)
+    _, found = bands(split=False).step(taught, mask, IMAGE)
     assert len(found.boxes) == 1
 
 
 def test_parts_of_one_person_are_joined(taught):
     mask = draw(blank(), 150, 240, cut=(0.4, 0.6))
-    assert label_runs(BlobFinder().clean(mask))[1] == 2
-    _, found = BlobFinder().step(taught, mask, IMAGE)
+    assert label_runs(bands().clean(mask))[1] == 2
+    _, found = bands().step(taught, mask, IMAGE)
     assert len(found.boxes) == 1
     assert found.boxes[0, 3] == pytest.approx(person_height(240), rel=0.08)
-    _, whole = BlobFinder().step(taught, draw(blank(), 150, 240), IMAGE)
+    _, whole = bands().step(taught, draw(blank(), 150, 240), IMAGE)
     assert found.confidences[0] < whole.confidences[0] == 1.0
 
 
 def test_a_few_people_are_enough_to_join_parts_and_too_few_to_divide_a_group():
-    finder = BlobFinder()
+    finder = bands()
     state = finder.initial()
     for k in range(20):
         state, _ = finder.step(state, draw(blank(), 60 + 5 * k, 240), IMAGE)
@@ -148,32 +153,32 @@ def test_a_few_people_are_enough_to_join_parts_and_too_few_to_divide_a_group():
 
 def test_people_too_far_away_are_left_out(taught):
     mask = draw(draw(blank(), 100, 25), 200, 240)
-    _, found = BlobFinder(opening=1).step(taught, mask, IMAGE)
+    _, found = bands(opening=1).step(taught, mask, IMAGE)
     assert len(found.boxes) == 1
-    _, found = BlobFinder(opening=1, least_height=0.0).step(taught, mask, IMAGE)
+    _, found = bands(opening=1, least_height=0.0).step(taught, mask, IMAGE)
     assert len(found.boxes) == 2
 
 
 def test_colors_are_those_of_the_pixels_of_each(taught):
     mask, image = draw(draw(blank(), 150, 220), 169, 220), IMAGE.copy()
     image[:, :160], image[:, 160:] = (200, 30, 30), (30, 30, 200)
-    _, found = BlobFinder().step(taught, mask, image)
+    _, found = bands().step(taught, mask, image)
     red, blue = found.features[np.argsort(found.boxes[:, 0])]
     assert red @ red == pytest.approx(1.0)
     assert red @ blue < 0.3
-    _, plain = BlobFinder(bins=0).step(taught, mask, image)
+    _, plain = bands(bins=0).step(taught, mask, image)
     assert plain.features.shape == (2, 0)
 
 
 def test_a_state_is_not_changed_by_a_step(taught):
     before = taught.heights.copy(), taught.counts.copy()
-    BlobFinder().step(taught, draw(blank(), 150, 220), IMAGE)
+    bands().step(taught, draw(blank(), 150, 220), IMAGE)
     np.testing.assert_array_equal(before, taught)
 
 
 def test_masks_without_and_full_of_foreground(taught):
     for value in (0, 255):
-        _, found = BlobFinder().step(taught, np.full(SHAPE, value, np.uint8), IMAGE)
+        _, found = bands().step(taught, np.full(SHAPE, value, np.uint8), IMAGE)
         assert found.boxes.shape[1:] == (4,)
         assert (len(found.boxes) > 0) == (value > 0)
         assert np.isfinite(np.concatenate([part.ravel() for part in found])).all()
@@ -191,9 +196,9 @@ def test_masks_without_and_full_of_foreground(taught):
 )
 def test_bad_parameters_are_named(arguments, match):
     with pytest.raises(ValueError, match=match):
-        BlobFinder(**arguments)
+        bands(**arguments)
 
 
 def test_a_mask_of_another_size_is_named():
     with pytest.raises(ValueError, match=r"mask must have the shape \(288, 384\)"):
-        BlobFinder().step(BlobFinder().initial(), np.zeros((10, 10), np.uint8), IMAGE)
+        bands().step(bands().initial(), np.zeros((10, 10), np.uint8), IMAGE)

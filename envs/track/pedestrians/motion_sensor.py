@@ -25,6 +25,7 @@ _DETECTOR = MaskedBackground(
     threshold=30.0,
     least_threshold=15.0,
     faint=10.0,
+    noise=None,
     learning_rate=0.02,
     start="median",
     color="max",
@@ -55,11 +56,17 @@ _DETECTOR = MaskedBackground(
             join_after=15.0,
             divide_after=60.0,
             quantile=0.65,
+            mass=0.0,
         ),
         filled=0.2,
+        scene=None,
     ),
     faint_rules=FaintRules(slender=0.65, seeds=12, whole=0.8),
     healing=HealingRules(reach=3, ghost_ratio=2.0, light_correlation=0.6, lag=6, light_area=0.02),
+    edges=0.0,
+    still=None,
+    motion=None,
+    same_light=False,
 )
 """All parameters are explicit, so that changes of the detector's defaults do not change the environment."""
 

@@ -1,0 +1,106 @@
+"""Recognition of a moving camera: most corners of two frames move together (Lucas and Kanade 1981, pyramids)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from servotrack.estimators.types import Image
+
+
+class MotionRules(NamedTuple):
+    """Conditions under which the camera moves.
+
+    Attributes:
+        share, regions: Share of foreground, or number of its regions, from which the camera is checked: a camera that
+            moves makes foreground everywhere. Raising them saves time.
+        shift: Smallest shift between two checks, as a share of the width of the image. Raising it tolerates a camera
+            that shakes.
+        agree: Smallest share of the corners that move with the median, within half of its length. Raising it asks for
+            a camera that only pans.
+        confirm: Number of checks in a row that decide.
+        every: Number of frames between two checks.
+        width: Largest width of the small copies in which corners are followed, px.
+        corners: Largest number of corners.
+        least_corners: Smallest number of corners for a decision.
+    """
+
+    share: float = 0.08
+    regions: int = 10
+    shift: float = 0.0025
+    agree: float = 0.5
+    confirm: int = 2
+    every: int = 5
+    width: int = 192
+    corners: int = 64
+    least_corners: int = 8
+
+
+class CameraMotion(NamedTuple):
+    """Memory of the checks.
+
+    Attributes:
+        small: Small gray copy of the frame at the last check; None without one. uint8.
+        checks: Number of checks in a row that contradict `moving`.
+        moving: True while the camera moves.
+        shift: Length of the shift at the last check, px of the frame per frame.
+    """
+
+    small: Image | None = None
+    checks: int = 0
+    moving: bool = False
+    shift: float = 0.0
+
+
+def in_doubt(state: CameraMotion) -> bool:
+    """Return True while the camera moves, or may move, so that nothing should be reported."""
+    return state.moving or state.checks > 0
+
+
+def check_motion(state: CameraMotion, image: Image, share: float, regions: int, rules: MotionRules) -> CameraMotion:
+    """Compare a frame with that of the last check.
+
+    Args:
+        state: Result of the last check.
+        image: The frame. Shape (H, W, 3) or (H, W), uint8.
+        share: Share of the image that is foreground.
+        regions: Number of regions of the foreground.
+        rules: Conditions.
+    """
+    small = small_copy(image, rules.width)
+    calm = share < rules.share and regions < rules.regions
+    if state.small is None or (calm and not in_doubt(state)):
+        return CameraMotion(small)
+    length, agreeing = _median_flow(state.small, small, rules)
+    moves = length >= rules.shift * small.shape[1] and agreeing >= rules.agree
+    checks = state.checks + 1 if moves != state.moving else 0
+    moving = state.moving
+    if checks >= rules.confirm:
+        moving, checks = moves, 0
+    return CameraMotion(small, checks, moving, length * image.shape[1] / small.shape[1] / rules.every)
+
+
+def small_copy(image: Image, largest: int) -> Image:
+    """Return a gray copy of an image, at most `largest` px wide."""
+    height, width = image.shape[:2]
+    columns = min(largest, width)
+    reduced = cv2.resize(image, (columns, max(round(height * columns / width), 1)), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.cvtColor(reduced, cv2.COLOR_RGB2GRAY) if reduced.ndim == 3 else reduced, dtype=np.uint8)
+
+
+def _median_flow(before: Image, now: Image, rules: MotionRules) -> tuple[float, float]:
+    """Return the length of the corners' median shift, px, and the share of the corners that agree with it."""
+    corners = cv2.goodFeaturesToTrack(before, rules.corners, 0.01, before.shape[1] / 16.0)
+    if corners is None or len(corners) < rules.least_corners:
+        return 0.0, 0.0
+    start = np.asarray(corners, dtype=np.float32)
+    followed, found, _ = cv2.calcOpticalFlowPyrLK(before, now, start, start.copy(), winSize=(15, 15), maxLevel=3)
+    flow = (np.asarray(followed) - start)[np.ravel(found) == 1, 0]
+    if len(flow) < rules.least_corners:
+        return 0.0, 0.0
+    middle = np.median(flow, axis=0)
+    length = float(np.hypot(*middle))
+    agreeing = np.hypot(*(flow - middle).T) <= 0.5 * length
+    return length, float(np.mean(agreeing))

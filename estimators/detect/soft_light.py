@@ -1,0 +1,136 @@
+"""Foreground without an edge of its own: reflections, highlights and soft shadows.
+
+Light changes the gain of a surface: the ratio of frame and background is smooth, whatever the texture of the surface.
+An object covers the surface, so that the ratio jumps at its outline.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from servotrack.estimators.compilation import njit
+
+
+class SoftLightRules(NamedTuple):
+    """Conditions under which foreground is light.
+
+    Attributes:
+        reach: Number of pixels that are averaged on either side of an edge.
+        floor: Gray level added to numerator and denominator of a gain, so that noise of dark surfaces is no gain.
+        strong: Gain, or its inverse, beyond which a change is no reflection and no shadow. Raising it removes more.
+        slender: Ratio of width to height up to which a region may be one person. Cast shadows are removed from wider
+            regions only.
+    """
+
+    reach: int = 3
+    floor: float = 4.0
+    strong: float = 1.5
+    slender: float = 0.55
+
+
+@njit(cache=True, nogil=True)
+def trim_soft_light(image, known, background, runs, regions, mask, threshold, share, rate, rules):  # type: ignore[no-untyped-def]
+    """Remove soft light from regions whose outline is mostly not an edge, in place.
+
+    From each end of a run, pixels are removed up to the first edge of the gain. A reflection disappears as a whole; of
+    a person in a soft shadow the person is left.
+
+    Args:
+        image: The frame. Shape (H, W, C), uint8.
+        known: The background, rounded. Shape (H, W, C), uint8.
+        background: The background, which learns the removed pixels. Shape (H, W, C), float32; changed.
+        runs: Runs of the regions from `label_runs`.
+        regions: Number of regions.
+        mask: Foreground, shape (H, W), uint8; changed.
+        threshold: Difference from which a pixel is foreground, gray levels. An edge is a jump of the gain by what is
+            half as much there.
+        share: Smallest share of the outline's points that are edges for a region to stay as it is.
+        rate: Weight of the frame where the background learns.
+        rules: A `SoftLightRules`.
+
+    Returns:
+        Number of removed pixels.
+    """
+    width, reach = image.shape[1], rules.reach
+    points, edges = np.zeros(regions), np.zeros(regions)
+    lefts, rights = np.full(regions, width), np.zeros(regions, np.int64)
+    tops, feet = np.full(regions, mask.shape[0]), np.zeros(regions, np.int64)
+    least = 0.5 * threshold * reach
+    for n in range(runs.shape[0]):
+        row, first, stop, k = runs[n]
+        if k < 0:
+            continue
+        lefts[k], rights[k] = min(lefts[k], first), max(rights[k], stop)
+        tops[k], feet[k] = min(tops[k], row), row + 1
+        for end in range(2):
+            column = first if end == 0 else stop
+            if reach <= column <= width - reach:
+                points[k] += 1.0
+                edges[k] += _is_edge(image[row], known[row], column, end == 0, least, rules)
+    removed = 0
+    for n in range(runs.shape[0]):
+        row, first, stop, k = runs[n]
+        if k < 0:
+            continue
+        soft = edges[k] < share * points[k]
+        wide = rights[k] - lefts[k] > rules.slender * (feet[k] - tops[k])
+        if not (soft or wide):
+            continue
+        left, right = first, stop
+        while left < stop and (
+            (wide and _is_shadow(image[row], known[row], left, min(left + reach, stop)))
+            or (soft and (left < reach or not _is_edge(image[row], known[row], left, True, least, rules)))
+        ):
+            left += 1
+        while right > left and (
+            (wide and _is_shadow(image[row], known[row], max(right - reach, first), right))
+            or (soft and (right > width - reach or not _is_edge(image[row], known[row], right, False, least, rules)))
+        ):
+            right -= 1
+        for column in range(first, stop):
+            if left <= column < right:
+                continue
+            mask[row, column] = 0
+            removed += 1
+            for channel in range(image.shape[2]):
+                before = background[row, column, channel]
+                background[row, column, channel] = before + rate * (image[row, column, channel] - before)
+    return removed
+
+
+@njit(cache=True, nogil=True)
+def _is_edge(image, background, column, inward, least, rules):  # type: ignore[no-untyped-def]
+    """Return True if the gain jumps at the left border of a column; `inward` if the foreground is right of it."""
+    reach, floor = rules.reach, rules.floor * rules.reach
+    if column > image.shape[0] - reach:
+        return False
+    for channel in range(image.shape[1]):
+        before = after = known_before = known_after = 0.0
+        for offset in range(reach):
+            before += image[column - 1 - offset, channel]
+            after += image[column + offset, channel]
+            known_before += background[column - 1 - offset, channel]
+            known_after += background[column + offset, channel]
+        left, right = (before + floor) / (known_before + floor), (after + floor) / (known_after + floor)
+        inside = right if inward else left
+        # The jump in gray levels of the mean background.
+        if abs(left - right) * 0.5 * (known_before + known_after) >= least:
+            return True
+        if inside > rules.strong or inside * rules.strong < 1.0:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _is_shadow(image, known, start, stop):  # type: ignore[no-untyped-def]
+    """Return True if all channels of some neighbors are darker by about the same factor, from 0.4 to 0.95."""
+    low, high = 10.0, 0.0
+    for channel in range(image.shape[1]):
+        one, two = 4.0, 4.0
+        for column in range(start, stop):
+            one += image[column, channel]
+            two += known[column, channel]
+        low, high = min(low, one / two), max(high, one / two)
+    return low > 0.4 and high < 0.95 and high - low < 0.12
