@@ -56,7 +56,7 @@ HARD_AXES: Mapping[str, Mapping[str, Any]] = {
 def settings() -> dict[str, Mapping[str, Any]]:
     """Return the arguments of the world by name: every level, then every axis."""
     levels: dict[str, Mapping[str, Any]] = {
-        f"level {number} `{name}`": {"level": number} for number, name in enumerate(LEVEL_NAMES)
+        f"level {number}, {name}": {"level": number} for number, name in enumerate(LEVEL_NAMES)
     }
     # Level 3 with its zoom turned off has the default of every axis.
     return levels | {
