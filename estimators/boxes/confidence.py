@@ -88,7 +88,7 @@ def read_scores(state, scores, rules):  # type: ignore[no-untyped-def]
         first = out[0] == 1.0
         out[3], out[4] = score if first else min(out[3], score), score if first else max(out[4], score)
     deviation = math.sqrt(out[2] / max(out[0], 1.0))
-    varies = out[4] - out[3] > 1e-9 * max(abs(out[3]), abs(out[4]))
+    varies = _varies(out)
     reading = np.full(len(scores), rules.typical)
     for j in range(len(scores) if varies else 0):
         if out[3] >= 0.0 and out[4] <= 1.0:
@@ -97,6 +97,21 @@ def read_scores(state, scores, rules):  # type: ignore[no-untyped-def]
         else:
             reading[j] += rules.spread * (scores[j] - out[1]) / deviation
     return out, reading
+
+
+@njit(cache=True, nogil=True)
+def trust(state):  # type: ignore[no-untyped-def]
+    """Probability that the scores tell which detections persist; 0 where all scores are equal.
+
+    Args:
+        state: State as in `initial_confidence`.
+    """
+    return 1.0 / (1.0 + math.exp(state[9])) if _varies(state) else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _varies(state):  # type: ignore[no-untyped-def]
+    return state[4] - state[3] > 1e-9 * max(abs(state[3]), abs(state[4]))
 
 
 @njit(cache=True, nogil=True)
