@@ -1,10 +1,10 @@
 """Scores of any detector as log odds of a person, on a scale that the detections themselves confirm or refute.
 
-A score between 0 and 1 is read as a probability; any other scale is standardized, and scores that do not vary get a
-typical value. Whether these readings mean anything shows in persistence: a detection of a person is followed by another
-one of the same track in the next frame, a false one seldom is. Two models predict that outcome: log odds that rise with
-the reading as they do for usual detectors of people, and one high rate for all
-detections. As long as the first predicts
+A score between 0 and 1 is read as a probability relative to the highest one so far, because detectors differ in the
+confidence that their best detections reach. Any other scale is standardized, and scores that do not vary get a typical
+value. Whether these readings mean anything shows in persistence: a detection of a person is followed by another one of
+the same track in the next frame, a false one seldom is. Two models predict that outcome: log odds that rise with the
+reading as they do for usual detectors of people, and one high rate for all detections. As long as the first predicts
 better, readings are taken at face value; otherwise they say nothing and are replaced by the typical value.
 """
 
@@ -35,7 +35,8 @@ class ScoreRules(NamedTuple):
             are false.
         first_factor: Log Bayes factor of the second model before any outcome. Raising it distrusts scores sooner.
         largest_factor: Limit of its absolute value. Raising it lets the models change places more slowly.
-        lowest, highest: Scores are limited to this range before their log odds are taken.
+        lowest: Smallest probability that a score is read as.
+        highest: Probability that the highest score so far is read as. Raising it believes the best detections more.
         memory: Time for which the persistence of detections is remembered, s.
     """
 
@@ -49,7 +50,7 @@ class ScoreRules(NamedTuple):
     first_factor: float = -10.0
     largest_factor: float = 20.0
     lowest: float = 1e-3
-    highest: float = 1.0 - 5e-4
+    highest: float = 0.9975
     memory: float = 60.0
 
 
@@ -92,7 +93,7 @@ def read_scores(state, scores, rules):  # type: ignore[no-untyped-def]
     reading = np.full(len(scores), rules.typical)
     for j in range(len(scores) if varies else 0):
         if out[3] >= 0.0 and out[4] <= 1.0:
-            share = min(max(scores[j], rules.lowest), rules.highest)
+            share = max(rules.highest * scores[j] / out[4], rules.lowest)
             reading[j] = math.log(share / (1.0 - share))
         else:
             reading[j] += rules.spread * (scores[j] - out[1]) / deviation

@@ -179,6 +179,33 @@ def test_scores_on_any_scale_tell_people_from_clutter() -> None:
         assert found(scale) < 0.7 * found(np.zeros_like)
 
 
+def test_a_timid_detector_is_read_as_a_bold_one() -> None:
+    rng = np.random.default_rng(3)
+    scenes = [
+        ([person(50.0 + 2.0 * k), person(400.0 - 2.0 * k), person(*rng.uniform([20.0, 220.0], [800.0, 500.0]))],
+         np.array([0.97, 0.93, rng.uniform(0.3, 0.8)]))
+        for k in range(40)
+    ]  # fmt: skip
+    bold, timid = (
+        follow(BoxPMB(), [detections_from_boxes(boxes, factor * scores) for boxes, scores in scenes])
+        for factor in (1.0, 0.25)
+    )
+    assert len(bold[-1]) >= 2
+    for a, b in zip(bold, timid, strict=True):
+        assert a.keys() == b.keys()
+        assert all(np.allclose(a[label], b[label]) for label in a)
+
+
+def test_heights_say_nothing_where_scores_do_not() -> None:
+    # Regions of a moving foreground: the lower half of the second person is lost in every other frame.
+    frames = []
+    for k in range(60):
+        x, y, width, height = person(300.0 - k)
+        half = [x, y, width, 0.5 * height] if k % 2 else [x, y, width, height]
+        frames.append(detections_from_boxes([person(50.0 + 2.0 * k), half]))
+    assert [len(answer) for answer in follow(BoxPMB(), frames)[10:]] == [2] * 50
+
+
 def test_scores_that_do_not_tell_which_detections_persist_are_not_believed() -> None:
     rng = np.random.default_rng(1)
     frames = [
