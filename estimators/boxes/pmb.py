@@ -29,6 +29,7 @@ from servotrack.estimators.boxes.confidence import (
     learn_persistence,
     read_scores,
     score_log_odds,
+    trust,
 )
 from servotrack.estimators.boxes.kalman import center_boxes, correct_boxes, predict_boxes, started_boxes
 from servotrack.estimators.boxes.merged import SplitRules, split_merged
@@ -145,6 +146,7 @@ class _Frame(NamedTuple):
         odds: Log odds of the scores. Shape (Z,).
         dt: Time since the last frame, s.
         noise: Standard deviations of the measurements, heights. Shape (4,).
+        cut: Share of regions that show a part of a person, or more than one.
     """
 
     detections: Detections
@@ -152,6 +154,7 @@ class _Frame(NamedTuple):
     odds: Array
     dt: float
     noise: Array
+    cut: float
 
 
 @dataclass(frozen=True)
@@ -204,6 +207,9 @@ class BoxPMB:
         appearance_rate: Smallest weight of a new frame in a track's mean appearance, in (0, 1].
         appearance_limits: Lower and upper limit of the log likelihood ratio of an appearance.
         smallest_size: Lower limit of a track's width and height, px.
+        cut_share: Share of regions that show a part of a person or more than one, in [0, 1), where scores say nothing.
+            Raising it follows people whose regions are cut or joined, and takes more of the neighbors' detections.
+        cut_scale: Factor of the standard deviations of such regions, at least 1.
         split_rules: Conditions under which a blob is split.
 
     Raises:
@@ -246,6 +252,8 @@ class BoxPMB:
     appearance_rate: float = 0.1
     appearance_limits: tuple[float, float] = (-3.0, 1.5)
     smallest_size: float = 2.0
+    cut_share: float = 0.05
+    cut_scale: float = 3.0
     split_rules: SplitRules = field(default_factory=SplitRules)
 
     def __post_init__(self) -> None:
@@ -258,6 +266,10 @@ class BoxPMB:
                 raise ValueError(f"{name} must be in (0, 1), got {getattr(self, name)!r}")
         if not 0.0 <= self.revival < 1.0:
             raise ValueError(f"revival must be in [0, 1), got {self.revival!r}")
+        if not 0.0 <= self.cut_share < 1.0:
+            raise ValueError(f"cut_share must be in [0, 1), got {self.cut_share!r}")
+        if not 1.0 <= self.cut_scale < math.inf:
+            raise ValueError(f"cut_scale must be finite and at least 1, got {self.cut_scale!r}")
         if self.confirm < 1:
             raise ValueError(f"confirm must be at least 1, got {self.confirm!r}")
         for name in ("least_existence", "least_visible", "full_view", "appearance_rate"):
@@ -301,7 +313,7 @@ class BoxPMB:
         confidence, reading = read_scores(state.confidence, np.ascontiguousarray(detections.confidences), self.scores)
         odds = score_log_odds(confidence, reading, self.scores)
         noise = self._measurement_noise * np.exp(0.5 * state.noise.measurement)
-        frame = _Frame(detections, reading, odds, dt, noise)
+        frame = _Frame(detections, reading, odds, dt, noise, self.cut_share * (1.0 - trust(confidence)))
         tracks, fresh = self._corrected(tracks, visible, frame)
         found = tracks.missed == 0
         counts = (state.tracks.missed == 0) & (visible >= self.full_view)
@@ -356,6 +368,8 @@ class BoxPMB:
             self._gate,
             np.log(r * detectable / absence) - self.clutter_log_density,
             self.score_weight * (frame.odds - self.typical_score),
+            frame.cut,
+            float(self.cut_scale),
         )
         if tracks.appearance.shape[1] and len(boxes):
             similar = tracks.appearance @ frame.detections.features.T

@@ -48,23 +48,30 @@ def visible_shares(mean, existence, frame_width, frame_height):  # type: ignore[
 
 
 @njit(cache=True, nogil=True)
-def pair_log_weights(mean, variance, boxes, noise, gate, track, detection):  # type: ignore[no-untyped-def]
+def pair_log_weights(mean, variance, boxes, noise, gate, track, detection, share, scale):  # type: ignore[no-untyped-def]
     """Log weight of every pair: log density of the detection under the track's prediction, plus a summand of either.
 
-    Densities are in heights^-4 and without the constant of 2 pi.
+    Densities are in heights^-4 and without the constant of 2 pi: a Gaussian, or a mixture with a wider one for regions
+    that are cut or joined.
 
     Args:
         mean: Predicted means. Shape (T, 6).
         variance: Predicted variances. Shape (T, 8).
         boxes: Left, top, width, height. Shape (Z, 4), px.
         noise: Standard deviations of a measured center column, center row, width and height, heights. Shape (4,).
-        gate: Largest squared Mahalanobis distance; for other pairs the log weight is -inf.
+        gate: Largest squared Mahalanobis distance, in the wider component if there is one; for other pairs the log
+            weight is -inf.
         track: Summand of each track. Shape (T,).
         detection: Summand of each detection. Shape (Z,).
+        share: Share of the wider component; 0 for a Gaussian.
+        scale: Factor of its standard deviations.
 
     Returns:
         Shape (T, Z).
     """
+    farthest, own, wide = gate, 0.0, -np.inf
+    if share > 0.0:
+        farthest, own, wide = gate * scale**2, math.log(1.0 - share), math.log(share) - 4.0 * math.log(scale)
     out = np.full((mean.shape[0], boxes.shape[0]), -np.inf)
     S = np.empty(4)
     for i in range(mean.shape[0]):
@@ -77,8 +84,12 @@ def pair_log_weights(mean, variance, boxes, noise, gate, track, detection):  # t
             for k in range(2):
                 total += (boxes[j, k] + boxes[j, 2 + k] / 2.0 - mean[i, 2 * k]) ** 2 / S[k]
                 total += (boxes[j, 2 + k] - mean[i, 4 + k]) ** 2 / S[2 + k]
-            if total <= gate:
-                out[i, j] = track[i] + detection[j] - spread - 0.5 * total
+            if total > farthest:
+                continue
+            density = own - 0.5 * total
+            if share > 0.0:
+                density = np.logaddexp(density, wide - 0.5 * total / scale**2)
+            out[i, j] = track[i] + detection[j] - spread + density
     return out
 
 

@@ -196,14 +196,36 @@ def test_a_timid_detector_is_read_as_a_bold_one() -> None:
         assert all(np.allclose(a[label], b[label]) for label in a)
 
 
-def test_heights_say_nothing_where_scores_do_not() -> None:
-    # Regions of a moving foreground: the lower half of the second person is lost in every other frame.
+def cut_regions(share: float) -> list[Detections]:
+    """Regions of a moving foreground: for half a second only a part of the second person is found."""
     frames = []
-    for k in range(60):
+    for k in range(80):
         x, y, width, height = person(300.0 - k)
-        half = [x, y, width, 0.5 * height] if k % 2 else [x, y, width, height]
-        frames.append(detections_from_boxes([person(50.0 + 2.0 * k), half]))
-    assert [len(answer) for answer in follow(BoxPMB(), frames)[10:]] == [2] * 50
+        cut = [x, y, width, (share if 50 <= k < 62 else 1.0) * height]
+        frames.append(detections_from_boxes([person(50.0 + 2.0 * k), cut]))
+    return frames
+
+
+def test_people_whose_regions_are_cut_are_followed_and_reported() -> None:
+    answers = follow(BoxPMB(), cut_regions(0.7))
+    assert [len(answer) for answer in answers[10:]] == [2] * 70
+    assert identity_at(answers[-1], 221.0) == identity_at(answers[40], 260.0) > 0
+    assert min(len(answer) for answer in follow(BoxPMB(cut_share=0.0), cut_regions(0.7))[50:]) == 1
+
+
+def test_heights_say_nothing_where_scores_do_not() -> None:
+    x, y, width, height = person(500.0)
+    small = [x, y + 0.6 * height, 0.4 * width, 0.4 * height]
+    frames = [detections_from_boxes([person(50.0 + 2.0 * k), person(300.0 - k), small]) for k in range(60)]
+
+    def existence(tracker: BoxPMB) -> Any:
+        state = tracker.initial(frames[0])
+        for frame in frames:
+            state, estimate = tracker.step(state, frame)
+        return np.sort(estimate.existence)
+
+    without = existence(BoxPMB(person=BoxPMB().person._replace(height=0.0)))
+    assert len(without) == 3 and np.allclose(existence(BoxPMB()), without)
 
 
 def test_scores_that_do_not_tell_which_detections_persist_are_not_believed() -> None:
