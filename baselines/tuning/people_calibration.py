@@ -24,6 +24,7 @@ from servotrack.baselines.running.stopping import program
 from servotrack.baselines.tuning.people_sequences import PeopleSequence, read_sequence
 from servotrack.estimators.boxes import PersonOdds, people_count
 from servotrack.estimators.boxes.kalman import center_boxes
+from servotrack.estimators.boxes.person import person_probabilities
 from servotrack.estimators.metrics import box_distances, members_by_step
 from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.types import Array, Mask
@@ -153,7 +154,7 @@ def main() -> None:
         said, happened, weight, covered = [], [], [], []
         for k, (sequence, one) in enumerate(zip(sequences, judged, strict=True)):
             others = [*judged[:k], *judged[k + 1 :]]
-            stated = one.existence * fit_odds(others).probability(one.evidence)
+            stated = one.existence * person_probabilities(fit_odds(others), one.evidence)
             equal = np.full(len(stated), 1.0 / len(stated))
             true = one.person.astype(np.float64)
             share = undetected_share(others)

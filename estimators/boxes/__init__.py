@@ -18,8 +18,9 @@ from servotrack.estimators.boxes.identities import KeptIdentities
 from servotrack.estimators.boxes.merged import SplitRules, split_merged
 from servotrack.estimators.boxes.model import box_model, centroid_model
 from servotrack.estimators.boxes.offline import fill_gaps
+from servotrack.estimators.boxes.person import PersonOdds
 from servotrack.estimators.boxes.pipeline import DetectThenTrack
-from servotrack.estimators.boxes.pmb import BoxPMB, PersonOdds
+from servotrack.estimators.boxes.pmb import BoxPMB
 from servotrack.estimators.boxes.raw import RawDetections
 from servotrack.estimators.boxes.report import BoxTracker, checked_detections, set_of_boxes
 from servotrack.estimators.boxes.set_filters import BoxSetFilter

@@ -35,6 +35,7 @@ from servotrack.estimators.boxes.kalman import center_boxes, correct_boxes, pred
 from servotrack.estimators.boxes.merged import SplitRules, split_merged
 from servotrack.estimators.boxes.noise import NoiseLearning, NoiseScales, initial_noise, learn_noise
 from servotrack.estimators.boxes.overlap import covered_by
+from servotrack.estimators.boxes.person import PersonOdds
 from servotrack.estimators.boxes.perspective import HeightRules, initial_heights
 from servotrack.estimators.boxes.pmb_kernel import (
     associate,
@@ -43,6 +44,7 @@ from servotrack.estimators.boxes.pmb_kernel import (
     pair_log_weights,
     visible_shares,
 )
+from servotrack.estimators.boxes.pmb_tracks import BoxTracks, new_tracks
 from servotrack.estimators.boxes.report import (
     LARGEST_HELD,
     box_covariances,
@@ -53,42 +55,6 @@ from servotrack.estimators.boxes.report import (
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs.sets import HELD, REPORTED, SetEstimate
 from servotrack.estimators.types import Array, Labels, Mask
-
-
-class BoxTracks(NamedTuple):
-    """T tracks of people.
-
-    Attributes:
-        mean: Center column, its velocity, center row, its velocity, width, height. Shape (T, 6), px and px/s.
-        variance: Variance of the position, covariance of position and velocity, variance of the velocity, for columns
-            and then for rows; then variances of width and height. Shape (T, 8).
-        existence: Probabilities that the track is of something that persists. Shape (T,).
-        person: Probabilities that it is a person, if so. Shape (T,).
-        evidence: Mean log odds of the scores, log odds of the last one, and deviation of the height in standard
-            deviations, at the last detection. Shape (T, 3).
-        label: Identities. Shape (T,).
-        missed: Number of frames since the last detection. Shape (T,).
-        absent: Time since the last detection, s. Shape (T,).
-        seen: Number of detections so far. Shape (T,).
-        reading: Score of the last detection, as `read_scores` reads it. Shape (T,).
-        readings: Readings of all detections, summed. Shape (T,).
-        innovation: Normalized innovations of the last frame, zero without a detection. Shape (T, 4).
-        appearance: Mean appearance vector of unit length, or zero. Shape (T, F).
-    """
-
-    mean: Array
-    variance: Array
-    existence: Array
-    person: Array
-    evidence: Array
-    label: Labels
-    missed: Labels
-    absent: Array
-    seen: Labels
-    reading: Array
-    readings: Array
-    innovation: Array
-    appearance: Array
 
 
 class BoxPMBState(NamedTuple):
@@ -107,34 +73,6 @@ class BoxPMBState(NamedTuple):
     noise: NoiseScales
     confidence: Array
     heights: Array
-
-
-class PersonOdds(NamedTuple):
-    """Log odds that a track with a detection is a person: a logistic regression.
-
-    The coefficients were fitted to detections of MOTChallenge sequences; docs/video.md has the protocol.
-
-    Attributes:
-        intercept: Log odds against a person whose scores have log odds 0. Raising it reports fewer people.
-        mean: Weight of the mean log odds of the track's scores.
-        high: Further weight of what exceeds `knee`: high scores say more.
-        knee: Log odds above which `high` applies.
-        last: Weight of the log odds of the last score.
-        height: Lowers the log odds for each standard deviation from the height expected at this place.
-    """
-
-    intercept: float = 1.37
-    mean: float = 0.475
-    high: float = 0.66
-    knee: float = 3.0
-    last: float = 0.36
-    height: float = 0.54
-
-    def probability(self, evidence: Array) -> Array:
-        """Probability of a person for rows of `BoxTracks.evidence`, shape (k, 3)."""
-        mean, last, height = evidence.T
-        log_odds = self.mean * mean + self.high * np.maximum(mean - self.knee, 0.0) + self.last * last
-        return np.asarray(1.0 / (1.0 + np.exp(self.intercept + self.height * height - log_odds)))
 
 
 class _Frame(NamedTuple):
@@ -288,7 +226,7 @@ class BoxPMB:
             ValueError: Detections are invalid, see `checked_detections`.
         """
         features = checked_detections(detections).features
-        tracks = _new_tracks(np.zeros((0, 6)), np.zeros((0, 8)), np.zeros(0), 1, np.zeros(0), features[:0])
+        tracks = new_tracks(np.zeros((0, 6)), np.zeros((0, 8)), np.zeros(0), 1, np.zeros(0), features[:0])
         return BoxPMBState(tracks, 1, initial_noise(), initial_confidence(self.scores), initial_heights())
 
     def step(
@@ -411,7 +349,7 @@ class BoxPMB:
         if len(keep) == len(tracks.existence) and len(new) == 0:
             return tracks, label
         mean, variance = started_boxes(frame.detections.boxes[new], frame.noise, self.speed, self.smallest_size)
-        arrivals = _new_tracks(mean, variance, chance[new], label, frame.reading[new], frame.detections.features[new])
+        arrivals = new_tracks(mean, variance, chance[new], label, frame.reading[new], frame.detections.features[new])
         joined = [np.concatenate([old[keep], fresh]) for old, fresh in zip(tracks, arrivals, strict=True)]
         return BoxTracks(*joined), label + len(new)
 
@@ -460,29 +398,6 @@ class BoxPMB:
         vectors = np.asarray(features, dtype=np.float64)
         mix_appearances(out, own, partner, vectors, tracks.seen, float(self.appearance_rate))
         return out
-
-
-def _new_tracks(
-    mean: Array, variance: Array, existence: Array, label: int, reading: Array, appearance: Array
-) -> BoxTracks:
-    """Tracks with one detection each."""
-    count = len(mean)
-    none, zeros = np.zeros(count, np.int64), np.zeros(count)
-    return BoxTracks(
-        mean,
-        variance,
-        existence,
-        zeros,
-        np.zeros((count, 3)),
-        label + np.arange(count),
-        none,
-        zeros,
-        none + 1,
-        reading,
-        reading,
-        np.zeros((count, 4)),
-        appearance,
-    )
 
 
 _POSITIVE = (

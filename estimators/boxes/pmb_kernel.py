@@ -8,6 +8,7 @@ import numpy as np
 
 from servotrack.estimators.boxes.confidence import score_log_odds, trust
 from servotrack.estimators.boxes.kalman import center_boxes
+from servotrack.estimators.boxes.person import person_probabilities
 from servotrack.estimators.boxes.perspective import height_errors, learn_heights
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.metrics.assignment import assign
@@ -157,14 +158,9 @@ def judge_tracks(tracks, known, found, confidence, heights, dt, odds, scores, ru
     average = score_log_odds(confidence, total[found] / seen[found], scores)
     newest = score_log_odds(confidence, last[found], scores)
     # A detector whose scores say nothing does not look for people: its regions are of any height, also on people.
-    height = odds.height * trust(confidence)
-    chance = np.empty(len(found))
-    for j in range(len(found)):
-        log_odds = odds.mean * average[j] + odds.high * max(average[j] - odds.knee, 0.0) + odds.last * newest[j]
-        chance[j] = 1.0 / (1.0 + math.exp(odds.intercept + height * error[j] - log_odds))
-        i = found[j]
-        evidence[i, 0], evidence[i, 1], evidence[i, 2] = average[j], newest[j], error[j]
-        person[i] = chance[j]
+    rows = np.stack((average, newest, trust(confidence) * error), axis=1)
+    chance = person_probabilities(odds, rows)
+    evidence[found], person[found] = rows, chance
     return evidence, person, learn_heights(heights, boxes, error, chance, dt, rules)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.detect.height_line import height_line
 from servotrack.estimators.types import Array
 
 BANDS = 24
@@ -141,10 +142,7 @@ def _fit(heights, counts, rows):  # type: ignore[no-untyped-def]
             sh += weight * h
             syy += weight * y * y
             syh += weight * y * h
-        # Weak regularization toward the same height in all rows, for people who all stand in one row.
-        spread = syy - sy * sy / n + n * (0.02 * rows) ** 2
-        slope = min(max((syh - sy * sh / n) / spread, 0.0), 1.0)
-        intercept = (sh - slope * sy) / n
+        intercept, slope = height_line(n, sy, sh, syy, syh, rows, 1.0)
     return intercept, slope
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.detect.height_line import height_line
 from servotrack.estimators.types import Array
 
 
@@ -230,10 +231,7 @@ def _fit(pixels, rows, agree):  # type: ignore[no-untyped-def]
                 sh += weight * h
                 syy += weight * y * y
                 syh += weight * y * h
-        # Weak regularization toward the same height in all rows, for people who all stand in one row.
-        spread = syy - sy * sy / n + n * (0.02 * rows) ** 2
-        slope = min(max((syh - sy * sh / n) / spread, 0.0), 3.0)
-        intercept = (sh - slope * sy) / n
+        intercept, slope = height_line(n, sy, sh, syy, syh, rows, 3.0)
     total = near = taller = 0.0
     by_level, by_band = np.zeros(TABLE.levels), np.zeros(TABLE.bands)
     for band in range(TABLE.bands):

@@ -19,6 +19,7 @@ from servotrack.baselines.tuning.people_sequences import (
 from servotrack.envs.track.files.mot_files import SequenceInfo, mot_row, truth_row, write_seqinfo
 from servotrack.envs.track.files.recorded import SequenceError
 from servotrack.estimators.boxes import RawDetections
+from servotrack.estimators.boxes.person import person_probabilities
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +83,6 @@ def test_stated_probabilities_are_compared_with_frequencies(sequence: PeopleSequ
     judged = judge(sequence)
     assert judged.person.sum() >= 110
     odds = fit_odds([judged, judged])
-    chance = odds.probability(judged.evidence)
+    chance = person_probabilities(odds, judged.evidence)
     assert chance[judged.person].mean() > 0.9
     assert chance[~judged.person].mean() < 0.3
