@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from servotrack.baselines.agents.hyper_parameters import with_values
 from servotrack.baselines.agents.people.catalog import create_tracker
-from servotrack.baselines.track_command.inputs import NOMINAL_RATE
+from servotrack.baselines.track_command.inputs import NOMINAL_RATE, Input
+from servotrack.baselines.track_command.notices import NewNotes
 from servotrack.baselines.track_command.opening import SourceRequest, open_input, working_size
 from servotrack.baselines.track_command.people import Tracks
 from servotrack.baselines.track_command.timed import TimedTracker, estimates
@@ -119,6 +121,9 @@ def track(
     Yields:
         The people in each frame, with the frame as `image` where there is one. Missing frames are left out.
 
+    Warns:
+        UserWarning: Something does not work, or a fact about the source: once, at the frame from which it holds.
+
     Raises:
         SequenceError: The source cannot be opened, or is broken; tracks of the frames before were yielded.
         ValueError: An unknown name, or a number out of range.
@@ -137,10 +142,15 @@ def track(
     )
     found, _ = open_input(request)
     made = with_values(create_tracker(tracker, working_size(found), found.frame_rate), values or {})
-    return (
-        _tracks(step.number, step.time, estimate, step.picture)
-        for step, estimate in estimates(found, TimedTracker(made, found.frame_rate))
-    )
+    return _followed(found, TimedTracker(made, found.frame_rate))
+
+
+def _followed(source: Input, tracker: TimedTracker) -> Iterator[Tracks]:
+    new = NewNotes()
+    for step, estimate in estimates(source, tracker):
+        for note in new.of(source.notes):
+            warnings.warn(note, stacklevel=2)
+        yield _tracks(step.number, step.time, estimate, step.picture)
 
 
 def as_detections(given: Any, confidences: ArrayLike | None = None, features: ArrayLike | None = None) -> Detections:

@@ -32,6 +32,7 @@ from servotrack.baselines.running.stopping import Stopped
 from servotrack.baselines.track_command.claim import claim_folder
 from servotrack.baselines.track_command.exports import FORMATS, write_formats
 from servotrack.baselines.track_command.inputs import Input
+from servotrack.baselines.track_command.notices import NewNotes
 from servotrack.baselines.track_command.offline import OFFLINE_TRACKS, write_offline
 from servotrack.baselines.track_command.opening import SourceRequest, open_input, working_size
 from servotrack.baselines.track_command.painter import BoxPainter
@@ -156,12 +157,11 @@ class _RateColumn(ProgressColumn):
 
 def _advance(progress: Progress, bar: TaskID, source: Input) -> Callable[[], None]:
     """Return a function that advances the bar and prints new notes at once, long before the report."""
-    said: list[str] = []
+    new = NewNotes()
 
     def advance() -> None:
         progress.advance(bar)
-        for note in source.notes[len(said) :]:
-            said.append(note)
+        for note in new.of(source.notes):
             progress.console.print(f"note: {note}", style="cyan", soft_wrap=True)
 
     return advance

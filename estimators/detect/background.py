@@ -18,7 +18,7 @@ from servotrack.estimators.detect.faint import FaintRules, add_faint_regions, jo
 from servotrack.estimators.detect.healing import HealingRules, heal_regions
 from servotrack.estimators.detect.images import checked_image, checked_images
 from servotrack.estimators.detect.runs import label_runs, measure_runs
-from servotrack.estimators.detect.soft_light import SoftLightRules, trim_soft_light
+from servotrack.estimators.detect.soft_light import SoftLightRules, is_shadow, trim_soft_light
 from servotrack.estimators.detect.stillness import Stillness, StillRules, absorb_still_regions, no_stillness
 from servotrack.estimators.types import Array, FloatArray, Image
 
@@ -375,7 +375,7 @@ class MaskedBackground:
             threshold = float(self.threshold)
         mask = _above(difference, threshold)
         if self.shadows and image.ndim == 3:
-            _drop_shadows(mask, image, background)
+            _drop_shadows(mask, image, background, self.soft_light)
         return mask, threshold
 
 
@@ -408,15 +408,9 @@ def _above(difference: Image, threshold: float) -> Image:
 
 
 @njit(cache=True, nogil=True)
-def _drop_shadows(mask, image, background):  # type: ignore[no-untyped-def]
-    """Remove pixels whose channels are all darker by about the same factor, from 0.4 to 0.95."""
+def _drop_shadows(mask, image, background, rules):  # type: ignore[no-untyped-def]
+    """Remove pixels whose channels are all darker by about the same factor, in place."""
     for row in range(mask.shape[0]):
         for column in range(mask.shape[1]):
-            if mask[row, column] == 0:
-                continue
-            low, high = 10.0, 0.0
-            for channel in range(3):
-                ratio = (image[row, column, channel] + 1.0) / (background[row, column, channel] + 1.0)
-                low, high = min(low, ratio), max(high, ratio)
-            if low > 0.4 and high < 0.95 and high - low < 0.12:
+            if mask[row, column] and is_shadow(image[row], background[row], column, column + 1, rules):
                 mask[row, column] = 0

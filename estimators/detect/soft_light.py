@@ -22,12 +22,17 @@ class SoftLightRules(NamedTuple):
         strong: Gain, or its inverse, beyond which a change is no reflection and no shadow. Raising it removes more.
         slender: Ratio of width to height up to which a region may be one person. Cast shadows are removed from wider
             regions only.
+        darkest, lightest: Range of the gain of a shadow.
+        uneven: Largest difference of a shadow's gain between the channels. Raising it takes more things for shadows.
     """
 
     reach: int = 3
     floor: float = 4.0
     strong: float = 1.5
     slender: float = 0.55
+    darkest: float = 0.4
+    lightest: float = 0.95
+    uneven: float = 0.12
 
 
 @njit(cache=True, nogil=True)
@@ -80,12 +85,12 @@ def trim_soft_light(image, known, background, runs, regions, mask, threshold, sh
             continue
         left, right = first, stop
         while left < stop and (
-            (wide and _is_shadow(image[row], known[row], left, min(left + reach, stop)))
+            (wide and is_shadow(image[row], known[row], left, min(left + reach, stop), rules))
             or (soft and (left < reach or not _is_edge(image[row], known[row], left, True, least, rules)))
         ):
             left += 1
         while right > left and (
-            (wide and _is_shadow(image[row], known[row], max(right - reach, first), right))
+            (wide and is_shadow(image[row], known[row], max(right - reach, first), right, rules))
             or (soft and (right > width - reach or not _is_edge(image[row], known[row], right, False, least, rules)))
         ):
             right -= 1
@@ -124,13 +129,21 @@ def _is_edge(image, background, column, inward, least, rules):  # type: ignore[n
 
 
 @njit(cache=True, nogil=True)
-def _is_shadow(image, known, start, stop):  # type: ignore[no-untyped-def]
-    """Return True if all channels of some neighbors are darker by about the same factor, from 0.4 to 0.95."""
-    low, high = 10.0, 0.0
+def is_shadow(image, known, start, stop, rules):  # type: ignore[no-untyped-def]
+    """Return True if all channels of some neighbors in a row are darker by about the same factor.
+
+    Args:
+        image: A row of the frame. Shape (W, C), uint8.
+        known: The same row of the background. Shape (W, C), uint8.
+        start: First column.
+        stop: Column after the last.
+        rules: A `SoftLightRules`.
+    """
+    low, high = np.inf, 0.0
     for channel in range(image.shape[1]):
-        one, two = 4.0, 4.0
+        one, two = rules.floor, rules.floor
         for column in range(start, stop):
             one += image[column, channel]
             two += known[column, channel]
         low, high = min(low, one / two), max(high, one / two)
-    return low > 0.4 and high < 0.95 and high - low < 0.12
+    return low > rules.darkest and high < rules.lightest and high - low < rules.uneven

@@ -20,6 +20,7 @@ from rich.console import Console
 import servotrack
 from servotrack.baselines.track_command.api import as_detections
 from servotrack.baselines.track_command.command import TrackRequest, folder_name, run_command
+from servotrack.baselines.track_command.notices import NewNotes
 from servotrack.baselines.track_command.opening import SourceRequest
 from servotrack.baselines.track_command.timed import TimedTracker, takes_time
 from servotrack.envs.track.files.frames import open_frames
@@ -273,3 +274,28 @@ def test_addresses_are_read_from_their_first_frame_and_no_other_scheme(web):
 def test_names_of_results_hold_no_password():
     assert folder_name("rtsp://user:secret@camera.local:554/street/1?key=secret") == "camera.local-554-street-1"
     assert folder_name("clips/walk.avi") == "walk" and folder_name("3") == "3"
+
+
+def test_notes_of_one_kind_are_said_once() -> None:
+    new = NewNotes()
+    assert new.of(["no frame rate"]) == ["no frame rate"]
+    assert new.of(["no frame rate", "from frame 3 on: covers 43 % (1 frames)"]) == [
+        "from frame 3 on: covers 43 % (1 frames)"
+    ]
+    assert new.of(["frames 3, 4 are missing", "no frame rate", "from frame 3 on: covers 51.5 % (20 frames)"]) == [
+        "frames 3, 4 are missing"
+    ]
+
+
+def test_the_loop_warns_when_the_camera_moves(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    wide = sum(cv2.GaussianBlur(rng.normal(0.0, 100.0 * size, (144, 500, 3)), (0, 0), float(size)) for size in (3, 12))
+    world = np.clip(120.0 + np.asarray(wide), 20, 220)
+    for k in range(50):
+        left = 3 * max(k - 10, 0)
+        noisy = world[:, left : left + 192] + rng.normal(0.0, 3.0, (144, 192, 3))
+        cv2.imwrite(str(tmp_path / f"{k:03}.png"), np.clip(noisy, 0, 255).astype(np.uint8))
+    with pytest.warns(UserWarning, match="the camera moves by about") as said:
+        frames = list(servotrack.track(tmp_path, background=0))
+    assert len(frames) == 50 and not any(len(frame) for frame in frames[40:])
+    assert sum("camera moves" in str(warning.message) for warning in said) == 1
