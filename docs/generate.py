@@ -13,6 +13,7 @@ import inspect
 import itertools
 import re
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,8 +23,14 @@ import gymnasium as gym
 from PIL import Image
 
 from servotrack.baselines import create_agent
+from servotrack.baselines.agents.people.catalog import create_tracker
 from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.evaluation.evaluate import make_single, show_belief
+from servotrack.baselines.track_command.counts import Counter, parse_places
+from servotrack.baselines.track_command.opening import SourceRequest, open_input, working_size
+from servotrack.baselines.track_command.painter import BoxPainter
+from servotrack.baselines.track_command.rendered import render_sequence
+from servotrack.baselines.track_command.timed import TimedTracker, estimates
 from servotrack.envs.arguments import RENDER_MODES
 from servotrack.envs.registration import ENVIRONMENTS
 
@@ -81,6 +88,9 @@ PICTURES = (
     Picture("sonar.png", "SonarTracking-v0", {"level": 3}, "hmm-row", 184),
     Picture("color-tracking.png", "ColorTracking-v0", {"level": 2}, "monte-carlo-color", 120),
 )
+
+COUNTED_FRAMES = 200
+"""Frames of the picture of counts."""
 
 ANIMATIONS = {
     "UncalibServo-v0": Animation({"level": 3}, "lifted-kf", frames=72),
@@ -257,6 +267,23 @@ def draw(picture: Picture) -> None:
     cv2.imwrite(str(IMAGES / picture.name), frame[..., ::-1])
 
 
+def draw_counts() -> None:
+    """Write the picture of zones and lines with their counts: people of a rendered scene."""
+    places = parse_places(["square=120,150,250,150,300,270,90,270"], ["path=300,288,240,60"])
+    counter = Counter(places)
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder) / "scene"
+        render_sequence(scene, {"level": 1}, 0, lambda left: None)
+        source, _ = open_input(SourceRequest(str(scene), frames=COUNTED_FRAMES))
+        assert source.source_size is not None
+        tracker = TimedTracker(create_tracker("pmb", working_size(source), source.frame_rate), source.frame_rate)
+        painter = BoxPainter(source.source_size, counter=counter)
+        for step, estimate in estimates(source, tracker):
+            counter.step(step.number, estimate)
+            frame = painter(step, estimate)
+    cv2.imwrite(str(IMAGES / "counts.png"), frame[..., ::-1])
+
+
 def animate(env_id: str, animation: Animation) -> Path:
     """Write an animation as a looping WebP file and return its path."""
     end = animation.first + animation.frames * animation.every
@@ -304,6 +331,8 @@ def main() -> int:
                 print(f"wrote: {path} ({path.stat().st_size / 1e3:.0f} kB)")
         for picture in PICTURES if arguments.only is None else ():
             draw(picture)
+        if arguments.only is None:
+            draw_counts()
     return int(check and bool(stale))
 
 

@@ -180,4 +180,5 @@ def as_detections(given: Any, confidences: ArrayLike | None = None, features: Ar
 
 
 def _tracks(frame: int, time: float, estimate: SetEstimate, image: Any = None) -> Tracks:
-    return Tracks(frame, time, estimate.labels.copy(), estimate.states.copy(), estimate.existence.copy(), image)
+    labels, boxes, existence = estimate.labels.copy(), estimate.states.copy(), estimate.existence.copy()
+    return Tracks(frame, time, labels, boxes, existence, image, estimate)

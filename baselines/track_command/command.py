@@ -30,6 +30,7 @@ from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.reporting.terminal import print_tables
 from servotrack.baselines.running.stopping import Stopped
 from servotrack.baselines.track_command.claim import claim_folder
+from servotrack.baselines.track_command.counts import COUNTS, Counter, Places, check_places
 from servotrack.baselines.track_command.exports import FORMATS, write_formats
 from servotrack.baselines.track_command.inputs import Input
 from servotrack.baselines.track_command.notices import NewNotes
@@ -52,7 +53,7 @@ from servotrack.estimators.metrics.benchmarks import BENCHMARKS
 
 SCORES = "scores"
 """Name of the score files without .json and .md."""
-OUTPUTS = (TRACKS, OFFLINE_TRACKS, *FORMATS.values(), *FILMS, SCORES + ".json", SCORES + ".md")
+OUTPUTS = (TRACKS, COUNTS, OFFLINE_TRACKS, *FORMATS.values(), *FILMS, SCORES + ".json", SCORES + ".md")
 """Names of all files that a run may write."""
 _FORMAT, _FORMAT_VERSION = "servotrack-track-scores", 1
 
@@ -73,6 +74,7 @@ class TrackRequest:
         formats: Formats besides MOTChallenge's in which tracks are written, of `FORMATS`.
         video: If true, write the annotated video.
         show_truth: If true, the video shows the true boxes, too.
+        places: What to count; None for no counts.
     """
 
     source: SourceRequest
@@ -86,6 +88,7 @@ class TrackRequest:
     formats: tuple[str, ...] = ()
     video: bool = True
     show_truth: bool = False
+    places: Places | None = None
 
 
 def run_command(request: TrackRequest, console: Console) -> int:
@@ -115,17 +118,20 @@ def run_command(request: TrackRequest, console: Console) -> int:
         if name not in FORMATS:
             raise ValueError(f"formats must be of {', '.join(FORMATS)}, got {name!r}")
     source, detector = open_input(request.source, request.video, 0 if truth is None else truth.length)
+    if request.places is not None:
+        check_places(request.places, source.source_size)
     made = create_tracker(request.tracker, working_size(source), source.frame_rate)
     tracker = TimedTracker(with_values(made, request.values), source.frame_rate)
     out = request.out or Path("results") / "track" / folder_name(str(request.source.source))
     ResultsFolder(out).check_writable()
     claim_folder(out, OUTPUTS, {"source": source.name, "detector": detector, "tracker": request.tracker})
+    counter = None if request.places is None else Counter(request.places)
     painter = None
     if request.video and source.source_size is not None:
-        painter = BoxPainter(source.source_size, truth, request.show_truth)
+        painter = BoxPainter(source.source_size, truth, request.show_truth, counter)
     with _progress(console) as progress:
         bar = progress.add_task(f"{detector} + {request.tracker}", total=source.length)
-        run = track(source, tracker, out, painter, on_frame=_advance(progress, bar, source))
+        run = track(source, tracker, out, painter, _advance(progress, bar, source), counter)
         progress.update(bar, total=len(run.frames), completed=len(run.frames))
     for name in OUTPUTS:
         # Files of an earlier run would be mistaken for this one's.
@@ -143,6 +149,8 @@ def run_command(request: TrackRequest, console: Console) -> int:
         if not len(truth.ids):
             run.warnings.append("the truth holds no boxes that count: every reported box counts as false")
         _score(request, detector, labeled, run, found, out, console)
+    if counter is not None:
+        print_tables(console, {f"{folder_name(str(request.source.source))}: people": counter.grid()})
     return _report(run, console)
 
 

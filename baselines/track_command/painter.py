@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from servotrack.baselines.track_command.counts import Counter
 from servotrack.baselines.track_command.inputs import Step
 from servotrack.envs.track.files.recorded import PeopleInFrame, RecordedTracks
 from servotrack.envs.track.people.box_recorder import BoxRecorder
@@ -24,10 +25,17 @@ class BoxPainter:
         size: Width and height of the source's frames, px.
         truth: True tracks, for the curve of the true number; None if unknown.
         show_truth: If true, draw the true boxes, too.
+        counter: Counter of the run, whose zones, lines and numbers are drawn; None: none.
     """
 
-    def __init__(self, size: tuple[int, int], truth: RecordedTracks | None = None, show_truth: bool = False) -> None:
-        self._size, self._show_truth = size, show_truth
+    def __init__(
+        self,
+        size: tuple[int, int],
+        truth: RecordedTracks | None = None,
+        show_truth: bool = False,
+        counter: Counter | None = None,
+    ) -> None:
+        self._size, self._show_truth, self._counter = size, show_truth, counter
         self._truth: Mapping[int, PeopleInFrame] | None = None if truth is None else truth.by_frame()
         self._recorder = BoxRecorder()
 
@@ -44,6 +52,8 @@ class BoxPainter:
             np.concatenate([estimate.states, estimate.held_states]),
             np.arange(len(estimate.labels) + len(estimate.held_labels)) < len(estimate.labels),
             true_number=number,
+            interval=None if self._counter is None else self._counter.people[1:],
         )
+        places = () if self._counter is None else self._counter.marks()
         shown = people.boxes if people is not None and self._show_truth else None
-        return draw(self._recorder.scene(picture, truth=shown))
+        return draw(self._recorder.scene(picture, truth=shown, places=places))

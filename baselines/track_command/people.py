@@ -15,6 +15,7 @@ import numpy as np
 
 from servotrack.baselines.reporting.files import atomic_path
 from servotrack.envs.track.files.mot_files import mot_row
+from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.types import Array, Image, Labels
 
 COLUMNS = ("frame", "time", "id", "left", "top", "width", "height", "existence")
@@ -32,6 +33,8 @@ class Tracks:
         boxes: Left, top, width, height, shape (k, 4), px of the source.
         existence: Probability that each is a person, shape (k,).
         image: The frame, RGB, uint8, shape (H, W, 3); None if there is none.
+        estimate: Everything that the tracker says, with the people that it holds without reporting them, for
+            `people_count`, `ZoneCount` and `LineCount`; None for tracks that were read from a file.
     """
 
     frame: int
@@ -40,6 +43,7 @@ class Tracks:
     boxes: Array
     existence: Array
     image: Image | None = field(default=None, repr=False)
+    estimate: SetEstimate | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         """Return the number of people."""

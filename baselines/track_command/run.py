@@ -16,6 +16,7 @@ from servotrack.baselines.reporting.files import ResultsError, storage_error
 from servotrack.baselines.reporting.film import Film, FilmError, browser_suffix
 from servotrack.baselines.reporting.h264 import has_h264
 from servotrack.baselines.running.stopping import Interruption
+from servotrack.baselines.track_command.counts import COUNTS, Counter, CountsFile
 from servotrack.baselines.track_command.disk_space import SpaceGuard
 from servotrack.baselines.track_command.inputs import Input, Step
 from servotrack.baselines.track_command.timed import TimedTracker, estimates
@@ -81,6 +82,7 @@ def track(
     out: Path,
     painter: Painter | None = None,
     on_frame: Callable[[], None] = lambda: None,
+    counter: Counter | None = None,
 ) -> TrackRun:
     """Track a sequence.
 
@@ -90,6 +92,7 @@ def track(
         out: Folder for `tracks.txt` and, with a painter, the film of `film_name`.
         painter: Draws the video; None for no video.
         on_frame: Called after every frame.
+        counter: Counts people, for `counts.csv`; None for no counts.
 
     Returns:
         Outcome of the run, also if a broken source, a full disk or a signal ended it.
@@ -102,11 +105,18 @@ def track(
     run = TrackRun()
     started = time.perf_counter()
     guard = SpaceGuard(out)
-    with Interruption() as interruption, TracksFile(out / TRACKS) as tracks, _filming(source, out, painter) as film:
+    with (
+        Interruption() as interruption,
+        TracksFile(out / TRACKS) as tracks,
+        contextlib.nullcontext() if counter is None else CountsFile(out / COUNTS) as counts,
+        _filming(source, out, painter) as film,
+    ):
         try:
             for step, estimate in estimates(source, tracker):
                 guard.check()
                 tracks.write(step.number + 1, estimate)
+                if counter is not None and counts is not None:
+                    counts.write(step, counter.step(step.number, estimate))
                 film.show(step, estimate)
                 run.frames.append(step.number)
                 run.times.append(step.time)
@@ -128,7 +138,7 @@ def track(
     run.notes.extend(source.notes)
     if film.count and not has_h264():
         run.notes.append("the film is written in WebM, which takes long: pip install av makes it a quick MP4")
-    run.files.append(out / TRACKS)
+    run.files.extend([out / TRACKS] if counter is None else [out / TRACKS, out / COUNTS])
     if film.count:
         _keep_film(out / film_name(), run)
     return run

@@ -7,7 +7,10 @@ overlap of at least 0.5, or not. The log odds of `PersonOdds` are fitted by logi
 has the same weight. For each sequence they are fitted on the others, and the expected calibration error (ten bins) of
 the existence with these odds is printed, and that of all sequences together, each with the same weight. The number of
 undetected people for each one with a track is the mean of the others too; printed is the share of frames in which the
-90 % interval of the number of people holds the true one. The last lines are the values fitted on all.
+90 % interval of the number of people holds the true one. So is the number of missed crossings for each seen one, of
+three vertical lines across the whole frame and three horizontal ones in its lower half; printed is the share of these
+lines and directions whose 90 % interval at the end holds the true number, without those that no person crosses or
+seems to cross. The last lines are the values fitted on all.
 """
 
 from __future__ import annotations
@@ -22,12 +25,13 @@ from scipy.optimize import linear_sum_assignment, minimize
 from servotrack.baselines.agents.people.catalog import create_tracker
 from servotrack.baselines.running.stopping import program
 from servotrack.baselines.tuning.people_sequences import PeopleSequence, read_sequence
-from servotrack.estimators.boxes import PersonOdds, people_count
+from servotrack.estimators.boxes import LineCount, PersonOdds, people_count, set_of_boxes
+from servotrack.estimators.boxes.counting import NumberDistribution, add_missed
 from servotrack.estimators.boxes.kalman import center_boxes
 from servotrack.estimators.boxes.person import person_probabilities
 from servotrack.estimators.metrics import box_distances, members_by_step
 from servotrack.estimators.rfs.sets import SetEstimate
-from servotrack.estimators.types import Array, Mask
+from servotrack.estimators.types import Array, Labels, Mask
 
 OVERLAP = 0.5
 """Smallest overlap of a box and a true one."""
@@ -45,6 +49,8 @@ class Judged(NamedTuple):
         person: True where the box is that of a person. Shape (k,).
         estimates: Estimate of every frame.
         number: True number of people in every frame. Shape (number of frames,).
+        truth: The true people of every frame, as estimates.
+        size: Width and height of the frame, or, where they are unknown, of the area of the true boxes, px.
     """
 
     evidence: Array
@@ -52,6 +58,8 @@ class Judged(NamedTuple):
     person: Mask
     estimates: list[SetEstimate]
     number: Array
+    truth: list[SetEstimate]
+    size: tuple[float, float]
 
 
 def judge(sequence: PeopleSequence) -> Judged:
@@ -70,7 +78,10 @@ def judge(sequence: PeopleSequence) -> Judged:
         estimates.append(estimate)
     number = np.array([len(true.rows) for true in truth])
     evidence, existence, matched = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Judged(evidence, existence, matched, estimates, number)
+    people = [_certain(np.asarray(true.rows), np.asarray(true.states)) for true in truth]
+    corners = np.concatenate([one.states[:, :2] + one.states[:, 2:] for one in people])
+    size = sequence.frame_size or (float(corners[:, 0].max()), float(corners[:, 1].max()))
+    return Judged(evidence, existence, matched, estimates, number, people, (float(size[0]), float(size[1])))
 
 
 def fit_odds(judged: Sequence[Judged]) -> PersonOdds:
@@ -126,6 +137,51 @@ def coverage(judged: Judged, undetected: float) -> float:
     )
 
 
+class LineJudgment(NamedTuple):
+    """Crossings of one line in one direction.
+
+    Attributes:
+        seen: Distribution of the number of crossings that the tracker saw.
+        true: True number.
+    """
+
+    seen: NumberDistribution
+    true: int
+
+
+def judge_lines(judged: Judged) -> list[LineJudgment]:
+    """Count the crossings of six lines in both directions, without those that no person crosses or seems to cross."""
+    width, height = judged.size
+    ends = [((width * k / 4.0, 0.0), (width * k / 4.0, height)) for k in (1, 2, 3)]
+    ends += [((0.0, height * k / 8.0), (width, height * k / 8.0)) for k in (4, 5, 6)]
+    found = []
+    for start, end in ends:
+        line = LineCount(start, end)
+        seen, true = line.initial(), line.initial()
+        for estimate, people in zip(judged.estimates, judged.truth, strict=True):
+            seen, _ = line.step(seen, estimate)
+            true, _ = line.step(true, people)
+        found.append(LineJudgment(seen.forward, round(true.forward.expected)))
+        found.append(LineJudgment(seen.backward, round(true.backward.expected)))
+    return [one for one in found if one.true or one.seen.expected]
+
+
+def missed_share(judgments: Sequence[Sequence[LineJudgment]]) -> float:
+    """Mean over sequences of the number of missed crossings for each seen one."""
+    shares = [sum(one.true for one in lines) / sum(one.seen.expected for one in lines) - 1.0 for lines in judgments]
+    return max(float(np.mean(shares)), 0.0)
+
+
+def line_coverage(lines: Sequence[LineJudgment], missed: float) -> float:
+    """Share of lines and directions whose 90 % interval holds the true number of crossings."""
+    counts = [add_missed(one.seen, missed).interval() for one in lines]
+    return float(np.mean([count.low <= one.true <= count.high for count, one in zip(counts, lines, strict=True)]))
+
+
+def _certain(labels: Labels, states: Array) -> SetEstimate:
+    return set_of_boxes(states, np.zeros((len(states), 4, 4)), labels + 1, np.ones(len(states)))
+
+
 def _matched(true: Array, boxes: Array) -> Mask:
     out = np.zeros(len(boxes), np.bool_)
     if len(true) and len(boxes):
@@ -151,7 +207,8 @@ def main() -> None:
         if len(sequences) < 2:
             parser.error("at least two sequences are needed, one to leave out and one to fit")
         judged = [judge(sequence) for sequence in sequences]
-        said, happened, weight, covered = [], [], [], []
+        lines = [judge_lines(one) for one in judged]
+        said, happened, weight, covered, crossed = [], [], [], [], []
         for k, (sequence, one) in enumerate(zip(sequences, judged, strict=True)):
             others = [*judged[:k], *judged[k + 1 :]]
             stated = one.existence * person_probabilities(fit_odds(others), one.evidence)
@@ -161,15 +218,20 @@ def main() -> None:
             covered.append(coverage(one, share))
             print(
                 f"{sequence.name} left out: calibration error {calibration_error(stated, true, equal):.3f}, "
-                f"interval holds the number in {100.0 * covered[-1]:.1f} % of frames (undetected {share:.2f})"
+                f"interval holds the number in {100.0 * covered[-1]:.1f} % of frames (undetected {share:.2f})",
+                end=", ",
             )
+            missed = missed_share([*lines[:k], *lines[k + 1 :]])
+            crossed.append(line_coverage(lines[k], missed))
+            print(f"and the crossings of {100.0 * crossed[-1]:.0f} % of {len(lines[k])} lines (missed {missed:.2f})")
             said.append(stated)
             happened.append(true)
             weight.append(equal)
         total = calibration_error(np.concatenate(said), np.concatenate(happened), np.concatenate(weight))
-        print(f"all: calibration error {total:.3f}, interval {100.0 * np.mean(covered):.1f} %")
+        print(f"all: calibration error {total:.3f}, interval {100.0 * np.mean(covered):.1f} %, ", end="")
+        print(f"crossings {100.0 * np.mean(crossed):.1f} %")
         print(f"fitted on all: {fit_odds(judged)}")
-        print(f"undetected: {undetected_share(judged):.3f}")
+        print(f"undetected: {undetected_share(judged):.3f}, missed: {missed_share(lines):.3f}")
 
 
 if __name__ == "__main__":

@@ -104,6 +104,33 @@ def track(
         float | None,
         typer.Option(help="Value that is white in images of more than 8 bits. Default: from the images."),
     ] = None,
+    zone: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--zone",
+            metavar="[NAME=]X1,Y1,X2,Y2,X3,Y3,...",
+            help="Count the people in this polygon, px of the source; repeatable. Implies --count.",
+        ),
+    ] = None,
+    line: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--line",
+            metavar="[NAME=]X1,Y1,X2,Y2",
+            help="Count the people who cross this line, in both directions; repeatable. Implies --count.",
+        ),
+    ] = None,
+    count: Annotated[
+        bool, typer.Option("--count", help="Write counts.csv: numbers of people with their 90 % intervals.")
+    ] = False,
+    missed: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Number of people whom the detector does not find, for each one whom it finds. 0: it finds all. "
+            "Default: 0.3 for numbers, 0.4 for crossings.",
+        ),
+    ] = None,
     offline: Annotated[
         bool,
         typer.Option(
@@ -119,6 +146,7 @@ def track(
 ) -> None:
     """Track people in a real sequence; write MOTChallenge tracks, an annotated video and, with --truth, scores."""
     from servotrack.baselines.track_command.command import TrackRequest, folder_name, run_command
+    from servotrack.baselines.track_command.counts import parse_places
     from servotrack.baselines.track_command.opening import SourceRequest
 
     names = [folder_name(source) for source in sources]
@@ -126,6 +154,10 @@ def track(
         raise ValueError("--truth is of one source; give sources with their own gt/gt.txt, or track them one by one")
     if len(set(names)) < len(names):
         raise ValueError(f"sources must have different names, got {', '.join(names)}; track them one by one")
+    counting = count or zone or line
+    if missed is not None and not counting:
+        raise ValueError("--missed is of counts; add --count, --zone or --line")
+    places = parse_places(zone or [], line or [], missed) if counting else None
     worst = 0
     for source, name in zip(sources, names, strict=True):
         request = TrackRequest(
@@ -151,6 +183,7 @@ def track(
             tuple(words(tracks)),
             video,
             show_truth,
+            places,
         )
         code = run_command(request, console(table_format))
         worst = max(worst, code)

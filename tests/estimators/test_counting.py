@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from servotrack.estimators.boxes import LineCount, ZoneCount, people_count, set_of_boxes
-from servotrack.estimators.boxes.counting import NOBODY, add_chances
+from servotrack.estimators.boxes.counting import NOBODY, add_chances, add_missed
 from servotrack.estimators.rfs.sets import SetEstimate
 
 
@@ -52,7 +52,8 @@ def test_undetected_people_raise_the_number_and_widen_the_interval() -> None:
 
 
 def test_a_zone_holds_those_whose_feet_are_in_it() -> None:
-    zone = ZoneCount([(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (60.0, 100.0), (60.0, 50.0), (0.0, 50.0)])
+    corners = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (60.0, 100.0), (60.0, 50.0), (0.0, 50.0)]
+    zone = ZoneCount(corners, undetected=0.0)
     estimate = seen([(50.0, 25.0), (80.0, 90.0), (30.0, 80.0), (120.0, 50.0)], [1, 2, 3, 4], [1.0, 0.75, 1.0, 1.0])
     count = zone.count(estimate)
     assert count.expected == pytest.approx(1.75)
@@ -60,7 +61,7 @@ def test_a_zone_holds_those_whose_feet_are_in_it() -> None:
 
 
 def test_a_line_counts_each_direction_once() -> None:
-    line = LineCount((50.0, 0.0), (50.0, 100.0))
+    line = LineCount((50.0, 0.0), (50.0, 100.0), missed=0.0)
     state = line.initial()
     paths = {1: (40.0, 2.0, 50.0), 2: (62.0, -3.0, 30.0), 3: (40.0, 2.0, 300.0), 4: (20.0, 1.0, 50.0)}
     for k in range(12):
@@ -78,12 +79,38 @@ def test_a_line_counts_each_direction_once() -> None:
     assert crossings.forward.expected == pytest.approx(0.8)
 
 
+def test_who_walks_along_a_line_does_not_cross_it() -> None:
+    feet = np.column_stack([np.linspace(0.0, 100.0, 60), 50.0 + 5.0 * np.cos(np.arange(60) * 2.0)])
+    numbers = {}
+    for margin in (0.0, 0.1):
+        line = LineCount((0.0, 50.0), (100.0, 50.0), margin=margin, missed=0.0)
+        state = line.initial()
+        for place in feet:
+            state, crossings = line.step(state, seen([tuple(place)], [1], [1.0]))
+        numbers[margin] = crossings.forward.expected + crossings.backward.expected
+    assert numbers[0.0] > 10.0 and numbers[0.1] == 0.0
+
+
+def test_missed_crossings_widen_the_interval_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(1)
+    seen_ones = add_chances(NOBODY, [0.95] * 20)
+    count = add_missed(seen_ones, 0.5).interval()
+    assert count.expected == pytest.approx(1.5 * 19.0)
+    number = rng.binomial(20, 0.95, 4000)
+    number = number + rng.poisson(rng.exponential(0.5 * 19.0, 4000))
+    assert 0.885 < np.mean((count.low <= number) & (number <= count.high)) < 0.93
+    assert add_missed(seen_ones, 0.0) is seen_ones and add_missed(NOBODY, 2.0) is NOBODY
+
+
 @pytest.mark.parametrize(
     ("make", "name"),
     [
         (lambda: ZoneCount([(0.0, 0.0), (1.0, 1.0)]), "corners"),
         (lambda: LineCount((1.0, 1.0), (1.0, 1.0)), "different"),
         (lambda: LineCount((1.0, np.nan), (1.0, 1.0)), "start and end"),
+        (lambda: LineCount((1.0, 0.0), (1.0, 1.0), missed=-1.0), "missed"),
+        (lambda: LineCount((1.0, 0.0), (1.0, 1.0), margin=np.nan), "margin"),
+        (lambda: ZoneCount([(0.0, 0.0), (1.0, 1.0), (0.0, 1.0)], undetected=-1.0), "undetected"),
         (lambda: add_chances(NOBODY, [1.2]), "chances"),
         (lambda: people_count(seen([], [], []), undetected=-1.0), "undetected"),
         (lambda: people_count(seen([], [], []), level=1.0), "level"),

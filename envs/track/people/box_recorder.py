@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike
 from servotrack.envs.drawing.plots import TRAIL_LENGTH
 from servotrack.envs.track.people.box_paint import BoxTrail
 from servotrack.envs.track.people.box_render import BoxScene
+from servotrack.envs.track.people.place_paint import PlaceMark
 from servotrack.estimators.types import Array, Image
 
 
@@ -33,6 +35,7 @@ class BoxRecorder:
         self._reported: deque[float] = deque(maxlen=self._horizon)
         self._true: deque[float] = deque(maxlen=self._horizon)
         self._errors: deque[float] = deque(maxlen=self._horizon)
+        self._intervals: deque[tuple[int, int]] = deque(maxlen=self._horizon)
 
     def record(
         self,
@@ -41,6 +44,7 @@ class BoxRecorder:
         reported: ArrayLike | None = None,
         true_number: int | None = None,
         error: float | None = None,
+        interval: tuple[int, int] | None = None,
     ) -> None:
         """Store the answer to one frame.
 
@@ -50,6 +54,7 @@ class BoxRecorder:
             reported: True for reported rows, False for identities that are only held, shape (k,); None: all reported.
             true_number: True number of people, if known.
             error: Error of the answer, if known.
+            interval: Interval of the number of people, if known.
         """
         names = np.asarray(labels, dtype=np.int64).tolist()
         rows = np.array(states, dtype=np.float64)
@@ -69,6 +74,8 @@ class BoxRecorder:
             self._true.append(float(true_number))
         if error is not None:
             self._errors.append(float(error))
+        if interval is not None:
+            self._intervals.append(interval)
 
     def trails(self) -> tuple[list[BoxTrail], list[BoxTrail]]:
         """Return the trails of reported identities, and of those that are held without being reported."""
@@ -85,6 +92,7 @@ class BoxRecorder:
         title: str = "people",
         error_name: str = "ospa",
         cutoff: float = 1.0,
+        places: Sequence[PlaceMark] = (),
     ) -> BoxScene:
         """Return the input of `box_render.draw` for the last answered frame.
 
@@ -95,6 +103,7 @@ class BoxRecorder:
             title: Title of the plot of numbers.
             error_name: Name of the error metric.
             cutoff: Largest error.
+            places: Counting zones and lines to show.
         """
         reported, held = self.trails()
         empty = np.empty((0, 4))
@@ -111,4 +120,6 @@ class BoxRecorder:
             cutoff=cutoff,
             horizon=self._horizon,
             title=title,
+            places=places,
+            intervals=np.array(self._intervals) if self._intervals else None,
         )

@@ -23,6 +23,7 @@ from servotrack.envs.drawing.palette import (
 )
 from servotrack.envs.drawing.plots import PLOT_INSET, SUBPIXEL_BITS, TITLE_HEIGHT, draw_axes, write_value
 from servotrack.envs.track.people.box_paint import BoxTrail, annotate, printable
+from servotrack.envs.track.people.place_paint import PlaceMark, paint_places, write_places
 from servotrack.estimators.types import Array, Image
 
 _MARGIN = 16
@@ -56,6 +57,8 @@ class BoxScene:
         cutoff: Largest error.
         horizon: Number of frames that the plots span.
         title: Title of the plot of numbers.
+        places: Counting zones and lines, px.
+        intervals: Interval of the number of people in each frame so far, shape (k, 2); None: not shown.
     """
 
     frame: Image
@@ -70,6 +73,8 @@ class BoxScene:
     cutoff: float = 1.0
     horizon: int = 300
     title: str = "people"
+    places: Sequence[PlaceMark] = ()
+    intervals: Array | None = None
 
 
 def draw(scene: BoxScene) -> Image:
@@ -84,6 +89,7 @@ def draw(scene: BoxScene) -> Image:
     size = (max(round(width * scale), 1), max(round(height * scale), 1))
     resized = cv2.resize(frame, size, interpolation=cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA)
     large = np.ascontiguousarray(resized, dtype=np.uint8)
+    paint_places(large, scene.places, scale)
     annotate(
         large,
         [BoxTrail(trail.label, np.asarray(trail.states) * scale) for trail in scene.reported],
@@ -91,6 +97,7 @@ def draw(scene: BoxScene) -> Image:
         np.asarray(scene.truth) * scale,
         np.asarray(scene.detections) * scale,
     )
+    write_places(large, scene.places, scale)
     inner = max(size[0], _MIN_WIDTH)
     image = np.empty((2 * _MARGIN + size[1] + _GAP + _PLOT_HEIGHT, 2 * _MARGIN + inner, 3), dtype=np.uint8)
     image = image if image.shape[0] % 2 == 0 else np.empty((image.shape[0] + 1, *image.shape[1:]), dtype=np.uint8)
@@ -114,14 +121,17 @@ def _fill(image: Image, color: Color) -> None:
 
 def _draw_numbers(panel: Image, scene: BoxScene) -> None:
     truth = np.empty(0) if scene.true_numbers is None else np.asarray(scene.true_numbers)
-    most = max([4.0, *truth.tolist(), *np.asarray(scene.reported_numbers).tolist()])
+    ends = np.empty((0, 2)) if scene.intervals is None else np.asarray(scene.intervals)
+    most = max([4.0, *truth.tolist(), *np.asarray(scene.reported_numbers).tolist(), *ends[:, 1].tolist()])
     _axes(panel, printable(scene.title))
+    _band(panel, ends, most * 1.1, scene.horizon)
     _curve(panel, truth, most * 1.1, scene.horizon, _TRUTH_COLOR, 4)
     _curve(panel, np.asarray(scene.reported_numbers), most * 1.1, scene.horizon, _NUMBER_COLOR, 1)
     right = panel.shape[1] - PLOT_INSET
     if len(scene.reported_numbers):
         now = f"{scene.reported_numbers[-1]:.0f}"
         text = f"{now} of {truth[-1]:.0f}" if len(truth) else now
+        text = f"{text} : {ends[-1, 0]:.0f}-{ends[-1, 1]:.0f}" if len(ends) else text
         put_text(panel, text, right, PLOT_INSET + 8, INK, align="right")
         right -= round(text_width(text, 8.0)) + 18
     if scene.true_numbers is not None:
@@ -152,11 +162,22 @@ def _legend(panel: Image, text: str, right: int, color: Color, thickness: int) -
 
 def _curve(panel: Image, values: Array, top: float, horizon: int, color: Color, thickness: int) -> None:
     """Draw the last `horizon` values, from 0 to `top`, as a step curve."""
-    values = values[-horizon:]
-    if len(values) == 0:
-        return
+    if len(values):
+        points = fixed_point(_steps(panel, values[-horizon:], top, horizon))
+        cv2.polylines(panel, [points], False, color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
+
+
+def _band(panel: Image, ends: Array, top: float, horizon: int) -> None:
+    """Fill between the step curves of the last `horizon` lower and upper ends, shape (k, 2)."""
+    if len(ends):
+        low, high = (_steps(panel, ends[-horizon:, k], top, horizon) for k in range(2))
+        outline = fixed_point(np.concatenate([low, high[::-1]]))
+        cv2.fillPoly(panel, [outline], mix(FLOOR, _NUMBER_COLOR, 0.25), cv2.LINE_AA, SUBPIXEL_BITS)
+
+
+def _steps(panel: Image, values: Array, top: float, horizon: int) -> Array:
+    """Corners of a step curve from 0 to `top`. Shape (2 k, 2), px."""
     height, width = panel.shape[0] - 2 * PLOT_INSET - TITLE_HEIGHT, panel.shape[1] - 2 * PLOT_INSET
     x = PLOT_INSET + width * np.arange(len(values) + 1) / horizon
     y = PLOT_INSET + TITLE_HEIGHT + height * (1.0 - np.clip(values / top, 0.0, 1.0))
-    corners = np.stack([np.repeat(x, 2)[1:-1], np.repeat(y, 2)], axis=1)
-    cv2.polylines(panel, [fixed_point(corners)], False, color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
+    return np.stack([np.repeat(x, 2)[1:-1], np.repeat(y, 2)], axis=1)
