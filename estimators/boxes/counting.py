@@ -25,7 +25,7 @@ NEGLIGIBLE = 1e-12
 """Probability of a number below which the number is left out of a distribution."""
 
 UNDETECTED = 0.3
-"""Expected number of undetected people for each one with a track, as on the MOTChallenge sequences of docs/counting.md."""
+"""Expected number of undetected people for each one with a track, as on the sequences of docs/counting.md."""
 
 
 class Count(NamedTuple):
