@@ -54,6 +54,7 @@ class Tracker:
         confidences: ArrayLike | None = None,
         features: ArrayLike | None = None,
         time: float | None = None,
+        motion: ArrayLike | None = None,
     ) -> Tracks:
         """Process the detections of the next frame.
 
@@ -64,15 +65,18 @@ class Tracker:
             confidences: Shape (k,); None for 1, or those of the detections.
             features: Appearance vectors of unit length, shape (k, F); None for none.
             time: Time of the frame, s, on any scale; None: one period after the last frame.
+            motion: Motion of the picture by the camera: maps a point (x, y, 1) of the last frame to this one, shape
+                (2, 3), px, as `servotrack.estimators.detect.PictureMotion` finds it; None: estimated from the tracks.
 
         Returns:
             The people in this frame.
 
         Raises:
-            ValueError: Detections of another shape, or a time that is not after that of the last frame.
+            ValueError: Detections of another shape, a time that is not after that of the last frame, or a motion that
+                is no similarity.
         """
         found = as_detections(detections, confidences, features)
-        estimate = self._timed.step(found, time)
+        estimate = self._timed.step(found, time, motion)
         self._frame += 1
         if time is None:
             self._time += 1.0 / self._rate if self._frame else 0.0

@@ -74,7 +74,7 @@ class TrackRequest:
         formats: Formats besides MOTChallenge's in which tracks are written, of `FORMATS`.
         video: If true, write the annotated video.
         show_truth: If true, the video shows the true boxes, too.
-        places: What to count; None for no counts.
+        places: Zones and lines in which people are counted, besides the frame; None for no counts.
     """
 
     source: SourceRequest

@@ -24,7 +24,7 @@ EVERYWHERE = "frame"
 
 @dataclass(frozen=True)
 class Places:
-    """What is counted, besides the people in the frame.
+    """Zones and lines in which people are counted, besides the frame.
 
     Attributes:
         zones: Zones by name.
@@ -113,7 +113,7 @@ class Counter:
     """Counts frame by frame.
 
     Args:
-        places: What to count.
+        places: Zones and lines.
     """
 
     def __init__(self, places: Places) -> None:

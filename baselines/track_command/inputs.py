@@ -9,13 +9,13 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from servotrack.baselines.agents.people.catalog import Detector
-from servotrack.baselines.track_command.notices import Notices
+from servotrack.baselines.track_command.notices import CameraReport, Notices
 from servotrack.envs.track.files.frames import SIDES, FrameSource, open_frames, resize, resized
 from servotrack.envs.track.files.mot_files import SequenceInfo, find_mot_folder
 from servotrack.envs.track.files.pixel_detections import read_pixel_detections
 from servotrack.envs.track.files.recorded import SequenceError
-from servotrack.estimators.detect.detections import Detections, detections_from_boxes
-from servotrack.estimators.types import Image
+from servotrack.estimators.detect import Detections, PictureMotion, detections_from_boxes
+from servotrack.estimators.types import Array, Image
 
 _BACKGROUND_SPACING = 25
 """Largest spacing of the frames of the first pass. Wider sampling would mix different light into one background."""
@@ -36,12 +36,15 @@ class Step(NamedTuple):
         picture: Decoded RGB frame; None if the source has only detections.
         detections: Detections in working px.
         time: Time since frame 0, s.
+        motion: Motion of the camera since the last step, see `PictureMotion.step`, in working px; None where it is
+            unknown.
     """
 
     number: int
     picture: Image | None
     detections: Detections
     time: float
+    motion: Array | None = None
 
 
 class Input(Protocol):
@@ -89,6 +92,8 @@ class PixelInput:
         background: Number of frames, at most 25 frames apart, that a first pass gives to the detector as background. 0
             starts from the first frame. A camera has no first pass, and a network needs none.
         white: Value that is white in images of more than 8 bits; None: from the images.
+        moving: If true, the motion of the camera is estimated from the pictures, for a detector that does not need a
+            still one.
 
     Raises:
         SequenceError: The source cannot be opened.
@@ -106,7 +111,10 @@ class PixelInput:
         stride: int = 1,
         background: int = 0,
         white: float | None = None,
+        moving: bool = False,
     ) -> None:
+        self._motion = PictureMotion() if moving else None
+        self._moves = CameraReport()
         self._frames = open_frames(source, start=start, count=count, stride=stride, white=white)
         self._white = white
         self._notices = Notices()
@@ -125,7 +133,7 @@ class PixelInput:
     @property
     def notes(self) -> Sequence[str]:
         """Facts about the source, and sentences of the detector on what does not work."""
-        return [*self._frames.notes, *self._notices.lines()]
+        return [*self._frames.notes, *self._notices.lines(), *self._moves.lines()]
 
     @property
     def warning(self) -> str:
@@ -135,6 +143,7 @@ class PixelInput:
     def __iter__(self) -> Iterator[Step]:
         """Decode, resize and detect; yield one step per frame."""
         state: Any = self._detector.initial(self._first_pass()) if self._background else None
+        motion, seen = None, PictureMotion().initial()
         try:
             for number, time, picture in self._frames.numbered():
                 frame = resize(picture, self._size)
@@ -144,7 +153,10 @@ class PixelInput:
                     self._notices.take(number, state)
                 state, found = self._detector.step(state, frame)
                 self._notices.take(number, state)
-                yield Step(number, picture, found, self._time(number) if time is None else time)
+                if self._motion is not None:
+                    seen, motion = self._motion.step(seen, frame, found.boxes)
+                    self._moves.take(number, motion, frame.shape)
+                yield Step(number, picture, found, self._time(number) if time is None else time, motion)
         finally:
             self._frames.close()
 

@@ -6,6 +6,13 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
+from servotrack.estimators.types import Array
+
+_OFTEN = 0.1
+"""Share of the frames from which a motion of the camera is said."""
+
 
 def kind_of(sentence: str) -> str:
     """Return a sentence without its numbers: notices that differ in numbers only are the same."""
@@ -39,6 +46,47 @@ class Notices:
     def lines(self) -> list[str]:
         """Return one line per notice, with the number of frames that it holds for."""
         return [f"{text} ({self._frames[kind]} frames)" for kind, text in self._first.items()]
+
+
+class CameraReport:
+    """How far the camera moved, for the user."""
+
+    def __init__(self) -> None:
+        self._shifts: list[float] = []
+        self._unknown, self._first = 0, -1
+
+    def take(self, number: int, motion: Array | None, shape: Sequence[int]) -> None:
+        """Read the motion of the camera of a frame.
+
+        Args:
+            number: Number of the frame, from 0.
+            motion: See `PictureMotion.step`.
+            shape: Height and width of the frame, px.
+        """
+        if motion is None:
+            self._unknown += 1
+            return
+        middle = np.array([shape[1] / 2.0, shape[0] / 2.0])
+        length = float(np.hypot(*(motion[:, :2] @ middle + motion[:, 2] - middle))) / shape[1]
+        if length > 0.0 and self._first < 0:
+            self._first = number
+        self._shifts.append(length)
+
+    def lines(self) -> list[str]:
+        """Return one sentence where the camera moved, or where its motion is unknown in many frames."""
+        lines, moved = [], [100.0 * shift for shift in self._shifts if shift > 0.0]
+        if moved and len(moved) >= _OFTEN * len(self._shifts):
+            lines.append(
+                f"the camera moves from frame {self._first} on, by {np.median(moved):.2f} % of the width in the median "
+                f"of {len(moved)} frames, {max(moved):.1f} % at most; `pmb` moves its tracks with it"
+            )
+        # The motion of the first frame is never known.
+        if self._unknown - 1 > _OFTEN * (len(self._shifts) + self._unknown):
+            lines.append(
+                f"the motion of the camera is unknown in {self._unknown - 1} frames, which show too little background "
+                "with texture; there it is taken from the tracks"
+            )
+        return lines
 
 
 class NewNotes:

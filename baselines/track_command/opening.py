@@ -94,6 +94,7 @@ def open_input(request: SourceRequest, pictures: bool = True, length: int = 0) -
         stride=request.stride,
         background=0 if network else request.background,
         white=request.white,
+        moving=network,
     ), name
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from servotrack.baselines.agents.people.catalog import BoxTracker
 from servotrack.baselines.track_command.inputs import Input, Step
@@ -34,10 +35,11 @@ class TimedTracker:
         self.tracker, self._rate = tracker, frame_rate
         self._state: Any = None
         self._time: float | None = None
-        self._takes_time = takes_time(tracker)
+        self._takes_time = takes(tracker, "dt")
+        self._takes_motion = takes(tracker, "motion")
         self._ids: dict[int, int] = {}
 
-    def step(self, detections: Detections, time: float | None = None) -> SetEstimate:
+    def step(self, detections: Detections, time: float | None = None, motion: ArrayLike | None = None) -> SetEstimate:
         """Process the detections of one frame.
 
         Identities count from 1 in the order of their first report. Labels of filters can exceed what readers of
@@ -46,11 +48,13 @@ class TimedTracker:
         Args:
             detections: The detections.
             time: Time of the frame, s, on any scale; None: one period after the last frame.
+            motion: Motion of the picture by the camera, see `BoxPMB.step`; None where it is unknown. Trackers that do
+                not take it see moving people.
 
         Raises:
-            ValueError: The time is not after that of the last frame.
+            ValueError: The time is not after that of the last frame, or the motion is no similarity.
         """
-        estimate = self._stepped(detections, self._period(time))
+        estimate = self._stepped(detections, self._period(time), motion)
         # Reported people first.
         labels, held = self._small(estimate.labels), self._small(estimate.held_labels)
         return replace(estimate, labels=labels, held_labels=held)
@@ -59,17 +63,19 @@ class TimedTracker:
         known = self._ids
         return np.array([known.setdefault(label, len(known) + 1) for label in labels.tolist()], np.int64)
 
-    def _stepped(self, detections: Detections, period: float | None) -> SetEstimate:
+    def _stepped(self, detections: Detections, period: float | None, motion: ArrayLike | None) -> SetEstimate:
         if self._state is None:
             self._state = self.tracker.initial(detections)
-        if period is not None and self._takes_time:
-            self._state, estimate = self.tracker.step(self._state, detections, period)  # type: ignore[call-arg]
-            return estimate
-        if period is not None:
+        known: dict[str, Any] = {}
+        if self._takes_time and period is not None:
+            known["dt"] = period
+        if self._takes_motion and motion is not None:
+            known["motion"] = motion
+        if period is not None and not self._takes_time:
             nothing = detections_from_boxes(np.zeros((0, 4)))
             for _ in range(max(round(period * self._rate) - 1, 0)):
                 self._state, _ = self.tracker.step(self._state, nothing)
-        self._state, estimate = self.tracker.step(self._state, detections)
+        self._state, estimate = self.tracker.step(self._state, detections, **known)
         return estimate
 
     def _period(self, time: float | None) -> float | None:
@@ -87,12 +93,12 @@ class TimedTracker:
         return None if abs(period * self._rate - 1.0) <= _SAME else period
 
 
-def takes_time(tracker: BoxTracker) -> bool:
-    """Return True if a tracker's `step` takes the time since the last frame."""
-    if "dt" not in inspect.signature(tracker.step).parameters:
+def takes(tracker: BoxTracker, name: str) -> bool:
+    """Return True if the `step` of a tracker, and of the one that it holds, takes a parameter of this name."""
+    if name not in inspect.signature(tracker.step).parameters:
         return False
     inner = getattr(tracker, "tracker", None)
-    return inner is None or takes_time(inner)
+    return inner is None or takes(inner, name)
 
 
 def estimates(source: Input, tracker: TimedTracker) -> Iterator[tuple[Step, SetEstimate]]:
@@ -103,5 +109,5 @@ def estimates(source: Input, tracker: TimedTracker) -> Iterator[tuple[Step, SetE
     """
     factor = np.array([*source.scale, *source.scale])
     for step in source:
-        estimate = tracker.step(step.detections, step.time)
+        estimate = tracker.step(step.detections, step.time, step.motion)
         yield step, replace(estimate, states=estimate.states * factor, held_states=estimate.held_states * factor)

@@ -21,8 +21,18 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
+from servotrack.estimators.boxes.camera import (
+    CameraRules,
+    CameraState,
+    camera_step,
+    checked_motion,
+    initial_camera,
+    move_tracks,
+    seen_camera,
+)
 from servotrack.estimators.boxes.confidence import (
     ScoreRules,
     initial_confidence,
@@ -66,6 +76,7 @@ class BoxPMBState(NamedTuple):
         noise: Noise of this sequence.
         confidence: Scale of the scores, see `initial_confidence`. Shape (10,).
         heights: Heights by place in the image, see `initial_heights`. Shape (11,).
+        camera: Motion of the camera.
     """
 
     tracks: BoxTracks
@@ -73,6 +84,7 @@ class BoxPMBState(NamedTuple):
     noise: NoiseScales
     confidence: Array
     heights: Array
+    camera: CameraState
 
 
 class _Frame(NamedTuple):
@@ -148,6 +160,9 @@ class BoxPMB:
         cut_share: Share of regions that show a part of a person or more than one, in [0, 1), where scores say nothing.
             Raising it follows people whose regions are cut or joined, and takes more of the neighbors' detections.
         cut_scale: Factor of the standard deviations of such regions, at least 1.
+        camera: Estimation of the camera's motion from the tracks; None: the camera stands still.
+        turning: Speed of the camera, in units of `speed`, from which people outside the frame are expected back.
+            Raising it lets them go as if they had walked out.
         split_rules: Conditions under which a blob is split.
 
     Raises:
@@ -192,6 +207,8 @@ class BoxPMB:
     smallest_size: float = 2.0
     cut_share: float = 0.05
     cut_scale: float = 3.0
+    camera: CameraRules | None = field(default_factory=CameraRules)
+    turning: float = 0.1
     split_rules: SplitRules = field(default_factory=SplitRules)
 
     def __post_init__(self) -> None:
@@ -215,7 +232,7 @@ class BoxPMB:
                 raise ValueError(f"{name} must be in (0, 1], got {getattr(self, name)!r}")
         if not self.appearance_limits[0] <= self.appearance_limits[1]:
             raise ValueError(f"appearance_limits must be ascending, got {self.appearance_limits!r}")
-        for name in ("overlap", "appearance", "score_weight", "coast"):
+        for name in ("overlap", "appearance", "score_weight", "coast", "turning"):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"{name} must be at least 0, got {getattr(self, name)!r}")
 
@@ -227,10 +244,12 @@ class BoxPMB:
         """
         features = checked_detections(detections).features
         tracks = new_tracks(np.zeros((0, 6)), np.zeros((0, 8)), np.zeros(0), 1, np.zeros(0), features[:0])
-        return BoxPMBState(tracks, 1, initial_noise(), initial_confidence(self.scores), initial_heights())
+        return BoxPMBState(
+            tracks, 1, initial_noise(), initial_confidence(self.scores), initial_heights(), initial_camera()
+        )
 
     def step(
-        self, state: BoxPMBState, detections: Detections, dt: float | None = None
+        self, state: BoxPMBState, detections: Detections, dt: float | None = None, motion: ArrayLike | None = None
     ) -> tuple[BoxPMBState, SetEstimate]:
         """Predict to the next frame and update with its detections.
 
@@ -238,19 +257,24 @@ class BoxPMB:
             state: State after the last frame.
             detections: Detections of this frame.
             dt: Time since the last frame, s; None for 1 / `frame_rate`.
+            motion: Motion of the picture by the camera: maps a point (x, y, 1) of the last frame to this one, as
+                `servotrack.estimators.detect.PictureMotion` finds it. None: it is estimated from the tracks. Shape
+                (2, 3), px.
 
         Raises:
-            ValueError: Detections are invalid, see `checked_detections`, or `dt` is not positive.
+            ValueError: Detections are invalid, see `checked_detections`, `dt` is not positive, or `motion` has another
+                shape or is not finite.
         """
         detections = checked_detections(detections, state.tracks.appearance.shape[1])
         dt = checked_period(dt, self.frame_rate)
-        tracks, visible = self._predicted(state.tracks, state.noise, dt)
+        noise = self._measurement_noise * np.exp(0.5 * state.noise.measurement)
+        tracks, visible = self._predicted(state.tracks, state.noise, state.camera, dt)
+        tracks, camera = self._steadied(state.camera, tracks, detections, noise, dt, motion)
         if self.split:
             known = (tracks.existence >= REPORTED) & (tracks.seen >= self.established)
             detections = split_merged(detections, center_boxes(tracks.mean[known]), self.split_rules)
         confidence, reading = read_scores(state.confidence, np.ascontiguousarray(detections.confidences), self.scores)
         odds = score_log_odds(confidence, reading, self.scores)
-        noise = self._measurement_noise * np.exp(0.5 * state.noise.measurement)
         frame = _Frame(detections, reading, odds, dt, noise, self.cut_share * (1.0 - trust(confidence)))
         tracks, fresh = self._corrected(tracks, visible, frame)
         found = tracks.missed == 0
@@ -259,7 +283,7 @@ class BoxPMB:
         scales = self._learned_noise(state, tracks, found)
         tracks, next_label = self._extended(tracks, frame, fresh, state.next_label)
         tracks, heights = self._judged(tracks, frame, confidence, state.heights)
-        return BoxPMBState(tracks, next_label, scales, confidence, heights), self._estimate(tracks)
+        return BoxPMBState(tracks, next_label, scales, confidence, heights, camera), self._estimate(tracks)
 
     @cached_property
     def _gate(self) -> float:
@@ -276,7 +300,9 @@ class BoxPMB:
         """Initial process noise: acceleration twice, drift twice. Shape (4,)."""
         return np.array([self.acceleration, self.acceleration, self.drift, self.drift])
 
-    def _predicted(self, tracks: BoxTracks, scales: NoiseScales, dt: float) -> tuple[BoxTracks, Array]:
+    def _predicted(
+        self, tracks: BoxTracks, scales: NoiseScales, camera: CameraState, dt: float
+    ) -> tuple[BoxTracks, Array]:
         """Tracks predicted to the next frame, and the visible share of each."""
         process = self._process_noise * np.exp(0.5 * scales.process)
         mean, variance = predict_boxes(
@@ -285,11 +311,36 @@ class BoxPMB:
         width, height = self.frame_size or (0, 0)
         there = tracks.existence * tracks.person
         visible, inside = visible_shares(mean, there, float(width), float(height))
-        # A person who is more than half outside the frame may have left.
-        staying = np.clip(2.0 * inside, 1e-3, 1.0)
+        # A person who is more than half outside the frame may have left, if it was not the camera that turned away.
+        turning = np.hypot(*camera.velocity) > self.turning * self.speed * mean[:, 5]
+        staying = np.where(turning, 1.0, np.clip(2.0 * inside, 1e-3, 1.0))
         existence = tracks.existence * math.exp(-dt / self.lifetime) * staying
         floor = np.where(tracks.seen >= self.established, self.revival * staying, 0.0)
         return tracks._replace(mean=mean, variance=variance, existence=np.maximum(existence, floor)), visible
+
+    def _steadied(
+        self,
+        state: CameraState,
+        tracks: BoxTracks,
+        detections: Detections,
+        noise: Array,
+        dt: float,
+        motion: ArrayLike | None,
+    ) -> tuple[BoxTracks, CameraState]:
+        """Tracks moved by the motion of the camera."""
+        if motion is not None:
+            known = checked_motion(motion)
+            mean, variance = move_tracks(tracks.mean, tracks.variance, known)
+            return tracks._replace(mean=mean, variance=variance), seen_camera(known, self.frame_size, dt)
+        if self.camera is None:
+            return tracks, state
+        told = (tracks.missed == 0) & (tracks.seen >= self.established)
+        boxes = np.ascontiguousarray(detections.boxes, dtype=np.float64)
+        weight = np.where(told, tracks.existence, 0.0)
+        state = camera_step(state, tracks.mean, tracks.variance, weight, boxes, noise, dt, self.camera)
+        mean = tracks.mean.copy()
+        mean[:, [0, 2]] += state.shift
+        return tracks._replace(mean=mean), state
 
     def _corrected(self, tracks: BoxTracks, visible: Array, frame: _Frame) -> tuple[BoxTracks, Array]:
         """Tracks updated with the detections, and the probability of each detection that no track explains it."""

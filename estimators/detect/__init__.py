@@ -5,6 +5,7 @@ from servotrack.estimators.detect.background import BackgroundState, MaskedBackg
 from servotrack.estimators.detect.blobs import BlobFinder
 from servotrack.estimators.detect.detections import Detections, Detector, detections_from_boxes
 from servotrack.estimators.detect.marker import MarkerDetector
+from servotrack.estimators.detect.picture_motion import PictureMotion, PictureMotionState
 from servotrack.estimators.detect.subtractors import KNNBackground, MOG2Background
 
 __all__ = [
@@ -16,6 +17,8 @@ __all__ = [
     "MOG2Background",
     "MarkerDetector",
     "MaskedBackground",
+    "PictureMotion",
+    "PictureMotionState",
     "box_appearance",
     "box_histograms",
     "color_bins",

@@ -22,7 +22,7 @@ from servotrack.baselines.track_command.api import as_detections
 from servotrack.baselines.track_command.command import TrackRequest, folder_name, run_command
 from servotrack.baselines.track_command.notices import NewNotes
 from servotrack.baselines.track_command.opening import SourceRequest
-from servotrack.baselines.track_command.timed import TimedTracker, takes_time
+from servotrack.baselines.track_command.timed import TimedTracker, takes
 from servotrack.envs.track.files.frames import open_frames
 from servotrack.envs.track.files.read import read_tracks
 from servotrack.envs.track.files.recorded import SequenceError
@@ -163,7 +163,7 @@ def test_identities_are_small_numbers():
 
 def test_trackers_are_told_the_time_or_given_empty_frames():
     plain, clocked = Huge(), Clocked()
-    assert not takes_time(plain) and takes_time(clocked)
+    assert not takes(plain, "dt") and takes(clocked, "dt")
     nothing = detections_from_boxes([])
     for tracker in (plain, clocked):
         timed = TimedTracker(tracker, 10.0)

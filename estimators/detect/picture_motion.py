@@ -1,0 +1,128 @@
+"""Motion of the camera from the pictures: a similarity that most corners of the background follow.
+
+Corners are followed by pyramids of Lucas and Kanade (1981), away from the people of the last frame; the similarity is
+the one that most of them agree with (random sample consensus, Fischler and Bolles 1981).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from servotrack.estimators.detect.camera_motion import small_copy
+from servotrack.estimators.detect.images import checked_image
+from servotrack.estimators.types import Array, Image
+
+STILL = np.eye(2, 3)
+"""Motion of a picture that stands still."""
+
+
+class PictureMotionState(NamedTuple):
+    """State of a `PictureMotion`.
+
+    Attributes:
+        small: Small gray copy of the last frame; None before the first one. uint8.
+        boxes: Boxes of the last frame in px of the copy: left, top, right, bottom. Shape (k, 4).
+    """
+
+    small: Image | None
+    boxes: Array
+
+
+@dataclass(frozen=True)
+class PictureMotion:
+    """Estimator of the motion of the camera between frames.
+
+    Args:
+        width: Largest width of the small copies, px. Raising it finds smaller motion and takes longer.
+        corners: Largest number of corners.
+        least_corners: Smallest number of corners that must agree.
+        agree: Smallest share of the followed corners that must agree, in (0, 1]; with fewer the motion is unknown.
+        tolerance: Largest distance of a corner from where the similarity puts it, px of the copy.
+        quiet: Largest displacement of a corner of the picture that counts as none, px of the copy. A still camera stays
+            still, in spite of noise.
+
+    Raises:
+        ValueError: A number is out of range.
+    """
+
+    width: int = 320
+    corners: int = 160
+    least_corners: int = 8
+    agree: float = 0.4
+    tolerance: float = 0.7
+    quiet: float = 0.15
+
+    def __post_init__(self) -> None:
+        for name, least in (("width", 16), ("corners", 8), ("least_corners", 3)):
+            if not getattr(self, name) >= least:
+                raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)!r}")
+        if not 0.0 < self.agree <= 1.0:
+            raise ValueError(f"agree must be in (0, 1], got {self.agree!r}")
+        for name in ("tolerance", "quiet"):
+            if not getattr(self, name) >= 0.0:
+                raise ValueError(f"{name} must be at least 0, got {getattr(self, name)!r}")
+
+    def initial(self) -> PictureMotionState:
+        """State before the first frame."""
+        return PictureMotionState(None, np.zeros((0, 4)))
+
+    def step(
+        self, state: PictureMotionState, frame: ArrayLike, boxes: ArrayLike
+    ) -> tuple[PictureMotionState, Array | None]:
+        """Estimate the motion from the last frame to this one.
+
+        Args:
+            state: State after the last frame.
+            frame: RGB or gray, uint8. Shape (H, W, 3) or (H, W).
+            boxes: Left, top, width, height of what moves by itself in this frame, px. Shape (k, 4).
+
+        Returns:
+            The state, and the motion: maps a point (x, y, 1) of the last frame to this one, px. Shape (2, 3). None
+            where it is unknown: in the first frame, and in pictures without texture or with too few corners that agree.
+
+        Raises:
+            ValueError: The frame is no image.
+        """
+        image = checked_image(frame)
+        small = small_copy(image, self.width)
+        scale = image.shape[1] / small.shape[1]
+        found = np.asarray(boxes, dtype=np.float64).reshape(-1, 4) / scale
+        after = PictureMotionState(small, np.concatenate([found[:, :2], found[:, :2] + found[:, 2:]], axis=1))
+        if state.small is None or state.small.shape != small.shape:
+            return after, None
+        motion = self._similarity(state.small, small, state.boxes)
+        if motion is None:
+            return after, None
+        height, width = small.shape
+        ends = np.array([[0.0, 0.0, 1.0], [width, 0.0, 1.0], [0.0, height, 1.0], [width, height, 1.0]])
+        if np.abs(ends @ motion.T - ends[:, :2]).max() <= self.quiet:
+            return after, STILL
+        return after, np.column_stack([motion[:, :2], motion[:, 2] * scale])
+
+    def _similarity(self, before: Image, now: Image, boxes: Array) -> Array | None:
+        free = np.full(before.shape, 255, np.uint8)
+        for left, top, right, bottom in np.clip(boxes, 0.0, max(before.shape)).astype(np.int64):
+            free[top : bottom + 1, left : right + 1] = 0
+        corners = cv2.goodFeaturesToTrack(before, self.corners, 0.01, before.shape[1] / 40.0, mask=free)
+        if corners is None or len(corners) < self.least_corners:
+            return None
+        start = np.asarray(corners, dtype=np.float32)
+        followed, seen, _ = cv2.calcOpticalFlowPyrLK(before, now, start, start.copy(), winSize=(15, 15), maxLevel=3)
+        kept = np.ravel(seen) == 1
+        if kept.sum() < self.least_corners:
+            return None
+        # The random numbers of OpenCV's consensus are the same in every call.
+        motion, agreeing = cv2.estimateAffinePartial2D(
+            start[kept], np.asarray(followed)[kept], method=cv2.RANSAC, ransacReprojThreshold=self.tolerance
+        )
+        if motion is None or agreeing is None:
+            return None
+        number = int(np.sum(agreeing))
+        if number < self.least_corners or number < self.agree * len(start):
+            return None
+        return np.asarray(motion, dtype=np.float64)
