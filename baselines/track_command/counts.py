@@ -178,7 +178,7 @@ class CountsFile(GrowingFile):
 
         Args:
             step: The frame.
-            counts: Its counts.
+            counts: Counts of the frame.
 
         Raises:
             OSError: The disk is full, or a file size limit is reached.

@@ -49,7 +49,7 @@ class Notices:
 
 
 class CameraReport:
-    """How far the camera moved, for the user."""
+    """Motion of the camera over a run, for the user."""
 
     def __init__(self) -> None:
         self._shifts: list[float] = []

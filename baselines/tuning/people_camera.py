@@ -48,7 +48,7 @@ def window_path(length: int, span: float, speed: float, steady: bool, seed: int 
 
 
 def in_window(sequence: PeopleSequence, path: Array, width: float, moving: bool) -> PeopleSequence:
-    """What a window shows of a sequence: boxes whose middle is in it.
+    """Return the part of a sequence that a window shows: boxes whose middle is in it.
 
     Args:
         sequence: The whole sequence.

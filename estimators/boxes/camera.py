@@ -80,7 +80,7 @@ def camera_step(
     Args:
         state: State after the last frame.
         mean: Predicted means of the tracks, as in `predict_boxes`. Shape (T, 6).
-        variance: Their variances. Shape (T, 8).
+        variance: Variances of the tracks. Shape (T, 8).
         weight: Weight of each track, in [0, 1]. Shape (T,).
         boxes: Left, top, width, height of the detections. Shape (Z, 4), px.
         noise: Standard deviations of a measured center column, center row, width and height, heights. Shape (4,).
@@ -127,7 +127,7 @@ def move_tracks(mean: Array, variance: Array, motion: Array) -> tuple[Array, Arr
 
     Args:
         mean: Means of the tracks, as in `predict_boxes`. Shape (T, 6).
-        variance: Their variances. Shape (T, 8).
+        variance: Variances of the tracks. Shape (T, 8).
         motion: Maps a point (x, y, 1) of the last frame to this one. Shape (2, 3).
     """
     turn, scale = motion[:, :2], math.sqrt(abs(float(np.linalg.det(motion[:, :2]))))

@@ -98,7 +98,7 @@ def add_chances(number: NumberDistribution, chances: ArrayLike) -> NumberDistrib
 
 
 def add_missed(number: NumberDistribution, missed: float) -> NumberDistribution:
-    """Add the events that nobody saw, whose number is geometric with a mean in proportion to the seen ones.
+    """Add the events that were not seen, whose number is geometric with a mean in proportion to the seen ones.
 
     Args:
         number: Distribution of the number of seen ones.

@@ -127,7 +127,7 @@ def track(
         float | None,
         typer.Option(
             min=0.0,
-            help="Number of people whom the detector does not find, for each one whom it finds. 0: it finds all. "
+            help="Number of people that the detector does not find, for each one that it finds. 0: it finds all. "
             "Default: 0.3 for numbers, 0.4 for crossings.",
         ),
     ] = None,
