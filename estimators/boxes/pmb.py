@@ -62,6 +62,7 @@ from servotrack.estimators.boxes.report import (
     checked_period,
     set_of_boxes,
 )
+from servotrack.estimators.boxes.shared import SharingRules, correct_within, shared_regions
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs.sets import HELD, REPORTED, SetEstimate
 from servotrack.estimators.types import Array, Labels, Mask
@@ -163,6 +164,7 @@ class BoxPMB:
         camera: Estimation of the camera's motion from the tracks; None: the camera stands still.
         turning: Speed of the camera, in units of `speed`, from which people outside the frame are expected back.
             Raising it lets them go as if they had walked out.
+        sharing: Conditions under which people share a region, where scores say nothing.
         split_rules: Conditions under which a blob is split.
 
     Raises:
@@ -209,6 +211,7 @@ class BoxPMB:
     cut_scale: float = 3.0
     camera: CameraRules | None = field(default_factory=CameraRules)
     turning: float = 0.1
+    sharing: SharingRules = field(default_factory=SharingRules)
     split_rules: SplitRules = field(default_factory=SplitRules)
 
     def __post_init__(self) -> None:
@@ -365,6 +368,11 @@ class BoxPMB:
             ratio = np.clip(self.appearance * (similar - self.typical_similarity), *self.appearance_limits)
             log_weight += np.where(similar > 0.0, ratio, 0.0)
         missed, assigned, fresh, partner = associate(np.exp(log_weight))
+        shared = self._shared(tracks, frame, boxes, partner)
+        together = shared >= 0
+        fresh[shared[together]] = 0.0
+        partner[together] = -1
+        correct_within(mean, variance, shared, boxes, frame.noise, self.sharing)
         innovation = correct_boxes(mean, variance, partner, boxes, frame.noise, float(self.smallest_size))
         found = partner >= 0
         # A detection that belongs to a track in the best assignment starts no other track.
@@ -375,10 +383,11 @@ class BoxPMB:
         after = tracks._replace(
             mean=mean,
             variance=variance,
-            existence=np.minimum(missed * r * (1.0 - detectable) / absence + assigned, 1.0),
+            existence=np.where(together, r, np.minimum(missed * r * (1.0 - detectable) / absence + assigned, 1.0)),
             missed=np.where(found, 0, tracks.missed + 1),
             absent=np.where(found, 0.0, tracks.absent + frame.dt),
             seen=tracks.seen + found,
+            shares=together,
             reading=reading,
             readings=readings,
             innovation=innovation,
@@ -387,6 +396,18 @@ class BoxPMB:
             ),
         )
         return after, fresh
+
+    def _shared(self, tracks: BoxTracks, frame: _Frame, boxes: Array, partner: Labels) -> Labels:
+        """Region that each track shares with others, -1 for none; only where scores say nothing."""
+        areas = frame.detections.areas
+        region = areas < self.split_rules.solid * boxes[:, 2] * boxes[:, 3]
+        known = (
+            (tracks.existence >= REPORTED) & (tracks.seen >= self.established) & (tracks.absent < self.sharing.longest)
+        )
+        if frame.cut < 0.5 * self.cut_share or known.sum() < 2 or not region.any():
+            return np.full(len(partner), -1)
+        predicted = center_boxes(tracks.mean)
+        return np.asarray(shared_regions(predicted, known, boxes, region, partner, self.sharing))
 
     def _extended(self, tracks: BoxTracks, frame: _Frame, fresh: Array, label: int) -> tuple[BoxTracks, int]:
         """Drop improbable tracks and add a new one for each detection that no track explains."""
@@ -425,7 +446,7 @@ class BoxPMB:
     def _estimate(self, tracks: BoxTracks) -> SetEstimate:
         """Report the people with a detection; hold the others."""
         existence = tracks.existence * tracks.person
-        shown = (tracks.absent <= self.coast) & (tracks.seen >= self.confirm)
+        shown = ((tracks.absent <= self.coast) | tracks.shares) & (tracks.seen >= self.confirm)
         # Whoever has been followed for a while keeps the identity until the track ends.
         least = np.where(tracks.seen >= self.established, HELD, 0.0)
         existence = np.where(shown, existence, np.clip(existence, least, min(LARGEST_HELD, 0.99 * self.report)))

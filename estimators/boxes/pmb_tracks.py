@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.types import Array, Labels, Mask
 
 
 class BoxTracks(NamedTuple):
@@ -24,6 +24,7 @@ class BoxTracks(NamedTuple):
         missed: Number of frames since the last detection. Shape (T,).
         absent: Time since the last detection, s. Shape (T,).
         seen: Number of detections so far. Shape (T,).
+        shares: True where the last region is shared with another track. Shape (T,).
         reading: Score of the last detection, as `read_scores` reads it. Shape (T,).
         readings: Readings of all detections, summed. Shape (T,).
         innovation: Normalized innovations of the last frame, zero without a detection. Shape (T, 4).
@@ -39,6 +40,7 @@ class BoxTracks(NamedTuple):
     missed: Labels
     absent: Array
     seen: Labels
+    shares: Mask
     reading: Array
     readings: Array
     innovation: Array
@@ -70,6 +72,7 @@ def new_tracks(
         none,
         zeros,
         none + 1,
+        none > 0,
         reading,
         reading,
         np.zeros((count, 4)),

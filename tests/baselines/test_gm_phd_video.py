@@ -51,20 +51,28 @@ def test_the_rendered_sequence_tells_the_truth_of_the_frames_it_gave() -> None:
 def test_claims_follow_the_measurements() -> None:
     rng = np.random.default_rng(0)
 
-    def measured(right: float, switches: float) -> report.Measured:
+    def measured(right: float, switches: float, merges: float = 0.0) -> report.Measured:
         noise = 0.01 * rng.standard_normal(12)
         rest = [np.full(12, 0.9)] * 3
-        return report.Measured(right + noise, *rest, switches + noise, np.full(12, 1e-3), np.full(12, 1e-3))
+        happened = np.tile([5.0, 1.0, 1.0, 4.0], (12, 1))
+        events = happened * [1.0, merges, 1.0, 1.0]
+        times = [np.full(12, 1e-3)] * 2
+        return report.Measured(right + noise, *rest, switches + noise, *times, events, happened)
 
     found = {name: measured(0.95, 3.0) for name in experiment.METHODS}
     found[report.TUNED] = measured(0.96, 1.0)
     verdicts = {claim.id: claim.verdict for claim in report.findings(found)}
     assert verdicts["phd-video-count"] == "holds" and verdicts["phd-video-identity"] == "holds"
-    found[report.PAPER] = measured(0.6, 3.0)
+    assert verdicts["phd-video-events"] == "does not hold"
+    found[report.PAPER] = measured(0.6, 3.0, merges=1.0)
     found[report.TUNED] = measured(0.96, 9.0)
     verdicts = {claim.id: claim.verdict for claim in report.findings(found)}
     assert verdicts["phd-video-count"] == "does not hold" == verdicts["phd-video-identity"]
     assert verdicts["phd-video-filter-helps-count"] == "does not hold"
+    assert verdicts["phd-video-events"] == "holds"
+    rows = {row[0]: row[3:] for row in report.events_grid(found).rows}
+    assert rows[report.PAPER] == ["60 of 60", "12 of 12", "12 of 12", "48 of 48"]
+    assert rows[report.TUNED] == ["60 of 60", "0 of 12", "12 of 12", "48 of 48"]
 
 
 def test_ranks_that_agree_correlate() -> None:
