@@ -192,8 +192,7 @@ def started(arguments: tuple[str, ...], folder: Path) -> subprocess.Popen[str]:
     process = subprocess.Popen(
         [*PROGRAM, *arguments], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
         start_new_session=True,
-        # Processes that a shell starts in the background ignore SIGINT.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        preexec_fn=_hear_signals,
     )  # fmt: skip
     handled = 1 << (signal.SIGTERM - 1)
     while process.poll() is None:
@@ -202,6 +201,12 @@ def started(arguments: tuple[str, ...], folder: Path) -> subprocess.Popen[str]:
             break
         time.sleep(0.01)
     return process
+
+
+def _hear_signals() -> None:
+    """Undo what a shell does to processes in the background, and nohup to all: they ignore these signals."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def wait_for_workers(process: subprocess.Popen[str]) -> None:
