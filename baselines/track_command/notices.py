@@ -10,8 +10,8 @@ import numpy as np
 
 from servotrack.estimators.types import Array
 
-_OFTEN = 0.1
-"""Share of the frames from which a motion of the camera is said."""
+_OFTEN, _LEAST = 0.1, 5
+"""Share and number of the frames from which a motion of the camera is said."""
 
 
 def kind_of(sentence: str) -> str:
@@ -75,13 +75,13 @@ class CameraReport:
     def lines(self) -> list[str]:
         """Return one sentence where the camera moved, or where its motion is unknown in many frames."""
         lines, moved = [], [100.0 * shift for shift in self._shifts if shift > 0.0]
-        if moved and len(moved) >= _OFTEN * len(self._shifts):
+        if len(moved) >= max(_LEAST, _OFTEN * len(self._shifts)):
             lines.append(
                 f"the camera moves from frame {self._first} on, by {np.median(moved):.2f} % of the width in the median "
                 f"of {len(moved)} frames, {max(moved):.1f} % at most; `pmb` moves its tracks with it"
             )
         # The motion of the first frame is never known.
-        if self._unknown - 1 > _OFTEN * (len(self._shifts) + self._unknown):
+        if self._unknown - 1 >= max(_LEAST, _OFTEN * (len(self._shifts) + self._unknown)):
             lines.append(
                 f"the motion of the camera is unknown in {self._unknown - 1} frames, which show too little background "
                 "with texture; there it is taken from the tracks"

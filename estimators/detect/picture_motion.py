@@ -7,11 +7,12 @@ the one that most of them agree with (random sample consensus, Fischler and Boll
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.detect.camera_motion import small_copy
 from servotrack.estimators.detect.images import checked_image
@@ -40,7 +41,11 @@ class PictureMotion:
     Args:
         width: Largest width of the small copies, px. Raising it finds smaller motion and takes longer.
         corners: Largest number of corners.
+        weakest: Smallest strength of a corner, medians of the strongest in parts of the picture. Raising it leaves
+            fewer.
         least_corners: Smallest number of corners that must agree.
+        window: Width of the window in which a corner is followed, px of the copy. Raising it needs less texture and
+            comes nearer to what moves by itself.
         agree: Smallest share of the followed corners that must agree, in (0, 1]; with fewer the motion is unknown.
         tolerance: Largest distance of a corner from where the similarity puts it, px of the copy.
         quiet: Largest displacement of a corner of the picture that counts as none, px of the copy. A still camera stays
@@ -52,18 +57,20 @@ class PictureMotion:
 
     width: int = 320
     corners: int = 160
+    weakest: float = 0.1
     least_corners: int = 8
+    window: int = 15
     agree: float = 0.4
     tolerance: float = 0.7
     quiet: float = 0.15
 
     def __post_init__(self) -> None:
-        for name, least in (("width", 16), ("corners", 8), ("least_corners", 3)):
+        for name, least in (("width", 16), ("corners", 8), ("least_corners", 3), ("window", 5)):
             if not getattr(self, name) >= least:
                 raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)!r}")
         if not 0.0 < self.agree <= 1.0:
             raise ValueError(f"agree must be in (0, 1], got {self.agree!r}")
-        for name in ("tolerance", "quiet"):
+        for name in ("tolerance", "quiet", "weakest"):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"{name} must be at least 0, got {getattr(self, name)!r}")
 
@@ -106,13 +113,26 @@ class PictureMotion:
 
     def _similarity(self, before: Image, now: Image, boxes: Array) -> Array | None:
         free = np.full(before.shape, 255, np.uint8)
-        for left, top, right, bottom in np.clip(boxes, 0.0, max(before.shape)).astype(np.int64):
+        # The window in which a corner is followed must not reach into what moves by itself.
+        around = boxes + np.array([-1.0, -1.0, 1.0, 1.0]) * (self.window // 2)
+        for left, top, right, bottom in np.clip(around, 0.0, max(before.shape)).astype(np.int64):
             free[top : bottom + 1, left : right + 1] = 0
-        corners = cv2.goodFeaturesToTrack(before, self.corners, 0.01, before.shape[1] / 40.0, mask=free)
-        if corners is None or len(corners) < self.least_corners:
+        start = self._corners(before, free)
+        if len(start) < self.least_corners:
             return None
-        start = np.asarray(corners, dtype=np.float32)
-        followed, seen, _ = cv2.calcOpticalFlowPyrLK(before, now, start, start.copy(), winSize=(15, 15), maxLevel=3)
+        motion = self._followed(before, now, start, np.zeros(2))
+        if motion is None:
+            # A jolt is too far for corners to be found again from where they were.
+            jolt, _ = cv2.phaseCorrelate(before.astype(np.float32), now.astype(np.float32), _window(before.shape))
+            motion = self._followed(before, now, start, np.array(jolt))
+        return motion
+
+    def _followed(self, before: Image, now: Image, start: Array, guess: Array) -> Array | None:
+        """Similarity that the corners follow, searched for near a shift."""
+        ends = (start + guess).astype(np.float32)
+        followed, seen, _ = cv2.calcOpticalFlowPyrLK(
+            before, now, start, ends, winSize=(self.window, self.window), maxLevel=3, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
+        )
         kept = np.ravel(seen) == 1
         if kept.sum() < self.least_corners:
             return None
@@ -126,3 +146,23 @@ class PictureMotion:
         if number < self.least_corners or number < self.agree * len(start):
             return None
         return np.asarray(motion, dtype=np.float64)
+
+    def _corners(self, image: Image, free: Image) -> Array:
+        """Strongest corners where `free` is not 0. Shape (k, 1, 2), float32."""
+        strength = cv2.cornerMinEigenVal(image, 3)
+        strength[free == 0] = 0.0
+        # Strong compared with the middle of the picture's parts: a bright person must not put out the whole ground.
+        parts = cv2.resize(cv2.dilate(strength, np.ones((9, 9))), (8, 6), interpolation=cv2.INTER_NEAREST)
+        reach = 2 * max(round(image.shape[1] / 80.0), 1) + 1
+        peaks = (strength == cv2.dilate(strength, np.ones((reach, reach)))) & (
+            strength > self.weakest * np.median(parts)
+        )
+        rows, columns = np.nonzero(peaks)
+        best = np.argsort(-strength[rows, columns], kind="stable")[: self.corners]
+        return np.stack([columns[best], rows[best]], axis=1).astype(np.float32)[:, None]
+
+
+@lru_cache(maxsize=4)
+def _window(shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Window that fades out the border of a picture, whose sides do not fit together."""
+    return np.asarray(cv2.createHanningWindow((shape[1], shape[0]), cv2.CV_32F), dtype=np.float32)

@@ -48,7 +48,7 @@ def test_pictures_make_a_moving_camera_as_good_as_a_still_one(scene) -> None:
     assert np.abs(shifts + np.diff(path)).max() < 0.6
     best, with_pictures, with_tracks = identity_score(still), identity_score(moving, motions), identity_score(moving)
     assert with_pictures > best - 0.03
-    assert with_pictures > with_tracks
+    assert with_pictures >= with_tracks
 
 
 def test_the_report_says_how_far_the_camera_moved() -> None:

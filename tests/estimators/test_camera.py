@@ -141,6 +141,19 @@ def test_pictures_tell_the_motion_to_a_fraction_of_a_pixel(step: tuple[int, int]
         assert np.array_equal(errors, np.zeros((7, 2)))
 
 
+def test_a_bright_person_does_not_put_out_a_faint_ground() -> None:
+    ground, motion = picture() // 3, PictureMotion()
+    state = motion.initial()
+    for k in range(6):
+        frame = ground[100:400, 100 + 6 * k : 500 + 6 * k].copy()
+        frame[80:220, 150 - 9 * k : 200 - 9 * k] = 255
+        # It is not detected.
+        state, found = motion.step(state, frame, np.zeros((0, 4)))
+        if k:
+            assert found is not None
+            assert np.abs(found @ [200.0, 150.0, 1.0] - [194.0, 150.0]).max() < 0.3
+
+
 def test_pictures_without_texture_say_that_they_know_nothing() -> None:
     motion = PictureMotion()
     state = motion.initial()
@@ -153,7 +166,9 @@ def test_pictures_without_texture_say_that_they_know_nothing() -> None:
     assert found is None
 
 
-@pytest.mark.parametrize("field", ["width", "corners", "least_corners", "agree", "tolerance", "quiet"])
+@pytest.mark.parametrize(
+    "field", ["width", "corners", "weakest", "least_corners", "window", "agree", "tolerance", "quiet"]
+)
 def test_numbers_out_of_range_are_refused(field: str) -> None:
     with pytest.raises(ValueError, match=field):
         PictureMotion(**{field: -1})
