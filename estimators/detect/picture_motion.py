@@ -127,7 +127,7 @@ class PictureMotion:
             motion = self._followed(before, now, start, np.array(jolt))
         return motion
 
-    def _followed(self, before: Image, now: Image, start: Array, guess: Array) -> Array | None:
+    def _followed(self, before: Image, now: Image, start: NDArray[np.float32], guess: Array) -> Array | None:
         """Similarity that the corners follow, searched for near a shift."""
         ends = (start + guess).astype(np.float32)
         followed, seen, _ = cv2.calcOpticalFlowPyrLK(
@@ -147,7 +147,7 @@ class PictureMotion:
             return None
         return np.asarray(motion, dtype=np.float64)
 
-    def _corners(self, image: Image, free: Image) -> Array:
+    def _corners(self, image: Image, free: Image) -> NDArray[np.float32]:
         """Strongest corners where `free` is not 0. Shape (k, 1, 2), float32."""
         strength = cv2.cornerMinEigenVal(image, 3)
         strength[free == 0] = 0.0
