@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from servotrack.estimators.color.cells import CHANNELS, ORIENTATIONS, describe, integrate_channels, turned_part
+from servotrack.estimators.color.cells import CHANNELS, ORIENTATIONS, describe, integrate_channels
 from servotrack.estimators.color.contract import (
     BoxEstimate,
     Pose,
@@ -18,8 +18,10 @@ from servotrack.estimators.color.contract import (
     start,
 )
 from servotrack.estimators.color.histogram import color_histogram
-from servotrack.estimators.elementary import cosine, exponential
-from servotrack.estimators.types import Array, FloatArray, Image
+from servotrack.estimators.color.light import Light, first_light, next_light, relit_histogram
+from servotrack.estimators.color.turned_views import TurnedViews, turned_sizes, turned_views
+from servotrack.estimators.elementary import exponential
+from servotrack.estimators.types import Array, FloatArray, Image, Labels
 
 
 class View(NamedTuple):
@@ -43,11 +45,13 @@ class PlusState(NamedTuple):
         velocity: Changes of the center and of the angle from frame to frame, shape (3,), px and rad.
         inside: Histogram of the object's colors, shape (bins ** 3,).
         outside: Histogram of the colors around it, shape (bins ** 3,).
-        first: Features of the first box, turned by each of the angles, shape (angles, 2, f).
+        first: Features of the first box, turned by each of the angles.
         recent: Running mean of the features, shape (2, f).
         contrast: Running mean of the contrast of the object with its surroundings.
         lost: Degree of belief that the object is hidden, 0 to 1.
         frame: Number of frames so far.
+        light: Light of the last frame.
+        colored: Logarithm of the gains at which `inside` and `outside` are, shape (3,).
     """
 
     pose: Pose
@@ -55,11 +59,13 @@ class PlusState(NamedTuple):
     velocity: Array
     inside: Array
     outside: Array
-    first: FloatArray
+    first: TurnedViews
     recent: FloatArray
     contrast: float
     lost: float
     frame: int
+    light: Light
+    colored: Array
 
 
 @dataclass(frozen=True)
@@ -130,6 +136,7 @@ class MonteCarloColorPlus:
     losing: float = 0.15
     least_contrast: float = 0.05
     rare_color: float = 1e-3
+    light_tolerance: float = 0.1
 
     def __post_init__(self) -> None:
         """Check every field; raises ValueError that names it."""
@@ -161,15 +168,17 @@ class MonteCarloColorPlus:
         inside, outside = self._colors(image, first)
         chances = self._chances(inside, outside)
         features, contrast = self._describe(self._view(image, first[None], chances), first[None])
-        views = np.concatenate([features, *(self._turned(image, pose, k, chances) for k in range(1, self.angles))])
+        views = turned_views(image, first, self.angles, self.grid)
         return PlusState(
-            pose, 0.0, np.zeros(3), inside, outside, views, features[0], float(contrast[0]), lost=0.0, frame=1
+            pose, 0.0, np.zeros(3), inside, outside, views, features[0], float(contrast[0]), lost=0.0, frame=1,
+            light=first_light(image), colored=np.zeros(3)
         )
 
     def step(self, state: PlusState, frame: ArrayLike) -> tuple[PlusState, BoxEstimate]:
         """Find the object in the next frame; arguments and errors as in `MonteCarloColor.step`."""
         last = state.pose
         image = checked_frame(frame, last.shape)
+        state = self._under(state, next_light(state.light, image))
         half = self.samples // 2
         noise = normals(self.seed, state.frame, (self.samples, 4))
         expected = np.array([*last.center, last.scale, state.angle])
@@ -179,6 +188,9 @@ class MonteCarloColorPlus:
         wide[0] = expected
         boxes = self._boxes(last, wide)
         view = self._view(image, boxes, self._chances(state.inside, state.outside))
+        # The second half of the candidates and the estimate lie among the first ones' angles.
+        drawn = np.unique(self._nearest(wide[:, 3]))
+        state = state._replace(first=state.first.under(state.light.gains, drawn, self.light_tolerance))
         coarse = self._similarity(view, state, boxes, wide)[0]
         about = _weights(coarse, self.sharpness) @ wide
         close = self._draw(last, noise[half:], about, self.narrowing)
@@ -198,6 +210,18 @@ class MonteCarloColorPlus:
         state = self._remember(state, image, pose, float(found[0, 3]), box, hidden, features[0], float(contrast[0]))
         return state, BoxEstimate(box, min(max(float(own[0]), 0.0), 1.0), boxes, weights)
 
+    def _under(self, state: PlusState, light: Light) -> PlusState:
+        """The state with its reference under the light of the next frame."""
+        state = state._replace(light=light)
+        change = light.gains - state.colored
+        if np.abs(change).max() <= self.light_tolerance:
+            return state
+        return state._replace(
+            inside=relit_histogram(state.inside, change, self.bins),
+            outside=relit_histogram(state.outside, change, self.bins),
+            colored=light.gains,
+        )
+
     def _draw(self, last: Pose, noise: Array, middle: Array, width: float) -> Array:
         """Candidates as rows of center x, y, scale and angle, drawn about the middle one."""
         spread = width * self.center_deviation * middle[2] * float(np.sqrt(last.size[0] * last.size[1]))
@@ -212,33 +236,24 @@ class MonteCarloColorPlus:
 
     def _boxes(self, last: Pose, candidates: Array) -> Array:
         """Boxes of candidates (n, 4): those around the ellipse that fills the first box, turned."""
-        cos, sin = cosine(candidates[:, 3])[:, None], cosine(candidates[:, 3] - 0.5 * np.pi)[:, None]
-        size = candidates[:, 2:3] * np.sqrt((cos * last.size) ** 2 + (sin * last.size[::-1]) ** 2)
+        size = candidates[:, 2:3] * turned_sizes(last.size, candidates[:, 3])
         return np.concatenate([candidates[:, :2] - 0.5 * size, size], axis=1)
-
-    def _turned(self, image: Image, pose: Pose, k: int, chances: FloatArray) -> FloatArray:
-        """Features of the first box after k of the angles, shape (1, 2, f)."""
-        angle = 2.0 * np.pi * k / self.angles
-        cos, sin = cosine(angle), cosine(angle - 0.5 * np.pi)
-        box = self._boxes(pose, np.array([[0.0, 0.0, 1.0, angle]]))[0]
-        size = 2 * np.ceil(0.5 * box[2:] + self.rim * box[2:] + 2.0).astype(np.int64)
-        part = np.empty((size[1], size[0], 3), np.uint8)
-        turned_part(image, pose.center, float(cos), float(sin), part)
-        box[:2] += 0.5 * size
-        return self._describe(self._view(part, box[None], chances), box[None])[0]
 
     def _similarity(
         self, view: View, state: PlusState, boxes: Array, candidates: Array
     ) -> tuple[Array, FloatArray, Array]:
         """Similarity (n,), features (n, 2, f) and contrast (n,) of candidates (n, 4) with their boxes."""
         features, contrast = self._describe(view, boxes)
-        nearest = np.rint(candidates[:, 3] * (self.angles / (2.0 * np.pi))).astype(np.int64) % self.angles
-        memory = self.loyalty * state.first[nearest] + (1.0 - self.loyalty) * state.recent
+        nearest = self._nearest(candidates[:, 3])
+        memory = self.loyalty * state.first.features[nearest] + (1.0 - self.loyalty) * state.recent
         alike = np.einsum("npf,npf->np", features, memory)
-        relative = np.minimum(np.maximum(contrast / max(state.contrast, self.least_contrast), -1.0), 1.5)
+        relative = 1.0 - np.minimum(np.abs(1.0 - contrast / max(state.contrast, self.least_contrast)), 2.0)
         rest = 1.0 - self.gradient_share - self.color_share
         total = self.gradient_share * alike[:, 0] + self.color_share * alike[:, 1] + rest * relative
         return total.astype(np.float64), features, contrast
+
+    def _nearest(self, angles: Array) -> Labels:
+        return np.rint(angles * (self.angles / (2.0 * np.pi))).astype(np.int64) % self.angles
 
     def _view(self, image: Image, boxes: Array, chances: FloatArray) -> View:
         """Integrate the part of a frame that contains boxes with their surroundings."""
