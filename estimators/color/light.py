@@ -12,7 +12,7 @@ import numpy as np
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.elementary import exponential
-from servotrack.estimators.types import Array, FloatArray, Image
+from servotrack.estimators.types import Array, Image
 
 SAMPLES = 1000
 """Approximate number of pixels that are compared from frame to frame."""
@@ -24,6 +24,8 @@ _HALF = 120
 """Bins on each side of the ratio 1, which limits a change from frame to frame to a factor of 11."""
 _WINDOW = 8.0
 """Half width of the triangular window around the most frequent ratio, bins."""
+_ROUNDS, _CLOSE = 10, 0.01
+"""Largest number of steps of the mean shift, and the step at which it ends, bins."""
 _FEW = 0.02
 """Share of the samples that must be comparable."""
 _AGREEMENT = 0.12
@@ -72,23 +74,20 @@ def next_light(light: Light, image: Image) -> Light:
         light: Light of the last frame.
         image: RGB, of the same shape as the frames before, uint8.
     """
-    counts = np.zeros((3, 2 * _HALF + 1), np.int64)
-    now = np.empty_like(light.key)
-    _compare(image, light.key, _stride(image.shape), _LOG, counts, now)
-    samples = now.shape[0] * now.shape[1]
-    change, agreement = np.zeros(3), np.zeros(3)
-    _most_frequent(counts, change, agreement)
-    comparable = counts.sum(axis=1)
-    known = comparable >= max(_FEW * samples, 1.0)
+    now, change, comparable, agreement = np.empty_like(light.key), np.zeros(3), np.zeros(3), np.zeros(3)
+    _compare(image, light.key, _stride(image.shape), _LOG, now, change, comparable, agreement)
+    known = comparable >= max(_FEW * now[..., 0].size, 1.0)
     if not known.any():
         return light
     if agreement[known].min() < _AGREEMENT:
         # Another view: nothing is known about its light.
         return Light(light.gains, now, light.gains, 0.0)
-    change[~known] = change[known].mean()
+    everywhere = known.all()
+    if not everywhere:
+        change[~known] = change[known].mean()
     gains = np.minimum(np.maximum(light.key_gains + change, -_LARGEST), _LARGEST)
     support = float((comparable * agreement).min())
-    if known.all() and support < _SUPPORT * light.support:
+    if everywhere and support < _SUPPORT * light.support:
         return Light(gains, now, gains, 0.0)
     return light._replace(gains=gains, support=max(support, light.support))
 
@@ -129,46 +128,49 @@ def _stride(shape: tuple[int, ...]) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _compare(image, key, stride, log, counts, now):  # type: ignore[no-untyped-def]
-    """Count the logarithmic ratios of comparable pixels by channel, and sample the new frame."""
+def _most_frequent(counts, channel, change, comparable, agreement):  # type: ignore[no-untyped-def]
+    """Find the most frequent ratio of one channel by mean shift from the median."""
+    total, so_far, middle = counts.sum(), 0, 0
+    comparable[channel] = total
+    while 2 * (so_far + counts[middle]) < total:
+        so_far += counts[middle]
+        middle += 1
+    center = float(middle)
+    for _ in range(_ROUNDS):
+        weights, moments = 0.0, 0.0
+        for k in range(max(0, int(center - _WINDOW)), min(len(counts), int(center + _WINDOW) + 2)):
+            weight = counts[k] * max(0.0, 1.0 - abs(k - center) / _WINDOW)
+            weights += weight
+            moments += weight * k
+        if weights == 0.0:
+            break
+        moved, center = center, moments / weights
+        agreement[channel] = weights / total
+        if abs(moved - center) < _CLOSE:
+            break
+    change[channel] = _STEP * (center - _HALF)
+
+
+@njit(cache=True, nogil=True)
+def _compare(image, key, stride, log, now, change, comparable, agreement):  # type: ignore[no-untyped-def]
+    """Sample the new frame and compare it with the key.
+
+    Outputs for each channel: most frequent logarithmic ratio, number of comparable pixels, and share that agrees.
+    """
+    counts = np.zeros((3, 2 * _HALF + 1), np.int64)
     for row in range(now.shape[0]):
         for column in range(now.shape[1]):
             for channel in range(3):
-                before, value = np.int64(key[row, column, channel]), np.int64(image[row * stride, column * stride, channel])
+                before = np.int64(key[row, column, channel])
+                value = np.int64(image[row * stride, column * stride, channel])
                 now[row, column, channel] = value
                 if before == 0 or value == 0 or before + value < 2 * _DARK or max(before, value) >= _BRIGHT:
                     continue
                 at = np.int64(np.rint((log[value] - log[before]) * np.float32(1.0 / _STEP))) + _HALF
                 if 0 <= at <= 2 * _HALF:
                     counts[channel, at] += 1
-
-
-@njit(cache=True, nogil=True)
-def _most_frequent(counts, change, agreement):  # type: ignore[no-untyped-def]
-    """Most frequent logarithmic ratio of each channel, by mean shift from the median, and its share of the pixels."""
-    bins = counts.shape[1]
     for channel in range(3):
-        total, so_far, middle = 0, 0, 0
-        for k in range(bins):
-            total += counts[channel, k]
-        while 2 * (so_far + counts[channel, middle]) < total:
-            so_far += counts[channel, middle]
-            middle += 1
-        center = float(middle)
-        for _ in range(10):
-            weights, moments = 0.0, 0.0
-            for k in range(max(0, int(center - _WINDOW)), min(bins, int(center + _WINDOW) + 2)):
-                weight = counts[channel, k] * max(0.0, 1.0 - abs(k - center) / _WINDOW)
-                weights += weight
-                moments += weight * k
-            if weights == 0.0:
-                break
-            moved = moments / weights
-            agreement[channel] = weights / total
-            if abs(moved - center) < 0.01:
-                break
-            center = moved
-        change[channel] = _STEP * (center - _HALF)
+        _most_frequent(counts[channel], channel, change, comparable, agreement)
 
 
 @njit(cache=True, nogil=True)

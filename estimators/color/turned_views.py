@@ -6,11 +6,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from servotrack.estimators.color.cells import CHANNELS, ORIENTATIONS, describe, integrate_channels, turned_part
+from servotrack.estimators.color.cells import (
+    CHANNELS,
+    ORIENTATIONS,
+    cell_weights,
+    describe,
+    integrate_channels,
+    turned_part,
+)
 from servotrack.estimators.color.light import relit
 from servotrack.estimators.elementary import cosine
-from servotrack.estimators.types import Array, FloatArray, Image
+from servotrack.estimators.types import Array, FloatArray, Image, Labels
 
+_SATURATED = 255
+"""Value of a saturated pixel."""
 _MARGIN = 2.0
 """Width of the rim that gradients at the border of a box need, px."""
 
@@ -34,24 +43,33 @@ class TurnedViews(NamedTuple):
     features: FloatArray
     gains: Array
 
-    def under(self, gains: Array, chosen: Array, tolerance: float) -> TurnedViews:
+    def under(self, gains: Array, chosen: Labels, tolerance: float, corners: float) -> TurnedViews:
         """Return the views with those of some angles drawn anew where the light has changed since they were drawn.
 
         Args:
             gains: Logarithm of the present gains, shape (3,).
             chosen: Indices of the angles.
             tolerance: Largest difference of logarithmic gains that counts as no change.
+            corners: Weight of the corners of the box in the features.
         """
         stale = chosen[(np.abs(self.gains[chosen] - gains) > tolerance).any(axis=1)]
         if not stale.size:
             return self
         views = self._replace(features=self.features.copy(), gains=self.gains.copy())
         for k in np.unique(stale).tolist():
-            views.features[k] = self._features(k, gains)
+            views.features[k] = self._features(k, gains, cell_weights(self.grid, corners))
             views.gains[k] = gains
         return views
 
-    def _features(self, k: int, gains: Array) -> FloatArray:
+    def unsaturated(self, gains: Array) -> float:
+        """Share of the box that is not saturated under the given gains, of what was not in the first frame; 0 to 1."""
+        low = np.maximum(np.floor(self.center - 0.5 * self.size), 0.0).astype(np.int64)
+        high = np.ceil(self.center + 0.5 * self.size).astype(np.int64)
+        part = self.part[low[1] : high[1], low[0] : high[0]]
+        before, now = int((part < _SATURATED).sum()), int((relit(part, gains) < _SATURATED).sum())
+        return min(now / max(before, 1), 1.0)
+
+    def _features(self, k: int, gains: Array, weights: FloatArray) -> FloatArray:
         angle = np.array([2.0 * np.pi * k / len(self.features)])
         width, height = turned_sizes(self.size, angle)[0]
         rows, columns = (2 * int(np.ceil(0.5 * side + _MARGIN)) for side in (height, width))
@@ -63,7 +81,8 @@ class TurnedViews(NamedTuple):
         integrate_channels(part, np.zeros(1, np.float32), 1, integral)
         box = np.array([[0.5 * (columns - width), 0.5 * (rows - height), width, height]])
         found = np.zeros((1, 2, self.features.shape[2]), np.float32)
-        describe(integral, box, self.grid, 1.0, found, np.zeros(1))
+        # The contrast is not used, and any rim will do.
+        describe(integral, box, self.grid, 1.0, weights, found, np.zeros(1))
         return found[0]
 
 
@@ -85,7 +104,7 @@ def turned_views(image: Image, box: Array, angles: int, grid: int) -> TurnedView
     # Gains of no light, so that every view is drawn.
     empty = np.zeros((angles, 2, grid**2 * ORIENTATIONS), np.float32), np.full((angles, 3), np.inf)
     views = TurnedViews(part, center - low, box[2:], grid, *empty)
-    return views.under(np.zeros(3), np.arange(angles), 0.0)
+    return views.under(np.zeros(3), np.arange(angles), 0.0, 1.0)
 
 
 def turned_sizes(size: Array, angles: Array) -> Array:
