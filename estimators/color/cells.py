@@ -142,17 +142,17 @@ def compare(integral, boxes, grid, rim, weights, views, nearest, recent, loyalty
     """Cosines between the features of boxes and a reference, without a copy of the features.
 
     Args:
-        integral: As in `describe`.
-        boxes: As in `describe`.
-        grid: As in `describe`.
-        rim: As in `describe`.
-        weights: As in `describe`.
+        integral: Integral image from `integrate_channels`.
+        boxes: Left, top, width and height relative to the region's corner. Shape (n, 4), px.
+        grid: Number of cells per side.
+        rim: Width of the surroundings, as a share of the box, above 0.
+        weights: Weight of each cell in the features, shape (grid * grid,), float32.
         views: Features of the views of the first box, shape (angles, 2, f), float32.
         nearest: Index of the view with which each box is compared, shape (n,), int64.
         recent: Features of recent frames, shape (2, f), float32.
         loyalty: Share of the view in the result, float32; the recent features have the rest.
         alike: Output: cosines of gradients and of colors, shape (n, 2), float64.
-        contrast: As in `describe`.
+        contrast: Output: mean probability inside the box minus that in the rim, shape (n,), float64.
     """
     corners = np.empty((3, max(grid + 1, 4), CHANNELS), np.float32)
     found = np.zeros(recent.shape, np.float32)

@@ -6,34 +6,16 @@ gamma-encoded values, white balance and exposure.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from servotrack.estimators.color.contract import check_count, check_positive, check_shares
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.elementary import exponential
 from servotrack.estimators.types import Array, Image
 
-SAMPLES = 1000
-"""Approximate number of pixels that are compared from frame to frame."""
-_DARK, _BRIGHT = 24, 250
-"""Pixels are compared if their mean is above the one and both values are below the other."""
-_STEP = 0.02
-"""Width of a bin of logarithmic ratios."""
-_HALF = 120
-"""Bins on each side of the ratio 1, which limits a change from frame to frame to a factor of 11."""
-_WINDOW = 8.0
-"""Half width of the triangular window around the most frequent ratio, bins."""
-_ROUNDS, _CLOSE = 10, 0.01
-"""Largest number of steps of the mean shift, and the step at which it ends, bins."""
-_FEW = 0.02
-"""Share of the samples that must be comparable."""
-_AGREEMENT = 0.12
-"""Share of the comparable samples, weighted by the window, that must have the most frequent ratio."""
-_SUPPORT = 0.5
-"""The earlier frame is replaced if fewer pixels than this share of the most so far agree."""
-_LARGEST = 2.5
-"""Limit of the logarithm of gains."""
 _LOG = np.concatenate([[0.0], np.log(np.arange(1.0, 256.0))]).astype(np.float32)
 
 
@@ -53,43 +35,83 @@ class Light(NamedTuple):
     support: float
 
 
-def first_light(image: Image) -> Light:
-    """Return the light of the first frame, whose gains are 1 by definition.
+@dataclass(frozen=True)
+class LightMeter:
+    """Estimator of the light from whole frames.
 
-    Args:
-        image: RGB, shape (H, W, 3), uint8.
+    The change of a channel is the most frequent ratio of its pixels to those of an earlier frame, the key. Pixels on
+    moving objects and edges have other ratios, which are no majority. Saturated and dark pixels are left out. The key
+    is kept as long as most of its pixels agree, so that the error does not grow while the camera rests. A channel that
+    cannot be compared changes as the others do.
+
+    Attributes:
+        samples: Approximate number of pixels that are compared. Raising it costs time and reduces noise.
+        dark: Pixels whose mean in both frames is below this value are not compared. Raising it leaves out more noise.
+        bright: Pixels that have this value in either frame are not compared.
+        step: Width of a bin of logarithmic ratios.
+        bins: Number of bins on each side of the ratio 1, which limits a change from frame to frame.
+        window: Half width of the triangular window around the most frequent ratio, bins. Raising it averages more.
+        few: Share of the samples that must be comparable.
+        agreement: Share of the comparable samples, weighted by the window, below which the frame counts as another view
+            that says nothing about the light. Raising it distrusts moving cameras and noise more.
+        support: Share of the largest agreement so far below which the key is replaced. Raising it replaces it sooner.
+        largest: Limit of the logarithm of gains.
     """
-    stride = _stride(image.shape)
-    return Light(np.zeros(3), image[::stride, ::stride].copy(), np.zeros(3), 0.0)
 
+    samples: int = 1000
+    dark: int = 24
+    bright: int = 250
+    step: float = 0.02
+    bins: int = 120
+    window: float = 8.0
+    few: float = 0.02
+    agreement: float = 0.12
+    support: float = 0.5
+    largest: float = 2.5
 
-def next_light(light: Light, image: Image) -> Light:
-    """Estimate the gains in the next frame from the most frequent ratio of its pixels to those of an earlier frame.
+    def __post_init__(self) -> None:
+        """Check every field; raises ValueError that names it."""
+        check_count(samples=self.samples, dark=self.dark, bright=self.bright, bins=self.bins)
+        check_positive(step=self.step, window=self.window, largest=self.largest)
+        check_shares(few=self.few, agreement=self.agreement, support=self.support)
 
-    Pixels on moving objects and edges have other ratios, which are no majority. Saturated and dark pixels are left
-    out. The earlier frame is kept as long as most of its pixels are comparable, so that the error does not grow while
-    the camera rests. A channel that cannot be compared changes as the others do.
+    def initial(self, image: Image) -> Light:
+        """Return the light of the first frame, whose gains are 1 by definition.
 
-    Args:
-        light: Light of the last frame.
-        image: RGB, of the same shape as the frames before, uint8.
-    """
-    now, change, comparable, agreement = np.empty_like(light.key), np.zeros(3), np.zeros(3), np.zeros(3)
-    _compare(image, light.key, _stride(image.shape), _LOG, now, change, comparable, agreement)
-    known = comparable >= max(_FEW * now[..., 0].size, 1.0)
-    if not known.any():
-        return light
-    if agreement[known].min() < _AGREEMENT:
-        # Another view: nothing is known about its light.
-        return Light(light.gains, now, light.gains, 0.0)
-    everywhere = known.all()
-    if not everywhere:
-        change[~known] = change[known].mean()
-    gains = np.minimum(np.maximum(light.key_gains + change, -_LARGEST), _LARGEST)
-    support = float((comparable * agreement).min())
-    if everywhere and support < _SUPPORT * light.support:
-        return Light(gains, now, gains, 0.0)
-    return light._replace(gains=gains, support=max(support, light.support))
+        Args:
+            image: RGB, shape (H, W, 3), uint8.
+        """
+        stride = self._stride(image)
+        return Light(np.zeros(3), image[::stride, ::stride].copy(), np.zeros(3), 0.0)
+
+    def next(self, light: Light, image: Image) -> Light:
+        """Estimate the gains in the next frame.
+
+        Args:
+            light: Light of the last frame.
+            image: RGB, of the same shape as the frames before, uint8.
+        """
+        now, change, comparable, agreement = np.empty_like(light.key), np.zeros(3), np.zeros(3), np.zeros(3)
+        counts = np.zeros((3, 2 * self.bins + 1), np.int64)
+        _count(image, light.key, self._stride(image), _LOG, self.dark, self.bright, self.step, now, counts)
+        _most_frequent(counts, self.window, self.step, change, comparable, agreement)
+        known = comparable >= max(self.few * now[..., 0].size, 1.0)
+        if not known.any():
+            return light
+        if agreement[known].min() < self.agreement:
+            # Another view: nothing is known about its light.
+            return Light(light.gains, now, light.gains, 0.0)
+        everywhere = known.all()
+        if not everywhere:
+            change[~known] = change[known].mean()
+        gains = np.minimum(np.maximum(light.key_gains + change, -self.largest), self.largest)
+        support = float((comparable * agreement).min())
+        if everywhere and support < self.support * light.support:
+            return Light(gains, now, gains, 0.0)
+        return light._replace(gains=gains, support=max(support, light.support))
+
+    def _stride(self, image: Image) -> int:
+        return max(1, int(np.sqrt(image.shape[0] * image.shape[1] / self.samples)))
 
 
 def relit(image: Image, gains: Array) -> Image:
@@ -123,54 +145,47 @@ def relit_histogram(histogram: Array, gains: Array, bins: int) -> Array:
     return cube.reshape(-1)
 
 
-def _stride(shape: tuple[int, ...]) -> int:
-    return max(1, int(np.sqrt(shape[0] * shape[1] / SAMPLES)))
-
-
 @njit(cache=True, nogil=True)
-def _most_frequent(counts, channel, change, comparable, agreement):  # type: ignore[no-untyped-def]
-    """Find the most frequent ratio of one channel by mean shift from the median."""
-    total, so_far, middle = counts.sum(), 0, 0
-    comparable[channel] = total
-    while 2 * (so_far + counts[middle]) < total:
-        so_far += counts[middle]
-        middle += 1
-    center = float(middle)
-    for _ in range(_ROUNDS):
-        weights, moments = 0.0, 0.0
-        for k in range(max(0, int(center - _WINDOW)), min(len(counts), int(center + _WINDOW) + 2)):
-            weight = counts[k] * max(0.0, 1.0 - abs(k - center) / _WINDOW)
-            weights += weight
-            moments += weight * k
-        if weights == 0.0:
-            break
-        moved, center = center, moments / weights
-        agreement[channel] = weights / total
-        if abs(moved - center) < _CLOSE:
-            break
-    change[channel] = _STEP * (center - _HALF)
-
-
-@njit(cache=True, nogil=True)
-def _compare(image, key, stride, log, now, change, comparable, agreement):  # type: ignore[no-untyped-def]
-    """Sample the new frame and compare it with the key.
-
-    Outputs for each channel: most frequent logarithmic ratio, number of comparable pixels, and share that agrees.
-    """
-    counts = np.zeros((3, 2 * _HALF + 1), np.int64)
+def _count(image, key, stride, log, dark, bright, step, now, counts):  # type: ignore[no-untyped-def]
+    """Sample the new frame and count the logarithmic ratios of comparable pixels by channel."""
+    half, scale = counts.shape[1] // 2, np.float32(1.0 / step)
     for row in range(now.shape[0]):
         for column in range(now.shape[1]):
             for channel in range(3):
                 before = np.int64(key[row, column, channel])
                 value = np.int64(image[row * stride, column * stride, channel])
                 now[row, column, channel] = value
-                if before == 0 or value == 0 or before + value < 2 * _DARK or max(before, value) >= _BRIGHT:
+                if before == 0 or value == 0 or before + value < 2 * dark or max(before, value) >= bright:
                     continue
-                at = np.int64(np.rint((log[value] - log[before]) * np.float32(1.0 / _STEP))) + _HALF
-                if 0 <= at <= 2 * _HALF:
+                at = np.int64(np.rint((log[value] - log[before]) * scale)) + half
+                if 0 <= at <= 2 * half:
                     counts[channel, at] += 1
+
+
+@njit(cache=True, nogil=True)
+def _most_frequent(counts, window, step, change, comparable, agreement):  # type: ignore[no-untyped-def]
+    """Find the most frequent ratio of each channel by mean shift from the median, and the share that agrees."""
+    bins = counts.shape[1]
     for channel in range(3):
-        _most_frequent(counts[channel], channel, change, comparable, agreement)
+        total, so_far, middle = counts[channel].sum(), 0, 0
+        comparable[channel] = total
+        while 2 * (so_far + counts[channel, middle]) < total:
+            so_far += counts[channel, middle]
+            middle += 1
+        center = float(middle)
+        for _ in range(10):
+            weights, moments = 0.0, 0.0
+            for k in range(max(0, int(center - window)), min(bins, int(center + window) + 2)):
+                weight = counts[channel, k] * max(0.0, 1.0 - abs(k - center) / window)
+                weights += weight
+                moments += weight * k
+            if weights == 0.0:
+                break
+            moved, center = center, moments / weights
+            agreement[channel] = weights / total
+            if abs(moved - center) < 0.01:
+                break
+        change[channel] = step * (center - bins // 2)
 
 
 @njit(cache=True, nogil=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ from servotrack.estimators.color.contract import (
     uniforms,
 )
 from servotrack.estimators.color.histogram import color_histogram
-from servotrack.estimators.color.light import Light, first_light, next_light, relit_histogram
+from servotrack.estimators.color.light import Light, LightMeter, relit_histogram
 from servotrack.estimators.color.turned_views import TurnedViews, turned_sizes, turned_views
 from servotrack.estimators.elementary import exponential
 from servotrack.estimators.types import Array, FloatArray, Image, Labels
@@ -142,6 +142,7 @@ class MonteCarloColorPlus:
         found_above: Similarity from which a lost object is found farther than `reach` from where it is expected.
             Raising it confuses it less with other objects, and finds it later.
         reach: This distance, as a share of the object's size.
+        meter: Estimator of the light.
     """
 
     samples: int = 200
@@ -175,6 +176,7 @@ class MonteCarloColorPlus:
     roaming_reach: float = 4.0
     found_above: float = 0.75
     reach: float = 1.5
+    meter: LightMeter = field(default_factory=LightMeter)
 
     def __post_init__(self) -> None:
         """Check every field; raises ValueError that names it."""
@@ -219,7 +221,7 @@ class MonteCarloColorPlus:
             float(contrast[0]),
             lost=0.0,
             frame=1,
-            light=first_light(image),
+            light=self.meter.initial(image),
             colored=np.zeros(3),
             clear=1.0,
         )
@@ -228,7 +230,7 @@ class MonteCarloColorPlus:
         """Find the object in the next frame; arguments and errors as in `MonteCarloColor.step`."""
         last = state.pose
         image = checked_frame(frame, last.shape)
-        state, change = self._under(state, next_light(state.light, image))
+        state, change = self._under(state, self.meter.next(state.light, image))
         half = self.samples // 2
         noise = normals(self.seed, state.frame, (self.samples, 4))
         expected = np.array([*last.center, last.scale, state.angle])

@@ -18,10 +18,7 @@ from servotrack.estimators.color.light import relit
 from servotrack.estimators.elementary import cosine
 from servotrack.estimators.types import Array, FloatArray, Image, Labels
 
-_SATURATED = 255
-"""Value of a saturated pixel."""
-_MARGIN = 2.0
-"""Width of the rim that gradients at the border of a box need, px."""
+_SATURATED = np.iinfo(np.uint8).max
 
 
 class TurnedViews(NamedTuple):
@@ -72,7 +69,8 @@ class TurnedViews(NamedTuple):
     def _features(self, k: int, gains: Array, weights: FloatArray) -> FloatArray:
         angle = np.array([2.0 * np.pi * k / len(self.features)])
         width, height = turned_sizes(self.size, angle)[0]
-        rows, columns = (2 * int(np.ceil(0.5 * side + _MARGIN)) for side in (height, width))
+        # Gradients at the border need a rim of a pixel, and the middle of the box is that of the part.
+        rows, columns = (2 * int(np.ceil(0.5 * side + 2.0)) for side in (height, width))
         part = np.empty((rows, columns, 3), np.uint8)
         turned_part(self.part, self.center, float(cosine(angle[0])), float(cosine(angle[0] - 0.5 * np.pi)), part)
         if gains.any():
@@ -96,7 +94,7 @@ def turned_views(image: Image, box: Array, angles: int, grid: int) -> TurnedView
         grid: Number of cells per side.
     """
     center = box[:2] + 0.5 * box[2:]
-    reach = 0.5 * np.hypot(*box[2:]) + 2.0 * _MARGIN + 2.0
+    reach = 0.5 * np.hypot(*box[2:]) + 6.0
     size = np.array([image.shape[1], image.shape[0]])
     low = np.clip(np.floor(center - reach).astype(np.int64), 0, size - 1)
     high = np.maximum(np.clip(np.ceil(center + reach).astype(np.int64), 0, size), low + 1)
