@@ -95,15 +95,16 @@ class LightMeter:
         counts = np.zeros((3, 2 * self.bins + 1), np.int64)
         _count(image, light.key, self._stride(image), _LOG, self.dark, self.bright, self.step, now, counts)
         _most_frequent(counts, self.window, self.step, change, comparable, agreement)
-        known = comparable >= max(self.few * now[..., 0].size, 1.0)
-        if not known.any():
-            return light
-        if agreement[known].min() < self.agreement:
+        least = max(self.few * now[..., 0].size, 1.0)
+        everywhere = comparable.min() >= least
+        if not everywhere:
+            known = comparable >= least
+            if not known.any():
+                return light
+            change[~known], agreement[~known] = change[known].mean(), agreement[known].min()
+        if agreement.min() < self.agreement:
             # Another view: nothing is known about its light.
             return Light(light.gains, now, light.gains, 0.0)
-        everywhere = known.all()
-        if not everywhere:
-            change[~known] = change[known].mean()
         gains = np.minimum(np.maximum(light.key_gains + change, -self.largest), self.largest)
         support = float((comparable * agreement).min())
         if everywhere and support < self.support * light.support:

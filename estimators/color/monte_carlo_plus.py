@@ -138,7 +138,7 @@ class MonteCarloColorPlus:
         roaming: Share of the wide candidates that are drawn within `roaming_reach` while the object is lost. Raising it
             finds the object sooner where it comes back elsewhere, and less exactly where it comes back near.
         roaming_reach: Largest distance of these candidates along each axis, as a share of the object's longer side.
-            Raising it finds the object farther away and costs time.
+            Raising it finds the object farther away and costs time and memory.
         found_above: Similarity from which a lost object is found farther than `reach` from where it is expected.
             Raising it confuses it less with other objects, and finds it later.
         reach: This distance, as a share of the object's size.
@@ -264,7 +264,6 @@ class MonteCarloColorPlus:
         found = (weights @ candidates)[None]
         estimated = self._boxes(last, found)
         own = float(self._similarity(view, state, estimated, found)[0])
-        features, contrast = self._describe(view, estimated, self._corners(state.clear))
         far = np.abs(found[0, :2] - expected[:2]).max() > self.reach * last.scale * np.sqrt(last.size.prod())
         hidden = bool(own < self.hidden_below * (1.0 - self.saturated_relief * (1.0 - state.clear)))
         hidden = hidden or bool(state.lost > self.lost_above and far and own < self.found_above)
@@ -272,11 +271,16 @@ class MonteCarloColorPlus:
             # An occluding object must not attract the estimate, which follows the prediction.
             found = expected[None]
             found[0, :2] = last.within(expected[:2])
+            estimated = self._boxes(last, found)
+        box = estimated[0]
         pose = last._replace(center=found[0, :2], scale=float(found[0, 2]))
-        box = self._boxes(last, found)[0]
-        after = self._remember(
-            state, image, pose, float(found[0, 3]), box, hidden, features[0], float(contrast[0]), change
-        )
+        after = state._replace(pose=pose, angle=float(found[0, 3]), frame=state.frame + 1)
+        if hidden:
+            # The reference stays, and the velocity decreases.
+            lost = min(1.0, state.lost + self.losing)
+            after = after._replace(velocity=self.braking * state.velocity, lost=lost)
+        else:
+            after = self._remember(state, after, image, view, box, change)
         return after, BoxEstimate(box, min(max(own, 0.0), 1.0), boxes, weights)
 
     def _under(self, state: PlusState, light: Light) -> tuple[PlusState, float]:
@@ -375,32 +379,22 @@ class MonteCarloColorPlus:
         return inside, np.maximum(both - share * inside, 0.0) / (1.0 - share)
 
     def _remember(
-        self,
-        state: PlusState,
-        image: Image,
-        pose: Pose,
-        angle: float,
-        box: Array,
-        hidden: bool,
-        features: FloatArray,
-        contrast: float,
-        change: float,
+        self, before: PlusState, after: PlusState, image: Image, view: View, box: Array, change: float
     ) -> PlusState:
-        """Next state; for a hidden object the reference stays and the velocity decreases."""
-        after = state._replace(pose=pose, angle=angle, frame=state.frame + 1)
-        if hidden:
-            return after._replace(velocity=self.braking * state.velocity, lost=min(1.0, state.lost + self.losing))
+        """State after a frame in which the object was seen: its velocity and the new reference."""
+        features, contrast = self._describe(view, box[None], self._corners(after.clear))
         inside, outside = self._colors(image, box)
         rate = self.update_rate
         fast = 1.0 - (1.0 - rate) * float(exponential(-self.light_adaptation * change))
+        moved = np.array([*(after.pose.center - before.pose.center), after.angle - before.angle])
         return after._replace(
-            velocity=0.5 * (state.velocity + np.array([*(pose.center - state.pose.center), angle - state.angle])),
-            inside=(1.0 - rate) * state.inside + rate * inside,
+            velocity=0.5 * (before.velocity + moved),
+            inside=(1.0 - rate) * before.inside + rate * inside,
             # The surroundings change faster, as the object moves.
-            outside=(1.0 - 2.0 * rate) * state.outside + 2.0 * rate * outside,
-            recent=np.float32(1.0 - fast) * state.recent + np.float32(fast) * features,
-            contrast=(1.0 - rate) * state.contrast + rate * contrast,
-            lost=0.5 * state.lost,
+            outside=(1.0 - 2.0 * rate) * before.outside + 2.0 * rate * outside,
+            recent=np.float32(1.0 - fast) * before.recent + np.float32(fast) * features[0],
+            contrast=(1.0 - rate) * before.contrast + rate * float(contrast[0]),
+            lost=0.5 * before.lost,
         )
 
 

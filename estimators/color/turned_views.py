@@ -49,6 +49,8 @@ class TurnedViews(NamedTuple):
             tolerance: Largest difference of logarithmic gains that counts as no change.
             corners: Weight of the corners of the box in the features.
         """
+        if np.abs(self.gains - gains).max() <= tolerance:
+            return self
         stale = chosen[(np.abs(self.gains[chosen] - gains) > tolerance).any(axis=1)]
         if not stale.size:
             return self
@@ -115,5 +117,5 @@ def turned_sizes(size: Array, angles: Array) -> Array:
     Returns:
         Shape (n, 2), px.
     """
-    cos, sin = cosine(angles)[:, None], cosine(angles - 0.5 * np.pi)[:, None]
+    cos, sin = cosine(np.stack([angles, angles - 0.5 * np.pi]))[..., None]
     return np.sqrt((cos * size) ** 2 + (sin * size[::-1]) ** 2)
