@@ -13,6 +13,7 @@ accurate of the others under steady light and without occlusion. All are frozen 
 
 from servotrack.estimators.color.back_projection import BackProjection
 from servotrack.estimators.color.contract import BoxEstimate
+from servotrack.estimators.color.light import Light, LightMeter
 from servotrack.estimators.color.mean_shift import KernelMeanShift
 from servotrack.estimators.color.monte_carlo import MonteCarloColor
 from servotrack.estimators.color.monte_carlo_plus import MonteCarloColorPlus
@@ -25,6 +26,8 @@ __all__ = [
     "BoxEstimate",
     "ColorParticleFilter",
     "KernelMeanShift",
+    "Light",
+    "LightMeter",
     "MonteCarloColor",
     "MonteCarloColorPlus",
     "OpenCVTracker",

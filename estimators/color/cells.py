@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from servotrack.estimators.color.histogram import color_bin
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.types import FloatArray
 
 ORIENTATIONS = 6
 """Number of gradient directions from 0 to pi."""
@@ -106,66 +109,124 @@ def _corner(integral, x, y, first, out):  # type: ignore[no-untyped-def]
         out[k] = (one - b) * ((one - a) * p[k] + a * q[k]) + b * ((one - a) * r[k] + a * s[k])
 
 
+@lru_cache(maxsize=64)
+def cell_weights(grid: int, corners: float) -> FloatArray:
+    """Weights of the cells of a box, shape (grid * grid,): 1 inside the ellipse that fills it, `corners` outside."""
+    at = (np.arange(grid) + 0.5) / (0.5 * grid) - 1.0
+    weights = np.where(at[:, None] ** 2 + at**2 > 1.0, np.float32(corners), np.float32(1.0)).reshape(-1)
+    weights.setflags(write=False)
+    return weights
+
+
 @njit(cache=True, nogil=True)
-def describe(integral, boxes, grid, rim, found, contrast):  # type: ignore[no-untyped-def]
+def describe(integral, boxes, grid, rim, weights, found, contrast):  # type: ignore[no-untyped-def]
     """Features of boxes.
 
     Args:
         integral: Integral image from `integrate_channels`.
         boxes: Left, top, width and height relative to the region's corner. Shape (n, 4), px.
         grid: Number of cells per side.
-        rim: Width of the surroundings, as a share of the box.
+        rim: Width of the surroundings, as a share of the box, above 0.
+        weights: Weight of each cell in the features, shape (grid * grid,), float32.
         found: Output, shape (n, 2, grid * grid * c), float32: gradients of all cells, then colors, centered; both of
             unit length. The last axis has the length of the longer vector; the rest is zeros.
         contrast: Output: mean probability inside the box minus that in the rim, shape (n,), float64.
     """
-    first, second = np.empty((grid + 1, CHANNELS), np.float32), np.empty((grid + 1, CHANNELS), np.float32)
-    corner = np.empty((4, CHANNELS), np.float32)
-    cells = grid * grid
+    corners = np.empty((3, max(grid + 1, 4), CHANNELS), np.float32)
     for n in range(boxes.shape[0]):
-        left, top, width, height = boxes[n]
+        contrast[n] = _describe_box(integral, boxes[n], grid, rim, weights, corners, found[n])
+
+
+@njit(cache=True, nogil=True)
+def compare(integral, boxes, grid, rim, weights, views, nearest, recent, loyalty, alike, contrast):  # type: ignore[no-untyped-def]
+    """Cosines between the features of boxes and a reference, without a copy of the features.
+
+    Args:
+        integral: Integral image from `integrate_channels`.
+        boxes: Left, top, width and height relative to the region's corner. Shape (n, 4), px.
+        grid: Number of cells per side.
+        rim: Width of the surroundings, as a share of the box, above 0.
+        weights: Weight of each cell in the features, shape (grid * grid,), float32.
+        views: Features of the views of the first box, shape (angles, 2, f), float32.
+        nearest: Index of the view with which each box is compared, shape (n,), int64.
+        recent: Features of recent frames, shape (2, f), float32.
+        loyalty: Share of the view in the result, float32; the recent features have the rest.
+        alike: Output: cosines of gradients and of colors, shape (n, 2), float64.
+        contrast: Output: mean probability inside the box minus that in the rim, shape (n,), float64.
+    """
+    corners = np.empty((3, max(grid + 1, 4), CHANNELS), np.float32)
+    found = np.zeros(recent.shape, np.float32)
+    for n in range(boxes.shape[0]):
+        contrast[n] = _describe_box(integral, boxes[n], grid, rim, weights, corners, found)
+        for part in range(2):
+            alike[n, part] = loyalty * _dot(views[nearest[n], part], found[part])
+            if loyalty < 1.0:
+                alike[n, part] += (np.float32(1.0) - loyalty) * _dot(recent[part], found[part])
+
+
+@njit(cache=True, nogil=True)
+def _describe_box(integral, box, grid, rim, weights, corners, found):  # type: ignore[no-untyped-def]
+    """Write the features of one box into `found` and return its contrast; `corners` is scratch space."""
+    left, top, width, height = box
+    first, second, around = corners[0], corners[1], corners[2]
+    gradients, colors = found[0], found[1]
+    cells = grid * grid
+    for column in range(grid + 1):
+        _corner(integral, left + width * column / grid, top, 0, first[column])
+    inside = np.float32(0.0)
+    for row in range(grid):
         for column in range(grid + 1):
-            _corner(integral, left + width * column / grid, top, 0, first[column])
-        gradients, colors = found[n, 0], found[n, 1]
-        inside = np.float32(0.0)
-        for row in range(grid):
-            for column in range(grid + 1):
-                _corner(integral, left + width * column / grid, top + height * (row + 1) / grid, 0, second[column])
-            for column in range(grid):
-                at = row * grid + column
-                for k in range(CHANNELS):
-                    value = second[column + 1, k] - second[column, k] - first[column + 1, k] + first[column, k]
-                    if k < ORIENTATIONS:
-                        gradients[at * ORIENTATIONS + k] = value
-                    elif k < CHANCE:
-                        colors[(k - ORIENTATIONS) * cells + at] = value
-                    else:
-                        inside += value
-            first, second = second, first
-        for k in range(4):
-            across, along = k % 2, k // 2
-            _corner(
-                integral,
-                left - rim * width + (1.0 + 2.0 * rim) * width * across,
-                top - rim * height + (1.0 + 2.0 * rim) * height * along,
-                CHANCE,
-                corner[k],
-            )
-        outside = corner[3, CHANCE] - corner[2, CHANCE] - corner[1, CHANCE] + corner[0, CHANCE] - inside
-        area = width * height
-        contrast[n] = inside / area - outside / (area * ((1.0 + 2.0 * rim) ** 2 - 1.0))
-        for channel in range(3):
-            part = colors[channel * cells : (channel + 1) * cells]
-            part -= part.mean()
-        _unit(gradients)
-        _unit(colors)
+            _corner(integral, left + width * column / grid, top + height * (row + 1) / grid, 0, second[column])
+        for column in range(grid):
+            at = row * grid + column
+            a, b, c, d = first[column], first[column + 1], second[column], second[column + 1]
+            for k in range(ORIENTATIONS):
+                gradients[at * ORIENTATIONS + k] = weights[at] * (d[k] - c[k] - b[k] + a[k])
+            for k in range(CHANCE - ORIENTATIONS):
+                channel = ORIENTATIONS + k
+                colors[k * cells + at] = d[channel] - c[channel] - b[channel] + a[channel]
+            inside += d[CHANCE] - c[CHANCE] - b[CHANCE] + a[CHANCE]
+        first, second = second, first
+    for k in range(4):
+        across, along = k % 2, k // 2
+        _corner(
+            integral,
+            left - rim * width + (1.0 + 2.0 * rim) * width * across,
+            top - rim * height + (1.0 + 2.0 * rim) * height * along,
+            CHANCE,
+            around[k],
+        )
+    total = weights.sum()
+    for channel in range(CHANCE - ORIENTATIONS):
+        part = colors[channel * cells : (channel + 1) * cells]
+        mean = _dot(weights, part) / total
+        for at in range(cells):
+            part[at] = weights[at] * (part[at] - mean)
+    _unit(gradients)
+    _unit(colors)
+    outside = around[3, CHANCE] - around[2, CHANCE] - around[1, CHANCE] + around[0, CHANCE] - inside
+    area = width * height
+    return inside / area - outside / (area * ((1.0 + 2.0 * rim) ** 2 - 1.0))
+
+
+@njit(cache=True, nogil=True)
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    """Inner product in four partial sums, which a processor computes at once."""
+    p, q, r, s = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    whole = a.shape[0] // 4 * 4
+    for k in range(0, whole, 4):
+        p += a[k] * b[k]
+        q += a[k + 1] * b[k + 1]
+        r += a[k + 2] * b[k + 2]
+        s += a[k + 3] * b[k + 3]
+    for k in range(whole, a.shape[0]):
+        p += a[k] * b[k]
+    return (p + q) + (r + s)
 
 
 @njit(cache=True, nogil=True)
 def _unit(values):  # type: ignore[no-untyped-def]
-    total = np.float32(0.0)
-    for k in range(values.shape[0]):
-        total += values[k] * values[k]
+    total = _dot(values, values)
     if total > 0.0:
         factor = np.float32(1.0) / np.sqrt(total)
         for k in range(values.shape[0]):

@@ -155,6 +155,11 @@ def normals(seed: int, frame: int, shape: tuple[int, ...]) -> Array:
     return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 0, frame])).standard_normal(shape)
 
 
+def uniforms(seed: int, frame: int, shape: tuple[int, ...]) -> Array:
+    """Uniform numbers from 0 to 1 that depend only on (seed, frame); arguments as in `normals`."""
+    return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 1, frame])).random(shape)
+
+
 def check_fields(
     tracker: object, counts: Sequence[str] = (), positive: Sequence[str] = (), shares: Sequence[str] = ()
 ) -> None:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from servotrack.estimators.color.cells import CHANNELS, ORIENTATIONS, describe, integrate_channels, turned_part
+from servotrack.estimators.color.cells import (
+    CHANNELS,
+    ORIENTATIONS,
+    cell_weights,
+    compare,
+    describe,
+    integrate_channels,
+)
 from servotrack.estimators.color.contract import (
     BoxEstimate,
     Pose,
@@ -16,10 +23,13 @@ from servotrack.estimators.color.contract import (
     checked_frame,
     normals,
     start,
+    uniforms,
 )
 from servotrack.estimators.color.histogram import color_histogram
-from servotrack.estimators.elementary import cosine, exponential
-from servotrack.estimators.types import Array, FloatArray, Image
+from servotrack.estimators.color.light import Light, LightMeter, relit_histogram
+from servotrack.estimators.color.turned_views import TurnedViews, turned_sizes, turned_views
+from servotrack.estimators.elementary import exponential
+from servotrack.estimators.types import Array, FloatArray, Image, Labels
 
 
 class View(NamedTuple):
@@ -43,11 +53,14 @@ class PlusState(NamedTuple):
         velocity: Changes of the center and of the angle from frame to frame, shape (3,), px and rad.
         inside: Histogram of the object's colors, shape (bins ** 3,).
         outside: Histogram of the colors around it, shape (bins ** 3,).
-        first: Features of the first box, turned by each of the angles, shape (angles, 2, f).
-        recent: Running mean of the features, shape (2, f).
+        first: Features of the first box, turned by each of the angles.
+        recent: Running mean of the features, shape (2, f). It adapts faster while the light changes.
         contrast: Running mean of the contrast of the object with its surroundings.
         lost: Degree of belief that the object is hidden, 0 to 1.
         frame: Number of frames so far.
+        light: Light of the last frame.
+        colored: Logarithm of the gains at which `inside` and `outside` are, shape (3,).
+        clear: Share of the object that is not saturated under these gains, 0 to 1.
     """
 
     pose: Pose
@@ -55,11 +68,14 @@ class PlusState(NamedTuple):
     velocity: Array
     inside: Array
     outside: Array
-    first: FloatArray
+    first: TurnedViews
     recent: FloatArray
     contrast: float
     lost: float
     frame: int
+    light: Light
+    colored: Array
+    clear: float
 
 
 @dataclass(frozen=True)
@@ -76,6 +92,10 @@ class MonteCarloColorPlus:
       compared with the first box turned by the nearest of `angles`.
     * Candidates are drawn about the predicted position, first widely, then closely about the best ones.
     * The reference combines the first frame with recent frames and is not updated while the object seems hidden.
+    * The light is estimated from the whole frame, and the first frame is compared as it would look under it. Where the
+      light saturates most of the object, recent frames take the place of the first one, the corners of the box count
+      less, and scale and angle stay. While the light stays, none of this has an effect.
+    * While the object is lost, some candidates are drawn far away, where only a good match is believed.
 
     The values were chosen on tune seeds of `ColorTracking-v0`.
 
@@ -106,6 +126,23 @@ class MonteCarloColorPlus:
         losing: Increase of `PlusState.lost` in each hidden frame. Raising it widens the search sooner.
         least_contrast: Lower limit of the reference contrast in the comparison of contrasts.
         rare_color: Share added to both histograms in the ratio of colors. Raising it gives rare colors less influence.
+        light_tolerance: Change of the light, as a logarithm, from which the reference is drawn anew. Raising it saves
+            time and compares less exactly.
+        light_adaptation: Rate at which recent features follow a change of the light, per unit of its logarithm. Raising
+            it follows the light faster and learns more from what merely passes by.
+        saturated_corners: Weight that the corners of the box lose where the whole object is saturated. Raising it
+            ignores more of what lies behind the object.
+        saturated_relief: Share by which `hidden_below` is lower where the whole object is saturated. Raising it coasts
+            less often then.
+        lost_above: Value of `PlusState.lost` above which the object counts as lost. Raising it searches later.
+        roaming: Share of the wide candidates that are drawn within `roaming_reach` while the object is lost. Raising it
+            finds the object sooner where it comes back elsewhere, and less exactly where it comes back near.
+        roaming_reach: Largest distance of these candidates along each axis, as a share of the object's longer side.
+            Raising it finds the object farther away and costs time and memory.
+        found_above: Similarity from which a lost object is found farther than `reach` from where it is expected.
+            Raising it confuses it less with other objects, and finds it later.
+        reach: This distance, as a share of the object's size.
+        meter: Estimator of the light.
     """
 
     samples: int = 200
@@ -130,6 +167,16 @@ class MonteCarloColorPlus:
     losing: float = 0.15
     least_contrast: float = 0.05
     rare_color: float = 1e-3
+    light_tolerance: float = 0.1
+    light_adaptation: float = 2.0
+    saturated_corners: float = 0.75
+    saturated_relief: float = 0.3
+    lost_above: float = 0.95
+    roaming: float = 0.5
+    roaming_reach: float = 4.0
+    found_above: float = 0.75
+    reach: float = 1.5
+    meter: LightMeter = field(default_factory=LightMeter)
 
     def __post_init__(self) -> None:
         """Check every field; raises ValueError that names it."""
@@ -138,11 +185,11 @@ class MonteCarloColorPlus:
             counts=("samples", "grid", "angles"),
             positive=(
                 "center_deviation", "scale_deviation", "angle_deviation", "narrowing", "sharpness", "rim",
-                "least_contrast", "rare_color",
+                "least_contrast", "rare_color", "light_tolerance", "reach", "roaming_reach",
             ),
             shares=(
                 "gradient_share", "color_share", "inertia", "update_rate", "loyalty", "hidden_below", "braking",
-                "losing",
+                "losing", "saturated_corners", "saturated_relief", "roaming", "found_above", "lost_above",
             ),
         )  # fmt: skip
         if self.samples < 2:
@@ -152,93 +199,151 @@ class MonteCarloColorPlus:
                 "gradient_share + color_share must be at most 1, contrast has the rest, got "
                 f"{self.gradient_share!r} + {self.color_share!r}"
             )
-        if not 0.0 <= self.widening < np.inf:
-            raise ValueError(f"widening must be finite and at least 0, got {self.widening!r}")
+        for name in ("widening", "light_adaptation"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must be finite and at least 0, got {getattr(self, name)!r}")
 
     def initial(self, frame: ArrayLike, box: ArrayLike) -> PlusState:
         """Compute the object's features; arguments and errors as in `MonteCarloColor.initial`."""
         image, first, pose = start(frame, box)
         inside, outside = self._colors(image, first)
         chances = self._chances(inside, outside)
-        features, contrast = self._describe(self._view(image, first[None], chances), first[None])
-        views = np.concatenate([features, *(self._turned(image, pose, k, chances) for k in range(1, self.angles))])
+        features, contrast = self._describe(self._view(image, first[None], chances), first[None], 1.0)
+        views = turned_views(image, first, self.angles, self.grid)
         return PlusState(
-            pose, 0.0, np.zeros(3), inside, outside, views, features[0], float(contrast[0]), lost=0.0, frame=1
+            pose,
+            0.0,
+            np.zeros(3),
+            inside,
+            outside,
+            views,
+            features[0],
+            float(contrast[0]),
+            lost=0.0,
+            frame=1,
+            light=self.meter.initial(image),
+            colored=np.zeros(3),
+            clear=1.0,
         )
 
     def step(self, state: PlusState, frame: ArrayLike) -> tuple[PlusState, BoxEstimate]:
         """Find the object in the next frame; arguments and errors as in `MonteCarloColor.step`."""
         last = state.pose
         image = checked_frame(frame, last.shape)
+        state, change = self._under(state, self.meter.next(state.light, image))
         half = self.samples // 2
         noise = normals(self.seed, state.frame, (self.samples, 4))
         expected = np.array([*last.center, last.scale, state.angle])
         expected[[0, 1, 3]] += self.inertia * state.velocity
-        wide = self._draw(last, noise[:half], expected, 1.0 + self.widening * state.lost)
+        wide = self._draw(last, noise[:half], expected, 1.0 + self.widening * state.lost, state.clear)
+        if state.lost > self.lost_above:
+            roaming = int(self.roaming * half)
+            moves = (
+                self.roaming_reach
+                * last.scale
+                * last.size.max()
+                * (2.0 * uniforms(self.seed, state.frame, (roaming, 2)) - 1.0)
+            )
+            wide[half - roaming :, :2] = last.within(last.center + moves)
         # One candidate is the prediction itself, so that a still object is matched exactly.
         wide[0] = expected
         boxes = self._boxes(last, wide)
         view = self._view(image, boxes, self._chances(state.inside, state.outside))
-        coarse = self._similarity(view, state, boxes, wide)[0]
+        # The other candidates and the estimate lie among the angles of these.
+        views = state.first.under(
+            state.light.gains, self._nearest(wide[:, 3]), self.light_tolerance, self._corners(state.clear)
+        )
+        state = state._replace(first=views)
+        coarse = self._similarity(view, state, boxes, wide)
         about = _weights(coarse, self.sharpness) @ wide
-        close = self._draw(last, noise[half:], about, self.narrowing)
+        close = self._draw(last, noise[half:], about, self.narrowing, state.clear)
         candidates = np.concatenate([wide, close])
         boxes = np.concatenate([boxes, self._boxes(last, close)])
-        similarity = np.concatenate([coarse, self._similarity(view, state, boxes[half:], close)[0]])
+        similarity = np.concatenate([coarse, self._similarity(view, state, boxes[half:], close)])
         weights = _weights(similarity, self.sharpness)
         found = (weights @ candidates)[None]
-        own, features, contrast = self._similarity(view, state, self._boxes(last, found), found)
-        hidden = bool(own[0] < self.hidden_below)
+        estimated = self._boxes(last, found)
+        own = float(self._similarity(view, state, estimated, found)[0])
+        far = np.abs(found[0, :2] - expected[:2]).max() > self.reach * last.scale * np.sqrt(last.size.prod())
+        hidden = bool(own < self.hidden_below * (1.0 - self.saturated_relief * (1.0 - state.clear)))
+        hidden = hidden or bool(state.lost > self.lost_above and far and own < self.found_above)
         if hidden:
             # An occluding object must not attract the estimate, which follows the prediction.
             found = expected[None]
             found[0, :2] = last.within(expected[:2])
+            estimated = self._boxes(last, found)
+        box = estimated[0]
         pose = last._replace(center=found[0, :2], scale=float(found[0, 2]))
-        box = self._boxes(last, found)[0]
-        state = self._remember(state, image, pose, float(found[0, 3]), box, hidden, features[0], float(contrast[0]))
-        return state, BoxEstimate(box, min(max(float(own[0]), 0.0), 1.0), boxes, weights)
+        after = state._replace(pose=pose, angle=float(found[0, 3]), frame=state.frame + 1)
+        if hidden:
+            # The reference stays, and the velocity decreases.
+            lost = min(1.0, state.lost + self.losing)
+            after = after._replace(velocity=self.braking * state.velocity, lost=lost)
+        else:
+            after = self._remember(state, after, image, view, box, change)
+        return after, BoxEstimate(box, min(max(own, 0.0), 1.0), boxes, weights)
 
-    def _draw(self, last: Pose, noise: Array, middle: Array, width: float) -> Array:
-        """Candidates as rows of center x, y, scale and angle, drawn about the middle one."""
+    def _under(self, state: PlusState, light: Light) -> tuple[PlusState, float]:
+        """The state with its colors under the light of the next frame, and the change of the light."""
+        step = float(np.abs(light.gains - state.light.gains).max())
+        state = state._replace(light=light)
+        change = light.gains - state.colored
+        if np.abs(change).max() <= self.light_tolerance:
+            return state, step
+        after = state._replace(
+            inside=relit_histogram(state.inside, change, self.bins),
+            outside=relit_histogram(state.outside, change, self.bins),
+            colored=light.gains,
+            clear=state.first.unsaturated(light.gains),
+        )
+        return after, step
+
+    def _corners(self, clear: float) -> float:
+        return 1.0 - self.saturated_corners * (1.0 - clear)
+
+    def _draw(self, last: Pose, noise: Array, middle: Array, width: float, clear: float) -> Array:
+        """Candidates as rows of center x, y, scale and angle, drawn about the middle one.
+
+        The less of the object is clear, the less its scale and its angle change.
+        """
         spread = width * self.center_deviation * middle[2] * float(np.sqrt(last.size[0] * last.size[1]))
         drawn = np.empty((len(noise), 4))
         drawn[:, :2] = last.within(middle[:2] + spread * noise[:, :2])
-        deviation = min(width, 1.0) * self.scale_deviation
+        deviation = clear * min(width, 1.0) * self.scale_deviation
         drawn[:, 2] = last.bounded(middle[2] * exponential(deviation * noise[:, 2]))
         drawn[:, 3] = middle[3]
         if self.angles > 1:
-            drawn[:, 3] += width * self.angle_deviation * noise[:, 3]
+            drawn[:, 3] += clear * width * self.angle_deviation * noise[:, 3]
         return drawn
 
     def _boxes(self, last: Pose, candidates: Array) -> Array:
         """Boxes of candidates (n, 4): those around the ellipse that fills the first box, turned."""
-        cos, sin = cosine(candidates[:, 3])[:, None], cosine(candidates[:, 3] - 0.5 * np.pi)[:, None]
-        size = candidates[:, 2:3] * np.sqrt((cos * last.size) ** 2 + (sin * last.size[::-1]) ** 2)
+        size = candidates[:, 2:3] * turned_sizes(last.size, candidates[:, 3])
         return np.concatenate([candidates[:, :2] - 0.5 * size, size], axis=1)
 
-    def _turned(self, image: Image, pose: Pose, k: int, chances: FloatArray) -> FloatArray:
-        """Features of the first box after k of the angles, shape (1, 2, f)."""
-        angle = 2.0 * np.pi * k / self.angles
-        cos, sin = cosine(angle), cosine(angle - 0.5 * np.pi)
-        box = self._boxes(pose, np.array([[0.0, 0.0, 1.0, angle]]))[0]
-        size = 2 * np.ceil(0.5 * box[2:] + self.rim * box[2:] + 2.0).astype(np.int64)
-        part = np.empty((size[1], size[0], 3), np.uint8)
-        turned_part(image, pose.center, float(cos), float(sin), part)
-        box[:2] += 0.5 * size
-        return self._describe(self._view(part, box[None], chances), box[None])[0]
-
-    def _similarity(
-        self, view: View, state: PlusState, boxes: Array, candidates: Array
-    ) -> tuple[Array, FloatArray, Array]:
-        """Similarity (n,), features (n, 2, f) and contrast (n,) of candidates (n, 4) with their boxes."""
-        features, contrast = self._describe(view, boxes)
-        nearest = np.rint(candidates[:, 3] * (self.angles / (2.0 * np.pi))).astype(np.int64) % self.angles
-        memory = self.loyalty * state.first[nearest] + (1.0 - self.loyalty) * state.recent
-        alike = np.einsum("npf,npf->np", features, memory)
-        relative = np.minimum(np.maximum(contrast / max(state.contrast, self.least_contrast), -1.0), 1.5)
+    def _similarity(self, view: View, state: PlusState, boxes: Array, candidates: Array) -> Array:
+        """Similarity (n,) of candidates (n, 4) with their boxes."""
+        alike, contrast = np.empty((len(boxes), 2)), np.empty(len(boxes))
+        compare(
+            view.integral,
+            boxes - view.corner,
+            self.grid,
+            self.rim,
+            cell_weights(self.grid, self._corners(state.clear)),
+            state.first.features,
+            self._nearest(candidates[:, 3]),
+            state.recent,
+            np.float32(self.loyalty * state.clear),
+            alike,
+            contrast,
+        )
+        # A box that is too large and one that is too small both have less contrast or more than the object.
+        relative = 1.0 - np.minimum(np.abs(1.0 - contrast / max(state.contrast, self.least_contrast)), 2.0)
         rest = 1.0 - self.gradient_share - self.color_share
-        total = self.gradient_share * alike[:, 0] + self.color_share * alike[:, 1] + rest * relative
-        return total.astype(np.float64), features, contrast
+        return self.gradient_share * alike[:, 0] + self.color_share * alike[:, 1] + rest * relative
+
+    def _nearest(self, angles: Array) -> Labels:
+        return np.rint(angles * (self.angles / (2.0 * np.pi))).astype(np.int64) % self.angles
 
     def _view(self, image: Image, boxes: Array, chances: FloatArray) -> View:
         """Integrate the part of a frame that contains boxes with their surroundings."""
@@ -253,11 +358,12 @@ class MonteCarloColorPlus:
         integrate_channels(region, chances, self.bins, integral)
         return View(integral, np.array([*low, 0.0, 0.0]))
 
-    def _describe(self, view: View, boxes: Array) -> tuple[FloatArray, Array]:
-        """Features (n, 2, f) and contrast (n,) of boxes."""
+    def _describe(self, view: View, boxes: Array, corners: float) -> tuple[FloatArray, Array]:
+        """Features (n, 2, f) and contrast (n,) of boxes whose corners have the given weight."""
+        weights = cell_weights(self.grid, corners)
         found = np.zeros((len(boxes), 2, self.grid**2 * ORIENTATIONS), np.float32)
         contrast = np.zeros(len(boxes))
-        describe(view.integral, boxes - view.corner, self.grid, self.rim, found, contrast)
+        describe(view.integral, boxes - view.corner, self.grid, self.rim, weights, found, contrast)
         return found, contrast
 
     def _chances(self, inside: Array, outside: Array) -> FloatArray:
@@ -273,30 +379,22 @@ class MonteCarloColorPlus:
         return inside, np.maximum(both - share * inside, 0.0) / (1.0 - share)
 
     def _remember(
-        self,
-        state: PlusState,
-        image: Image,
-        pose: Pose,
-        angle: float,
-        box: Array,
-        hidden: bool,
-        features: FloatArray,
-        contrast: float,
+        self, before: PlusState, after: PlusState, image: Image, view: View, box: Array, change: float
     ) -> PlusState:
-        """Next state; for a hidden object the reference stays and the velocity decreases."""
-        after = state._replace(pose=pose, angle=angle, frame=state.frame + 1)
-        if hidden:
-            return after._replace(velocity=self.braking * state.velocity, lost=min(1.0, state.lost + self.losing))
+        """State after a frame in which the object was seen: its velocity and the new reference."""
+        features, contrast = self._describe(view, box[None], self._corners(after.clear))
         inside, outside = self._colors(image, box)
         rate = self.update_rate
+        fast = 1.0 - (1.0 - rate) * float(exponential(-self.light_adaptation * change))
+        moved = np.array([*(after.pose.center - before.pose.center), after.angle - before.angle])
         return after._replace(
-            velocity=0.5 * (state.velocity + np.array([*(pose.center - state.pose.center), angle - state.angle])),
-            inside=(1.0 - rate) * state.inside + rate * inside,
+            velocity=0.5 * (before.velocity + moved),
+            inside=(1.0 - rate) * before.inside + rate * inside,
             # The surroundings change faster, as the object moves.
-            outside=(1.0 - 2.0 * rate) * state.outside + 2.0 * rate * outside,
-            recent=(1.0 - rate) * state.recent + np.float32(rate) * features,
-            contrast=(1.0 - rate) * state.contrast + rate * contrast,
-            lost=0.5 * state.lost,
+            outside=(1.0 - 2.0 * rate) * before.outside + 2.0 * rate * outside,
+            recent=np.float32(1.0 - fast) * before.recent + np.float32(fast) * features[0],
+            contrast=(1.0 - rate) * before.contrast + rate * float(contrast[0]),
+            lost=0.5 * before.lost,
         )
 
 

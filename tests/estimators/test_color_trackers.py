@@ -10,6 +10,7 @@ from color_film import SHAPE, SIZE, box, frame, turned_frame, walk
 from servotrack.estimators.color import back_projection, opencv_trackers
 from servotrack.estimators.color.contract import Pose, normals
 from servotrack.estimators.color.histogram import color_histogram, similarities
+from servotrack.estimators.color.light import LightMeter
 from servotrack.estimators.color.mean_shift import KernelMeanShift, kernel_histogram
 from servotrack.estimators.color.monte_carlo import MonteCarloColor
 from servotrack.estimators.color.monte_carlo_plus import MonteCarloColorPlus
@@ -140,7 +141,7 @@ def test_one_direction_follows_no_turn() -> None:
     tracker = MonteCarloColorPlus(angles=1)
     state = tracker.initial(frame(60, 40), box(60, 40))
     state, estimate = tracker.step(state, frame(61, 40, seed=1))
-    assert state.angle == 0.0 and state.first.shape[0] == 1
+    assert state.angle == 0.0 and len(state.first.features) == 1
     assert np.allclose(estimate.box[2] / estimate.box[3], SIZE[0] / SIZE[1])
 
 
@@ -269,6 +270,10 @@ def test_frames_of_a_few_pixels_are_tracked(name: str, shape: tuple[int, ...]) -
         (lambda: MonteCarloColorPlus(losing=2.0), "losing must lie in"),
         (lambda: MonteCarloColorPlus(gradient_share=0.9), "gradient_share \\+ color_share must be at most 1"),
         (lambda: MonteCarloColorPlus(widening=np.nan), "widening must be finite"),
+        (lambda: MonteCarloColorPlus(light_adaptation=-1.0), "light_adaptation must be finite and at least 0"),
+        (lambda: MonteCarloColorPlus(roaming=1.5), "roaming must lie in"),
+        (lambda: LightMeter(samples=0), "samples must be a whole number of at least 1, got 0"),
+        (lambda: LightMeter(step=0.0), "step must be finite and above 0"),
         (lambda: OpenCVTracker("GOTURN"), "name must be one of MIL, CSRT, KCF"),
     ],
 )
