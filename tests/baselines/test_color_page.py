@@ -24,7 +24,7 @@ def test_the_example_follows_what_moves(tmp_path: Path) -> None:
             left = 10 + 3 * (k - 13)
             image[40:72, left : left + 12], image[40:72, left + 12 : left + 24] = (30, 30, 220), (220, 200, 40)
         assert cv2.imwrite(str(tmp_path / f"{k:03}.png"), image)
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    code = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[0]
     scope: dict[str, Any] = {}
     exec(code, scope)
     boxes = list(scope["follow"](tmp_path))
