@@ -89,7 +89,7 @@ class PMBM(PoissonTrackFilter[PMBMState]):
             `undetected` and those of `reduction`) may remove in one scan without a warning. Raising it warns less.
 
     Warns:
-        RuntimeWarning: The caps removed more than `tolerated_cut`; the state says how much.
+        UserWarning: The caps removed more than `tolerated_cut`; the state says how much.
     """
 
     reduction: Reduction = field(default_factory=lambda: Reduction(components=5, tracks=1000))
@@ -98,7 +98,7 @@ class PMBM(PoissonTrackFilter[PMBMState]):
     least_weight: float = 1e-4
     recycle: float = 0.1
     targets: int = 200
-    report: Literal["tracks", "hypothesis"] = "tracks"
+    report: Literal["tracks", "hypothesis"] = "hypothesis"
     tolerated_cut: float = 0.1
 
     def __post_init__(self) -> None:
@@ -170,12 +170,12 @@ class PMBM(PoissonTrackFilter[PMBMState]):
             warnings.warn(
                 f"caps removed a probability of {most:.2g} in one scan; raise hypotheses, targets, or components, "
                 "tracks and pool of reduction",
-                RuntimeWarning,
+                UserWarning,
                 stacklevel=4,
             )
         if undetected > self.tolerated_cut:
             warnings.warn(
                 f"the cap on undetected removed {undetected:.2g} expected targets in one scan; raise undetected",
-                RuntimeWarning,
+                UserWarning,
                 stacklevel=4,
             )

@@ -285,3 +285,193 @@ def test_without_pruning_it_is_bayes_rule_over_all_histories_of_large_scenes(see
         except TooManyHistoriesError:
             continue
         return
+
+
+def as_mixture(mixture, state):
+    """Posterior of a PMB as a PMBM: one global hypothesis that contains all tracks, in order of their labels."""
+    empty = mixture.initial(NONE)
+    T = int(state.tracks.number)
+    order = np.argsort(state.tracks.label[:T])
+    starts = np.concatenate([[0], np.cumsum(state.tracks.size[:T])])
+    rows = [row for i in order for row in range(starts[i], starts[i + 1])]
+
+    def placed(array, into, chosen):
+        into = into.copy()
+        into[: len(chosen)] = array[chosen]
+        return into
+
+    hypotheses = empty.hypotheses._replace(size=empty.hypotheses.size.copy(), member=empty.hypotheses.member.copy())
+    hypotheses.size[0], hypotheses.member[0, :T] = T, np.arange(T)
+    table = [placed(a, b, order) for a, b in zip(state.tracks[1:], empty.tracks[1:], strict=True)]
+    pool = [placed(a, b, rows) for a, b in zip(state.pool[1:], empty.pool[1:], strict=True)]
+    share = empty.share.copy()
+    share[:T] = 1.0
+    return PMBMState(
+        hypotheses,
+        type(empty.tracks)(state.tracks.number, *table),
+        share,
+        type(empty.pool)(np.asarray(len(rows)), *pool),
+        state.undetected,
+        state.births,
+        state.next_label,
+        empty.cut,
+        empty.cut_undetected,
+    )
+
+
+def both_filters(model, birth):
+    options = {"clutter_intensity": 1e-5, "survival": 0.95, "detection": 0.8, "gate_probability": 1.0, "undetected": 64}
+    rules = Reduction(prune=0.0, merge=0.0, components=64, existence=0.0, tracks=100, pool=2000, candidates=1000)
+    exact = {"assignments": 10**6, "hypotheses": 5000, "least_weight": 0.0, "recycle": 0.0, "targets": 30}
+    return PMB(model, birth, reduction=rules, **options), PMBM(model, birth, reduction=rules, **options, **exact)
+
+
+@pytest.mark.parametrize("model", [HMM, S1])
+@pytest.mark.parametrize("distance", [12.0, 5000.0])
+def test_pmb_is_the_moment_projection_of_one_scan(model, distance):
+    means = np.zeros((2, 4))
+    means[1, 0] = distance
+    pmb, pmbm = both_filters(model, Birth([0.5, 0.6], means, np.diag([25.0, 9.0, 25.0, 9.0])))
+    rng = np.random.default_rng(3)
+    state = pmb.initial(NONE)
+    # Far apart the graph of association has no loop; near each other one measurement has none either.
+    counts = (2, 2, 2) if distance > 100.0 else (1, 1, 1)
+    for count in counts:
+        z = means[:count][:, [0, 2]] + rng.normal(0.0, 3.0, (count, 2))
+        mixture, _ = pmbm.step(as_mixture(pmbm, state), z)
+        state, _ = pmb.step(state, z)
+        wanted, got = tracks_of(*pmbm.project(mixture)), tracks_of(state.tracks, state.pool)
+        for label, (existence, mean, cov) in wanted.items():
+            if existence < 1e-7:
+                continue
+            assert got[label][0] == pytest.approx(existence, abs=2e-6)
+            np.testing.assert_allclose(got[label][1], mean, rtol=1e-4, atol=1e-4)
+            np.testing.assert_allclose(got[label][2], cov, rtol=1e-3, atol=1e-3)
+        unseen, left = int(state.undetected.number), int(mixture.undetected.number)
+        assert state.undetected.weight[:unseen].sum() == pytest.approx(mixture.undetected.weight[:left].sum(), abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_belief_propagation_is_near_the_projection_where_targets_are_close(seed):
+    rng = np.random.default_rng(seed)
+    means = np.zeros((3, 4))
+    means[:, 0] = 12.0 * np.arange(3)
+    pmb, pmbm = both_filters(HMM, Birth([0.5, 0.5, 0.5], means, np.diag([25.0, 9.0, 25.0, 9.0])))
+    state = pmb.initial(NONE)
+    for _ in range(2):
+        z = means[:, [0, 2]] + rng.normal(0.0, 3.0, (3, 2))
+        mixture, exact = pmbm.step(as_mixture(pmbm, state), z)
+        state, approximate = pmb.step(state, z)
+        undetected = state.undetected.weight[: int(state.undetected.number)].sum()
+        assert approximate.expected_number + undetected == pytest.approx(float(exact.expected_number), abs=0.1)
+    marginals = [tracks_of(*pmbm.project(mixture)), tracks_of(state.tracks, state.pool)]
+    for label in marginals[0]:
+        assert marginals[0][label][0] == pytest.approx(marginals[1].get(label, (0.0,))[0], abs=0.15)
+
+
+def follow(filter_, scans):
+    tracker = Stateful(filter_)
+    return [tracker.step(z) for z in scans], tracker.state
+
+
+def crossing(seed, steps=15):
+    """Two targets that come within 2 m of each other, in clutter."""
+    rng = np.random.default_rng(seed)
+    scans = []
+    for k in range(steps):
+        offset = abs(k - steps // 2) * 4.0 + 1.0
+        targets = np.array([[10.0 * k, offset], [10.0 * k, -offset]]) + rng.normal(0.0, 1.5, (2, 2))
+        seen = targets[rng.random(2) < 0.9]
+        scans.append(rng.permutation(np.concatenate([seen, rng.uniform(-50.0, 200.0, (rng.poisson(3), 2))])))
+    return scans
+
+
+@pytest.mark.parametrize("report", ["tracks", "hypothesis"])
+@pytest.mark.parametrize("birth", [MeasurementBirth(), Birth([0.1], np.zeros((1, 4)), 400.0 * np.eye(4))])
+def test_it_is_deterministic_and_empty_scans_end_it(report, birth):
+    filter_ = PMBM(S1, birth, clutter_intensity=5e-5, detection=0.9, report=report)
+    scans = [*crossing(0), *[NONE] * 40]
+    (one, last), (two, _) = follow(filter_, scans), follow(filter_, scans)
+    for a, b in zip(one, two, strict=True):
+        assert np.array_equal(a.states, b.states) and np.array_equal(a.labels, b.labels)
+        assert a.expected_number == b.expected_number
+    assert len(one[14].states) >= 2 and len(one[-1].states) == 0
+    assert int(last.hypotheses.number) == 1 and last.hypotheses.weight[0] == 1.0
+    nothing, state = follow(filter_, [[], NONE])
+    assert len(nothing[-1].labels) == 0 and int(state.tracks.number) == 0
+
+
+def test_hypotheses_of_a_posterior_are_ordered_distinct_and_pruned():
+    filter_ = PMBM(HMM, MeasurementBirth(), clutter_intensity=5e-5, detection=0.9, hypotheses=20)
+    tracker = Stateful(filter_)
+    for z in crossing(1):
+        tracker.step(z)
+        state = tracker.state
+        G, T = int(state.hypotheses.number), int(state.tracks.number)
+        weight = state.hypotheses.weight[:G]
+        assert 1 <= G <= 20 and weight.sum() == pytest.approx(1.0, abs=1e-12) and np.all(np.diff(weight) <= 0.0)
+        members = [tuple(state.hypotheses.member[g, : state.hypotheses.size[g]]) for g in range(G)]
+        assert len(set(members)) == G
+        share = np.zeros(T)
+        for g, rows in enumerate(members):
+            assert np.all(np.diff(rows) > 0) and len({int(state.tracks.label[row]) for row in rows}) == len(rows)
+            share[list(rows)] += weight[g]
+        np.testing.assert_allclose(state.share[:T], share, atol=1e-12)
+        assert np.all(share > 0.0) and np.all(state.tracks.existence[:T] >= filter_.recycle)
+        assert np.all(np.diff(state.tracks.label[:T]) >= 0)
+
+
+def test_recycling_keeps_the_expected_number():
+    scans = crossing(2, steps=8)
+    options = {"clutter_intensity": 5e-5, "detection": 0.6, "least_weight": 0.0, "assignments": 10**6}
+    options |= {"reduction": UNREDUCED, "hypotheses": 5000}
+    birth = Birth([0.3], np.zeros((1, 4)), 400.0 * np.eye(4))
+    for z in (scans[:1], scans[:2]):
+        kept, _ = follow(PMBM(HMM, birth, recycle=0.0, **options), z)
+        recycled, state = follow(PMBM(HMM, birth, recycle=0.5, **options), z)
+        assert float(kept[-1].expected_number) == pytest.approx(float(recycled[-1].expected_number), rel=0.05)
+        # One scan after the first the same targets are described by the other part.
+        assert len(z) > 1 or float(kept[-1].expected_number) == pytest.approx(recycled[-1].expected_number, abs=1e-12)
+        assert np.all(state.tracks.existence[: int(state.tracks.number)] >= 0.5)
+
+
+def test_caps_warn_and_say_how_much_they_removed():
+    scans = crossing(3)
+    small = {"hypotheses": 1, "targets": 1}
+    for name, value in small.items():
+        filter_ = PMBM(HMM, MeasurementBirth(), clutter_intensity=5e-5, detection=0.9, **{name: value})
+        with pytest.warns(UserWarning, match="caps removed a probability of"):
+            _, state = follow(filter_, scans)
+        assert state.hypotheses.weight[: int(state.hypotheses.number)].sum() == pytest.approx(1.0)
+    few = PMBM(HMM, MeasurementBirth(), clutter_intensity=5e-5, detection=0.9, reduction=Reduction(tracks=1))
+    with pytest.warns(UserWarning, match="tracks and pool of reduction"):
+        follow(few, scans)
+    four = Birth([0.5] * 4, 1000.0 * np.arange(4.0)[:, None] * np.eye(4)[:1], np.eye(4))
+    with pytest.warns(UserWarning, match="the cap on undetected removed"):
+        follow(PMBM(HMM, four, clutter_intensity=5e-5, detection=0.5, undetected=2), scans[:3])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        follow(PMBM(HMM, MeasurementBirth(), clutter_intensity=5e-5, detection=0.9), scans)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"assignments": 0}, "assignments must be at least 1, got 0"),
+        ({"hypotheses": 0}, "hypotheses must be at least 1, got 0"),
+        ({"targets": 0}, "targets must be at least 1, got 0"),
+        ({"undetected": 0}, "undetected must be at least 1, got 0"),
+        ({"least_weight": 1.0}, "least_weight must be at least 0 and below 1, got 1.0"),
+        ({"recycle": -0.1}, "recycle must be at least 0 and below 1, got -0.1"),
+        ({"report": "best"}, "report must be .tracks. or .hypothesis., got 'best'"),
+        ({"tolerated_cut": float("nan")}, "tolerated_cut must be at least 0, got nan"),
+    ],
+)
+def test_bad_parameters_are_refused_by_name(options, message):
+    with pytest.raises(ValueError, match=message):
+        PMBM(HMM, MeasurementBirth(), clutter_intensity=1e-4, **options)
+
+
+def test_initial_hypotheses_are_one_empty_one():
+    start = empty_hypotheses(2, 3, 4)
+    assert start.number.tolist() == [1, 1] and start.weight.tolist() == [[1.0, 0.0, 0.0]] * 2
