@@ -20,7 +20,7 @@ from servotrack.estimators.rfs.birth import BirthMixture
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
 from servotrack.estimators.rfs.hypotheses import Hypotheses, Ranking, empty_hypotheses
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, scratch_mixture
-from servotrack.estimators.rfs.pmbm_kernel import project, update_pmbm
+from servotrack.estimators.rfs.pmbm_kernel import keep_identities, project, update_pmbm
 from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
 from servotrack.estimators.rfs.recursion import check_positive_definite
 from servotrack.estimators.rfs.reduction import Limits, Reduction
@@ -34,7 +34,9 @@ class PMBMState(NamedTuple):
 
     Attributes:
         hypotheses: The global hypotheses.
-        tracks: Bernoullis of all hypotheses; those of one track have the same label.
+        tracks: Bernoullis of all hypotheses; those that start with the same detection have the same label.
+        identity: Reported identity of each Bernoulli: its label, or the identity of the recycled Bernoulli that probably
+            caused its first detection. Shape (*batch, T).
         share: Probability of the global hypotheses that contain each Bernoulli. Shape (*batch, T).
         pool: Components of the Bernoullis.
         undetected: Intensity of undetected targets, recycled Bernoullis included.
@@ -46,6 +48,7 @@ class PMBMState(NamedTuple):
 
     hypotheses: Hypotheses
     tracks: Tracks
+    identity: Labels
     share: Array
     pool: Mixture
     undetected: Mixture
@@ -122,21 +125,23 @@ class PMBM(PoissonTrackFilter[PMBMState]):
         """
         single = np.ndim(state.next_label) == 0
         rules = self.reduction.limits._replace(prune=0.0, components=self.reduction.pool_size)
-        projection = self._projection(add_axis(state) if single else state, rules, heaviest=False)
+        projection, _ = self._projection(add_axis(state) if single else state, rules, heaviest=False)
         return first_row(projection) if single else projection
 
-    def _projection(self, state: PMBMState, limits: Limits, *, heaviest: bool) -> Projection:
+    def _projection(self, state: PMBMState, limits: Limits, *, heaviest: bool) -> tuple[Projection, Labels]:
         batch, capacity = state.tracks.existence.shape
         pool = scratch_mixture(batch, state.pool.weight.shape[1], sum(self._sizes))
         projection = Projection(empty_tracks(batch, capacity), pool)
-        project(self._sizes[0], state, heaviest, limits, *projection)
-        return projection
+        first = np.zeros((batch, capacity), np.int64)
+        project(self._sizes[0], state, heaviest, limits, *projection, first)
+        return projection, first
 
     def _empty(self, batch: int) -> PMBMState:
         rules, N = self.reduction, sum(self._sizes)
         return PMBMState(
             empty_hypotheses(batch, self.hypotheses, self.targets),
             empty_tracks(batch, rules.tracks),
+            np.zeros((batch, rules.tracks), np.int64),
             np.zeros((batch, rules.tracks)),
             empty_mixture(batch, rules.pool_size, N),
             empty_mixture(batch, self.undetected, N),
@@ -157,9 +162,10 @@ class PMBM(PoissonTrackFilter[PMBMState]):
         )
         self._warn(new)
         n = self._sizes[0]
-        tracks, pool = self._projection(new, rules.limits, heaviest=self.report == "hypothesis")
+        (tracks, pool), first = self._projection(new, rules.limits, heaviest=self.report == "hypothesis")
         extraction = empty_extraction(batch, rules.tracks, n)
         extract_tracks(n, tracks, pool, new.next_label, RULES[self.extraction], self.threshold, extraction)
+        keep_identities(tracks, first, new)
         expected = (new.share * new.tracks.existence).sum(axis=1) + new.undetected.weight.sum(axis=1)
         return new, extraction._replace(expected=expected), unexplained
 

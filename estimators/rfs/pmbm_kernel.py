@@ -83,6 +83,16 @@ def _write_hypotheses(associations, groups, chosen, outcomes, used, row_of, b, o
 
 
 @njit(cache=True, nogil=True)
+def _identities(measurement, likelihood, label, measurements):  # type: ignore[no-untyped-def]
+    """Identity of the undetected component that most probably caused each measurement, 0 if it has none (Z,)."""
+    heaviest, found = np.zeros(measurements), np.zeros(measurements, np.int64)
+    for p in range(measurement.shape[0]):
+        if likelihood[p] > heaviest[measurement[p]]:
+            heaviest[measurement[p]], found[measurement[p]] = likelihood[p], label[p]
+    return found
+
+
+@njit(cache=True, nogil=True)
 def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unexplained):  # type: ignore[no-untyped-def]
     """Posterior of every run: global hypotheses, their Bernoullis, and undetected targets.
 
@@ -222,9 +232,12 @@ def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unex
             for k in range(i + start[i], i + 1 + start[i + 1]):
                 if row_of[k] >= 0:
                     new.label[b, row_of[k]] = tracks.label[b, i]
+                    out.identity[b, row_of[k]] = state.identity[b, i]
+        known = _identities(hidden_measurement, hidden_likelihood, hidden.label[b, hidden_component], Z)
         for j in range(Z):
             if row_of[T + P + j] >= 0:
                 new.label[b, row_of[T + P + j]] = out.next_label[b] + j
+                out.identity[b, row_of[T + P + j]] = known[j] if known[j] > 0 else out.next_label[b] + j
         new.number[b] = place
         into.number[b] = filled
         out.next_label[b] += Z
@@ -254,19 +267,21 @@ def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unex
         rest_mean = np.empty((total, n + m))
         rest_source = np.empty(total, np.int64)
         rest_kind = np.empty(total, np.int64)
+        rest_label = np.zeros(total, np.int64)
         covariance = np.empty((total, n + m, n + m))
         for i in range(unseen):
             rest_weight[i] = hidden.weight[b, i] * (1.0 - hidden_detection[b, i])
             rest_mean[i], covariance[i] = hidden.mean[b, i], hidden.covariance[b, i]
-            rest_source[i], rest_kind[i] = i, -1
+            rest_source[i], rest_kind[i], rest_label[i] = i, -1, hidden.label[b, i]
         c = unseen
         for k in range(count + pairs + fresh_pairs):
             if returned[key[k]] > 0.0:
                 rest_weight[c], rest_mean[c] = returned[key[k]] * part[k], mean[k]
                 if kind[k] < 0:
                     covariance[c], rest_source[c] = pool.covariance[b, source[k]], c
+                    rest_label[c] = state.identity[b, owner[source[k]]]
                 else:
-                    rest_source[c] = source[k]
+                    rest_source[c], rest_label[c] = source[k], known[kind[k]]
                 rest_kind[c] = kind[k]
                 c += 1
         rest = out.undetected
@@ -274,7 +289,7 @@ def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unex
         rest.number[b] = reduce_mixture(
             model.pairwise,
             n,
-            Candidates(rest_weight, rest_mean, rest_source, rest_kind, np.zeros(total, np.int64)),
+            Candidates(rest_weight, rest_mean, rest_source, rest_kind, rest_label),
             np.arange(total),
             covariance,
             hidden_posterior,
@@ -289,7 +304,7 @@ def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unex
 
 
 @njit(cache=True, nogil=True)
-def project(n, state, heaviest, limits, out_tracks, out_pool):  # type: ignore[no-untyped-def]
+def project(n, state, heaviest, limits, out_tracks, out_pool, out_first):  # type: ignore[no-untyped-def]
     """Write the Bernoullis of all tracks: of the heaviest global hypothesis, or the moment projection of all.
 
     The projection gives a track the existence sum w r over the global hypotheses and the mixture of its Bernoullis
@@ -300,8 +315,9 @@ def project(n, state, heaviest, limits, out_tracks, out_pool):  # type: ignore[n
         state: A `PMBMState`.
         heaviest: True for the heaviest global hypothesis.
         limits: A `Limits`.
-        out_tracks: Output: a `Tracks`.
+        out_tracks: Output: a `Tracks`; its labels are the reported identities.
         out_pool: Output: a `Mixture` whose y parts are dropped.
+        out_first: Output: first Bernoulli of each track. Shape (B, T).
     """
     tracks, pool, hypotheses = state.tracks, state.pool, state.hypotheses
     for b in range(tracks.existence.shape[0]):
@@ -319,7 +335,7 @@ def project(n, state, heaviest, limits, out_tracks, out_pool):  # type: ignore[n
         )
         place, filled, i, c = 0, 0, 0, 0
         while i < T:
-            label, begin, existence = tracks.label[b, i], c, 0.0
+            label, first, begin, existence = tracks.label[b, i], i, c, 0.0
             while i < T and tracks.label[b, i] == label:
                 presence = share[i] * tracks.existence[b, i]
                 existence += presence
@@ -344,9 +360,29 @@ def project(n, state, heaviest, limits, out_tracks, out_pool):  # type: ignore[n
             )
             normalize(room.weight, filled, size)
             out_tracks.existence[b, place] = min(existence, 1.0)
-            out_tracks.label[b, place] = label
+            out_tracks.label[b, place] = state.identity[b, first]
+            out_first[b, place] = first
             out_tracks.size[b, place] = size
             place += 1
             filled += size
         out_tracks.number[b] = place
         out_pool.number[b] = filled
+
+
+@njit(cache=True, nogil=True)
+def keep_identities(projected, first, state):  # type: ignore[no-untyped-def]
+    """Write identities that changed in the extraction back to all Bernoullis of the track.
+
+    Args:
+        projected: The `Tracks` that `project` wrote, after the extraction.
+        first: First Bernoulli of each of these tracks. Shape (B, T).
+        state: A `PMBMState` to write to.
+    """
+    labels = state.tracks.label
+    for b in range(first.shape[0]):
+        for t in range(projected.number[b]):
+            i = first[b, t]
+            track = labels[b, i]
+            while i < state.tracks.number[b] and labels[b, i] == track:
+                state.identity[b, i] = projected.label[b, t]
+                i += 1

@@ -309,6 +309,7 @@ def as_mixture(mixture, state):
     return PMBMState(
         hypotheses,
         type(empty.tracks)(state.tracks.number, *table),
+        table[1],
         share,
         type(empty.pool)(np.asarray(len(rows)), *pool),
         state.undetected,
