@@ -133,7 +133,7 @@ class PMBM(PoissonTrackFilter[PMBMState]):
         pool = scratch_mixture(batch, state.pool.weight.shape[1], sum(self._sizes))
         projection = Projection(empty_tracks(batch, capacity), pool)
         first = np.zeros((batch, capacity), np.int64)
-        project(self._sizes[0], state, heaviest, limits, *projection, first)
+        project(self._sizes[0], state, heaviest, float(self.threshold), limits, *projection, first)
         return projection, first
 
     def _empty(self, batch: int) -> PMBMState:

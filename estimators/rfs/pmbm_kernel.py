@@ -304,8 +304,8 @@ def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unex
 
 
 @njit(cache=True, nogil=True)
-def project(n, state, heaviest, limits, out_tracks, out_pool, out_first):  # type: ignore[no-untyped-def]
-    """Write the Bernoullis of all tracks: of the heaviest global hypothesis, or the moment projection of all.
+def project(n, state, heaviest, most, limits, out_tracks, out_pool, out_first):  # type: ignore[no-untyped-def]
+    """Write one Bernoulli per track: that of the heaviest global hypothesis, or the moment projection of all.
 
     The projection gives a track the existence sum w r over the global hypotheses and the mixture of its Bernoullis
     (Williams 2015, section IV).
@@ -313,7 +313,8 @@ def project(n, state, heaviest, limits, out_tracks, out_pool, out_first):  # typ
     Args:
         n: Size of the state.
         state: A `PMBMState`.
-        heaviest: True for the heaviest global hypothesis.
+        heaviest: True for the Bernoullis of the heaviest global hypothesis; tracks that it lacks are projected.
+        most: Largest existence of the tracks that it lacks.
         limits: A `Limits`.
         out_tracks: Output: a `Tracks`; its labels are the reported identities.
         out_pool: Output: a `Mixture` whose y parts are dropped.
@@ -322,11 +323,9 @@ def project(n, state, heaviest, limits, out_tracks, out_pool, out_first):  # typ
     tracks, pool, hypotheses = state.tracks, state.pool, state.hypotheses
     for b in range(tracks.existence.shape[0]):
         T, count = tracks.number[b], pool.number[b]
-        share = state.share[b].copy()
+        best = np.zeros(T, np.bool_)
         if heaviest:
-            share[:] = 0.0
-            for s in range(hypotheses.size[b, 0]):
-                share[hypotheses.member[b, 0, s]] = 1.0
+            best[hypotheses.member[b, 0, : hypotheses.size[b, 0]]] = True
         candidates = Candidates(
             np.empty(count), pool.mean[b], np.arange(count), np.full(count, -1, np.int64), np.zeros(count, np.int64)
         )
@@ -336,8 +335,13 @@ def project(n, state, heaviest, limits, out_tracks, out_pool, out_first):  # typ
         place, filled, i, c = 0, 0, 0, 0
         while i < T:
             label, first, begin, existence = tracks.label[b, i], i, c, 0.0
-            while i < T and tracks.label[b, i] == label:
-                presence = share[i] * tracks.existence[b, i]
+            end = first
+            while end < T and tracks.label[b, end] == label:
+                end += 1
+            chosen = best[first:end].any()
+            while i < end:
+                share = (1.0 if best[i] else 0.0) if chosen else state.share[b, i]
+                presence = share * tracks.existence[b, i]
                 existence += presence
                 for _ in range(tracks.size[b, i]):
                     candidates.weight[c] = presence * pool.weight[b, c]
@@ -359,7 +363,7 @@ def project(n, state, heaviest, limits, out_tracks, out_pool, out_first):  # typ
                 filled,
             )
             normalize(room.weight, filled, size)
-            out_tracks.existence[b, place] = min(existence, 1.0)
+            out_tracks.existence[b, place] = min(existence, most if heaviest and not chosen else 1.0)
             out_tracks.label[b, place] = state.identity[b, first]
             out_first[b, place] = first
             out_tracks.size[b, place] = size
