@@ -96,11 +96,11 @@ class PMBM(PoissonTrackFilter[PMBMState]):
     """
 
     reduction: Reduction = field(default_factory=lambda: Reduction(components=5, tracks=1000))
-    assignments: int = 100
-    hypotheses: int = 100
-    least_weight: float = 1e-4
+    assignments: int = 500
+    hypotheses: int = 500
+    least_weight: float = 1e-6
     recycle: float = 0.1
-    targets: int = 200
+    targets: int = 100
     report: Literal["tracks", "hypothesis"] = "hypothesis"
     tolerated_cut: float = 0.1
 
