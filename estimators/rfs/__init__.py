@@ -6,10 +6,10 @@
         estimate = tracker.step(z)
         print(estimate.labels, estimate.states, estimate.existence)
 
-Start with `PMB`; `PMBM` is the exact posterior up to pruning. `GMPHD` is the cheapest and the simplest filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each
-is a frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state, estimate)`; a state
-is a NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B independent filters at
-once.
+Start with `PMB`; `PMBM` is the exact posterior up to pruning and takes longer. `GMPHD` is the cheapest and the simplest
+filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each is a frozen dataclass with `initial(measurement) -> state`
+and `step(state, measurement) -> (state, estimate)`; a state is a NamedTuple of arrays. Measurements of shape (B, rows,
+1 + m), existence in column 0, run B independent filters at once.
 """
 
 from servotrack.estimators.rfs.birth import Birth, MeasurementBirth, Spawn

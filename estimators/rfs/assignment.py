@@ -224,7 +224,9 @@ def best_assignments(cost, most, gap, limit):  # type: ignore[no-untyped-def]
     number = m + n
     wide = np.full((n, number), np.inf)
     child, parent = _empty_solution(n, number), _empty_solution(n, number)
-    search = Search(np.empty(number), np.empty(number, np.int64), np.empty(number, np.bool_), np.zeros(number, np.bool_))
+    search = Search(
+        np.empty(number), np.empty(number, np.int64), np.empty(number, np.bool_), np.zeros(number, np.bool_)
+    )
     parent_banned = np.zeros(number, np.bool_)
     for i in range(n):
         wide[i, m + i] = 0.0
@@ -261,7 +263,7 @@ def best_assignments(cost, most, gap, limit):  # type: ignore[no-untyped-def]
         for i in range(first, n):
             place, bound = active, limit
             if active >= most - found:
-                place = np.argmax(nodes.total[:active])
+                place = int(np.argmax(nodes.total[:active]))
                 bound = min(bound, nodes.total[place])
             _branch(parent, i, child)
             if i == first:

@@ -1,8 +1,8 @@
 """Global hypotheses of the Poisson multi-Bernoulli mixture: association, merging, pruning and capping.
 
 A global hypothesis is a set of Bernoullis (single-target hypotheses), at most one of each track. Bernoullis are shared
-among global hypotheses. An update turns each Bernoulli into "missed" and one "detected" per measurement in its gate, and
-each measurement starts a new track. The results are numbered by `Outcomes` in ascending order of the tracks, so a global
+among global hypotheses. An update turns each Bernoulli into "missed" and one "detected" per measurement in its gate;
+each measurement starts a new track. `Outcomes` numbers the results in ascending order of the tracks, so that a global
 hypothesis is an ascending list of numbers.
 """
 

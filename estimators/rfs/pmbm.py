@@ -20,8 +20,9 @@ from servotrack.estimators.rfs.birth import BirthMixture
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
 from servotrack.estimators.rfs.hypotheses import Hypotheses, Ranking, empty_hypotheses
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, scratch_mixture
-from servotrack.estimators.rfs.pmbm_kernel import keep_identities, project, update_pmbm
+from servotrack.estimators.rfs.pmbm_kernel import update_pmbm
 from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
+from servotrack.estimators.rfs.projection import keep_identities, project
 from servotrack.estimators.rfs.recursion import check_positive_definite
 from servotrack.estimators.rfs.reduction import Limits, Reduction
 from servotrack.estimators.rfs.sets import Extraction, Scan, empty_extraction
@@ -35,8 +36,8 @@ class PMBMState(NamedTuple):
     Attributes:
         hypotheses: The global hypotheses.
         tracks: Bernoullis of all hypotheses; those that start with the same detection have the same label.
-        identity: Reported identity of each Bernoulli: its label, or the identity of the recycled Bernoulli that probably
-            caused its first detection. Shape (*batch, T).
+        identity: Reported identity of each Bernoulli: its label, or the identity of the recycled Bernoulli that
+            probably caused its first detection. Shape (*batch, T).
         share: Probability of the global hypotheses that contain each Bernoulli. Shape (*batch, T).
         pool: Components of the Bernoullis.
         undetected: Intensity of undetected targets, recycled Bernoullis included.

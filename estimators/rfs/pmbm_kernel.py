@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,23 @@ from servotrack.estimators.rfs.gaussians import SMALLEST_LIKELIHOOD, detected_me
 from servotrack.estimators.rfs.hypotheses import Outcomes, associate, merge_equal, select
 from servotrack.estimators.rfs.pmb_kernel import track_pairs
 from servotrack.estimators.rfs.reduction import Candidates, Components, reduce_mixture
+from servotrack.estimators.types import Array, Labels
+
+
+class Pairs(NamedTuple):
+    """Pairs of a component and a measurement in its gate.
+
+    Attributes:
+        component: Index of the component. Shape (P,).
+        measurement: Index of the measurement. Shape (P,).
+        likelihood: Likelihood, times p_D and the component's weight. Shape (P,).
+        gain: Gain of each component. Shape (J, n, m).
+    """
+
+    component: Labels
+    measurement: Labels
+    likelihood: Array
+    gain: Array
 
 
 @njit(cache=True, nogil=True)
@@ -83,13 +101,180 @@ def _write_hypotheses(associations, groups, chosen, outcomes, used, row_of, b, o
 
 
 @njit(cache=True, nogil=True)
-def _identities(measurement, likelihood, label, measurements):  # type: ignore[no-untyped-def]
+def _identities(first, label, measurements):  # type: ignore[no-untyped-def]
     """Identity of the undetected component that most probably caused each measurement, 0 if it has none (Z,)."""
     heaviest, found = np.zeros(measurements), np.zeros(measurements, np.int64)
-    for p in range(measurement.shape[0]):
-        if likelihood[p] > heaviest[measurement[p]]:
-            heaviest[measurement[p]], found[measurement[p]] = likelihood[p], label[p]
+    for p in range(first.measurement.shape[0]):
+        j = first.measurement[p]
+        if first.likelihood[p] > heaviest[j]:
+            heaviest[j], found[j] = first.likelihood[p], label[first.component[p]]
     return found
+
+
+@njit(cache=True, nogil=True)
+def _parts(model, pool, detection, hidden, z, b, seen, first, shares, keys):  # type: ignore[no-untyped-def]
+    """Components of all results of an update of run b: missed, detected, first detected.
+
+    Args:
+        model: The packed model.
+        pool: Predicted components of the Bernoullis, a `Mixture`.
+        detection: p_D of these components. Shape (B, K).
+        hidden: Predicted intensity of undetected targets, a `Mixture`.
+        z: Measurements. Shape (B, Z, m).
+        b: The run.
+        seen: `Pairs` of a component and a measurement.
+        first: `Pairs` of an undetected component and a measurement.
+        shares: Totals that the weights are divided by: of each missed component, each pair, each first pair.
+        keys: Results that the same components belong to.
+
+    Returns:
+        A `Candidates`; the result of each component (C,).
+    """
+    m, n = model.observation.shape
+    count, pairs, fresh = pool.number[b], seen.component.shape[0], first.component.shape[0]
+    total = count + pairs + fresh
+    weight, mean = np.zeros(total), np.empty((total, n + m))
+    source, kind, key = np.empty(total, np.int64), np.empty(total, np.int64), np.empty(total, np.int64)
+    innovation = np.empty(m)
+    for c in range(count):
+        if shares[0][c] > 0.0:
+            weight[c] = pool.weight[b, c] * (1.0 - detection[b, c]) / shares[0][c]
+        mean[c], source[c], kind[c], key[c] = pool.mean[b, c], c, -1, keys[0][c]
+    for p in range(pairs):
+        c, j, k = seen.component[p], seen.measurement[p], count + p
+        if shares[1][p] > 0.0:
+            weight[k] = seen.likelihood[p] / shares[1][p]
+        source[k], kind[k], key[k] = c, j, keys[1][p]
+        detected_mean(model, pool.mean[b, c], seen.gain[c], z[b, j], innovation, mean[k])
+    for p in range(fresh):
+        c, j, k = first.component[p], first.measurement[p], count + pairs + p
+        if shares[2][p] > 0.0:
+            weight[k] = first.likelihood[p] / shares[2][p]
+        source[k], kind[k], key[k] = c, j, keys[2][p]
+        detected_mean(model, hidden.mean[b, c], first.gain[c], z[b, j], innovation, mean[k])
+    return Candidates(weight, mean, source, kind, np.zeros(total, np.int64)), key
+
+
+@njit(cache=True, nogil=True)
+def _write_bernoullis(model, candidates, key, used, outcomes, covariances, limits, b, out):  # type: ignore[no-untyped-def]
+    """Write the Bernoullis in use.
+
+    Args:
+        model: The packed model.
+        candidates: Components of all results.
+        key: The result of each component. Shape (C,).
+        used: Mask of the results in use. Shape (K,), bool.
+        outcomes: An `Outcomes`.
+        covariances: Predicted covariances and those after a detection, of old tracks and then of new ones.
+        limits: A `Limits`.
+        b: The run.
+        out: A `PMBMState` to write to.
+
+    Returns:
+        Row of each result, -1 for none (K,); weight of components that the caps removed from each row (rows,).
+    """
+    n = model.observation.shape[1]
+    cov, posterior, hidden_cov, hidden_posterior = covariances
+    old = outcomes.missed.shape[0] + outcomes.measurement.shape[0]
+    members, start = rows_by_key(key, used.shape[0])
+    into = out.pool
+    room = Components(into.weight[b], into.mean[b], into.covariance[b], into.detected[b], into.label[b])
+    row_of = np.full(used.shape[0], -1, np.int64)
+    wanted = used.sum()
+    removed = np.zeros(wanted)
+    filled, place = 0, 0
+    for k in range(used.shape[0]):
+        if not used[k]:
+            continue
+        own = members[start[k] : start[k + 1]]
+        wanted -= 1
+        # Every later Bernoulli finds room for one component at least.
+        most = min(limits.components, room.weight.shape[0] - filled - wanted)
+        missed, found = (cov, posterior) if k < old else (hidden_cov, hidden_posterior)
+        size = reduce_mixture(model.pairwise, n, candidates, own, missed, found, limits, most, room, filled)
+        if size == 0:
+            continue
+        for c in own:
+            if candidates.weight[c] > limits.prune:
+                removed[place] += candidates.weight[c]
+        removed[place] = max(removed[place] - room.weight[filled : filled + size].sum(), 0.0)
+        normalize(room.weight, filled, size)
+        out.tracks.existence[b, place] = outcomes.existence[k]
+        out.tracks.size[b, place] = size
+        row_of[k] = place
+        place += 1
+        filled += size
+    out.tracks.number[b] = place
+    into.number[b] = filled
+    return row_of, removed[:place]
+
+
+@njit(cache=True, nogil=True)
+def _write_labels(tracks, identity, known, start, row_of, b, out):  # type: ignore[no-untyped-def]
+    """Write labels and identities of the Bernoullis; new tracks take that of a recycled target if `known` has one."""
+    T, Z = start.shape[0] - 1, known.shape[0]
+    for i in range(T):
+        for k in range(i + start[i], i + 1 + start[i + 1]):
+            if row_of[k] >= 0:
+                out.tracks.label[b, row_of[k]] = tracks.label[b, i]
+                out.identity[b, row_of[k]] = identity[b, i]
+    for j in range(Z):
+        row = row_of[T + start[T] + j]
+        if row >= 0:
+            label = out.next_label[b] + j
+            out.tracks.label[b, row] = label
+            out.identity[b, row] = known[j] if known[j] > 0 else label
+    out.next_label[b] += Z
+
+
+@njit(cache=True, nogil=True)
+def _write_undetected(model, hidden, hidden_detection, recycled, covariances, limits, b, out):  # type: ignore[no-untyped-def]
+    """Write the intensity of undetected targets: those missed again, and the recycled Bernoullis.
+
+    Args:
+        model: The packed model.
+        hidden: Predicted intensity, a `Mixture`.
+        hidden_detection: p_D of its components. Shape (B, H).
+        recycled: A `Candidates`, those of weight zero included.
+        covariances: As in `_write_bernoullis`.
+        limits: A `Limits`.
+        b: The run.
+        out: A `PMBMState` to write to.
+    """
+    n = model.observation.shape[1]
+    cov, _, hidden_cov, hidden_posterior = covariances
+    unseen = hidden.number[b]
+    chosen = np.flatnonzero(recycled.weight > 0.0)
+    total = unseen + chosen.shape[0]
+    weight, mean = np.empty(total), np.empty((total, hidden.mean.shape[2]))
+    source, kind, label = np.arange(total), np.full(total, -1, np.int64), np.empty(total, np.int64)
+    covariance = np.empty((total, mean.shape[1], mean.shape[1]))
+    for i in range(unseen):
+        weight[i] = hidden.weight[b, i] * (1.0 - hidden_detection[b, i])
+        mean[i], covariance[i], label[i] = hidden.mean[b, i], hidden_cov[i], hidden.label[b, i]
+    for i in range(unseen, total):
+        k = chosen[i - unseen]
+        weight[i], mean[i], label[i] = recycled.weight[k], recycled.mean[k], recycled.label[k]
+        if recycled.group[k] < 0:
+            covariance[i] = cov[recycled.source[k]]
+        else:
+            source[i], kind[i] = recycled.source[k], recycled.group[k]
+    rest = out.undetected
+    room = Components(rest.weight[b], rest.mean[b], rest.covariance[b], rest.detected[b], rest.label[b])
+    size = reduce_mixture(
+        model.pairwise,
+        n,
+        Candidates(weight, mean, source, kind, label),
+        np.arange(total),
+        covariance,
+        hidden_posterior,
+        limits,
+        rest.weight.shape[1],
+        room,
+        0,
+    )
+    rest.number[b] = size
+    out.cut_undetected[b] = max(weight[weight > limits.prune].sum() - room.weight[:size].sum(), 0.0)
 
 
 @njit(cache=True, nogil=True)
@@ -99,7 +284,7 @@ def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unex
     Args:
         model: The packed model.
         prediction: A `Prediction` of the Bernoullis and the undetected intensity.
-        state: The `PMBMState` before the update, of which the hypotheses are read.
+        state: The `PMBMState` before the update, of which hypotheses and identities are read.
         scan: A `Scan`.
         gate: Largest squared Mahalanobis distance of a pair.
         limits: A `Limits`.
@@ -110,283 +295,63 @@ def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unex
     Returns:
         True if the covariance of every predicted measurement is positive definite.
     """
-    m, n = model.observation.shape
     tracks, pool, hidden, detection, hidden_detection = prediction
     z, number, clutter = scan
-    cap = limits.components
-    innovation = np.empty(m)
     positive_definite = True
     for b in range(tracks.existence.shape[0]):
-        T, Z, count, unseen = tracks.number[b], number[b], pool.number[b], hidden.number[b]
+        T, Z, count = tracks.number[b], number[b], pool.number[b]
         component, measurement, likelihood, gain, posterior, definite = weigh_pairs(
             model, count, pool.mean[b], pool.covariance[b], z[b], Z, gate
         )
-        hidden_component, hidden_measurement, hidden_likelihood, hidden_gain, hidden_posterior, hidden_definite = (
-            weigh_pairs(model, unseen, hidden.mean[b], hidden.covariance[b], z[b], Z, gate)
+        seen = Pairs(component, measurement, likelihood, gain)
+        component, measurement, likelihood, gain, hidden_posterior, hidden_definite = weigh_pairs(
+            model, hidden.number[b], hidden.mean[b], hidden.covariance[b], z[b], Z, gate
         )
+        first = Pairs(component, measurement, likelihood, gain)
         positive_definite = positive_definite and definite and hidden_definite
-        pairs, fresh_pairs = component.shape[0], hidden_component.shape[0]
         owner, _ = owners_and_detection(tracks, pool, detection, b)
         # The sum itself, not one minus the sum for p_D: it is exactly zero where p_D is one.
-        unlikely = np.zeros(T)
+        unlikely, first_seen = np.zeros(T), np.zeros(Z)
         for c in range(count):
             unlikely[owner[c]] += pool.weight[b, c] * (1.0 - detection[b, c])
-        first_seen = np.zeros(Z)
-        for p in range(fresh_pairs):
-            i = hidden_component[p]
-            hidden_likelihood[p] *= hidden_detection[b, i] * hidden.weight[b, i]
-            first_seen[hidden_measurement[p]] += hidden_likelihood[p]
-        for p in range(pairs):
-            likelihood[p] *= detection[b, component[p]] * pool.weight[b, component[p]]
-        track, to, detected, row = track_pairs(component, measurement, likelihood, owner, T, Z)
+        first.likelihood[:] *= hidden_detection[b, first.component] * hidden.weight[b, first.component]
+        for p in range(first.component.shape[0]):
+            first_seen[first.measurement[p]] += first.likelihood[p]
+        seen.likelihood[:] *= detection[b, seen.component] * pool.weight[b, seen.component]
+        track, to, detected, row = track_pairs(seen.component, seen.measurement, seen.likelihood, owner, T, Z)
         P = track.shape[0]
         outcomes = _outcomes(
-            tracks.existence[b, :T],
-            unlikely,
-            track,
-            to,
-            detected,
-            clutter[b, :Z] + first_seen,
-            first_seen,
-            ranking,
+            tracks.existence[b, :T], unlikely, track, to, detected, clutter[b, :Z] + first_seen, first_seen, ranking
         )
-        kept, existence, start = outcomes.kept, outcomes.existence, outcomes.start
+        start, existence = outcomes.start, outcomes.existence
 
         associations = associate(state.hypotheses, b, outcomes, ranking)
-        groups = merge_equal(associations, kept)
-        new, into = out.tracks, out.pool
-        rows = min(new.existence.shape[1], into.weight.shape[1])
-        chosen, used, cut = select(
-            associations, groups, outcomes, ranking, out.hypotheses.weight.shape[1], rows
-        )
+        groups = merge_equal(associations, outcomes.kept)
+        rows = min(out.tracks.existence.shape[1], out.pool.weight.shape[1])
+        chosen, used, cut = select(associations, groups, outcomes, ranking, out.hypotheses.weight.shape[1], rows)
 
-        # The components of all results: missed, detected, first detected.
-        part = np.empty(count + pairs + fresh_pairs)
-        mean = np.empty((count + pairs + fresh_pairs, n + m))
-        source = np.empty(count + pairs + fresh_pairs, np.int64)
-        kind = np.empty(count + pairs + fresh_pairs, np.int64)
-        key = np.empty(count + pairs + fresh_pairs, np.int64)
-        for c in range(count):
-            i = owner[c]
-            part[c] = pool.weight[b, c] * (1.0 - detection[b, c]) / unlikely[i] if unlikely[i] > 0.0 else 0.0
-            mean[c], source[c], kind[c], key[c] = pool.mean[b, c], c, -1, i + start[i]
-        for p in range(pairs):
-            c, k = component[p], count + p
-            key[k] = owner[c] + 1 + row[p]
-            part[k] = likelihood[p] / detected[row[p]] if detected[row[p]] > 0.0 else 0.0
-            source[k], kind[k] = c, measurement[p]
-            if used[key[k]]:
-                detected_mean(model, pool.mean[b, c], gain[c], z[b, measurement[p]], innovation, mean[k])
-        for p in range(fresh_pairs):
-            i, j, k = hidden_component[p], hidden_measurement[p], count + pairs + p
-            part[k] = hidden_likelihood[p] / first_seen[j] if first_seen[j] > 0.0 else 0.0
-            source[k], kind[k], key[k] = i, j, T + P + j
-            detected_mean(model, hidden.mean[b, i], hidden_gain[i], z[b, j], innovation, mean[k])
-        members, first_member = rows_by_key(key, T + P + Z)
-        candidates = Candidates(part, mean, source, kind, np.zeros(count + pairs + fresh_pairs, np.int64))
-
-        room = Components(into.weight[b], into.mean[b], into.covariance[b], into.detected[b], into.label[b])
-        row_of = np.full(T + P + Z, -1, np.int64)
-        wanted = 0
-        for k in range(T + P + Z):
-            wanted += used[k]
-        shortfall = np.zeros(wanted)
-        filled, place = 0, 0
-        for k in range(T + P + Z):
-            if not used[k]:
-                continue
-            own = members[first_member[k] : first_member[k + 1]]
-            wanted -= 1
-            # Every later Bernoulli finds room for one component at least.
-            most = min(cap, room.weight.shape[0] - filled - wanted)
-            if k < T + P:
-                size = reduce_mixture(
-                    model.pairwise, n, candidates, own, pool.covariance[b], posterior, limits, most, room, filled
-                )
-            else:
-                size = reduce_mixture(
-                    model.pairwise,
-                    n,
-                    candidates,
-                    own,
-                    hidden.covariance[b],
-                    hidden_posterior,
-                    limits,
-                    most,
-                    room,
-                    filled,
-                )
-            if size == 0:
-                continue
-            for c in own:
-                if part[c] > limits.prune:
-                    shortfall[place] += part[c]
-            shortfall[place] -= room.weight[filled : filled + size].sum()
-            normalize(room.weight, filled, size)
-            new.existence[b, place] = existence[k]
-            new.size[b, place] = size
-            row_of[k] = place
-            place += 1
-            filled += size
-        for i in range(T):
-            for k in range(i + start[i], i + 1 + start[i + 1]):
-                if row_of[k] >= 0:
-                    new.label[b, row_of[k]] = tracks.label[b, i]
-                    out.identity[b, row_of[k]] = state.identity[b, i]
-        known = _identities(hidden_measurement, hidden_likelihood, hidden.label[b, hidden_component], Z)
-        for j in range(Z):
-            if row_of[T + P + j] >= 0:
-                new.label[b, row_of[T + P + j]] = out.next_label[b] + j
-                out.identity[b, row_of[T + P + j]] = known[j] if known[j] > 0 else out.next_label[b] + j
-        new.number[b] = place
-        into.number[b] = filled
-        out.next_label[b] += Z
-        probability, shortened = _write_hypotheses(
-            associations, groups, chosen, outcomes, used, row_of, b, out
-        )
+        shares = (unlikely[owner], detected[row], first_seen[first.measurement])
+        keys = (owner + start[owner], owner[seen.component] + 1 + row, T + P + first.measurement.astype(np.int64))
+        parts, key = _parts(model, pool, detection, hidden, z, b, seen, first, shares, keys)
+        covariances = (pool.covariance[b], posterior, hidden.covariance[b], hidden_posterior)
+        row_of, removed = _write_bernoullis(model, parts, key, used, outcomes, covariances, limits, b, out)
+        known = _identities(first, hidden.label[b], Z)
+        _write_labels(tracks, state.identity, known, start, row_of, b, out)
+        probability, shortened = _write_hypotheses(associations, groups, chosen, outcomes, used, row_of, b, out)
         cut += shortened
-        for i in range(place):
-            cut += out.share[b, i] * new.existence[b, i] * max(shortfall[i], 0.0)
+        for i in range(removed.shape[0]):
+            cut += out.share[b, i] * out.tracks.existence[b, i] * removed[i]
         out.cut[b] = min(cut, 1.0)
 
-        # The undetected intensity: missed again, and Bernoullis that are recycled.
         explained = np.zeros(Z)
         for p in range(P):
             explained[to[p]] += probability[track[p] + 1 + p]
-        returned = np.zeros(T + P + Z)
-        for k in range(T + P + Z):
-            if not kept[k] and existence[k] >= ranking.existence:
-                chance = probability[k] if k < T + P else max(1.0 - explained[k - T - P], 0.0)
-                returned[k] = chance * existence[k]
         for j in range(Z):
-            unexplained[b, j] = max(1.0 - explained[j], 0.0) * (1.0 - existence[T + P + j])
-        total = unseen
-        for k in range(count + pairs + fresh_pairs):
-            total += returned[key[k]] > 0.0
-        rest_weight = np.empty(total)
-        rest_mean = np.empty((total, n + m))
-        rest_source = np.empty(total, np.int64)
-        rest_kind = np.empty(total, np.int64)
-        rest_label = np.zeros(total, np.int64)
-        covariance = np.empty((total, n + m, n + m))
-        for i in range(unseen):
-            rest_weight[i] = hidden.weight[b, i] * (1.0 - hidden_detection[b, i])
-            rest_mean[i], covariance[i] = hidden.mean[b, i], hidden.covariance[b, i]
-            rest_source[i], rest_kind[i], rest_label[i] = i, -1, hidden.label[b, i]
-        c = unseen
-        for k in range(count + pairs + fresh_pairs):
-            if returned[key[k]] > 0.0:
-                rest_weight[c], rest_mean[c] = returned[key[k]] * part[k], mean[k]
-                if kind[k] < 0:
-                    covariance[c], rest_source[c] = pool.covariance[b, source[k]], c
-                    rest_label[c] = state.identity[b, owner[source[k]]]
-                else:
-                    rest_source[c], rest_label[c] = source[k], known[kind[k]]
-                rest_kind[c] = kind[k]
-                c += 1
-        rest = out.undetected
-        space = Components(rest.weight[b], rest.mean[b], rest.covariance[b], rest.detected[b], rest.label[b])
-        rest.number[b] = reduce_mixture(
-            model.pairwise,
-            n,
-            Candidates(rest_weight, rest_mean, rest_source, rest_kind, rest_label),
-            np.arange(total),
-            covariance,
-            hidden_posterior,
-            limits,
-            rest.weight.shape[1],
-            space,
-            0,
-        )
-        before = rest_weight[rest_weight > limits.prune].sum()
-        out.cut_undetected[b] = max(before - space.weight[: rest.number[b]].sum(), 0.0)
+            probability[T + P + j] = max(1.0 - explained[j], 0.0)
+            unexplained[b, j] = probability[T + P + j] * (1.0 - existence[T + P + j])
+        for k in range(key.shape[0]):
+            returns = not outcomes.kept[key[k]] and existence[key[k]] >= ranking.existence
+            parts.weight[k] *= probability[key[k]] * existence[key[k]] if returns else 0.0
+            parts.label[k] = state.identity[b, owner[parts.source[k]]] if parts.group[k] < 0 else known[parts.group[k]]
+        _write_undetected(model, hidden, hidden_detection, parts, covariances, limits, b, out)
     return positive_definite
-
-
-@njit(cache=True, nogil=True)
-def project(n, state, heaviest, most, limits, out_tracks, out_pool, out_first):  # type: ignore[no-untyped-def]
-    """Write one Bernoulli per track: that of the heaviest global hypothesis, or the moment projection of all.
-
-    The projection gives a track the existence sum w r over the global hypotheses and the mixture of its Bernoullis
-    (Williams 2015, section IV).
-
-    Args:
-        n: Size of the state.
-        state: A `PMBMState`.
-        heaviest: True for the Bernoullis of the heaviest global hypothesis; tracks that it lacks are projected.
-        most: Largest existence of the tracks that it lacks.
-        limits: A `Limits`.
-        out_tracks: Output: a `Tracks`; its labels are the reported identities.
-        out_pool: Output: a `Mixture` whose y parts are dropped.
-        out_first: Output: first Bernoulli of each track. Shape (B, T).
-    """
-    tracks, pool, hypotheses = state.tracks, state.pool, state.hypotheses
-    for b in range(tracks.existence.shape[0]):
-        T, count = tracks.number[b], pool.number[b]
-        best = np.zeros(T, np.bool_)
-        if heaviest:
-            best[hypotheses.member[b, 0, : hypotheses.size[b, 0]]] = True
-        candidates = Candidates(
-            np.empty(count), pool.mean[b], np.arange(count), np.full(count, -1, np.int64), np.zeros(count, np.int64)
-        )
-        room = Components(
-            out_pool.weight[b], out_pool.mean[b], out_pool.covariance[b], out_pool.detected[b], out_pool.label[b]
-        )
-        place, filled, i, c = 0, 0, 0, 0
-        while i < T:
-            label, first, begin, existence = tracks.label[b, i], i, c, 0.0
-            end = first
-            while end < T and tracks.label[b, end] == label:
-                end += 1
-            chosen = best[first:end].any()
-            while i < end:
-                share = (1.0 if best[i] else 0.0) if chosen else state.share[b, i]
-                presence = share * tracks.existence[b, i]
-                existence += presence
-                for _ in range(tracks.size[b, i]):
-                    candidates.weight[c] = presence * pool.weight[b, c]
-                    c += 1
-                i += 1
-            if existence <= 0.0:
-                continue
-            candidates.weight[begin:c] /= existence
-            size = reduce_mixture(
-                False,
-                n,
-                candidates,
-                np.arange(begin, c),
-                pool.covariance[b],
-                pool.covariance[b],
-                limits,
-                min(limits.components, room.weight.shape[0] - filled),
-                room,
-                filled,
-            )
-            normalize(room.weight, filled, size)
-            out_tracks.existence[b, place] = min(existence, most if heaviest and not chosen else 1.0)
-            out_tracks.label[b, place] = state.identity[b, first]
-            out_first[b, place] = first
-            out_tracks.size[b, place] = size
-            place += 1
-            filled += size
-        out_tracks.number[b] = place
-        out_pool.number[b] = filled
-
-
-@njit(cache=True, nogil=True)
-def keep_identities(projected, first, state):  # type: ignore[no-untyped-def]
-    """Write identities that changed in the extraction back to all Bernoullis of the track.
-
-    Args:
-        projected: The `Tracks` that `project` wrote, after the extraction.
-        first: First Bernoulli of each of these tracks. Shape (B, T).
-        state: A `PMBMState` to write to.
-    """
-    labels = state.tracks.label
-    for b in range(first.shape[0]):
-        for t in range(projected.number[b]):
-            i = first[b, t]
-            track = labels[b, i]
-            while i < state.tracks.number[b] and labels[b, i] == track:
-                state.identity[b, i] = projected.label[b, t]
-                i += 1

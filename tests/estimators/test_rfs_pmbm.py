@@ -349,7 +349,9 @@ def test_pmb_is_the_moment_projection_of_one_scan(model, distance):
             np.testing.assert_allclose(got[label][1], mean, rtol=1e-4, atol=1e-4)
             np.testing.assert_allclose(got[label][2], cov, rtol=1e-3, atol=1e-3)
         unseen, left = int(state.undetected.number), int(mixture.undetected.number)
-        assert state.undetected.weight[:unseen].sum() == pytest.approx(mixture.undetected.weight[:left].sum(), abs=1e-12)
+        assert state.undetected.weight[:unseen].sum() == pytest.approx(
+            mixture.undetected.weight[:left].sum(), abs=1e-12
+        )
 
 
 @pytest.mark.parametrize("seed", range(5))

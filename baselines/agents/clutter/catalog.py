@@ -27,15 +27,7 @@ from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD
 GaussianT = TypeVar("GaussianT", GMPHD, GMCBMeMBer, PMB, PMBM)
 
 TrackFilter: TypeAlias = (
-    GMPHD
-    | GMCBMeMBer
-    | PMB
-    | PMBM
-    | ParticlePHD
-    | GlobalNearestNeighbor
-    | RawMeasurements
-    | SteadyPHD
-    | CountingPHD
+    GMPHD | GMCBMeMBer | PMB | PMBM | ParticlePHD | GlobalNearestNeighbor | RawMeasurements | SteadyPHD | CountingPHD
 )
 
 SMALLEST_CAPACITY = 100
