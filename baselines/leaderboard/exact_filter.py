@@ -93,8 +93,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         grid = table({name: compare(scene, seeds) for name, scene in SCENES.items()})
         source = f"`scripts/exact-filter --episodes {given.episodes}`, servotrack {code_version()}"
         text = (
-            f"{as_markdown(grid)}\n\n{given.episodes} tune seeds each ({seeds[0]} to {seeds[-1]}), paired; 95 % bootstrap "
-            f"intervals. Written by {source}."
+            f"{as_markdown(grid)}\n\n{given.episodes} tune seeds each ({seeds[0]} to {seeds[-1]}), paired, with 95 % "
+            f"bootstrap intervals. Written by {source}."
         )
         print(text)
         if given.write:

@@ -478,3 +478,18 @@ def test_bad_parameters_are_refused_by_name(options, message):
 def test_initial_hypotheses_are_one_empty_one():
     start = empty_hypotheses(2, 3, 4)
     assert start.number.tolist() == [1, 1] and start.weight.tolist() == [[1.0, 0.0, 0.0]] * 2
+
+
+def test_a_recycled_target_keeps_its_identity():
+    birth = Birth([0.1], np.zeros((1, 4)), np.diag([25.0, 1.0, 25.0, 1.0]))
+    tracker = Stateful(PMBM(HMM, birth, clutter_intensity=1e-6, detection=0.9, survival=0.9))
+    at_home = np.zeros((1, 2))
+    for _ in range(5):
+        label = int(tracker.step(at_home).labels[0])
+    gone = 0
+    while int(tracker.state.tracks.number) > 0:
+        tracker.step(NONE)
+        gone += 1
+    assert gone >= 2
+    assert label in tracker.state.undetected.label
+    assert int(tracker.step(at_home).labels[0]) == label
