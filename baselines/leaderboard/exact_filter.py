@@ -83,7 +83,7 @@ def table(found: Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]]) -> G
 def main(arguments: Sequence[str] | None = None) -> None:
     """Play all scenes, print the table and put it into the page `--write`."""
     parser = argparse.ArgumentParser(prog="scripts/exact-filter", description=__doc__)
-    parser.add_argument("--episodes", type=int, default=200, help="tune seeds of each scene (default 200)")
+    parser.add_argument("--episodes", type=int, default=100, help="tune seeds of each scene (default 100)")
     parser.add_argument("--write", type=Path, help="page with the marks exact-filter:begin and :end")
     given = parser.parse_args(arguments)
     if given.episodes < 1:

@@ -43,7 +43,11 @@ class PMBState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PMB(PoissonTrackFilter[PMBState]):
-    """Poisson multi-Bernoulli filter; arguments as in `PoissonTrackFilter` and `GaussianSetFilter`."""
+    """Poisson multi-Bernoulli filter; further arguments as in `GaussianSetFilter`.
+
+    Args:
+        undetected: Largest number of components of the intensity of undetected targets. Raising it costs time.
+    """
 
     reduction: Reduction = field(default_factory=lambda: Reduction(components=5))
 

@@ -63,7 +63,7 @@ class Projection(NamedTuple):
     """Tracks of a multi-Bernoulli distribution.
 
     Attributes:
-        tracks: Existence and label of each track.
+        tracks: Existence and reported identity of each track.
         pool: Components of the tracks; the y parts are dropped.
     """
 
@@ -73,19 +73,20 @@ class Projection(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PMBM(PoissonTrackFilter[PMBMState]):
-    """Poisson multi-Bernoulli mixture filter; further arguments as in `PoissonTrackFilter` and `GaussianSetFilter`.
+    """Poisson multi-Bernoulli mixture filter; further arguments as in `GaussianSetFilter`.
 
     `reduction.tracks` limits the Bernoullis of all hypotheses together, and `reduction.components` the components of
     each. The expected number of an estimate includes undetected targets.
 
     Args:
+        undetected: Largest number of components of the intensity of undetected targets. Raising it costs time.
         assignments: Associations ranked per scan, divided among the global hypotheses in proportion to their weights.
             Raising it comes closer to the exact posterior and costs time.
         hypotheses: Largest number of global hypotheses, the heaviest. Raising it does the same.
         least_weight: Global hypotheses and associations of less probability are dropped. Raising it is faster and
             decides associations earlier.
-        recycle: Bernoullis of less existence return to the undetected intensity, below 1. Raising it keeps fewer
-            Bernoullis and ends identities sooner; 0 recycles none.
+        recycle: Bernoullis of less existence return to the undetected intensity, below 1. A recycled target that is
+            detected again keeps its identity. Raising it is faster and less exact; 0 recycles none.
         targets: Largest number of Bernoullis of one global hypothesis, the most probable.
         report: "tracks" extracts from the projection to one Bernoulli per track, "hypothesis" from the heaviest global
             hypothesis.
@@ -171,18 +172,18 @@ class PMBM(PoissonTrackFilter[PMBMState]):
         return new, extraction._replace(expected=expected), unexplained
 
     def _warn(self, state: PMBMState) -> None:
-        """Warn if the caps removed too much."""
-        most, undetected = float(state.cut.max()), float(state.cut_undetected.max())
-        if most > self.tolerated_cut:
+        """Warn if the caps removed too much, in words that are the same every time so that Python shows them once."""
+        if float(state.cut.max()) > self.tolerated_cut:
             warnings.warn(
-                f"caps removed a probability of {most:.2g} in one scan; raise hypotheses, targets, or components, "
-                "tracks and pool of reduction",
+                f"caps removed a probability of more than {self.tolerated_cut:g} in one scan (state.cut); raise "
+                "hypotheses, targets, or components, tracks and pool of reduction",
                 UserWarning,
                 stacklevel=4,
             )
-        if undetected > self.tolerated_cut:
+        if float(state.cut_undetected.max()) > self.tolerated_cut:
             warnings.warn(
-                f"the cap on undetected removed {undetected:.2g} expected targets in one scan; raise undetected",
+                f"the cap on undetected removed more than {self.tolerated_cut:g} expected targets in one scan "
+                "(state.cut_undetected); raise undetected",
                 UserWarning,
                 stacklevel=4,
             )

@@ -34,11 +34,7 @@ StateT = TypeVar("StateT", bound=PoissonTrackState)
 
 @dataclass(frozen=True, eq=False)
 class PoissonTrackFilter(GaussianSetFilter[StateT]):
-    """Base of the Poisson multi-Bernoulli filters; further arguments as in `GaussianSetFilter`.
-
-    Args:
-        undetected: Largest number of components of the intensity of undetected targets. Raising it costs time.
-    """
+    """Base of the Poisson multi-Bernoulli filters; arguments as there."""
 
     undetected: int = 100
 
