@@ -18,7 +18,7 @@ import numpy as np
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Labels, Mask
 
-FREE, REMOVED, OPEN = -1, -2, -3
+FREE, REMOVED, OPEN = range(-1, -4, -1)
 """Owners of a column without a row: a dummy row, a row that is fixed, or none at the moment."""
 
 
@@ -63,10 +63,10 @@ class Nodes(NamedTuple):
         total: Cost of the solution. Shape (K,).
         first: Rows before this one are fixed to their columns. Shape (K,).
         banned: Mask of columns that row `first` must not take. Shape (K, C), bool.
-        match: As in `Solution`. Shape (K, n).
-        rows: As in `Solution`. Shape (K, n).
-        columns: As in `Solution`. Shape (K, C).
-        free: As in `Solution`. Shape (K, 1).
+        match: Column of each row. Shape (K, n).
+        rows: Dual variables of the rows. Shape (K, n).
+        columns: Dual variables of the columns. Shape (K, C).
+        free: Dual variable that all free columns have. Shape (K, 1).
     """
 
     total: Array

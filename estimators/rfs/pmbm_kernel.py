@@ -236,7 +236,7 @@ def _write_undetected(model, hidden, hidden_detection, recycled, covariances, li
         hidden: Predicted intensity, a `Mixture`.
         hidden_detection: p_D of its components. Shape (B, H).
         recycled: A `Candidates`, those of weight zero included.
-        covariances: As in `_write_bernoullis`.
+        covariances: Predicted covariances and those after a detection, of old tracks and then of new ones.
         limits: A `Limits`.
         b: The run.
         out: A `PMBMState` to write to.
