@@ -481,15 +481,16 @@ def test_initial_hypotheses_are_one_empty_one():
 
 
 def test_a_recycled_target_keeps_its_identity():
-    birth = Birth([0.1], np.zeros((1, 4)), np.diag([25.0, 1.0, 25.0, 1.0]))
-    tracker = Stateful(PMBM(HMM, birth, clutter_intensity=1e-6, detection=0.9, survival=0.9))
-    at_home = np.zeros((1, 2))
-    for _ in range(5):
-        label = int(tracker.step(at_home).labels[0])
-    gone = 0
+    birth = Birth([0.1], np.zeros((1, 4)), np.diag([25.0, 100.0, 25.0, 100.0]))
+    tracker = Stateful(PMBM(HMM, birth, clutter_intensity=1e-7, detection=0.9))
+    path = [np.array([[12.0 * k, 0.0]]) for k in range(30)]
+    for z in path[:15]:
+        estimate = tracker.step(z)
+    (label,) = estimate.labels
+    k = 15
     while int(tracker.state.tracks.number) > 0:
         tracker.step(NONE)
-        gone += 1
-    assert gone >= 2
-    assert label in tracker.state.undetected.label
-    assert int(tracker.step(at_home).labels[0]) == label
+        k += 1
+    assert 16 <= k <= 20 and label in tracker.state.undetected.label
+    labels = [tracker.step(z).labels.tolist() for z in path[k : k + 3]]
+    assert labels[-1] == [label]
