@@ -16,14 +16,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.baselines.speed.stepping import WARM_UP, serve
-from servotrack.estimators.rfs import GMPHD, PMB, Birth, GMCBMeMBer, Reduction, constant_velocity
+from servotrack.estimators.rfs import GMPHD, PMB, PMBM, Birth, GMCBMeMBer, Reduction, constant_velocity
 from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.types import Array, Estimator
 
 SetFilter: TypeAlias = "Estimator[ArrayLike, Any, SetEstimate]"
 """Filter of measurement sets: a scan in, targets with identities out."""
 
-FILTERS: dict[str, Callable[..., SetFilter]] = {"GMPHD": GMPHD, "GMCBMeMBer": GMCBMeMBer, "PMB": PMB}
+FILTERS: dict[str, Callable[..., SetFilter]] = {
+    "GMPHD": GMPHD,
+    "GMCBMeMBer": GMCBMeMBer,
+    "PMB": PMB,
+    "PMBM": PMBM,
+}
 
 CROWD, CROWD_CLUTTER, CROWD_STEPS = 100, 200.0, 30
 CROWD_HALF_WIDTH = 2000.0

@@ -69,6 +69,7 @@ def subjects(scans: Path, stone_soup_python: str | None) -> list[Subject]:
         _filter("GMPHD", 1, scans, ratios={REFERENCE: 100.0}),
         _filter("GMCBMeMBer", 1, scans, target=2_000.0),
         _filter("PMB", 1, scans, target=2_000.0),
+        _filter("PMBM", 1, scans, target=100.0),
         _filter("GMPHD", RUNS, scans, ratios={REFERENCE: 200.0}),
         _filter("GMCBMeMBer", RUNS, scans, ratios={REFERENCE: 200.0}),
         _filter("PMB", RUNS, scans, ratios={REFERENCE: 200.0}),

@@ -6,10 +6,10 @@
         estimate = tracker.step(z)
         print(estimate.labels, estimate.states, estimate.existence)
 
-Start with `PMB`. `GMPHD` is the cheapest and the simplest filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each
-is a frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state, estimate)`; a state
-is a NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B independent filters at
-once.
+Start with `PMB`; `PMBM` is the exact posterior up to pruning and takes longer. `GMPHD` is the cheapest and the simplest
+filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each is a frozen dataclass with `initial(measurement) -> state`
+and `step(state, measurement) -> (state, estimate)`; a state is a NamedTuple of arrays. Measurements of shape (B, rows,
+1 + m), existence in column 0, run B independent filters at once.
 """
 
 from servotrack.estimators.rfs.birth import Birth, MeasurementBirth, Spawn
@@ -26,6 +26,7 @@ from servotrack.estimators.rfs.models import (
 )
 from servotrack.estimators.rfs.phd import GMPHD
 from servotrack.estimators.rfs.pmb import PMB
+from servotrack.estimators.rfs.pmbm import PMBM
 from servotrack.estimators.rfs.raw import RawMeasurements
 from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
@@ -35,6 +36,7 @@ from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD
 __all__ = [
     "GMPHD",
     "PMB",
+    "PMBM",
     "STRUCTURES",
     "Birth",
     "CountingPHD",

@@ -14,9 +14,10 @@ import numpy as np
 from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
 from servotrack.estimators.rfs.birth import BirthMixture
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
-from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, scratch_mixture
-from servotrack.estimators.rfs.pmb_kernel import Prediction, predict_pmb, update_pmb
-from servotrack.estimators.rfs.recursion import GaussianSetFilter, check_positive_definite
+from servotrack.estimators.rfs.mixture import Mixture, empty_mixture
+from servotrack.estimators.rfs.pmb_kernel import update_pmb
+from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
+from servotrack.estimators.rfs.recursion import check_positive_definite
 from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.sets import Extraction, Scan, empty_extraction
 from servotrack.estimators.types import Array, Labels
@@ -41,7 +42,7 @@ class PMBState(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PMB(GaussianSetFilter[PMBState]):
+class PMB(PoissonTrackFilter[PMBState]):
     """Poisson multi-Bernoulli filter; further arguments as in `GaussianSetFilter`.
 
     Args:
@@ -49,12 +50,6 @@ class PMB(GaussianSetFilter[PMBState]):
     """
 
     reduction: Reduction = field(default_factory=lambda: Reduction(components=5))
-    undetected: int = 100
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.undetected < 1:
-            raise ValueError(f"undetected must be at least 1, got {self.undetected!r}")
 
     def _empty(self, batch: int) -> PMBState:
         rules, N = self.reduction, sum(self._sizes)
@@ -68,21 +63,11 @@ class PMB(GaussianSetFilter[PMBState]):
 
     def _advance(self, state: PMBState, births: BirthMixture, scan: Scan) -> tuple[PMBState, Extraction, Array]:
         model, rules, batch = self.model.packed, self.reduction, scan.number.shape[0]
-        n, m = self._sizes
-        predicted = empty_tracks(batch, rules.tracks)
-        components = scratch_mixture(batch, state.pool.weight.shape[1], n + m)
-        room = self.undetected + births.weight.shape[1] + len(self.spawn) * state.pool.weight.shape[1]
-        hidden = scratch_mixture(batch, room, n + m)
-        survival = self._evaluate("survival", self.survival, state.pool)
-        hidden_survival = self._evaluate("survival", self.survival, state.undetected)
-        predict_pmb(model, state, births, self._spawns, survival, hidden_survival, predicted, components, hidden)
-        detection = self._evaluate("detection", self.detection, components)
-        hidden_detection = self._evaluate("detection", self.detection, hidden)
+        prediction = self._predict(state, state.tracks.existence, births)
         new = self._empty(batch)._replace(births=state.births, next_label=state.next_label.copy())
         unexplained = np.zeros(scan.clutter.shape)
-        prediction = Prediction(predicted, components, hidden, detection, hidden_detection)
         check_positive_definite(update_pmb(model, prediction, scan, self._gate, rules.limits, new, unexplained))
-        extraction = empty_extraction(batch, rules.tracks, n)
+        extraction = empty_extraction(batch, rules.tracks, self._sizes[0])
         rule = RULES[self.extraction]
-        extract_tracks(n, new.tracks, new.pool, new.next_label, rule, self.threshold, extraction)
+        extract_tracks(self._sizes[0], new.tracks, new.pool, new.next_label, rule, self.threshold, extraction)
         return new, extraction, unexplained

@@ -47,9 +47,12 @@ class Prediction(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def predict_pmb(  # type: ignore[no-untyped-def]
-    model, state, births, spawns, survival, hidden_survival, out_tracks, out_pool, out_hidden
+    model, state, presence, births, spawns, survival, hidden_survival, out_tracks, out_pool, out_hidden
 ):
-    """Predicted tracks and undetected targets of every run; births and split-off targets are undetected."""
+    """Predicted tracks and undetected targets of every run; births and split-off targets are undetected.
+
+    `presence` is the probability of each track, shape (B, T), by which targets split off.
+    """
     m, n = model.observation.shape
     work = np.empty((n + m, n + m))
     tracks, pool, hidden = state.tracks, state.pool, state.undetected
@@ -64,14 +67,14 @@ def predict_pmb(  # type: ignore[no-untyped-def]
             for i in range(tracks.number[b]):
                 for _ in range(tracks.size[b, i]):
                     append_spawn(model, spawns, term, pool.mean[b, c], pool.covariance[b, c], b, row, out_hidden)
-                    out_hidden.weight[b, row] = spawns[0][term] * tracks.existence[b, i] * pool.weight[b, c]
+                    out_hidden.weight[b, row] = spawns[0][term] * presence[b, i] * pool.weight[b, c]
                     c += 1
                     row += 1
         out_hidden.number[b] = append_births(model, births, b, row, out_hidden)
 
 
 @njit(cache=True, nogil=True)
-def _track_pairs(component, measurement, likelihood, owner, tracks, measurements):  # type: ignore[no-untyped-def]
+def track_pairs(component, measurement, likelihood, owner, tracks, measurements):  # type: ignore[no-untyped-def]
     """Sum the likelihoods of components over tracks: track, measurement and sum, (P,) each; row of each pair."""
     pairs = component.shape[0]
     track = np.empty(pairs, np.int64)
@@ -133,7 +136,7 @@ def update_pmb(model, prediction, scan, gate, limits, out, unexplained):  # type
             first_seen[hidden_measurement[p]] += hidden_likelihood[p]
         for p in range(pairs):
             likelihood[p] *= detection[b, component[p]] * pool.weight[b, component[p]]
-        track, to, detected, row = _track_pairs(component, measurement, likelihood, owner, T, Z)
+        track, to, detected, row = track_pairs(component, measurement, likelihood, owner, T, Z)
         psi = np.empty(track.shape[0])
         for p in range(track.shape[0]):
             r = tracks.existence[b, track[p]]

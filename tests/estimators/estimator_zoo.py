@@ -58,7 +58,7 @@ def _filters() -> dict[str, Kind]:
     found = {}
     for name, model in {"hmm": HMM, "pmm": PMM, "ekf": EKF, "ukf": UKF}.items():
         polar = name in ("ekf", "ukf")
-        for label, kind in {"phd": rfs.GMPHD, "cbmember": rfs.GMCBMeMBer, "pmb": rfs.PMB}.items():
+        for label, kind in {"phd": rfs.GMPHD, "cbmember": rfs.GMCBMeMBer, "pmb": rfs.PMB, "pmbm": rfs.PMBM}.items():
             found[f"{label}-{name}"] = _scans(kind(model, ANYWHERE, clutter_intensity=1e-4), polar=polar)
         found[f"gnn-{name}"] = _scans(rfs.GlobalNearestNeighbor(model), polar=polar)
         found[f"raw-{name}"] = _scans(rfs.RawMeasurements(model), polar=polar)

@@ -14,6 +14,7 @@ from servotrack.envs.track.clutter.episode import draw_episode
 from servotrack.estimators.rfs import (
     GMPHD,
     PMB,
+    PMBM,
     Birth,
     GMCBMeMBer,
     PairwiseMarkovModel,
@@ -31,7 +32,7 @@ KAPPA = 20.0 / 4000.0**2
 HMM = constant_velocity(5.0, 1.5)
 S1 = pairwise_structure(HMM, "S1")
 UNMERGED = Reduction(prune=1e-7, merge=0.0, components=400, tracks=100)
-FILTERS = [GMPHD, GMCBMeMBer, PMB]
+FILTERS = [GMPHD, GMCBMeMBer, PMB, PMBM]
 
 
 def places(weight=0.03):

@@ -12,6 +12,7 @@ from servotrack.estimators.metrics import score_points
 from servotrack.estimators.rfs import (
     GMPHD,
     PMB,
+    PMBM,
     Birth,
     GlobalNearestNeighbor,
     GMCBMeMBer,
@@ -26,7 +27,7 @@ from servotrack.estimators.rfs import (
 )
 from servotrack.estimators.stateful import Stateful, select_rows
 
-GAUSSIAN = [GMPHD, GMCBMeMBer, PMB]
+GAUSSIAN = [GMPHD, GMCBMeMBer, PMB, PMBM]
 SEED = 100_000
 
 
@@ -167,7 +168,7 @@ def score_runs(filter_, episodes, steps=100):
     return scores.mean(axis=1)
 
 
-@pytest.mark.parametrize(("kind", "most"), [(GMPHD, 4.6), (GMCBMeMBer, 5.2), (PMB, 2.6)])
+@pytest.mark.parametrize(("kind", "most"), [(GMPHD, 4.6), (GMCBMeMBer, 5.2), (PMB, 2.6), (PMBM, 2.6)])
 def test_errors_on_the_papers_scenario_are_those_of_the_reference(kind, most):
     # Of 16 runs the mean scatters by about 0.2; `most` leaves two to three of these above the mean of 50 runs.
     episodes = [scene(seed=SEED + i)[1] for i in range(16)]

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from servotrack.estimators.rfs import (
     GMPHD,
     PMB,
+    PMBM,
     Birth,
     GlobalNearestNeighbor,
     GMCBMeMBer,
@@ -32,7 +33,7 @@ from servotrack.estimators.stateful import Stateful
 HMM = constant_velocity(5.0, 1.5)
 S1 = pairwise_structure(HMM, "S1")
 BEARING = RangeBearingModel(HMM.transition, HMM.process_noise, HMM.observation, np.diag([4.0, 1e-4]))
-GAUSSIAN = [GMPHD, GMCBMeMBer, PMB]
+GAUSSIAN = [GMPHD, GMCBMeMBer, PMB, PMBM]
 PLACE = Birth([0.1, 0.1], np.array([[0.0, 0.0, 0.0, 0.0], [50.0, 0.0, 0.0, 0.0]]), 100.0 * np.eye(4))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -12,6 +12,7 @@ from servotrack.envs.track.clutter.scene_model import SceneModel
 from servotrack.estimators.rfs import (
     GMPHD,
     PMB,
+    PMBM,
     Birth,
     GlobalNearestNeighbor,
     GMCBMeMBer,
@@ -23,10 +24,10 @@ from servotrack.estimators.rfs import (
 from servotrack.estimators.rfs.extraction import Rule
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD
 
-GaussianT = TypeVar("GaussianT", GMPHD, GMCBMeMBer, PMB)
+GaussianT = TypeVar("GaussianT", GMPHD, GMCBMeMBer, PMB, PMBM)
 
 TrackFilter: TypeAlias = (
-    GMPHD | GMCBMeMBer | PMB | ParticlePHD | GlobalNearestNeighbor | RawMeasurements | SteadyPHD | CountingPHD
+    GMPHD | GMCBMeMBer | PMB | PMBM | ParticlePHD | GlobalNearestNeighbor | RawMeasurements | SteadyPHD | CountingPHD
 )
 
 SMALLEST_CAPACITY = 100
@@ -92,6 +93,11 @@ def _gaussian(
     return make
 
 
+def _mixture(scene: SceneModel, settings: FilterSettings) -> PMBM:
+    made = _gaussian(PMBM, lambda capacity: Reduction(components=5, tracks=10 * capacity))(scene, settings)
+    return replace(made, targets=max(made.targets, settings.capacity))
+
+
 def steered_phd(scene: SceneModel, settings: FilterSettings | None = None) -> SteeredPHD:
     """Create a GM-PHD filter for a scene whose parameters are passed at every step."""
     made = _phd(scene, settings or FilterSettings())
@@ -145,6 +151,7 @@ TRACK_FILTERS: Mapping[str, Callable[[SceneModel, FilterSettings], TrackFilter]]
     "gm-phd-counting": _counting,
     "gm-cbmember": _gaussian(GMCBMeMBer, lambda capacity: Reduction(components=10, tracks=capacity)),
     "pmb": _gaussian(PMB, lambda capacity: Reduction(components=5, tracks=capacity)),
+    "pmbm": _mixture,
     "smc-phd": _particle,
     "gnn": _nearest,
     "raw-measurements": _raw,

@@ -21,6 +21,7 @@ GRIDS: Mapping[str, Grid] = {
     "gm-phd": _MIXTURE,
     "gm-cbmember": _TRACKS,
     "pmb": _TRACKS,
+    "pmbm": {**_MIXTURE, "recycle": (0.01, 0.03, 0.1, 0.3), "least_weight": (1e-7, 1e-6, 1e-5, 1e-4)},
     "gnn": {"gate_probability": (0.99, 0.999, 0.9999), "misses": (2, 3, 4, 6, 8)},
 }
 """Values tried, by agent and path into its estimator."""

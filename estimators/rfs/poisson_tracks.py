@@ -1,0 +1,60 @@
+"""Base class of the filters that keep an intensity of undetected targets beside Bernoulli tracks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
+from servotrack.estimators.rfs.birth import BirthMixture
+from servotrack.estimators.rfs.mixture import Mixture, scratch_mixture
+from servotrack.estimators.rfs.pmb_kernel import Prediction, predict_pmb
+from servotrack.estimators.rfs.recursion import GaussianSetFilter, SetFilterState
+from servotrack.estimators.types import Array
+
+
+class PoissonTrackState(SetFilterState, Protocol):
+    """State of a filter with undetected targets and Bernoulli tracks."""
+
+    @property
+    def tracks(self) -> Tracks:
+        """Bernoullis of targets detected at least once."""
+
+    @property
+    def pool(self) -> Mixture:
+        """Components of the Bernoullis."""
+
+    @property
+    def undetected(self) -> Mixture:
+        """Intensity of undetected targets."""
+
+
+StateT = TypeVar("StateT", bound=PoissonTrackState)
+
+
+@dataclass(frozen=True, eq=False)
+class PoissonTrackFilter(GaussianSetFilter[StateT]):
+    """Base of the Poisson multi-Bernoulli filters; arguments as there."""
+
+    undetected: int = 100
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.undetected < 1:
+            raise ValueError(f"undetected must be at least 1, got {self.undetected!r}")
+
+    def _predict(self, state: StateT, presence: Array, births: BirthMixture) -> Prediction:
+        """Predict the Bernoullis, of probability `presence` (B, T), and the undetected targets."""
+        batch, capacity = state.tracks.existence.shape
+        components = state.pool.weight.shape[1]
+        n, m = self._sizes
+        tracks, pool = empty_tracks(batch, capacity), scratch_mixture(batch, components, n + m)
+        room = self.undetected + births.weight.shape[1] + len(self.spawn) * components
+        hidden = scratch_mixture(batch, room, n + m)
+        survival = self._evaluate("survival", self.survival, state.pool)
+        hidden_survival = self._evaluate("survival", self.survival, state.undetected)
+        predict_pmb(
+            self.model.packed, state, presence, births, self._spawns, survival, hidden_survival, tracks, pool, hidden
+        )
+        detection = self._evaluate("detection", self.detection, pool)
+        return Prediction(tracks, pool, hidden, detection, self._evaluate("detection", self.detection, hidden))
