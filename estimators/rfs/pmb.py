@@ -70,4 +70,5 @@ class PMB(PoissonTrackFilter[PMBState]):
         extraction = empty_extraction(batch, rules.tracks, self._sizes[0])
         rule = RULES[self.extraction]
         extract_tracks(self._sizes[0], new.tracks, new.pool, new.next_label, rule, self.threshold, extraction)
-        return new, extraction, unexplained
+        expected = extraction.expected + new.undetected.weight.sum(axis=1)
+        return new, extraction._replace(expected=expected), unexplained

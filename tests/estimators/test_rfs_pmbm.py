@@ -494,3 +494,37 @@ def test_a_recycled_target_keeps_its_identity():
     assert 16 <= k <= 20 and label in tracker.state.undetected.label
     labels = [tracker.step(z).labels.tolist() for z in path[k : k + 3]]
     assert labels[-1] == [label]
+
+
+@pytest.mark.parametrize("kind", [PMB, PMBM])
+def test_the_expected_number_counts_targets_that_were_never_detected(kind):
+    runs, scans, births, p_s, p_d = 60, 31, 0.5, 0.95, 0.3
+    rng = np.random.default_rng(5)
+    spread = np.diag([400.0, 1.0, 400.0, 1.0])
+    model = constant_velocity(process_noise=0.5, measurement_noise=1.0)
+    places = Birth(np.array([births]), np.zeros((1, 4)), spread[None])
+    tracker = kind(model, places, clutter_intensity=1e-6, survival=p_s, detection=p_d)
+    move = np.kron(np.eye(2), [[1.0, 1.0], [0.0, 1.0]])
+    state = tracker.initial(np.zeros((runs, 1, 3)))
+    targets = [np.zeros((0, 4)) for _ in range(runs)]
+    for _ in range(scans):
+        found = []
+        for b in range(runs):
+            kept = targets[b][rng.random(len(targets[b])) < p_s] @ move.T
+            kept = kept + rng.normal(0.0, 0.3, kept.shape)
+            new = rng.multivariate_normal(np.zeros(4), spread, rng.poisson(births))
+            targets[b] = np.concatenate([kept, new])
+            seen = targets[b][rng.random(len(targets[b])) < p_d]
+            found.append(seen[:, [0, 2]] + rng.normal(0.0, 1.0, (len(seen), 2)))
+        batch = np.zeros((runs, max(1, *map(len, found)), 3))
+        for b, z in enumerate(found):
+            batch[b, : len(z)] = np.column_stack([np.ones(len(z)), z])
+        state, estimate = tracker.step(state, batch)
+    number = np.array([len(one) for one in targets])
+    assert births * (1.0 - p_s**scans) / (1.0 - p_s) == pytest.approx(7.96, abs=0.01)
+    # The error of each run is the spread of the posterior; their mean has an interval of three standard errors.
+    error = estimate.expected_number - number
+    assert abs(error.mean()) < 3.0 * error.std() / np.sqrt(runs)
+    # Without the undetected ones two targets of eight would be missing.
+    tracks = estimate.expected_number.mean() - state.undetected.weight.sum(axis=1).mean()
+    assert tracks < number.mean() - 1.0
