@@ -78,7 +78,7 @@ class CameraReport:
         if len(moved) >= max(_LEAST, _OFTEN * len(self._shifts)):
             lines.append(
                 f"the camera moves from frame {self._first} on, by {np.median(moved):.2f} % of the width in the median "
-                f"of {len(moved)} frames, {max(moved):.1f} % at most; `pmb` moves its tracks with it"
+                f"of {len(moved)} frames, {max(moved):.1f} % at most; of the trackers, only `pmb` allows for it"
             )
         # The motion of the first frame is never known.
         if self._unknown - 1 >= max(_LEAST, _OFTEN * (len(self._shifts) + self._unknown)):

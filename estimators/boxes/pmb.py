@@ -399,13 +399,14 @@ class BoxPMB:
 
     def _shared(self, tracks: BoxTracks, frame: _Frame, boxes: Array, partner: Labels) -> Labels:
         """Region that each track shares with others, -1 for none; only where scores say nothing."""
-        areas = frame.detections.areas
-        region = areas < self.split_rules.solid * boxes[:, 2] * boxes[:, 3]
-        known = (
-            (tracks.existence >= REPORTED) & (tracks.seen >= self.established) & (tracks.absent < self.sharing.longest)
-        )
-        if frame.cut < 0.5 * self.cut_share or known.sum() < 2 or not region.any():
-            return np.full(len(partner), -1)
+        none = np.full(len(partner), -1)
+        if frame.cut < 0.5 * self.cut_share:
+            return none
+        known = (tracks.existence >= REPORTED) & (tracks.seen >= self.established)
+        known &= tracks.absent < self.sharing.longest
+        region = frame.detections.areas < self.split_rules.solid * boxes[:, 2] * boxes[:, 3]
+        if known.sum() < 2 or not region.any():
+            return none
         predicted = center_boxes(tracks.mean)
         return np.asarray(shared_regions(predicted, known, boxes, region, partner, self.sharing))
 
