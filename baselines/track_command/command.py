@@ -125,7 +125,7 @@ def run_command(request: TrackRequest, console: Console) -> int:
     out = request.out or Path("results") / "track" / folder_name(str(request.source.source))
     ResultsFolder(out).check_writable()
     claim_folder(out, OUTPUTS, {"source": source.name, "detector": detector, "tracker": request.tracker})
-    counter = None if request.places is None else Counter(request.places)
+    counter = None if request.places is None else Counter(request.places, source.source_size)
     painter = None
     if request.video and source.source_size is not None:
         painter = BoxPainter(source.source_size, truth, request.show_truth, counter)

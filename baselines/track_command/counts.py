@@ -114,10 +114,11 @@ class Counter:
 
     Args:
         places: Zones and lines.
+        size: Width and height of the frames, px; None if unknown.
     """
 
-    def __init__(self, places: Places) -> None:
-        self._places = places
+    def __init__(self, places: Places, size: tuple[int, int] | None = None) -> None:
+        self._places, self._size = places, size
         self._lines = {name: line.initial() for name, line in places.lines.items()}
         self._largest: dict[str, tuple[int, PlaceCount]] = {}
         self._now: list[PlaceCount] = []
@@ -130,7 +131,7 @@ class Counter:
             estimate: Boxes in the source's px.
         """
         places = self._places
-        now = [PlaceCount(EVERYWHERE, "people", people_count(estimate, places.undetected))]
+        now = [PlaceCount(EVERYWHERE, "people", people_count(estimate, places.undetected, frame_size=self._size))]
         now += [PlaceCount(name, "people", zone.count(estimate)) for name, zone in places.zones.items()]
         for found in now:
             before = self._largest.get(found.place)

@@ -112,7 +112,12 @@ def add_missed(number: NumberDistribution, missed: float) -> NumberDistribution:
     return _trimmed(number.first, np.convolve(number.probability, (1.0 - share) * share**others))
 
 
-def people_count(estimate: SetEstimate, undetected: float = UNDETECTED, level: float = 0.9) -> Count:
+def people_count(
+    estimate: SetEstimate,
+    undetected: float = UNDETECTED,
+    level: float = 0.9,
+    frame_size: tuple[int, int] | None = None,
+) -> Count:
     """Number of people in the frame: reported ones, held ones, and those without a track.
 
     Args:
@@ -120,12 +125,18 @@ def people_count(estimate: SetEstimate, undetected: float = UNDETECTED, level: f
         undetected: Expected number of people without a track for each one with a track, at least 0. Raising it raises
             the number and widens the interval; 0 counts only people that the detector finds.
         level: Probability of the interval, in (0, 1).
+        frame_size: Width and height of the frame, px: held people are counted if the middle of their box is inside.
+            A moving camera leaves others behind. None counts all.
 
     Raises:
         ValueError: An argument is out of range.
     """
     _check_share("undetected", undetected)
-    chances = np.concatenate([estimate.existence, estimate.held_existence])
+    held = estimate.held_existence
+    if frame_size is not None:
+        middle = estimate.held_states[:, :2] + estimate.held_states[:, 2:] / 2.0
+        held = held[((middle >= 0.0) & (middle <= np.asarray(frame_size))).all(axis=1)]
+    chances = np.concatenate([estimate.existence, held])
     return _with_undetected(chances, undetected).interval(level)
 
 

@@ -79,6 +79,14 @@ def test_a_line_counts_each_direction_once() -> None:
     assert crossings.forward.expected == pytest.approx(0.8)
 
 
+def test_people_that_a_camera_left_behind_are_not_in_the_frame() -> None:
+    feet = [(50.0, 90.0), (95.0, 90.0), (160.0, 90.0)]
+    estimate = seen(feet, [1, 2, 3], [0.9, 0.3, 0.3])
+    assert len(estimate.held_existence) == 2
+    assert people_count(estimate, undetected=0.0).expected == pytest.approx(1.5)
+    assert people_count(estimate, undetected=0.0, frame_size=(100, 100)).expected == pytest.approx(1.2)
+
+
 def test_who_walks_along_a_line_does_not_cross_it() -> None:
     feet = np.column_stack([np.linspace(0.0, 100.0, 60), 50.0 + 5.0 * np.cos(np.arange(60) * 2.0)])
     numbers = {}
