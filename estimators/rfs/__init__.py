@@ -12,9 +12,19 @@ and `step(state, measurement) -> (state, estimate)`; a state is a NamedTuple of 
 1 + m), existence in column 0, run B independent filters at once.
 """
 
+from servotrack.estimators.rfs.adaptation import SensorAdaptation
 from servotrack.estimators.rfs.birth import Birth, MeasurementBirth, Spawn
 from servotrack.estimators.rfs.cbmember import GMCBMeMBer
 from servotrack.estimators.rfs.gnn import GlobalNearestNeighbor
+from servotrack.estimators.rfs.interacting import (
+    InteractingModels,
+    constant_acceleration,
+    coordinated_turn,
+    lasting,
+    maneuvers,
+    white_acceleration,
+)
+from servotrack.estimators.rfs.mixed_births import Births
 from servotrack.estimators.rfs.models import (
     STRUCTURES,
     HiddenMarkovModel,
@@ -29,6 +39,7 @@ from servotrack.estimators.rfs.pmb import PMB
 from servotrack.estimators.rfs.pmbm import PMBM
 from servotrack.estimators.rfs.raw import RawMeasurements
 from servotrack.estimators.rfs.reduction import Reduction
+from servotrack.estimators.rfs.robust_pmb import RobustPMB
 from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
 from servotrack.estimators.rfs.smc_phd import ParticlePHD
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD, Steering
@@ -39,25 +50,34 @@ __all__ = [
     "PMBM",
     "STRUCTURES",
     "Birth",
+    "Births",
     "CountingPHD",
     "GMCBMeMBer",
     "GlobalNearestNeighbor",
     "HiddenMarkovModel",
+    "InteractingModels",
     "MeasurementBirth",
     "PairwiseMarkovModel",
     "ParticlePHD",
     "RangeBearingModel",
     "RawMeasurements",
     "Reduction",
+    "RobustPMB",
     "RowAllocation",
+    "SensorAdaptation",
     "SetEstimate",
     "Spawn",
     "SteadyPHD",
     "SteeredPHD",
     "Steering",
+    "constant_acceleration",
     "constant_velocity",
+    "coordinated_turn",
     "definiteness_margin",
+    "lasting",
+    "maneuvers",
     "measurements_to_rows",
     "pairwise_structure",
     "rows_to_tracks",
+    "white_acceleration",
 ]

@@ -14,8 +14,9 @@ import numpy as np
 from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
 from servotrack.estimators.rfs.birth import BirthMixture
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
+from servotrack.estimators.rfs.interacting_kernel import ONE_MODE
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture
-from servotrack.estimators.rfs.pmb_kernel import update_pmb
+from servotrack.estimators.rfs.pmb_kernel import empty_tally, update_pmb
 from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
 from servotrack.estimators.rfs.recursion import check_positive_definite
 from servotrack.estimators.rfs.reduction import Reduction
@@ -65,10 +66,10 @@ class PMB(PoissonTrackFilter[PMBState]):
         model, rules, batch = self.model.packed, self.reduction, scan.number.shape[0]
         prediction = self._predict(state, state.tracks.existence, births)
         new = self._empty(batch)._replace(births=state.births, next_label=state.next_label.copy())
-        unexplained = np.zeros(scan.clutter.shape)
-        check_positive_definite(update_pmb(model, prediction, scan, self._gate, rules.limits, new, unexplained))
+        tally = empty_tally(scan, state.tracks, new.tracks)
+        check_positive_definite(update_pmb(model, prediction, scan, self._gate, rules.limits, ONE_MODE, new, tally))
         extraction = empty_extraction(batch, rules.tracks, self._sizes[0])
         rule = RULES[self.extraction]
         extract_tracks(self._sizes[0], new.tracks, new.pool, new.next_label, rule, self.threshold, extraction)
         expected = extraction.expected + new.undetected.weight.sum(axis=1)
-        return new, extraction._replace(expected=expected), unexplained
+        return new, extraction._replace(expected=expected), tally.unexplained

@@ -14,6 +14,7 @@ from scipy.special import chdtri
 
 from servotrack.estimators.rfs.birth import Birth, BirthMixture, MeasurementBirth, Spawn, pack_spawns
 from servotrack.estimators.rfs.extraction import RULES, Rule
+from servotrack.estimators.rfs.mixed_births import Births
 from servotrack.estimators.rfs.mixture import Mixture
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.reduction import Reduction
@@ -53,7 +54,7 @@ class GaussianSetFilter(ABC, Generic[StateT]):
 
     Args:
         model: Motion and measurement model of one target.
-        birth: Birth model: `Birth` at known places, `MeasurementBirth` at unexplained measurements.
+        birth: Birth model: `Birth` at known places, `MeasurementBirth` at unexplained measurements, `Births` for both.
         clutter_intensity: Expected false measurements per unit of measurement space, kappa; a number, or a function of
             measurements (Z, m) that returns (Z,). Clutter uniform over a volume V has kappa = rate / V. Raising it
             starts fewer tracks.
@@ -75,7 +76,7 @@ class GaussianSetFilter(ABC, Generic[StateT]):
     """
 
     model: TargetModel
-    birth: Birth | MeasurementBirth
+    birth: Birth | MeasurementBirth | Births
     _: KW_ONLY
     clutter_intensity: float | Callable[[Array], Array]
     survival: Probability = 0.99
@@ -89,8 +90,9 @@ class GaussianSetFilter(ABC, Generic[StateT]):
 
     def __post_init__(self) -> None:
         n = self.model.packed.observation.shape[1]
-        if isinstance(self.birth, Birth) and self.birth.means.shape[1] != n:
-            raise ValueError(f"birth means must have {n} entries as the model's state, got {self.birth.means.shape[1]}")
+        sites = self.birth.sites if isinstance(self.birth, Births) else self.birth
+        if isinstance(sites, Birth) and sites.means.shape[1] != n:
+            raise ValueError(f"birth means must have {n} entries as the model's state, got {sites.means.shape[1]}")
         pack_spawns(self.spawn, n)
         for name, value in (("survival", self.survival), ("detection", self.detection), ("threshold", self.threshold)):
             if not callable(value) and not 0.0 <= value <= 1.0:
@@ -138,7 +140,7 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         births = self._static_births if isinstance(self.birth, Birth) else state.births
         scan = Scan(z, number, self._clutter(z, number))
         new, extraction, unexplained = self._advance(state, births, scan)
-        if isinstance(self.birth, MeasurementBirth):
+        if not isinstance(self.birth, Birth):
             new = new._replace(births=self.birth.next(self.model, z, unexplained))  # type: ignore[attr-defined]
         return (first_row(new) if single else new), estimate_from_extraction(extraction, single)
 
@@ -179,7 +181,7 @@ class GaussianSetFilter(ABC, Generic[StateT]):
     def _no_births(self, batch: int) -> BirthMixture:
         """Births of an initial state: weights of 0, or empty arrays if births are the same at every step."""
         n = self._sizes[0]
-        if isinstance(self.birth, MeasurementBirth):
+        if not isinstance(self.birth, Birth):
             return self.birth.empty(batch, n)
         return BirthMixture(np.zeros((batch, 0)), np.zeros((batch, 0, n)), np.zeros((batch, 0, n, n)))
 

@@ -122,7 +122,7 @@ class Reduction:
 
 
 @njit(cache=True, nogil=True)
-def _squared_distance(difference, cov, size, limit, root):  # type: ignore[no-untyped-def]
+def squared_distance(difference, cov, size, limit, root):  # type: ignore[no-untyped-def]
     """Compute difference^T cov^-1 difference, or infinity once it exceeds the limit or cov is not definite."""
     # d^2 is at least the square of each entry over its variance; most pairs end here.
     for r in range(size):
@@ -204,7 +204,7 @@ def reduce_mixture(  # type: ignore[no-untyped-def]
                     continue
                 for r in range(1, size):
                     difference[r] = mean[other, r] - mean[head, r]
-                if _squared_distance(difference, cov, size, merge, root) <= merge:
+                if squared_distance(difference, cov, size, merge, root) <= merge:
                     taken[i] = True
                     following[last] = i
                     last = i
