@@ -6,10 +6,11 @@
         estimate = tracker.step(z)
         print(estimate.labels, estimate.states, estimate.existence)
 
-Start with `PMB`; `PMBM` is the exact posterior up to pruning and takes longer. `GMPHD` is the cheapest and the simplest
-filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each is a frozen dataclass with `initial(measurement) -> state`
-and `step(state, measurement) -> (state, estimate)`; a state is a NamedTuple of arrays. Measurements of shape (B, rows,
-1 + m), existence in column 0, run B independent filters at once.
+Start with `PMB`, or with `RobustPMB` where sensor and motion are not known well; `PMBM` is the exact posterior up to
+pruning and takes longer. `GMPHD` is the cheapest and the simplest filter; `GMCBMeMBer` is the filter of Zhang et al.
+2017. Each is a frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state, estimate)`;
+a state is a NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B independent
+filters at once.
 """
 
 from servotrack.estimators.rfs.adaptation import SensorAdaptation
@@ -39,6 +40,7 @@ from servotrack.estimators.rfs.pmb import PMB
 from servotrack.estimators.rfs.pmbm import PMBM
 from servotrack.estimators.rfs.raw import RawMeasurements
 from servotrack.estimators.rfs.reduction import Reduction
+from servotrack.estimators.rfs.region import RegionSurvival
 from servotrack.estimators.rfs.robust_pmb import RobustPMB
 from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
 from servotrack.estimators.rfs.smc_phd import ParticlePHD
@@ -62,6 +64,7 @@ __all__ = [
     "RangeBearingModel",
     "RawMeasurements",
     "Reduction",
+    "RegionSurvival",
     "RobustPMB",
     "RowAllocation",
     "SensorAdaptation",

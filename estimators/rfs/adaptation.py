@@ -67,7 +67,8 @@ class SensorAdaptation:
             estimate near that value for longer.
         scan_trust: Number of scans that the given clutter rate counts for. Raising it keeps the estimate near that
             value for longer.
-        detection_limits: Lower and upper limit of the detection probability that a filter uses.
+        detection_limits: Lower and upper limit of the detection probability that a filter uses. At 0.99 one miss means
+            death as probably as not (for p_S = 0.99), so raising the upper limit ends tracks at chance misses.
         least_clutter: Lower limit of the clutter rate, false measurements per scan.
 
     Raises:
@@ -78,7 +79,7 @@ class SensorAdaptation:
     lag: int = 5
     target_trust: float = 5.0
     scan_trust: float = 1.0
-    detection_limits: tuple[float, float] = (0.05, 0.995)
+    detection_limits: tuple[float, float] = (0.05, 0.98)
     least_clutter: float = 0.01
 
     def __post_init__(self) -> None:

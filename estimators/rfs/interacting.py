@@ -159,7 +159,7 @@ def white_acceleration(
 
 
 def maneuvers(
-    model: Model, *, agility: float = 3.0, turn_rate: float = 0.1, straight: float = 20.0, turning: float = 5.0
+    model: Model, *, agility: float = 3.0, turn_rate: float = 0.15, straight: float = 20.0, turning: float = 5.0
 ) -> InteractingModels:
     """Modes of a target that maneuvers, made from the model of its straight motion.
 

@@ -17,12 +17,13 @@ import numpy as np
 from servotrack.estimators.rfs.adaptation import SensorAdaptation, SensorState
 from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
 from servotrack.estimators.rfs.birth import BirthMixture
+from servotrack.estimators.rfs.capacity import tracks_outgrew
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
 from servotrack.estimators.rfs.interacting import InteractingModels
 from servotrack.estimators.rfs.interacting_kernel import PackedModes, collapse_modes
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, scratch_mixture
 from servotrack.estimators.rfs.pmb import PMBState
-from servotrack.estimators.rfs.pmb_kernel import Prediction, empty_tally, predict_adaptive, update_pmb
+from servotrack.estimators.rfs.pmb_kernel import Prediction, Tally, empty_tally, predict_adaptive, update_pmb
 from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
 from servotrack.estimators.rfs.recursion import check_positive_definite
 from servotrack.estimators.rfs.reduction import Reduction
@@ -94,44 +95,54 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
         modes = InteractingModels((self.model,), np.ones((1, 1))) if self.modes is None else self.modes
         return modes.packed
 
-    def _empty(self, batch: int) -> RobustPMBState:
+    def _empty(self, batch: int, capacity: int | None = None) -> RobustPMBState:
         rules, N = self.reduction, sum(self._sizes)
+        capacity = capacity or rules.first_tracks
         adaptation = self.adaptation or SensorAdaptation()
         return RobustPMBState(
-            empty_tracks(batch, rules.tracks),
-            empty_mixture(batch, rules.pool_size * len(self._modes.initial), N),
+            empty_tracks(batch, capacity),
+            empty_mixture(batch, rules.pool_rows(capacity) * len(self._modes.initial), N),
             empty_mixture(batch, self.undetected, N),
             self._no_births(batch),
             np.ones(batch, np.int64),
-            adaptation.initial(batch, rules.tracks, float(self.detection), float(self.clutter_intensity) * self.volume),
+            adaptation.initial(batch, capacity, float(self.detection), float(self.clutter_intensity) * self.volume),
         )
 
     def _advance(
         self, state: RobustPMBState, births: BirthMixture, scan: Scan
     ) -> tuple[RobustPMBState, Extraction, Array]:
-        model, rules, batch = self.model.packed, self.reduction, scan.number.shape[0]
-        modes, n = self._modes, self._sizes[0]
+        (batch, capacity), n = state.tracks.existence.shape, self._sizes[0]
         detection = np.full(batch, float(self.detection))
         if self.adaptation is not None:
             detection = self.adaptation.detection(state.sensor)
             intensity = self.adaptation.clutter_rate(state.sensor) / self.volume
             scan = scan._replace(clutter=np.repeat(intensity[:, None], scan.clutter.shape[1], axis=1))
         prediction = self._predict_modes(state, births, detection)
-        new = self._empty(batch)._replace(births=state.births, next_label=state.next_label.copy())
-        tally = empty_tally(scan, state.tracks, new.tracks)
-        check_positive_definite(
-            update_pmb(model, prediction, scan, self._gate, rules.limits, modes.initial, PMBState(*new[:5]), tally)
-        )
-        extraction = empty_extraction(batch, rules.tracks, n)
+        new, tally = self._updated(state, prediction, scan, capacity)
+        while tracks_outgrew(self.reduction, new.tracks, new.pool):
+            capacity *= 2
+            new, tally = self._updated(state, prediction, scan, capacity)
+        extraction = empty_extraction(batch, capacity, n)
         tracks, pool = self._collapsed(new)
         extract_tracks(n, tracks, pool, new.next_label, RULES[self.extraction], self.threshold, extraction)
-        sensor = state.sensor
         if self.adaptation is not None:
-            sensor = self.adaptation.step(
-                sensor, state.tracks.existence, prediction.tracks.existence, new.tracks.existence, tally
-            )
+            before, predicted = state.tracks.existence, prediction.tracks.existence
+            sensor = self.adaptation.step(state.sensor, before, predicted, new.tracks.existence, tally)
+            new = new._replace(sensor=sensor)
         expected = extraction.expected + new.undetected.weight.sum(axis=1)
-        return new._replace(sensor=sensor), extraction._replace(expected=expected), tally.unexplained
+        return new, extraction._replace(expected=expected), tally.unexplained
+
+    def _updated(
+        self, state: RobustPMBState, prediction: Prediction, scan: Scan, capacity: int
+    ) -> tuple[RobustPMBState, Tally]:
+        """Update into arrays with room for `capacity` tracks."""
+        new = self._empty(len(scan.number), capacity)._replace(births=state.births, next_label=state.next_label.copy())
+        tally = empty_tally(scan, state.tracks, new.tracks)
+        limits, initial, target = self.reduction.limits, self._modes.initial, PMBState(*new[:5])
+        check_positive_definite(
+            update_pmb(self.model.packed, prediction, scan, self._gate, limits, initial, target, tally)
+        )
+        return new, tally
 
     def _predict_modes(self, state: RobustPMBState, births: BirthMixture, detection: Array) -> Prediction:
         """Predict the tracks mode by mode, and the undetected targets; `detection` has one value per run."""
