@@ -17,6 +17,7 @@ from servotrack.estimators.rfs.range_bearing import SMALLEST_RANGE
 from servotrack.estimators.rfs.sensors import FunctionSensor, Intensity, Places, Probability
 from servotrack.estimators.types import Array
 
+
 def bearing_sensor(
     bearing_deviation: float,
     *,

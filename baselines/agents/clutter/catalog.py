@@ -14,12 +14,16 @@ from servotrack.estimators.rfs import (
     PMB,
     PMBM,
     Birth,
+    Births,
     GlobalNearestNeighbor,
     GMCBMeMBer,
     MeasurementBirth,
     ParticlePHD,
     RawMeasurements,
     Reduction,
+    RegionSurvival,
+    RobustPMB,
+    maneuvers,
 )
 from servotrack.estimators.rfs.extraction import Rule
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD
@@ -27,11 +31,24 @@ from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD
 GaussianT = TypeVar("GaussianT", GMPHD, GMCBMeMBer, PMB, PMBM)
 
 TrackFilter: TypeAlias = (
-    GMPHD | GMCBMeMBer | PMB | PMBM | ParticlePHD | GlobalNearestNeighbor | RawMeasurements | SteadyPHD | CountingPHD
+    GMPHD
+    | GMCBMeMBer
+    | PMB
+    | PMBM
+    | RobustPMB
+    | ParticlePHD
+    | GlobalNearestNeighbor
+    | RawMeasurements
+    | SteadyPHD
+    | CountingPHD
 )
 
 SMALLEST_CAPACITY = 100
 """Capacity of a filter (see `FilterSettings`) if three times the rows of an answer are fewer."""
+
+
+ELSEWHERE = 0.2
+"""Births of `robust-pmb` at unexplained measurements, as a share of those that the scene model expects at its sites."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +115,26 @@ def _mixture(scene: SceneModel, settings: FilterSettings) -> PMBM:
     return replace(made, targets=max(made.targets, settings.capacity))
 
 
+def _robust(scene: SceneModel, settings: FilterSettings) -> RobustPMB:
+    model = scene.hidden_markov if settings.hidden_markov else scene.model
+    birth: Birth | MeasurementBirth | Births = _birth(scene)
+    if isinstance(birth, Birth):
+        expected = ELSEWHERE * float(birth.weights.sum())
+        birth = Births(birth, MeasurementBirth(expected, np.sqrt(np.diag(scene.birth_covariance)), largest=expected))
+    edge = np.full(2, scene.half_width)
+    return RobustPMB(
+        model,
+        birth,
+        clutter_intensity=scene.clutter_intensity,
+        volume=float(np.prod(scene.seen_high - scene.seen_low)),
+        survival=RegionSurvival(model, scene.survival_probability, -edge, edge),
+        detection=scene.detection_probability,
+        modes=maneuvers(model),
+        extraction=settings.extraction,
+        reduction=Reduction(components=5, tracks=settings.capacity),
+    )
+
+
 def steered_phd(scene: SceneModel, settings: FilterSettings | None = None) -> SteeredPHD:
     """Create a GM-PHD filter for a scene whose parameters are passed at every step."""
     made = _phd(scene, settings or FilterSettings())
@@ -151,6 +188,7 @@ TRACK_FILTERS: Mapping[str, Callable[[SceneModel, FilterSettings], TrackFilter]]
     "gm-phd-counting": _counting,
     "gm-cbmember": _gaussian(GMCBMeMBer, lambda capacity: Reduction(components=10, tracks=capacity)),
     "pmb": _gaussian(PMB, lambda capacity: Reduction(components=5, tracks=capacity)),
+    "robust-pmb": _robust,
     "pmbm": _mixture,
     "smc-phd": _particle,
     "gnn": _nearest,
