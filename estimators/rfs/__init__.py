@@ -6,7 +6,8 @@
         estimate = tracker.step(z)
         print(estimate.labels, estimate.states, estimate.existence)
 
-Start with `PMB`; `PMBM` is the exact posterior up to pruning and takes longer. `GMPHD` is the cheapest and the simplest
+Start with `PMB`; `PMBM` is the exact posterior up to pruning and takes longer. `TrajectoryPMB` reports smoothed targets
+some scans late. `GMPHD` is the cheapest and the simplest
 filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each is a frozen dataclass with `initial(measurement) -> state`
 and `step(state, measurement) -> (state, estimate)`; a state is a NamedTuple of arrays. Measurements of shape (B, rows,
 1 + m), existence in column 0, run B independent filters at once.
@@ -32,6 +33,7 @@ from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
 from servotrack.estimators.rfs.smc_phd import ParticlePHD
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD, Steering
+from servotrack.estimators.rfs.trajectory_pmb import TrajectoryPMB
 
 __all__ = [
     "GMPHD",
@@ -55,6 +57,7 @@ __all__ = [
     "SteadyPHD",
     "SteeredPHD",
     "Steering",
+    "TrajectoryPMB",
     "constant_velocity",
     "definiteness_margin",
     "measurements_to_rows",

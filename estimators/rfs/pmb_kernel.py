@@ -16,6 +16,7 @@ from servotrack.estimators.rfs.bernoulli import (
     rows_by_key,
 )
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
+from servotrack.estimators.rfs.histories import update_histories
 from servotrack.estimators.rfs.mixture import Mixture, append_births, append_spawn, predict_components
 from servotrack.estimators.rfs.reduction import Candidates, Components, reduce_mixture
 from servotrack.estimators.types import Array
@@ -96,7 +97,7 @@ def track_pairs(component, measurement, likelihood, owner, tracks, measurements)
 
 
 @njit(cache=True, nogil=True)
-def update_pmb(model, prediction, scan, gate, limits, out, unexplained):  # type: ignore[no-untyped-def]
+def update_pmb(model, prediction, scan, gate, limits, out, unexplained, lineage=None):  # type: ignore[no-untyped-def]
     """Posterior of every run: old tracks, a new track per measurement, and undetected targets (Williams 2015).
 
     Args:
@@ -107,6 +108,7 @@ def update_pmb(model, prediction, scan, gate, limits, out, unexplained):  # type
         limits: A `Limits`.
         out: A `PMBState` to write to.
         unexplained: Output: probability of each measurement to be clutter. Shape (B, Z).
+        lineage: A `Lineage` if the histories of the components are kept, else None.
 
     Returns:
         True if the covariance of every predicted measurement is positive definite.
@@ -198,6 +200,7 @@ def update_pmb(model, prediction, scan, gate, limits, out, unexplained):  # type
             hidden_measurement.astype(np.int64),
             np.zeros(fresh_pairs, np.int64),
         )
+        row_of, fresh_row_of = np.full(count + pairs, -1), np.full(fresh_pairs, -1)
         new, into = out.tracks, out.pool
         room = Components(into.weight[b], into.mean[b], into.covariance[b], into.detected[b], into.label[b])
         filled = 0
@@ -209,7 +212,17 @@ def update_pmb(model, prediction, scan, gate, limits, out, unexplained):  # type
             if t < T:
                 members = rows[start[t] : start[t + 1]]
                 size = reduce_mixture(
-                    model.pairwise, n, candidates, members, pool.covariance[b], posterior, limits, most, room, filled
+                    model.pairwise,
+                    n,
+                    candidates,
+                    members,
+                    pool.covariance[b],
+                    posterior,
+                    limits,
+                    most,
+                    room,
+                    filled,
+                    row_of,
                 )
             else:
                 members = fresh_rows[fresh_start[t - T] : fresh_start[t - T + 1]]
@@ -224,6 +237,7 @@ def update_pmb(model, prediction, scan, gate, limits, out, unexplained):  # type
                     most,
                     room,
                     filled,
+                    fresh_row_of,
                 )
             if size == 0:
                 continue
@@ -239,7 +253,7 @@ def update_pmb(model, prediction, scan, gate, limits, out, unexplained):  # type
         left = hidden.weight[b, :unseen] * (1.0 - hidden_detection[b, :unseen])
         indices = np.arange(unseen)
         remaining = Candidates(left, hidden.mean[b], indices, np.full(unseen, -1, np.int64), np.zeros(unseen, np.int64))
-        rest = out.undetected
+        rest, left_row_of = out.undetected, np.full(unseen, -1)
         space = Components(rest.weight[b], rest.mean[b], rest.covariance[b], rest.detected[b], rest.label[b])
         rest.number[b] = reduce_mixture(
             model.pairwise,
@@ -252,5 +266,14 @@ def update_pmb(model, prediction, scan, gate, limits, out, unexplained):  # type
             rest.weight.shape[1],
             space,
             0,
+            left_row_of,
         )
+        if lineage is not None:
+            for i in range(T):
+                lineage.absent[b, i] = missed[i] / max(1.0 - tracks.existence[b, i] * detectable[i], SMALLEST_ABSENCE)
+            update_histories(model, b, lineage.pool, pool, z, candidates, row_of, filled, lineage.new_pool)
+            update_histories(model, b, lineage.hidden, hidden, z, arrivals, fresh_row_of, filled, lineage.new_pool)
+            update_histories(
+                model, b, lineage.hidden, hidden, z, remaining, left_row_of, rest.number[b], lineage.new_hidden
+            )
     return positive_definite

@@ -1,0 +1,140 @@
+"""Trajectory Poisson multi-Bernoulli filter with a fixed smoothing lag (Garcia-Fernandez et al. 2020)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
+from servotrack.estimators.rfs.birth import BirthMixture
+from servotrack.estimators.rfs.extraction import RULES, extract_tracks
+from servotrack.estimators.rfs.histories import History, Lineage, empty_history, predict_histories
+from servotrack.estimators.rfs.mixture import Mixture, empty_mixture
+from servotrack.estimators.rfs.pmb_kernel import update_pmb
+from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
+from servotrack.estimators.rfs.recursion import check_positive_definite
+from servotrack.estimators.rfs.reduction import Reduction
+from servotrack.estimators.rfs.sets import (
+    Extraction,
+    Scan,
+    SetEstimate,
+    empty_extraction,
+    estimate_from_extraction,
+)
+from servotrack.estimators.rfs.trajectory_tables import (
+    Trajectories,
+    advance_trajectories,
+    empty_trajectories,
+    smoothed_tracks,
+)
+from servotrack.estimators.stateful import add_axis
+from servotrack.estimators.types import Array, Labels
+
+
+class TrajectoryPMBState(NamedTuple):
+    """State of a `TrajectoryPMB`; the first five entries are those of a `PMB`.
+
+    Attributes:
+        tracks: Tracks of targets detected at least once.
+        pool: Components of the tracks.
+        undetected: Intensity of targets never detected.
+        births: Births of the next step if they depend on the measurements, else empty.
+        next_label: The next new identity. Shape (*batch,).
+        past: Past states of the components of the tracks.
+        hidden_past: Past states of the components of undetected targets.
+        trajectories: Smoothed existence and states by identity, those of ended targets included.
+    """
+
+    tracks: Tracks
+    pool: Mixture
+    undetected: Mixture
+    births: BirthMixture
+    next_label: Labels
+    past: History
+    hidden_past: History
+    trajectories: Trajectories
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
+    """PMB that reports smoothed targets some scans late; further arguments as in `PMB` and `GaussianSetFilter`.
+
+    `step` returns the estimate for the scan `lag` before the newest one; the first `lag` estimates are empty, and
+    `flush` returns those of the last `lag` scans. Its data association is that of `PMB`. Each component keeps its
+    past states, and each track the probability that its target existed at past scans: targets start before their first
+    detection and end where they disappeared, which no filter without delay can know.
+
+    Args:
+        lag: Smoothing lag L, scans. Raising it smooths more, at a time and memory that grow with it; beyond 10 there is
+            little to gain.
+        least_length: Identities that have ended and existed for fewer scans are withheld. Raising it removes false
+            targets, and those that were detected only a few times.
+
+    References:
+        Garcia-Fernandez, Svensson, Williams, Xia and Granstrom, "Trajectory Poisson multi-Bernoulli filters", IEEE
+        Transactions on Signal Processing 68, 2020.
+    """
+
+    reduction: Reduction = field(default_factory=lambda: Reduction(components=5))
+    lag: int = 5
+    least_length: int = 3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.lag < 0:
+            raise ValueError(f"lag must be at least 0 scans, got {self.lag!r}")
+        if self.least_length < 0:
+            raise ValueError(f"least_length must be at least 0 scans, got {self.least_length!r}")
+
+    def flush(self, state: TrajectoryPMBState) -> list[SetEstimate]:
+        """Return the estimates of the last `lag` scans, the oldest first; the state does not change."""
+        single = np.ndim(state.next_label) == 0
+        whole: TrajectoryPMBState = add_axis(state) if single else state
+        return [estimate_from_extraction(self._smoothed(whole, past), single) for past in range(self.lag - 1, -1, -1)]
+
+    def _empty(self, batch: int) -> TrajectoryPMBState:
+        rules, (n, m) = self.reduction, self._sizes
+        return TrajectoryPMBState(
+            empty_tracks(batch, rules.tracks),
+            empty_mixture(batch, rules.pool_size, n + m),
+            empty_mixture(batch, self.undetected, n + m),
+            self._no_births(batch),
+            np.ones(batch, np.int64),
+            empty_history(batch, rules.pool_size, self.lag, n, n + m),
+            empty_history(batch, self.undetected, self.lag, n, n + m),
+            empty_trajectories(batch, 2 * rules.tracks, self.lag, n),
+        )
+
+    def _advance(
+        self, state: TrajectoryPMBState, births: BirthMixture, scan: Scan
+    ) -> tuple[TrajectoryPMBState, Extraction, Array]:
+        model, rules, batch = self.model.packed, self.reduction, scan.number.shape[0]
+        n, m = self._sizes
+        prediction = self._predict(state, state.tracks.existence, births)
+        new = self._empty(batch)._replace(births=state.births, next_label=state.next_label.copy())
+        past = empty_history(batch, prediction.pool.weight.shape[1], self.lag, n, n + m)
+        hidden_past = empty_history(batch, prediction.hidden.weight.shape[1], self.lag, n, n + m)
+        predict_histories(model, state.pool, state.past, prediction.pool, past)
+        predict_histories(model, state.undetected, state.hidden_past, prediction.hidden, hidden_past)
+        absent = np.zeros(state.tracks.existence.shape)
+        lineage = Lineage(past, hidden_past, new.past, new.hidden_past, absent)
+        unexplained = np.zeros(scan.clutter.shape)
+        check_positive_definite(
+            update_pmb(model, prediction, scan, self._gate, rules.limits, new, unexplained, lineage)
+        )
+        survival = self._evaluate("survival", self.survival, state.pool)
+        hidden_survival = self._evaluate("survival", self.survival, state.undetected)
+        advance_trajectories(state, survival, hidden_survival, absent, self.threshold, new)
+        return new, self._smoothed(new, self.lag), unexplained
+
+    def _smoothed(self, state: TrajectoryPMBState, past: int) -> Extraction:
+        """Extract the targets of the scan `past` before the newest one."""
+        n, m = self._sizes
+        batch, rows = state.trajectories.label.shape
+        tracks, mixture = empty_tracks(batch, rows), empty_mixture(batch, rows, n + m)
+        expected = smoothed_tracks(state.trajectories, past, self.threshold, self.least_length, tracks, mixture)
+        extraction = empty_extraction(batch, rows, n)
+        extract_tracks(n, tracks, mixture, state.next_label, RULES[self.extraction], self.threshold, extraction)
+        return extraction._replace(expected=expected)
