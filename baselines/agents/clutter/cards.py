@@ -42,6 +42,11 @@ CARDS = (
     _observer("pmb", "track-oriented Poisson multi-Bernoulli filter with belief propagation", **_SETS),
     _observer("pmb-hmm", "the same, assuming independent noises"),
     _observer("pmbm", "Poisson multi-Bernoulli mixture filter: the exact posterior up to pruning"),
+    _observer(
+        "trajectory-pmb",
+        "PMB with smoothed trajectories, as late as the world's lag allows; equal to pmb without a lag",
+        in_default_suite=False,
+    ),
     _observer("smc-phd", "particle PHD filter with k-means extraction"),
     _observer("gnn", "Kalman tracks, nearest neighbors by one assignment, 3-of-5 confirmation"),
     _observer("gnn-hmm", "the same, assuming independent noises"),

@@ -20,15 +20,28 @@ from servotrack.estimators.rfs import (
     ParticlePHD,
     RawMeasurements,
     Reduction,
+    TrajectoryPMB,
 )
 from servotrack.estimators.rfs.extraction import Rule
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD
 
-GaussianT = TypeVar("GaussianT", GMPHD, GMCBMeMBer, PMB, PMBM)
+GaussianT = TypeVar("GaussianT", GMPHD, GMCBMeMBer, PMB, PMBM, TrajectoryPMB)
 
 TrackFilter: TypeAlias = (
-    GMPHD | GMCBMeMBer | PMB | PMBM | ParticlePHD | GlobalNearestNeighbor | RawMeasurements | SteadyPHD | CountingPHD
+    GMPHD
+    | GMCBMeMBer
+    | PMB
+    | PMBM
+    | TrajectoryPMB
+    | ParticlePHD
+    | GlobalNearestNeighbor
+    | RawMeasurements
+    | SteadyPHD
+    | CountingPHD
 )
+
+SMOOTHER = "trajectory-pmb"
+"""Observer that reports the scan that the scene's lag asks for; the others report the newest one."""
 
 SMALLEST_CAPACITY = 100
 """Capacity of a filter (see `FilterSettings`) if three times the rows of an answer are fewer."""
@@ -98,6 +111,11 @@ def _mixture(scene: SceneModel, settings: FilterSettings) -> PMBM:
     return replace(made, targets=max(made.targets, settings.capacity))
 
 
+def _trajectories(scene: SceneModel, settings: FilterSettings) -> TrajectoryPMB:
+    made = _gaussian(TrajectoryPMB, lambda capacity: Reduction(components=5, tracks=capacity))(scene, settings)
+    return replace(made, lag=scene.lag)
+
+
 def steered_phd(scene: SceneModel, settings: FilterSettings | None = None) -> SteeredPHD:
     """Create a GM-PHD filter for a scene whose parameters are passed at every step."""
     made = _phd(scene, settings or FilterSettings())
@@ -152,6 +170,7 @@ TRACK_FILTERS: Mapping[str, Callable[[SceneModel, FilterSettings], TrackFilter]]
     "gm-cbmember": _gaussian(GMCBMeMBer, lambda capacity: Reduction(components=10, tracks=capacity)),
     "pmb": _gaussian(PMB, lambda capacity: Reduction(components=5, tracks=capacity)),
     "pmbm": _mixture,
+    SMOOTHER: _trajectories,
     "smc-phd": _particle,
     "gnn": _nearest,
     "raw-measurements": _raw,
