@@ -168,7 +168,7 @@ def smoothed_tracks(trajectories, past, threshold, least_length, tracks, mixture
         trajectories: A `Trajectories`.
         past: Scans before the newest one, at most L.
         threshold: Existence above which a trajectory is reported.
-        least_length: Trajectories of fewer scans that have ended get an existence of 0.
+        least_length: Trajectories of fewer scans that have ended get an existence of at most the threshold.
         tracks: Output: `Tracks`.
         mixture: Output: `Mixture`.
 
@@ -187,7 +187,7 @@ def smoothed_tracks(trajectories, past, threshold, least_length, tracks, mixture
             for k in range(window):
                 length += alive * trajectories.begun[b, i, k] + trajectories.ended[b, i, k] > threshold
             if length < least_length and alive <= threshold:
-                existence = 0.0
+                existence = min(existence, threshold)
             tracks.existence[b, i] = min(existence, 1.0)
             tracks.label[b, i] = trajectories.label[b, i]
             tracks.size[b, i] = 1
