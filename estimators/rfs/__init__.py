@@ -7,10 +7,11 @@
         print(estimate.labels, estimate.states, estimate.existence)
 
 Start with `PMB`; `PMBM` is the exact posterior up to pruning and takes longer. `TrajectoryPMB` reports smoothed targets
-some scans late. `GMPHD` is the cheapest and the simplest
-filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each is a frozen dataclass with `initial(measurement) -> state`
-and `step(state, measurement) -> (state, estimate)`; a state is a NamedTuple of arrays. Measurements of shape (B, rows,
-1 + m), existence in column 0, run B independent filters at once.
+some scans late. `GMPHD` is the cheapest and the simplest filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each
+is a frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state, estimate)`; a state
+is a NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B independent filters at
+once. `step(..., dt=, sensor=)` takes scans at varying intervals and of other sensors, and `TimedTracker` takes them by
+their time stamps, late ones too.
 """
 
 from servotrack.estimators.rfs.birth import Birth, MeasurementBirth, Spawn
@@ -25,14 +26,18 @@ from servotrack.estimators.rfs.models import (
     definiteness_margin,
     pairwise_structure,
 )
+from servotrack.estimators.rfs.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn
 from servotrack.estimators.rfs.phd import GMPHD
 from servotrack.estimators.rfs.pmb import PMB
 from servotrack.estimators.rfs.pmbm import PMBM
 from servotrack.estimators.rfs.raw import RawMeasurements
 from servotrack.estimators.rfs.reduction import Reduction
+from servotrack.estimators.rfs.sensor_models import bearing_sensor, range_bearing_sensor, spherical_sensor
+from servotrack.estimators.rfs.sensors import FunctionSensor, LinearSensor, Places
 from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
 from servotrack.estimators.rfs.smc_phd import ParticlePHD
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD, Steering
+from servotrack.estimators.rfs.timed import TimedTracker
 from servotrack.estimators.rfs.trajectory_pmb import TrajectoryPMB
 
 __all__ = [
@@ -41,13 +46,19 @@ __all__ = [
     "PMBM",
     "STRUCTURES",
     "Birth",
+    "ConstantAcceleration",
+    "ConstantVelocity",
+    "CoordinatedTurn",
     "CountingPHD",
+    "FunctionSensor",
     "GMCBMeMBer",
     "GlobalNearestNeighbor",
     "HiddenMarkovModel",
+    "LinearSensor",
     "MeasurementBirth",
     "PairwiseMarkovModel",
     "ParticlePHD",
+    "Places",
     "RangeBearingModel",
     "RawMeasurements",
     "Reduction",
@@ -57,10 +68,14 @@ __all__ = [
     "SteadyPHD",
     "SteeredPHD",
     "Steering",
+    "TimedTracker",
     "TrajectoryPMB",
+    "bearing_sensor",
     "constant_velocity",
     "definiteness_margin",
     "measurements_to_rows",
     "pairwise_structure",
+    "range_bearing_sensor",
     "rows_to_tracks",
+    "spherical_sensor",
 ]

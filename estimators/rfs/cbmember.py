@@ -32,7 +32,7 @@ class CBMeMBerState(NamedTuple):
     Attributes:
         tracks: The posterior tracks.
         pool: Components of the tracks.
-        births: Births of the next step if they depend on the measurements, else empty.
+        births: Births at the last measurements if they depend on them, else empty.
         next_label: The next new identity. Shape (*batch,).
     """
 
@@ -79,6 +79,7 @@ class GMCBMeMBer(GaussianSetFilter[CBMeMBerState]):
         components = scratch_mixture(batch, state.pool.weight.shape[1] * copies + arrivals, n + m)
         survival = self._evaluate("survival", self.survival, state.pool)
         _predict(model, state.tracks, state.pool, births, self._spawns, survival, predicted, components)
+        self._attach(components)
         detection = self._evaluate("detection", self.detection, components)
         new = self._empty(batch)._replace(next_label=state.next_label.copy())
         unexplained = np.zeros(scan.clutter.shape)
