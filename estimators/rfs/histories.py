@@ -60,14 +60,16 @@ def empty_history(batch: int, capacity: int, lag: int, n: int, N: int) -> Histor
 
 
 @njit(cache=True, nogil=True)
-def predict_histories(model, mixture, history, predicted, out):  # type: ignore[no-untyped-def]
+def predict_histories(model, mixture, history, predicted, shift, first, out):  # type: ignore[no-untyped-def]
     """Append the present states to the histories, drop the oldest ones, and predict the covariances with (x, y).
 
     Args:
         model: The packed model of the prediction.
         mixture: The `Mixture` before the prediction.
         history: Its `History`.
-        predicted: The `Mixture` after the prediction; its first rows are those of `mixture`.
+        predicted: The `Mixture` after the prediction.
+        shift: 1 to append the present; 0 for another scan of the same instant.
+        first: Row of `predicted` and `out` that the first row of `mixture` has become. Shape (B,).
         out: Output: `History` of the predicted components, zero on entry; components that begin now have no past.
     """
     m, n = model.observation.shape
@@ -78,28 +80,29 @@ def predict_histories(model, mixture, history, predicted, out):  # type: ignore[
         for i in range(mixture.number[b]):
             known = mixture.detected[b, i] or not model.pairwise
             columns = n if known else n + m
+            row = first[b] + i
             regression = np.zeros((n, m))
             if model.kind != LINEAR:
                 # Given x the past does not influence y: cov(past, y) = cov(past, x) P_xx^-1 P_xy.
-                cov = predicted.covariance[b, i]
+                cov = predicted.covariance[b, row]
                 regression = np.linalg.solve(cov[:n, :n].copy(), cov[:n, n:].copy())
             for past in range(lag):
-                if past == 0:
+                if past < shift:
                     begun, mean, cov = 1.0, mixture.mean[b, i, :n], mixture.covariance[b, i, :n, :n]
                     cross = mixture.covariance[b, i, :n]
                 else:
                     begun, mean, cov = (
-                        history.begun[b, i, past - 1],
-                        history.mean[b, i, past - 1],
-                        history.covariance[b, i, past - 1],
+                        history.begun[b, i, past - shift],
+                        history.mean[b, i, past - shift],
+                        history.covariance[b, i, past - shift],
                     )
-                    cross = history.cross[b, i, past - 1]
+                    cross = history.cross[b, i, past - shift]
                 if begun <= 0.0:
                     continue
-                out.begun[b, i, past] = begun
-                out.mean[b, i, past] = mean
-                out.covariance[b, i, past] = cov
-                target = out.cross[b, i, past]
+                out.begun[b, row, past] = begun
+                out.mean[b, row, past] = mean
+                out.covariance[b, row, past] = cov
+                target = out.cross[b, row, past]
                 for c in range(rows):
                     for k in range(columns):
                         if B[c, k] != 0.0:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
-from servotrack.estimators.rfs.birth import BirthMixture
+from servotrack.estimators.rfs.birth import BirthMixture, MeasurementBirth
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
 from servotrack.estimators.rfs.histories import History, Lineage, empty_history, predict_histories
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture
@@ -40,7 +40,7 @@ class TrajectoryPMBState(NamedTuple):
         tracks: Tracks of targets detected at least once.
         pool: Components of the tracks.
         undetected: Intensity of targets never detected.
-        births: Births of the next step if they depend on the measurements, else empty.
+        births: Births at the last measurements if they depend on them, else empty.
         next_label: The next new identity. Shape (*batch,).
         past: Past states of the components of the tracks.
         hidden_past: Past states of the components of undetected targets.
@@ -116,8 +116,15 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
         new = self._empty(batch)._replace(births=state.births, next_label=state.next_label.copy())
         past = empty_history(batch, prediction.pool.weight.shape[1], self.lag, n, n + m)
         hidden_past = empty_history(batch, prediction.hidden.weight.shape[1], self.lag, n, n + m)
-        predict_histories(model, state.pool, state.past, prediction.pool, past)
-        predict_histories(model, state.undetected, state.hidden_past, prediction.hidden, hidden_past)
+        shift, start = int(self.model.period > 0.0), np.zeros(batch, np.int64)
+        predict_histories(model, state.pool, state.past, prediction.pool, shift, start, past)
+        predict_histories(model, state.undetected, state.hidden_past, prediction.hidden, shift, start, hidden_past)
+        if isinstance(self.birth, MeasurementBirth) and shift:
+            # A target that is born at a measurement was there when it was measured.
+            born = _as_mixture(state.births)
+            fresh = empty_history(batch, born.weight.shape[1], self.lag, n, n)
+            start = prediction.hidden.number - born.number
+            predict_histories(model, born, fresh, prediction.hidden, shift, start, hidden_past)
         absent = np.zeros(state.tracks.existence.shape)
         lineage = Lineage(past, hidden_past, new.past, new.hidden_past, absent)
         unexplained = np.zeros(scan.clutter.shape)
@@ -126,7 +133,7 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
         )
         survival = self._evaluate("survival", self.survival, state.pool)
         hidden_survival = self._evaluate("survival", self.survival, state.undetected)
-        advance_trajectories(state, survival, hidden_survival, absent, self.threshold, new)
+        advance_trajectories(state, survival, hidden_survival, absent, self.threshold, shift, new)
         return new, self._smoothed(new, self.lag), unexplained
 
     def _smoothed(self, state: TrajectoryPMBState, past: int) -> Extraction:
@@ -138,3 +145,17 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
         extraction = empty_extraction(batch, rows, n)
         extract_tracks(n, tracks, mixture, state.next_label, RULES[self.extraction], self.threshold, extraction)
         return extraction._replace(expected=expected)
+
+
+def _as_mixture(births: BirthMixture) -> Mixture:
+    """Births of positive weight as components whose measurement is known, in their order."""
+    active = births.weight > 0.0
+    order = np.argsort(~active, axis=1, kind="stable")
+    return Mixture(
+        active.sum(axis=1),
+        np.take_along_axis(births.weight, order, axis=1),
+        np.take_along_axis(births.mean, order[:, :, None], axis=1),
+        np.take_along_axis(births.covariance, order[:, :, None, None], axis=1),
+        np.ones(active.shape, np.bool_),
+        np.zeros(active.shape, np.int64),
+    )

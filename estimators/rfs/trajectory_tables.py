@@ -69,7 +69,7 @@ def empty_trajectories(batch: int, capacity: int, lag: int, n: int) -> Trajector
 
 @njit(cache=True, nogil=True)
 def advance_trajectories(  # type: ignore[no-untyped-def]
-    state, survival, hidden_survival, absent, threshold, out
+    state, survival, hidden_survival, absent, threshold, shift, out
 ):
     """Write the trajectories after a step.
 
@@ -79,6 +79,7 @@ def advance_trajectories(  # type: ignore[no-untyped-def]
         hidden_survival: p_S of the components of undetected targets. Shape (B, H).
         absent: Factor of the update for absent targets, as in `Lineage`. Shape (B, T).
         threshold: Existence above which a trajectory is reported.
+        shift: 1 for a new instant; 0 for another scan of the last one.
         out: State after the step; its `trajectories` are zero on entry and written.
     """
     tracks, pool, old, new = state.tracks, state.pool, state.trajectories, out.trajectories
@@ -87,7 +88,7 @@ def advance_trajectories(  # type: ignore[no-untyped-def]
     for b in range(tracks.number.shape[0]):
         rows = old.number[b]
         ended = np.zeros((rows, lag + 1))
-        ended[:, 1:] = old.ended[b, :rows, :lag]
+        ended[:, shift:] = old.ended[b, :rows, : lag + 1 - shift]
         c = 0
         for i in range(tracks.number[b]):
             # Tracks have the first rows of the table.
@@ -111,7 +112,7 @@ def advance_trajectories(  # type: ignore[no-untyped-def]
                 taken[source] = True
                 new.ended[b, i], new.length[b, i] = ended[source], old.length[b, source]
                 # These states stay where the target has probably disappeared: the track then holds little of its past.
-                _shift(old, b, source, new, i)
+                _shift(old, b, source, new, i, shift)
             for past in range(lag + 1):
                 best, heaviest = c, -1.0
                 for k in range(c, c + size):
@@ -132,13 +133,13 @@ def advance_trajectories(  # type: ignore[no-untyped-def]
                 continue
             new.label[b, row], new.ended[b, row] = old.label[b, source], ended[source]
             new.length[b, row] = old.length[b, source]
-            _shift(old, b, source, new, row)
+            _shift(old, b, source, new, row, shift)
             row += 1
         new.number[b] = row
         for i in range(row):
             if new.alive[b, i] * new.begun[b, i, lag] + new.ended[b, i, lag] > threshold:
-                new.length[b, i] += 1
-        new.hidden_ended[b, 1:] = old.hidden_ended[b, :lag]
+                new.length[b, i] += shift
+        new.hidden_ended[b, shift:] = old.hidden_ended[b, : lag + 1 - shift]
         hidden = state.undetected
         for k in range(hidden.number[b]):
             gone = hidden.weight[b, k] * (1.0 - hidden_survival[b, k])
@@ -153,11 +154,11 @@ def advance_trajectories(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _shift(old, b, source, new, row):  # type: ignore[no-untyped-def]
-    """Copy the smoothed states of a trajectory to those of one scan earlier."""
-    for past in range(new.mean.shape[2] - 1):
-        new.mean[b, row, past + 1] = old.mean[b, source, past]
-        new.covariance[b, row, past + 1] = old.covariance[b, source, past]
+def _shift(old, b, source, new, row, shift):  # type: ignore[no-untyped-def]
+    """Copy the smoothed states of a trajectory to those of `shift` scans earlier."""
+    for past in range(new.mean.shape[2] - shift):
+        new.mean[b, row, past + shift] = old.mean[b, source, past]
+        new.covariance[b, row, past + shift] = old.covariance[b, source, past]
 
 
 @njit(cache=True, nogil=True)

@@ -305,3 +305,29 @@ def test_invalid_arguments():
 
 def test_contract():
     check_estimator(TrajectoryPMB(S1, MeasurementBirth(), clutter_intensity=1e-5, lag=2))
+
+
+def test_two_scans_of_one_instant_smooth_as_one_scan_of_both():
+    # Independent sensors at one time are two updates: the past is that of one instant, not of two.
+    moving = constant_velocity(2.0, 1.5)
+    birth = Birth([0.05], [np.zeros(4)], np.diag([25.0, 4.0, 25.0, 4.0]))
+    arguments = {"clutter_intensity": 1e-7, "detection": 0.9, "lag": 3, "reduction": Reduction(components=5, merge=0.0)}
+    half = replace(moving, measurement_noise=moving.measurement_noise / 2.0)
+    twice, once = TrajectoryPMB(moving, birth, **arguments), TrajectoryPMB(half, birth, **arguments)
+    states = [twice.initial(NONE), once.initial(NONE)]
+    rng, times = np.random.default_rng(2), np.cumsum([1.0, 1.0, 3.0, 0.5, 2.0, 1.0, 4.0, 1.0, 1.0])
+    for last, time in zip((0.0, *times), times, strict=False):
+        first, second = np.array([[2.0 * time, time]]) + rng.normal(0, 1.5, (2, 1, 2))
+        states[0], _ = twice.step(states[0], first, time - last)
+        states[0], both = twice.step(states[0], second, 0.0)
+        states[1], mean = once.step(states[1], 0.5 * (first + second), time - last)
+        assert len(both.labels) == len(mean.labels)
+        np.testing.assert_allclose(both.states, mean.states, atol=1e-6)
+        np.testing.assert_allclose(both.covariances, mean.covariances, atol=1e-6)
+    assert len(both.labels) == 1
+
+
+def test_a_target_born_at_a_measurement_starts_with_it():
+    tracker = Stateful(TrajectoryPMB(S1, MeasurementBirth(), clutter_intensity=1e-6, detection=0.9, lag=4))
+    starts = [k - 4 for k in range(12) if len(tracker.step(np.array([[5.0 * k, 3.0]])).labels) and k >= 4]
+    assert starts[0] == 0
