@@ -38,6 +38,7 @@ from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measureme
 from servotrack.estimators.rfs.smc_phd import ParticlePHD
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD, Steering
 from servotrack.estimators.rfs.timed import TimedTracker
+from servotrack.estimators.rfs.trajectory import Trajectory, collect_trajectories, track_scans
 from servotrack.estimators.rfs.trajectory_pmb import TrajectoryPMB
 
 __all__ = [
@@ -69,8 +70,10 @@ __all__ = [
     "SteeredPHD",
     "Steering",
     "TimedTracker",
+    "Trajectory",
     "TrajectoryPMB",
     "bearing_sensor",
+    "collect_trajectories",
     "constant_velocity",
     "definiteness_margin",
     "measurements_to_rows",
@@ -78,4 +81,5 @@ __all__ = [
     "range_bearing_sensor",
     "rows_to_tracks",
     "spherical_sensor",
+    "track_scans",
 ]

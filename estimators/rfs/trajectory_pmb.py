@@ -79,7 +79,7 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
 
     reduction: Reduction = field(default_factory=lambda: Reduction(components=5))
     lag: int = 5
-    least_length: int = 3
+    least_length: int = 2
 
     def __post_init__(self) -> None:
         super().__post_init__()
