@@ -17,8 +17,8 @@ from scipy.special import chdtri
 from servotrack.envs.track.files.points import PointScans
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs import (
+    Birth,
     LinearSensor,
-    MeasurementBirth,
     Reduction,
     Trajectory,
     TrajectoryPMB,
@@ -27,8 +27,10 @@ from servotrack.estimators.rfs import (
 )
 from servotrack.estimators.types import Array
 
-LAG = 10
-"""Smoothing lag of the tracker, scans."""
+_LAGS = (10, 30)
+"""Shortest and longest smoothing lag, scans."""
+_LAG_DETECTIONS = 5.0
+"""Detections of a target that the lag should hold."""
 _ROUNDS = 3
 _FITTED_SCANS = 300
 """Scans that the parameters are measured on, from the first one."""
@@ -36,9 +38,13 @@ _CHANCE = 0.05
 """Largest probability that a neighbor so close is there by chance."""
 _GATE = 1e-3
 """Share of a track's own measurements that its gate excludes when measurements are counted."""
+_LEAST_EXISTENCE = 1e-5
+"""Tracks of less probability are dropped. A first detection in much clutter is less than 0.001 probable."""
 _MARGIN = 0.02
-_LONGEST_WINDOW = 30
-_WINDOW_POINTS = 8.0
+_WINDOWS = (1, 2, 4, 8, 16, 30)
+"""Numbers of scans in which the next measurement of a target is searched."""
+_FIRST_SHARE = 0.1
+"""Share of the scans whose new tracks are targets that were there before."""
 
 
 class PointModel(NamedTuple):
@@ -69,7 +75,7 @@ class PointModel(NamedTuple):
 
 
 def track_points(points: PointScans, model: PointModel) -> list[Trajectory]:
-    """Track points with the parameters of a model; smoothed over `LAG` scans."""
+    """Track points with the parameters of a model; smoothed over `smoothing_lag` scans."""
     return track_scans(_tracker(points, model), points.scans, points.times, _sensors(points))
 
 
@@ -106,9 +112,11 @@ def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
     margin = np.maximum(_MARGIN * (high - low), 1e-3 * side)
     low, high = low - margin, high + margin
     count = len(everything) / len(points.scans)
-    window = int(np.clip(math.ceil(_WINDOW_POINTS / count), 1, _LONGEST_WINDOW)) if count < 2.0 else 1
     period = float(np.median(np.diff(points.times)))
-    chains = _chains(points, low, high, window)
+    # Where each scan holds few of the targets, such as that of one ship, chains span several scans.
+    searched = {window: _chains(points, low, high, window) for window in _WINDOWS if window < len(points.scans)}
+    window = max(searched, key=lambda one: len(searched[one]))
+    chains = searched[window]
     notes = []
     if len(chains):
         bends, speeds = chains[:, 0], chains[:, 1]
@@ -176,15 +184,23 @@ def _tracker(points: PointScans, model: PointModel) -> TrajectoryPMB:
     d = points.dimensions
     motion = constant_velocity(model.process_noise, _position_noise(points, model), period=model.period, dimensions=d)
     most = max(len(scan) for scan in points.scans)
+    deviation = np.stack([(model.high - model.low) / math.sqrt(12.0), np.full(d, model.speed)], axis=1)
+    center = np.stack([0.5 * (model.low + model.high), np.zeros(d)], axis=1)
     return TrajectoryPMB(
         motion,
-        MeasurementBirth(model.births, model.speed, largest=min(max(model.births, 1e-3), 0.2)),
+        # One Gaussian as wide as the region: births at measurements would also take place where targets already are.
+        Birth([min(model.births, 1.0)], center.reshape(1, -1), np.diag(deviation.reshape(-1) ** 2)),
         clutter_intensity=model.clutter_rate / float(np.prod(model.high - model.low)),
         survival=model.survival,
         detection=model.detection,
-        reduction=Reduction(components=5, tracks=max(100, 4 * most)),
-        lag=min(LAG, len(points.times) - 1),
+        reduction=Reduction(components=5, existence=_LEAST_EXISTENCE, tracks=max(100, 8 * most)),
+        lag=smoothing_lag(points, model),
     )
+
+
+def smoothing_lag(points: PointScans, model: PointModel) -> int:
+    """Smoothing lag of the tracker, scans; longer where targets are detected rarely."""
+    return min(int(np.clip(math.ceil(_LAG_DETECTIONS / model.detection), *_LAGS)), len(points.times) - 1)
 
 
 def _position_noise(points: PointScans, model: PointModel) -> float:
@@ -240,6 +256,7 @@ def _counted(points: PointScans, model: PointModel) -> PointModel | None:
     inside = sum(max(len(one) - 2, 0) for one in trajectories)
     detected = sum(max(len(rows) - 2, 0) for rows in own)
     alive = sum(len(one) for one in trajectories)
+    late = sum(one.times[0] > points.times[int(_FIRST_SHARE * scans)] for one in trajectories)
     deaths = sum(one.times[-1] < points.times[-1] for one in trajectories)
     size = np.array([len(rows) for rows in long])
     process, measurement = _most_likely(
@@ -255,7 +272,7 @@ def _counted(points: PointScans, model: PointModel) -> PointModel | None:
         measurement_noise=None if model.measurement_noise is None else measurement,
         detection=float(np.clip((detected + 1.0) / (inside + 2.0), 0.02, 0.99)),
         clutter_rate=max((sum(map(len, points.scans)) - taken) / scans, 0.01),
-        births=float(np.clip(len(trajectories) / scans, 0.01, 10.0)),
+        births=float(np.clip((late + 0.5) / ((1.0 - _FIRST_SHARE) * scans), 1e-3, 10.0)),
         survival=float(np.clip(1.0 - (deaths + 0.5) / (alive + 1.0), 0.5, 0.9999)),
         speed=max(float(np.sqrt(np.mean(velocities**2))), 1e-9),
     )
