@@ -42,7 +42,7 @@ def write_trajectories(path: Path, trajectories: Iterable[Trajectory], names: Se
     rows, columns = np.triu_indices(n)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    covariance = [f"cov_{names[r]}_{names[c]}" for r, c in zip(rows, columns, strict=True)]
+    covariance = [f"cov_{names[r]}_{names[c]}" for r in range(n) for c in range(r, n)]
     writer.writerow([*_FIRST, *names, *covariance])
     for one in trajectories:
         if one.states.shape[1] != n:

@@ -189,7 +189,7 @@ def _tracker(points: PointScans, model: PointModel) -> TrajectoryPMB:
     return TrajectoryPMB(
         motion,
         # One Gaussian as wide as the region: births at measurements would also take place where targets already are.
-        Birth([min(model.births, 1.0)], center.reshape(1, -1), np.diag(deviation.reshape(-1) ** 2)),
+        Birth(np.array([min(model.births, 1.0)]), center.reshape(1, -1), np.diag(deviation.reshape(-1) ** 2)),
         clutter_intensity=model.clutter_rate / float(np.prod(model.high - model.low)),
         survival=model.survival,
         detection=model.detection,
@@ -245,23 +245,24 @@ def _counted(points: PointScans, model: PointModel) -> PointModel | None:
         for i, (_, mean, P) in enumerate(present[k]):
             error = scan - mean
             cost[i] = np.einsum("zr,zr->z", error, np.linalg.solve(P + noise, error.T).T)
-        for i, j in zip(*linear_sum_assignment(np.minimum(cost, 2.0 * limit)), strict=True):
-            if cost[i, j] <= limit:
-                own[present[k][i][0]].append((float(points.times[k]), scan[j]))
+        rows, columns = linear_sum_assignment(np.minimum(cost, 2.0 * limit))
+        for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
+            if cost[row, column] <= limit:
+                own[present[k][row][0]].append((float(points.times[k]), scan[column]))
                 taken += 1
-    long = [rows for rows in own if len(rows) >= 4]
+    long = [sequence for sequence in own if len(sequence) >= 4]
     if not long:
         return None
     # The first and the last scan of a track are detections, since tracks are made of them.
     inside = sum(max(len(one) - 2, 0) for one in trajectories)
-    detected = sum(max(len(rows) - 2, 0) for rows in own)
+    detected = sum(max(len(sequence) - 2, 0) for sequence in own)
     alive = sum(len(one) for one in trajectories)
     late = sum(one.times[0] > points.times[int(_FIRST_SHARE * scans)] for one in trajectories)
     deaths = sum(one.times[-1] < points.times[-1] for one in trajectories)
-    size = np.array([len(rows) for rows in long])
+    size = np.array([len(sequence) for sequence in long])
     process, measurement = _most_likely(
-        np.array([time for rows in long for time, _ in rows]),
-        np.array([place for rows in long for _, place in rows]),
+        np.array([time for sequence in long for time, _ in sequence]),
+        np.array([place for sequence in long for _, place in sequence]),
         np.concatenate([[0], np.cumsum(size)]),
         model,
         _position_noise(points, model),

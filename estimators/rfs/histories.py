@@ -66,7 +66,7 @@ def predict_histories(model, mixture, history, predicted, shift, first, out):  #
     Args:
         model: The packed model of the prediction.
         mixture: The `Mixture` before the prediction.
-        history: Its `History`.
+        history: `History` of the mixture.
         predicted: The `Mixture` after the prediction.
         shift: 1 to append the present; 0 for another scan of the same instant.
         first: Row of `predicted` and `out` that the first row of `mixture` has become. Shape (B,).

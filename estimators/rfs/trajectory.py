@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from servotrack.estimators.rfs.recursion import GaussianSetFilter
+from servotrack.estimators.rfs.sensors import Sensor
 from servotrack.estimators.rfs.sets import SetEstimate
+from servotrack.estimators.rfs.trajectory_pmb import TrajectoryPMB
 from servotrack.estimators.types import Array
 
 
@@ -21,7 +24,7 @@ class Trajectory:
         label: Identity, at least 1.
         times: Times of the scans in which it was reported, increasing, s. Shape (T,).
         states: Reported states. Shape (T, n).
-        covariances: Their covariances. Shape (T, n, n).
+        covariances: Covariances of the states. Shape (T, n, n).
         existence: Probabilities of existence. Shape (T,).
 
     Raises:
@@ -80,7 +83,12 @@ def collect_trajectories(times: Sequence[float], estimates: Iterable[SetEstimate
     return [Trajectory(label, *map(np.array, zip(*rows, strict=True))) for label, rows in found.items()]
 
 
-def track_scans(tracker: Any, scans: Iterable[ArrayLike], times: ArrayLike, sensors: Any = None) -> list[Trajectory]:
+def track_scans(
+    tracker: GaussianSetFilter[Any],
+    scans: Iterable[ArrayLike],
+    times: ArrayLike,
+    sensors: Sequence[Sensor | None] | None = None,
+) -> list[Trajectory]:
     """Filter recorded scans and return the trajectories; a smoother's last scans are flushed.
 
     Args:
@@ -97,7 +105,7 @@ def track_scans(tracker: Any, scans: Iterable[ArrayLike], times: ArrayLike, sens
         raise ValueError(
             f"times must be finite, increasing and as many as the {len(given)} scans, got shape {clock.shape}"
         )
-    lag = getattr(tracker, "lag", 0)
+    smoother = tracker if isinstance(tracker, TrajectoryPMB) else None
     estimates: list[SetEstimate] = []
     state = None
     for k, scan in enumerate(given):
@@ -106,6 +114,6 @@ def track_scans(tracker: Any, scans: Iterable[ArrayLike], times: ArrayLike, sens
             state = tracker.initial(scan, sensor)
         state, estimate = tracker.step(state, scan, None if k == 0 else float(clock[k] - clock[k - 1]), sensor)
         estimates.append(estimate)
-    if lag and state is not None:
-        estimates = [*estimates[lag:], *tracker.flush(state)[-len(given) :]]
+    if smoother is not None and state is not None:
+        estimates = [*estimates[smoother.lag :], *smoother.flush(state)[-len(given) :]]
     return collect_trajectories(clock.tolist(), estimates)

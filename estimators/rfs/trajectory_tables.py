@@ -32,7 +32,7 @@ class Trajectories(NamedTuple):
         begun: Probability that it existed l scans ago, if it exists now. Shape (*batch, M, L + 1).
         length: Number of scans reported so far, those with a smoothed existence above the threshold. Shape (*batch, M).
         mean: Smoothed states when the track last existed more probably than not. Shape (*batch, M, L + 1, n).
-        covariance: Their covariances. Shape (*batch, M, L + 1, n, n).
+        covariance: Covariances of these states. Shape (*batch, M, L + 1, n, n).
         hidden: Expected number of targets l scans ago that were never detected. Shape (*batch, L + 1).
         hidden_ended: Part of `hidden` that has disappeared since. Shape (*batch, L + 1).
     """
