@@ -8,9 +8,9 @@
 
 Start with `PMB`, or with `RobustPMB` where sensor and motion are not known well; `PMBM` is the exact posterior up to
 pruning and takes longer. `GMPHD` is the cheapest and the simplest filter; `GMCBMeMBer` is the filter of Zhang et al.
-2017. Each is a frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state, estimate)`;
-a state is a NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B independent
-filters at once.
+2017. Each is a frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state,
+estimate)`; a state is a NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B
+independent filters at once.
 """
 
 from servotrack.estimators.rfs.adaptation import SensorAdaptation

@@ -60,6 +60,10 @@ def _filters() -> dict[str, Kind]:
         polar = name in ("ekf", "ukf")
         for label, kind in {"phd": rfs.GMPHD, "cbmember": rfs.GMCBMeMBer, "pmb": rfs.PMB, "pmbm": rfs.PMBM}.items():
             found[f"{label}-{name}"] = _scans(kind(model, ANYWHERE, clutter_intensity=1e-4), polar=polar)
+        robust = rfs.RobustPMB(
+            model, rfs.Births(PLACES, ANYWHERE), clutter_intensity=1e-4, volume=4e4, modes=rfs.maneuvers(model)
+        )
+        found[f"robust-pmb-{name}"] = _scans(robust, polar=polar)
         found[f"gnn-{name}"] = _scans(rfs.GlobalNearestNeighbor(model), polar=polar)
         found[f"raw-{name}"] = _scans(rfs.RawMeasurements(model), polar=polar)
     few = {"particles": 50, "birth_particles": 50, "capacity": 500}

@@ -131,7 +131,6 @@ def _robust(scene: SceneModel, settings: FilterSettings) -> RobustPMB:
         detection=scene.detection_probability,
         modes=maneuvers(model),
         extraction=settings.extraction,
-        reduction=Reduction(components=5, tracks=settings.capacity),
     )
 
 
