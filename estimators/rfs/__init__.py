@@ -9,8 +9,9 @@
 Start with `PMB`, or with `RobustPMB` where sensor and motion are not known well; `PMBM` is the exact posterior up to
 pruning and takes longer. `GMPHD` is the cheapest and the simplest filter; `GMCBMeMBer` is the filter of Zhang et al.
 2017. Each is a frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state,
-estimate)`; a state is a NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B
-independent filters at once.
+estimate)`, whose state is a NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B
+independent filters at once. `step(..., dt=, sensor=)` takes scans at varying intervals and of other sensors, and
+`TimedTracker` takes them by their time stamps, late ones too.
 """
 
 from servotrack.estimators.rfs.adaptation import SensorAdaptation
@@ -35,6 +36,7 @@ from servotrack.estimators.rfs.models import (
     definiteness_margin,
     pairwise_structure,
 )
+from servotrack.estimators.rfs.motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn
 from servotrack.estimators.rfs.phd import GMPHD
 from servotrack.estimators.rfs.pmb import PMB
 from servotrack.estimators.rfs.pmbm import PMBM
@@ -42,9 +44,12 @@ from servotrack.estimators.rfs.raw import RawMeasurements
 from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.region import RegionSurvival
 from servotrack.estimators.rfs.robust_pmb import RobustPMB
+from servotrack.estimators.rfs.sensor_models import bearing_sensor, range_bearing_sensor, spherical_sensor
+from servotrack.estimators.rfs.sensors import FunctionSensor, LinearSensor, Places
 from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
 from servotrack.estimators.rfs.smc_phd import ParticlePHD
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD, Steering
+from servotrack.estimators.rfs.timed import TimedTracker
 
 __all__ = [
     "GMPHD",
@@ -53,14 +58,20 @@ __all__ = [
     "STRUCTURES",
     "Birth",
     "Births",
+    "ConstantAcceleration",
+    "ConstantVelocity",
+    "CoordinatedTurn",
     "CountingPHD",
+    "FunctionSensor",
     "GMCBMeMBer",
     "GlobalNearestNeighbor",
     "HiddenMarkovModel",
     "InteractingModels",
+    "LinearSensor",
     "MeasurementBirth",
     "PairwiseMarkovModel",
     "ParticlePHD",
+    "Places",
     "RangeBearingModel",
     "RawMeasurements",
     "Reduction",
@@ -73,6 +84,8 @@ __all__ = [
     "SteadyPHD",
     "SteeredPHD",
     "Steering",
+    "TimedTracker",
+    "bearing_sensor",
     "constant_acceleration",
     "constant_velocity",
     "coordinated_turn",
@@ -81,6 +94,8 @@ __all__ = [
     "maneuvers",
     "measurements_to_rows",
     "pairwise_structure",
+    "range_bearing_sensor",
     "rows_to_tracks",
+    "spherical_sensor",
     "white_acceleration",
 ]

@@ -11,15 +11,17 @@ from numpy.typing import ArrayLike
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.models import RangeBearingModel, TargetModel, checked_covariance
+from servotrack.estimators.rfs.sensors import SensedModel
 from servotrack.estimators.types import Array
 
 
 class BirthMixture(NamedTuple):
-    """Gaussians over the state of targets that appear at the next step; weight 0 marks an unused row.
+    """Gaussians over the state of targets that appear; weight 0 marks an unused row.
 
     Attributes:
         weight: Expected number of targets, or a track's probability of existence. Shape (*batch, K).
-        mean: Means of the states. Shape (*batch, K, n).
+        mean: Means of the states. Shape (*batch, K, n); of state and measurement, (*batch, K, n + m), before the
+            prediction under a pairwise model.
         covariance: Covariances of the states. Shape (*batch, K, n, n).
     """
 
@@ -98,51 +100,111 @@ class MeasurementBirth:
         if self.places < 1:
             raise ValueError(f"places must be at least 1, got {self.places!r}")
 
-    def empty(self, batch: int, n: int) -> BirthMixture:
+    def empty(self, batch: int, model: TargetModel) -> BirthMixture:
         """Births of weight 0 for `batch` runs."""
+        packed = model.packed
+        m, n = packed.observation.shape
+        width = n + m if packed.pairwise else n
         return BirthMixture(
-            np.zeros((batch, self.places)), np.zeros((batch, self.places, n)), np.zeros((batch, self.places, n, n))
+            np.zeros((batch, self.places)), np.zeros((batch, self.places, width)), np.zeros((batch, self.places, n, n))
         )
 
-    def next(self, model: TargetModel, measurements: Array, unexplained: Array) -> BirthMixture:
-        """Births of the next step, predicted to that step.
+    def born(
+        self, model: TargetModel, measurements: Array, unexplained: Array, share: float = 1.0
+    ) -> BirthMixture | None:
+        """Births at the measurements of this step, as they are at its time; `predicted` moves them to the next.
 
         Args:
-            model: Model of one target.
+            model: Model of one target, with the sensor of this step.
             measurements: Measurements of this step. Shape (batch, Z, m).
             unexplained: Probability that a measurement is clutter or new; 0 for unused rows. Shape (batch, Z).
+            share: The interval before this step, in which the targets appeared, as a share of the one that `expected`
+                is for.
+
+        Returns:
+            The births; None if the sensor does not say where a target with a measurement may be.
         """
         batch, kept = measurements.shape[0], min(self.places, measurements.shape[1])
-        packed = model.packed
-        n = packed.observation.shape[1]
-        births = self.empty(batch, n)
         if kept == 0:
-            return births
+            return None if isinstance(model, SensedModel) and model.sensor.places is None else self.empty(batch, model)
         z, chance = _least_explained(np.ascontiguousarray(measurements), unexplained, kept)
-        mean, covariance = self._born(model, z)
-        _fill(births, z, chance, mean, covariance, packed.transition, self.expected, self.largest)
+        found = self._starts(model, z)
+        if found is None:
+            return None
+        mean, covariance = found
+        births, pieces = self.empty(batch, model), mean.shape[2]
+        if pieces > 1:
+            births = BirthMixture(*(np.repeat(field, pieces, axis=1) for field in births))
+        _share(births, z, chance, mean, covariance, share * self.expected, self.largest)
         return births
 
-    def _born(self, model: TargetModel, z: Array) -> tuple[Array, Array]:
-        """Means (batch, Z, n) at measurements, and covariances one step later, (1, 1, n, n) if all are the same."""
+    def predicted(self, model: TargetModel, births: BirthMixture) -> BirthMixture:
+        """Births moved to the time of the next step.
+
+        Args:
+            model: Model of one target over the interval since the births.
+            births: Result of `born`.
+        """
+        packed = model.packed
+        n = packed.observation.shape[1]
+        active = births.weight > 0.0
+        covariance = births.covariance
+        mean = np.zeros((*active.shape, n))
+        _move_means(births.mean, active, packed.transition, mean)
+        if not active.any():
+            return BirthMixture(births.weight, mean, np.zeros(covariance.shape))
+        # Under a linear sensor all covariances are the same.
+        own = covariance[active]
+        if np.array_equal(own, np.broadcast_to(own[0], own.shape)):
+            moved = np.where(active[:, :, None, None], _next_covariance(model, own[None, :1]), 0.0)
+        else:
+            moved = np.where(active[:, :, None, None], _next_covariance(model, covariance), 0.0)
+        return BirthMixture(births.weight, mean, moved)
+
+    def _starts(self, model: TargetModel, z: Array) -> tuple[Array, Array] | None:
+        """Means (batch, Z, c, n) at measurements, and covariances, (1, 1, 1, n, n) if all are the same."""
+        if isinstance(model, SensedModel):
+            return _sensed_starts(model, z, self.hidden_deviation)
         if isinstance(model, RangeBearingModel):
             mean, covariance = state_from_measurement(model, z, self.hidden_deviation)
-            return mean, _next_covariance(model, covariance)
+            return mean[:, :, None], covariance[:, :, None]
+        H, R = model.packed.observation, model.packed.measurement_noise
         kept: _LinearBirth | None = self.__dict__.get("_kept")
-        if kept is None or kept.model is not model:
+        if kept is None or not (np.array_equal(kept.observation, H) and np.array_equal(kept.noise, R)):
             # Under a linear model the covariance is the same at every step.
             _, covariance = state_from_measurement(model, np.zeros((1, 1, z.shape[-1])), self.hidden_deviation)
-            kept = _LinearBirth(model, _inverse(model), _next_covariance(model, covariance))
+            kept = _LinearBirth(H, R, _inverse(model), covariance[:, :, None])
             object.__setattr__(self, "_kept", kept)
-        return np.einsum("rk,...k->...r", kept.inverse, z), kept.covariance
+        return np.einsum("rk,...k->...r", kept.inverse, z)[:, :, None], kept.covariance
 
 
 class _LinearBirth(NamedTuple):
-    """Cache for births under a linear model: inverse of the observation, and covariance one step later."""
+    """Cache for births under a linear model: observation and noise, the inverse, and the covariance of a birth."""
 
-    model: TargetModel
+    observation: Array
+    noise: Array
     inverse: Array
     covariance: Array
+
+
+def joined_births(first: BirthMixture, second: BirthMixture) -> BirthMixture:
+    """Births at the measurements of two scans of one instant.
+
+    Both scans may hold the same target, so the expected number stays that of the first, if it has births.
+    """
+    rows = max(first.weight.shape[1], second.weight.shape[1])
+    weight, mean, covariance = (np.concatenate(pair, axis=1) for pair in zip(first, second, strict=True))
+    order = np.argsort(-weight, axis=1, kind="stable")[:, :rows]
+    kept = np.take_along_axis(weight, order, axis=1)
+    before = first.weight.sum(axis=1)
+    wanted = np.where(before > 0.0, before, second.weight.sum(axis=1))
+    total = kept.sum(axis=1)
+    scale = np.divide(wanted, total, out=np.zeros_like(total), where=total > 0.0)
+    return BirthMixture(
+        kept * np.minimum(scale, 1.0)[:, None],
+        np.take_along_axis(mean, order[:, :, None], axis=1),
+        np.take_along_axis(covariance, order[:, :, None, None], axis=1),
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -158,29 +220,44 @@ def _least_explained(measurements, unexplained, kept):  # type: ignore[no-untype
 
 
 @njit(cache=True, nogil=True)
-def _fill(births, z, chance, mean, covariance, transition, expected, largest):  # type: ignore[no-untyped-def]
-    """Distribute the expected number of births and predict those of positive weight.
-
-    The first measurement of a target is known, so under a pairwise model it influences the next state.
-    """
-    batch, kept, n = mean.shape
+def _share(births, z, chance, mean, covariance, expected, largest):  # type: ignore[no-untyped-def]
+    """Distribute the expected number of births over measurements, and over the pieces of each."""
+    batch, kept, pieces, n = mean.shape
+    joint = births.mean.shape[2] > n
     for b in range(batch):
         total = 0.0
         for k in range(kept):
             total += chance[b, k]
         for k in range(kept):
             share = expected * chance[b, k] / total if total > 0.0 else 0.0
-            births.weight[b, k] = min(share, largest)
-            if share <= 0.0:
-                continue
-            for r in range(n):
-                value = 0.0
-                for c in range(n):
-                    value += transition[r, c] * mean[b, k, c]
-                for c in range(z.shape[2]):
-                    value += transition[r, n + c] * z[b, k, c]
-                births.mean[b, k, r] = value
-            births.covariance[b, k] = covariance[min(b, len(covariance) - 1), min(k, covariance.shape[1] - 1)]
+            for piece in range(pieces):
+                row = k * pieces + piece
+                births.weight[b, row] = min(share, largest) / pieces
+                if share <= 0.0:
+                    continue
+                births.mean[b, row, :n] = mean[b, k, piece]
+                if joint:
+                    births.mean[b, row, n:] = z[b, k]
+                births.covariance[b, row] = covariance[
+                    min(b, len(covariance) - 1), min(k, covariance.shape[1] - 1), piece
+                ]
+
+
+@njit(cache=True, nogil=True)
+def _move_means(joint, active, transition, out):  # type: ignore[no-untyped-def]
+    """Predict the means of active births.
+
+    The first measurement of a target is known, so under a pairwise model it influences the next state.
+    """
+    batch, rows, n = out.shape
+    for b in range(batch):
+        for k in range(rows):
+            if active[b, k]:
+                for r in range(n):
+                    value = 0.0
+                    for c in range(joint.shape[2]):
+                        value += transition[r, c] * joint[b, k, c]
+                    out[b, k, r] = value
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,12 +319,19 @@ def state_from_measurement(model: TargetModel, z: Array, hidden_deviation: Array
 
     Returns:
         mean (*batch, n), zero in unmeasured entries; covariance (*batch, n, n).
+
+    Raises:
+        ValueError: The sensor does not say where a target with a measurement may be.
     """
+    if isinstance(model, SensedModel):
+        found = _sensed_starts(model, z, hidden_deviation)
+        if found is None:
+            raise ValueError(
+                "sensor must have places= to start a track from one measurement, got None; or give births at sites"
+            )
+        return _matched(*found)
     packed, inverse = model.packed, _inverse(model)
-    n = len(inverse)
-    deviation = np.broadcast_to(np.asarray(hidden_deviation, dtype=np.float64), (n,))
-    blind = np.eye(n) - inverse @ packed.observation
-    hidden = blind @ np.diag(deviation**2) @ blind.T
+    hidden = _hidden(inverse, packed.observation, hidden_deviation)
     if isinstance(model, RangeBearingModel):
         distance, bearing = z[..., 0], z[..., 1]
         cosine, sine = np.cos(bearing), np.sin(bearing)
@@ -261,6 +345,34 @@ def state_from_measurement(model: TargetModel, z: Array, hidden_deviation: Array
         noise = np.broadcast_to(packed.measurement_noise, (*z.shape[:-1], *packed.measurement_noise.shape))
     mean = np.einsum("rk,...k->...r", inverse, position)
     return mean, hidden + np.einsum("rk,...kl,cl->...rc", inverse, noise, inverse)
+
+
+def _sensed_starts(model: SensedModel, z: Array, hidden_deviation: ArrayLike) -> tuple[Array, Array] | None:
+    """Gaussians (*batch, c, n), (*batch, c, n, n) of the state given one measurement, or None."""
+    found = model.places(z.reshape(-1, z.shape[-1]))
+    if found is None:
+        return None
+    inverse = np.eye(model.transition.shape[0])[:, list(model.sensor.position)]
+    mean = np.einsum("rk,zck->zcr", inverse, found.mean)
+    spread = np.einsum("rk,zckl,sl->zcrs", inverse, found.covariance, inverse)
+    covariance = spread + _hidden(inverse, inverse.T, hidden_deviation)
+    batch = z.shape[:-1]
+    return mean.reshape(*batch, *mean.shape[1:]), covariance.reshape(*batch, *covariance.shape[1:])
+
+
+def _matched(mean: Array, covariance: Array) -> tuple[Array, Array]:
+    """One Gaussian with the moments of c equally probable ones."""
+    center = mean.mean(axis=-2)
+    spread = mean - center[..., None, :]
+    return center, (covariance + spread[..., :, None] * spread[..., None, :]).mean(axis=-3)
+
+
+def _hidden(inverse: Array, observation: Array, deviation: ArrayLike) -> Array:
+    """Covariance of the state entries that a measurement leaves open. Shape (n, n)."""
+    n = len(inverse)
+    blind = np.eye(n) - inverse @ observation
+    spread = np.broadcast_to(np.asarray(deviation, dtype=np.float64), (n,))
+    return blind @ np.diag(spread**2) @ blind.T
 
 
 def _next_covariance(model: TargetModel, covariance: Array) -> Array:

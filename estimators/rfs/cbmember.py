@@ -33,7 +33,7 @@ class CBMeMBerState(NamedTuple):
     Attributes:
         tracks: The posterior tracks.
         pool: Components of the tracks.
-        births: Births of the next step if they depend on the measurements, else empty.
+        births: Births at the last measurements if they depend on them, else empty.
         next_label: The next new identity. Shape (*batch,).
     """
 
@@ -80,6 +80,7 @@ class GMCBMeMBer(GaussianSetFilter[CBMeMBerState]):
         components = scratch_mixture(batch, state.pool.weight.shape[1] * copies + arrivals, n + m)
         survival = self._evaluate("survival", self.survival, state.pool)
         _predict(model, state.tracks, state.pool, births, self._spawns, survival, predicted, components)
+        self._attach(components)
         new, unexplained = self._updated(state, predicted, components, scan, capacity)
         while tracks_outgrew(self.reduction, new.tracks, new.pool):
             capacity *= 2

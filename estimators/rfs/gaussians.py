@@ -17,14 +17,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.definite import LEAST_SHARE, is_definite, repair
 from servotrack.estimators.rfs.range_bearing import linearized_range_bearing, unscented_range_bearing
 from servotrack.estimators.types import Array, Mask
 
-LINEAR, EXTENDED, UNSCENTED = 0, 1, 2
-"""Kinds of measurement: linear, or range and bearing by an extended or an unscented transform."""
+LINEAR, EXTENDED, UNSCENTED, FUNCTION = 0, 1, 2, 3
+"""Kinds of measurement: linear, range and bearing by an extended or an unscented transform, or a caller's function."""
 
 SMALLEST_LIKELIHOOD = 1e-300
 """Pairs of smaller likelihood are dropped: near underflow their quotients would be meaningless."""
@@ -34,7 +35,7 @@ class PackedModel(NamedTuple):
     """Arrays of a model for the compiled kernels; N = n + m.
 
     Attributes:
-        kind: LINEAR, EXTENDED or UNSCENTED.
+        kind: LINEAR, EXTENDED, UNSCENTED or FUNCTION.
         pairwise: True if y influences the next step.
         transition: B. Shape (N, N).
         noise: Sigma. Shape (N, N).
@@ -52,6 +53,33 @@ class PackedModel(NamedTuple):
     measurement_noise: Array
     sensor: Array
     angular: Mask
+
+
+def pack_model(
+    kind: int,
+    pairwise: bool,
+    transition: Array,
+    noise: Array,
+    observation: Array,
+    measurement_noise: Array,
+    sensor: tuple[float, float] = (0.0, 0.0),
+    angular: tuple[bool, ...] | None = None,
+) -> PackedModel:
+    """Copy the matrices to contiguous, writable arrays; the kernels are compiled for this memory layout."""
+
+    def copy(matrix: ArrayLike) -> Array:
+        return np.array(matrix, dtype=np.float64, order="C")
+
+    return PackedModel(
+        kind,
+        pairwise,
+        copy(transition),
+        copy(noise),
+        copy(observation),
+        copy(measurement_noise),
+        copy(sensor),
+        np.array(angular or (False,) * observation.shape[0]),
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -85,6 +113,9 @@ def cholesky_inverse(matrix, size, offset, inverse):  # type: ignore[no-untyped-
 def attach_measurement(model, mean, cov):  # type: ignore[no-untyped-def]
     """Fill the y blocks of a component from its x block: predicted measurement and covariances."""
     m, n = model.observation.shape
+    if model.kind == FUNCTION:
+        # The kernels cannot call it; `SensedModel.attach` fills the blocks of all components at once.
+        return
     if model.kind == EXTENDED:
         linearized_range_bearing(model.observation, model.measurement_noise, model.sensor, mean, cov)
     elif model.kind == UNSCENTED:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -17,7 +17,8 @@ from servotrack.estimators.rfs.capacity import warn_of_cap
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, predict_components
 from servotrack.estimators.rfs.models import TargetModel
-from servotrack.estimators.rfs.recursion import check_positive_definite
+from servotrack.estimators.rfs.recursion import check_positive_definite, resized
+from servotrack.estimators.rfs.sensors import SensedModel, Sensor, model_at
 from servotrack.estimators.rfs.sets import (
     TENTATIVE_EXISTENCE,
     SetEstimate,
@@ -95,14 +96,20 @@ class GlobalNearestNeighbor:
     def _gate(self) -> float:
         return float(chdtri(self.model.packed.observation.shape[0], 1.0 - self.gate_probability))
 
-    def initial(self, measurement: ArrayLike) -> GNNState:
+    def initial(self, measurement: ArrayLike, sensor: Sensor | None = None) -> GNNState:
         """State before the first measurement: no tracks. Only the measurement's batch axis is read."""
-        z, _, single = read_measurements(measurement, self.model.packed.observation.shape[0])
+        m = self.model.packed.observation.shape[0] if sensor is None else sensor.size
+        z, _, single = read_measurements(measurement, m)
         state = self._empty(z.shape[0])
         return first_row(state) if single else state
 
-    def step(self, state: GNNState, measurement: ArrayLike) -> tuple[GNNState, SetEstimate]:
-        """Predict, assign, update; shapes and errors as in `GaussianSetFilter.step`."""
+    def step(
+        self, state: GNNState, measurement: ArrayLike, dt: float | None = None, sensor: Sensor | None = None
+    ) -> tuple[GNNState, SetEstimate]:
+        """Predict, assign, update; arguments and errors as in `GaussianSetFilter.step`. Counts are of scans."""
+        if dt is not None or sensor is not None:
+            now = replace(self, model=model_at(self.model, dt, sensor))
+            return now.step(resized(state, sum(now.model.packed.observation.shape)), measurement)
         m, n = self.model.packed.observation.shape
         z, number, single = read_measurements(measurement, m)
         check_runs(state.next_label, z.shape[0], single)
@@ -114,6 +121,8 @@ class GlobalNearestNeighbor:
             capacity *= 2
         predicted = empty_mixture(batch, state.hits.shape[1], n + m)
         _predict(self.model.packed, state.tracks, predicted)
+        if isinstance(self.model, SensedModel):
+            self.model.attach(predicted)
         start, start_covariance = state_from_measurement(self.model, z, self.hidden_deviation)
         new = self._empty(batch, capacity)
         extraction = empty_extraction(batch, capacity, n)

@@ -22,8 +22,18 @@ from servotrack.estimators.rfs.models import (
     PairwiseMarkovModel,
     RangeBearingModel,
     TargetModel,
-    constant_velocity,
+    checked_period,
 )
+from servotrack.estimators.rfs.motion import (
+    Agile,
+    ConstantAcceleration,
+    CoordinatedTurn,
+    Motion,
+    Turning,
+    WhiteAcceleration,
+    turn,
+)
+from servotrack.estimators.rfs.sensors import Sensor, model_at
 from servotrack.estimators.types import Array
 
 Model = HiddenMarkovModel | PairwiseMarkovModel | RangeBearingModel
@@ -64,6 +74,18 @@ class InteractingModels:
         object.__setattr__(self, "switching", switching)
         initial = _stationary(switching) if self.initial is None else self.initial
         object.__setattr__(self, "initial", _probabilities("initial", initial, (S,)))
+
+    def at(self, dt: float | None = None, sensor: Sensor | None = None) -> InteractingModels:
+        """The same modes for another interval and another sensor; arguments and errors as in `GaussianSetFilter.at`.
+
+        Changes between the modes follow the interval: a whole number of periods by a power of `switching`, the rest by
+        a share of it.
+        """
+        models = [model_at(model, dt, sensor) for model in self.models]
+        periods = models[0].period / self.models[0].period
+        whole = int(periods)
+        rest = (1.0 - (periods - whole)) * np.eye(len(models)) + (periods - whole) * self.switching
+        return InteractingModels(models, np.linalg.matrix_power(self.switching, whole) @ rest, self.initial)
 
     @cached_property
     def packed(self) -> PackedModes:
@@ -115,10 +137,7 @@ def coordinated_turn(
     Raises:
         ValueError: A value is not finite, or a noise or the period is not positive.
     """
-    straight = constant_velocity(process_noise, measurement_noise, period=period)
-    if not math.isfinite(turn_rate):
-        raise ValueError(f"turn_rate must be finite, got {turn_rate!r}")
-    return replace(straight, transition=_turn(turn_rate, period))
+    return _positions(CoordinatedTurn(process_noise, turn_rate), measurement_noise, period, 2, 2)
 
 
 def constant_acceleration(
@@ -135,16 +154,13 @@ def constant_acceleration(
     Raises:
         ValueError: A value is not positive.
     """
-    return _accelerated(process_noise, measurement_noise, period, dimensions, white=False)
+    return _positions(ConstantAcceleration(process_noise, dimensions), measurement_noise, period, dimensions, 3)
 
 
 def white_acceleration(
     process_noise: float, measurement_noise: float, *, period: float = 1.0, dimensions: int = 2
 ) -> HiddenMarkovModel:
-    """`constant_velocity` with the state of `constant_acceleration`, to stand beside it among the modes.
-
-    The acceleration of the state has no influence on the motion; it is drawn anew at every scan, with the variance of
-    the mean acceleration between two scans.
+    """`constant_velocity` with the state of `constant_acceleration`, to stand beside it; see `WhiteAcceleration`.
 
     Args:
         process_noise: sigma_v as in `constant_velocity`, m/s^1.5.
@@ -155,7 +171,7 @@ def white_acceleration(
     Raises:
         ValueError: A value is not positive.
     """
-    return _accelerated(process_noise, measurement_noise, period, dimensions, white=True)
+    return _positions(WhiteAcceleration(process_noise, dimensions), measurement_noise, period, dimensions, 3)
 
 
 def maneuvers(
@@ -182,14 +198,17 @@ def maneuvers(
         raise ValueError(f"turn_rate must be finite and >= 0, got {turn_rate!r}")
     F, Q = hidden_motion(model)
     period = float(F[0, 1])
-    if F.shape != (4, 4) or not np.allclose(F, _turn(0.0, period), rtol=0.0, atol=1e-9 * max(1.0, abs(period))):
+    if F.shape != (4, 4) or not np.allclose(F, turn(0.0, period), rtol=0.0, atol=1e-9 * max(1.0, abs(period))):
         raise ValueError(
             f"model must have the state [x, vx, y, vy] and constant velocity, got transition {F.tolist()}; "
             "pass your own modes to InteractingModels"
         )
-    models = [model, with_motion(model, F, agility**2 * Q)]
+    own = model.source.model.motion if isinstance(model, PairwiseMarkovModel) and model.source else None
+    motion = own if isinstance(model, PairwiseMarkovModel) else model.motion
+    models = [model, with_motion(model, F, agility**2 * Q, motion and Agile(motion, agility))]
     if turn_rate > 0.0:
-        models += [with_motion(model, _turn(sign * turn_rate, period), Q) for sign in (1.0, -1.0)]
+        for rate in (turn_rate, -turn_rate):
+            models.append(with_motion(model, turn(rate, period), Q, motion and Turning(motion, rate)))
     return InteractingModels(models, lasting([straight] + [turning] * (len(models) - 1)))
 
 
@@ -206,46 +225,37 @@ def hidden_motion(model: Model) -> tuple[Array, Array]:
     return F, 0.5 * (Q + Q.T)
 
 
-def with_motion(model: Model, transition: Array, process_noise: Array) -> Model:
+def with_motion(model: Model, transition: Array, process_noise: Array, motion: Motion | None = None) -> Model:
     """Return the model with other F and Q; the measurement, and F2 and H2 of a pairwise model, stay.
+
+    Args:
+        model: The model.
+        transition: F. Shape (n, n).
+        process_noise: Q. Shape (n, n).
+        motion: F and Q as functions of the interval; None: scans at the model's period only.
 
     Raises:
         ValueError: F and Q do not fit the model, or leave a pairwise model without a valid noise.
     """
     if not isinstance(model, PairwiseMarkovModel):
-        return replace(model, transition=transition, process_noise=process_noise)
+        return replace(model, transition=transition, process_noise=process_noise, motion=motion)
     n = model.observation.shape[1]
-    hidden = HiddenMarkovModel(transition, process_noise, model.observation, model.measurement_noise)
+    hidden = HiddenMarkovModel(
+        transition, process_noise, model.observation, model.measurement_noise, motion, model.period
+    )
     return PairwiseMarkovModel.from_hidden_markov(hidden, model.transition[:n, n:], model.transition[n:, n:])
 
 
-def _turn(rate: float, period: float) -> Array:
-    """Transition of [x, vx, y, vy] in a turn; its limit for a rate of 0."""
-    angle = rate * period
-    along = period * float(np.sinc(angle / np.pi))
-    across = period * float(np.sinc(0.5 * angle / np.pi)) * math.sin(0.5 * angle)
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[1.0, along, 0.0, -across], [0.0, c, 0.0, -s], [0.0, across, 1.0, along], [0.0, s, 0.0, c]])
-
-
-def _accelerated(noise: float, measured: float, t: float, dimensions: int, *, white: bool) -> HiddenMarkovModel:
-    """A model with the state [x, vx, ax, ...]; white: the acceleration is independent from scan to scan."""
-    simple = constant_velocity(noise, measured, period=t, dimensions=dimensions)
-    axes = np.eye(dimensions)
-    if white:
-        F = np.array([[1.0, t, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
-        Q = noise**2 * np.array([[t**3 / 3.0, t**2 / 2.0, 0.0], [t**2 / 2.0, t, 0.0], [0.0, 0.0, 1.0 / t]])
-    else:
-        F = np.array([[1.0, t, t**2 / 2.0], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
-        Q = noise**2 * np.array(
-            [[t**5 / 20.0, t**4 / 8.0, t**3 / 6.0], [t**4 / 8.0, t**3 / 3.0, t**2 / 2.0], [t**3 / 6.0, t**2 / 2.0, t]]
-        )
-    return HiddenMarkovModel(
-        transition=np.kron(axes, F),
-        process_noise=np.kron(axes, Q),
-        observation=np.kron(axes, np.array([[1.0, 0.0, 0.0]])),
-        measurement_noise=simple.measurement_noise,
-    )
+def _positions(motion: Motion, deviation: float, period: float, dimensions: int, order: int) -> HiddenMarkovModel:
+    """A motion whose positions, the first of `order` entries of each axis, are measured."""
+    if not (np.isfinite(deviation) and deviation > 0.0):
+        raise ValueError(f"measurement_noise must be finite and > 0, got {deviation!r}")
+    if not checked_period(period) > 0.0:
+        raise ValueError(f"period must be finite and > 0, got {period!r}")
+    F, Q = motion(period)
+    axes, first = np.eye(dimensions), np.eye(order)[:1]
+    observation = np.kron(axes, first).astype(np.float64)
+    return HiddenMarkovModel(F, Q, observation, deviation**2 * axes, motion, period)
 
 
 def _probabilities(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

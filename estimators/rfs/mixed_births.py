@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from servotrack.estimators.rfs.birth import Birth, BirthMixture, MeasurementBirth
-from servotrack.estimators.rfs.models import TargetModel
-from servotrack.estimators.types import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,24 +34,12 @@ class Births:
         if not isinstance(self.anywhere, MeasurementBirth):
             raise ValueError(f"anywhere must be a MeasurementBirth, got {type(self.anywhere).__name__}")
 
-    def empty(self, batch: int, n: int) -> BirthMixture:
-        """Births of the first step: those at the sites only."""
-        return self._added(self.anywhere.empty(batch, n))
-
-    def next(self, model: TargetModel, measurements: Array, unexplained: Array) -> BirthMixture:
-        """Births of the next step; arguments as in `MeasurementBirth.next`."""
-        return self._added(self.anywhere.next(model, measurements, unexplained))
-
-    def _added(self, anywhere: BirthMixture) -> BirthMixture:
-        sites = BirthMixture(self.sites.weights, self.sites.means, self.sites.covariances)
-        return join_births(sites, anywhere)
-
 
 def join_births(sites: BirthMixture, others: BirthMixture) -> BirthMixture:
-    """Append births of each run, (B, K, ...), to births that all runs share, (S, ...)."""
+    """Append births of each run, (B, K, ...), to births that all runs share, (1, S, ...)."""
     batch = len(others.weight)
     joined = (
-        np.concatenate([np.broadcast_to(shared, (batch, *shared.shape)), own], axis=1)
+        np.concatenate([np.broadcast_to(shared, (batch, *shared.shape[1:])), own], axis=1)
         for shared, own in zip(sites, others, strict=True)
     )
     return BirthMixture(*joined)

@@ -11,14 +11,15 @@ Petetin and Desbouvries 2013); `STRUCTURES` names the readings S1 to S6 of the p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from servotrack.estimators.rfs.gaussians import EXTENDED, LINEAR, UNSCENTED, PackedModel
+from servotrack.estimators.rfs.gaussians import EXTENDED, LINEAR, UNSCENTED, PackedModel, pack_model
+from servotrack.estimators.rfs.motion import ConstantVelocity, Motion
 from servotrack.estimators.types import Array
 
 Structure = Literal["S1", "S2", "S3", "S4", "S5", "S6"]
@@ -34,6 +35,20 @@ class TargetModel(Protocol):
     def packed(self) -> PackedModel:
         """Arrays of the model for the compiled kernels."""
 
+    @property
+    def period(self) -> float:
+        """Interval that the model's transition and noise are for, s."""
+
+    def at(self, dt: float) -> TargetModel:
+        """The same model for another interval.
+
+        Args:
+            dt: Interval, s, at least 0.
+
+        Raises:
+            ValueError: The model has no motion for this interval.
+        """
+
 
 def checked_matrix(name: str, value: ArrayLike, shape: tuple[int | None, int | None]) -> Array:
     """Return a finite float64 matrix of the given shape (None: any size), or raise ValueError naming the argument."""
@@ -45,6 +60,50 @@ def checked_matrix(name: str, value: ArrayLike, shape: tuple[int | None, int | N
         raise ValueError(f"{name} must be finite, got {matrix.tolist()}")
     matrix.setflags(write=False)
     return matrix
+
+
+class MovingModel(Protocol):
+    """Model with a transition and a process noise over its period."""
+
+    @property
+    def transition(self) -> Array:
+        """F. Shape (n, n)."""
+
+    @property
+    def motion(self) -> Motion | None:
+        """Transition and process noise as functions of the interval, or None."""
+
+    @property
+    def period(self) -> float:
+        """Interval of the transition, s."""
+
+
+def checked_period(period: float) -> float:
+    """Return the interval of a model, which is 0 for two scans at one instant, or raise ValueError."""
+    if not (np.isfinite(period) and period >= 0.0):
+        raise ValueError(f"period must be finite and >= 0, got {period!r}")
+    return float(period)
+
+
+def moved(model: MovingModel, dt: float) -> tuple[Array, Array]:
+    """Transition and process noise of a model over another interval than its own.
+
+    Args:
+        model: The model.
+        dt: Interval, s, at least 0; over 0 s nothing moves.
+
+    Raises:
+        ValueError: The model has no `motion`.
+    """
+    n = model.transition.shape[0]
+    if dt == 0.0:
+        return np.eye(n), np.zeros((n, n))
+    if model.motion is None:
+        raise ValueError(
+            f"dt must be the model's period, {model.period:g} s, or 0, got {dt!r}: the model knows its transition over "
+            "one period only; give it motion=, for example ConstantVelocity(process_noise)"
+        )
+    return model.motion(dt)
 
 
 def checked_covariance(name: str, value: ArrayLike, size: int, *, definite: bool) -> Array:
@@ -73,15 +132,21 @@ class HiddenMarkovModel:
         process_noise: Q, positive semidefinite. Shape (n, n).
         observation: H. Shape (m, n).
         measurement_noise: R, positive definite. Shape (m, m).
+        motion: Transition and process noise as functions of the interval, for scans at varying intervals. None: the
+            model serves scans at its period only.
+        period: Interval that `transition` and `process_noise` are for, s.
 
     Raises:
-        ValueError: A matrix has a wrong shape, or is not symmetric or positive (semi)definite.
+        ValueError: A matrix has a wrong shape, or is not symmetric or positive (semi)definite; the period is
+            negative.
     """
 
     transition: Array
     process_noise: Array
     observation: Array
     measurement_noise: Array
+    motion: Motion | None = None
+    period: float = 1.0
 
     def __post_init__(self) -> None:
         F = checked_matrix("transition", self.transition, (None, None))
@@ -93,6 +158,14 @@ class HiddenMarkovModel:
         R = checked_covariance("measurement_noise", self.measurement_noise, H.shape[0], definite=True)
         object.__setattr__(self, "process_noise", Q)
         object.__setattr__(self, "measurement_noise", R)
+        object.__setattr__(self, "period", checked_period(self.period))
+
+    def at(self, dt: float) -> HiddenMarkovModel:
+        """The same model for another interval; arguments and errors as in `TargetModel`."""
+        if dt == self.period:
+            return self
+        F, Q = moved(self, dt)
+        return replace(self, transition=F, process_noise=Q, period=dt)
 
     @property
     def joint_noise(self) -> Array:
@@ -106,7 +179,21 @@ class HiddenMarkovModel:
         F, H = self.transition, self.observation
         m, n = H.shape
         B = np.block([[F, np.zeros((n, m))], [H @ F, np.zeros((m, m))]])
-        return _pack(LINEAR, False, B, self.joint_noise, H, self.measurement_noise)
+        return pack_model(LINEAR, False, B, self.joint_noise, H, self.measurement_noise)
+
+
+class PairwiseSource(NamedTuple):
+    """Origin of a pairwise Markov model.
+
+    Attributes:
+        model: The hidden Markov model.
+        F2: Influence of y_{k-1} on x_k over the model's period. Shape (n, m).
+        H2: Influence of y_{k-1} on y_k over the model's period. Shape (m, m).
+    """
+
+    model: HiddenMarkovModel
+    F2: Array
+    H2: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,17 +205,23 @@ class PairwiseMarkovModel:
         noise: Sigma, positive definite. Shape (n + m, n + m).
         observation: H. Shape (m, n).
         measurement_noise: R, positive definite. Shape (m, m).
+        source: The hidden Markov model behind it with F2 and H2, for scans at varying intervals; `from_hidden_markov`
+            sets it. None: the model serves scans at its period only.
+        period: Interval that `transition` and `noise` are for, s.
 
     Raises:
-        ValueError: A matrix has a wrong shape, or is not symmetric or positive definite.
+        ValueError: A matrix has a wrong shape, or is not symmetric or positive definite; the period is negative.
     """
 
     transition: Array
     noise: Array
     observation: Array
     measurement_noise: Array
+    source: PairwiseSource | None = None
+    period: float = 1.0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "period", checked_period(self.period))
         H = checked_matrix("observation", self.observation, (None, None))
         m, n = H.shape
         object.__setattr__(self, "observation", H)
@@ -163,12 +256,37 @@ class PairwiseMarkovModel:
         G = np.vstack([F2, H2])
         B = np.block([[F - F2 @ H, F2], [H @ F - H2 @ H, H2]])
         sigma = model.joint_noise - G @ R @ G.T
-        return cls(B, 0.5 * (sigma + sigma.T), H, R)
+        return cls(B, 0.5 * (sigma + sigma.T), H, R, PairwiseSource(model, F2, H2), model.period)
+
+    def at(self, dt: float) -> PairwiseMarkovModel:
+        """The same model for another interval; arguments and errors as in `TargetModel`.
+
+        F2 and H2 follow from the correlation of process noise and last measurement noise, which is that of one period:
+        F2(dt) = L(dt) L(period)^-1 F2 with Q = L L^T, and H2 - H F2 is the memory of the measurement noise, which
+        stays. So Sigma stays positive definite at every interval.
+        """
+        if dt == self.period:
+            return self
+        if dt <= 0.0:
+            raise ValueError(
+                f"dt must be > 0 under a pairwise Markov model, got {dt!r}: its measurements are one chain per target"
+            )
+        if self.source is None:
+            raise ValueError(
+                f"dt must be the model's period, {self.period:g} s, got {dt!r}: the model knows one transition only; "
+                "make it by PairwiseMarkovModel.from_hidden_markov of a model with motion="
+            )
+        hidden, F2, H2 = self.source
+        H, then = hidden.observation, hidden.at(dt)
+        root = np.linalg.cholesky(hidden.process_noise)
+        pushed = np.linalg.cholesky(then.process_noise) @ np.linalg.solve(root, F2)
+        found = PairwiseMarkovModel.from_hidden_markov(then, pushed, H2 - H @ F2 + H @ pushed)
+        return replace(found, source=self.source, period=dt)
 
     @cached_property
     def packed(self) -> PackedModel:
         """Arrays of the model for the compiled kernels."""
-        return _pack(LINEAR, True, self.transition, self.noise, self.observation, self.measurement_noise)
+        return pack_model(LINEAR, True, self.transition, self.noise, self.observation, self.measurement_noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,9 +300,11 @@ class RangeBearingModel:
         measurement_noise: R of range (m^2) and bearing (rad^2), positive definite. Shape (2, 2).
         sensor: Position of the sensor. Shape (2,), m.
         transform: "ekf" linearizes the measurement at the mean, "ukf" uses the unscented transform.
+        motion: Transition and process noise as functions of the interval; None: scans at the period only.
+        period: Interval that `transition` and `process_noise` are for, s.
 
     Raises:
-        ValueError: A matrix, the sensor's position or the transform is invalid.
+        ValueError: A matrix, the sensor's position, the transform or the period is invalid.
     """
 
     transition: Array
@@ -193,8 +313,11 @@ class RangeBearingModel:
     measurement_noise: Array
     sensor: tuple[float, float] = (0.0, 0.0)
     transform: Literal["ekf", "ukf"] = "ukf"
+    motion: Motion | None = None
+    period: float = 1.0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "period", checked_period(self.period))
         # The rules for the dynamics and the selection are those of a hidden Markov model.
         linear = HiddenMarkovModel(self.transition, self.process_noise, self.position, self.measurement_noise)
         if linear.observation.shape[0] != 2:
@@ -209,6 +332,13 @@ class RangeBearingModel:
         if self.transform not in ("ekf", "ukf"):
             raise ValueError(f'transform must be "ekf" or "ukf", got {self.transform!r}')
 
+    def at(self, dt: float) -> RangeBearingModel:
+        """The same model for another interval; arguments and errors as in `TargetModel`."""
+        if dt == self.period:
+            return self
+        F, Q = moved(self, dt)
+        return replace(self, transition=F, process_noise=Q, period=dt)
+
     @cached_property
     def packed(self) -> PackedModel:
         """Arrays of the model for the compiled kernels."""
@@ -216,7 +346,7 @@ class RangeBearingModel:
         B, sigma = np.zeros((n + 2, n + 2)), np.zeros((n + 2, n + 2))
         B[:n, :n], sigma[:n, :n] = self.transition, self.process_noise
         kind = EXTENDED if self.transform == "ekf" else UNSCENTED
-        return _pack(kind, False, B, sigma, self.position, self.measurement_noise, self.sensor, (False, True))
+        return pack_model(kind, False, B, sigma, self.position, self.measurement_noise, self.sensor, (False, True))
 
 
 def definiteness_margin(model: HiddenMarkovModel, F2: ArrayLike, H2: ArrayLike) -> float:
@@ -253,16 +383,16 @@ def constant_velocity(
     for name, value in (("process_noise", process_noise), ("measurement_noise", measurement_noise), ("period", period)):
         if not (np.isfinite(value) and value > 0.0):
             raise ValueError(f"{name} must be finite and > 0, got {value!r}")
-    if dimensions < 1:
-        raise ValueError(f"dimensions must be >= 1, got {dimensions!r}")
-    axes, t = np.eye(dimensions), period
-    F, H = np.array([[1.0, t], [0.0, 1.0]]), np.array([[1.0, 0.0]])
-    Q = process_noise**2 * np.array([[t**3 / 3.0, t**2 / 2.0], [t**2 / 2.0, t]])
+    motion = ConstantVelocity(process_noise, dimensions)
+    F, Q = motion(period)
+    axes = np.eye(dimensions)
     return HiddenMarkovModel(
-        transition=np.kron(axes, F).astype(np.float64),
-        process_noise=np.kron(axes, Q).astype(np.float64),
-        observation=np.kron(axes, H).astype(np.float64),
+        transition=F,
+        process_noise=Q,
+        observation=np.kron(axes, np.array([[1.0, 0.0]])),
         measurement_noise=measurement_noise**2 * axes,
+        motion=motion,
+        period=period,
     )
 
 
@@ -300,30 +430,3 @@ def pairwise_structure(
     }[structure]
     F2 = np.array([[position_x, 0.0], [velocity_x, 0.0], [0.0, position_y], [0.0, velocity_y]])
     return PairwiseMarkovModel.from_hidden_markov(model, F2, np.diag(memory))
-
-
-def _pack(
-    kind: int,
-    pairwise: bool,
-    transition: Array,
-    noise: Array,
-    observation: Array,
-    measurement_noise: Array,
-    sensor: tuple[float, float] = (0.0, 0.0),
-    angular: tuple[bool, ...] | None = None,
-) -> PackedModel:
-    """Copy the matrices to contiguous, writable arrays; the kernels are compiled for this memory layout."""
-
-    def copy(matrix: ArrayLike) -> Array:
-        return np.array(matrix, dtype=np.float64, order="C")
-
-    return PackedModel(
-        kind,
-        pairwise,
-        copy(transition),
-        copy(noise),
-        copy(observation),
-        copy(measurement_noise),
-        copy(sensor),
-        np.array(angular or (False,) * observation.shape[0]),
-    )

@@ -35,7 +35,7 @@ class PHDState(NamedTuple):
 
     Attributes:
         intensity: The posterior intensity.
-        births: Births of the next step if they depend on the measurements, else empty.
+        births: Births at the last measurements if they depend on them, else empty.
         next_label: The next new identity. Shape (*batch,).
     """
 
@@ -67,6 +67,7 @@ class GMPHD(GaussianSetFilter[PHDState]):
         predicted = scratch_mixture(batch, room, n + m)
         survival = self._evaluate("survival", self.survival, state.intensity)
         _predict_intensity(model, state.intensity, births, self._spawns, survival, predicted)
+        self._attach(predicted)
         detection = self._evaluate("detection", probability, predicted)
         while True:
             intensity = empty_mixture(batch, capacity, n + m)

@@ -32,7 +32,7 @@ class PMBState(NamedTuple):
         tracks: Tracks of targets detected at least once.
         pool: Components of the tracks.
         undetected: Intensity of targets never detected.
-        births: Births of the next step if they depend on the measurements, else empty.
+        births: Births at the last measurements if they depend on them, else empty.
         next_label: The next new identity. Shape (*batch,).
     """
 

@@ -41,7 +41,7 @@ class PMBMState(NamedTuple):
         share: Probability of the global hypotheses that contain each Bernoulli. Shape (*batch, T).
         pool: Components of the Bernoullis.
         undetected: Intensity of undetected targets, recycled Bernoullis included.
-        births: Births of the next step if they depend on the measurements, else empty.
+        births: Births at the last measurements if they depend on them, else empty.
         next_label: The next new identity. Shape (*batch,).
         cut: Probability that the caps removed in the last scan: hypotheses, Bernoullis and components. Shape (*batch,).
         cut_undetected: Expected number of targets that the cap `undetected` removed in the last scan. Shape (*batch,).

@@ -55,6 +55,8 @@ class PoissonTrackFilter(GaussianSetFilter[StateT]):
         predict_pmb(
             self.model.packed, state, presence, births, self._spawns, survival, hidden_survival, tracks, pool, hidden
         )
+        self._attach(pool)
+        self._attach(hidden)
         detection = self._evaluate("detection", self.detection, pool)
         return Prediction(tracks, pool, hidden, detection, self._evaluate("detection", self.detection, hidden))
 

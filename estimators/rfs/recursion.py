@@ -4,20 +4,28 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
-from typing import Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
-from servotrack.estimators.rfs.birth import Birth, BirthMixture, MeasurementBirth, Spawn, pack_spawns
+from servotrack.estimators.rfs.birth import (
+    Birth,
+    BirthMixture,
+    MeasurementBirth,
+    Spawn,
+    joined_births,
+    pack_spawns,
+)
 from servotrack.estimators.rfs.extraction import RULES, Rule
-from servotrack.estimators.rfs.mixed_births import Births
+from servotrack.estimators.rfs.mixed_births import Births, join_births
 from servotrack.estimators.rfs.mixture import Mixture
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.reduction import Reduction
+from servotrack.estimators.rfs.sensors import Intensity, Probability, SensedModel, Sensor, model_at
 from servotrack.estimators.rfs.sets import (
     Extraction,
     Scan,
@@ -29,8 +37,8 @@ from servotrack.estimators.rfs.sets import (
 from servotrack.estimators.stateful import add_axis, first_row
 from servotrack.estimators.types import Array, Labels
 
-Probability = float | Callable[[Array], Array]
-"""A constant in [0, 1], or a function of states (k, n) that returns (k,)."""
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 class SetFilterState(Protocol):
@@ -38,7 +46,7 @@ class SetFilterState(Protocol):
 
     @property
     def births(self) -> BirthMixture:
-        """Births of the next step if they depend on the measurements, else empty."""
+        """Births at the last measurements if they depend on them, else empty."""
 
     @property
     def next_label(self) -> Labels:
@@ -46,6 +54,7 @@ class SetFilterState(Protocol):
 
 
 StateT = TypeVar("StateT", bound=SetFilterState)
+TupleT = TypeVar("TupleT", bound=tuple[Any, ...])
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +79,8 @@ class GaussianSetFilter(ABC, Generic[StateT]):
             `gate_loss` (no gate if p_D is 1 or a function).
         gate_loss: Increase of the missed detections by the default gate, as a share of 1 - p_D, from 0 (no gate) to
             0.1. Raising it makes the gate smaller and the filter faster.
+        variants: Number of intervals and sensors whose matrices are kept for the next scan of their kind. Raising it
+            takes memory, and saves time where many intervals alternate.
 
     Raises:
         ValueError: An argument is out of range.
@@ -78,7 +89,7 @@ class GaussianSetFilter(ABC, Generic[StateT]):
     model: TargetModel
     birth: Birth | MeasurementBirth | Births
     _: KW_ONLY
-    clutter_intensity: float | Callable[[Array], Array]
+    clutter_intensity: Intensity
     survival: Probability = 0.99
     detection: Probability = 0.98
     spawn: tuple[Spawn, ...] = ()
@@ -87,6 +98,7 @@ class GaussianSetFilter(ABC, Generic[StateT]):
     reduction: Reduction = field(default_factory=Reduction)
     gate_probability: float | None = None
     gate_loss: float = 0.01
+    variants: int = 64
 
     def __post_init__(self) -> None:
         n = self.model.packed.observation.shape[1]
@@ -113,36 +125,112 @@ class GaussianSetFilter(ABC, Generic[StateT]):
             )
         if not 0.0 <= self.gate_loss <= 0.1:
             raise ValueError(f"gate_loss must be in [0, 0.1], got {self.gate_loss!r}")
+        if self.variants < 1:
+            raise ValueError(f"variants must be at least 1, got {self.variants!r}")
 
-    def initial(self, measurement: ArrayLike) -> StateT:
-        """State before the first measurement: no targets. Only the measurement's batch axis is read."""
-        z, _, single = read_measurements(measurement, self._sizes[1])
+    def initial(self, measurement: ArrayLike, sensor: Sensor | None = None) -> StateT:
+        """State before the first measurement: no targets. Only the measurement's batch axis is read.
+
+        Args:
+            measurement: The first scan, in the form of `step`.
+            sensor: Sensor of that scan; None: the measurement of the filter's model.
+        """
+        z, _, single = read_measurements(measurement, self._sizes[1] if sensor is None else sensor.size)
         state = self._empty(z.shape[0])
         return first_row(state) if single else state
 
-    def step(self, state: StateT, measurement: ArrayLike) -> tuple[StateT, SetEstimate]:
+    def step(
+        self, state: StateT, measurement: ArrayLike, dt: float | None = None, sensor: Sensor | None = None
+    ) -> tuple[StateT, SetEstimate]:
         """Predict to the next instant and update with its measurements.
 
         Args:
             state: Result of `initial` or of the last `step`.
             measurement: Shape (Z, m) for one run, Z may be 0; (B, n_max, 1 + m) with existence in column 0 for a batch.
+            dt: Time since the last step, s. None: the model's period. Survival and expected births, which are for one
+                period, follow. 0: another scan of the same instant, before which nothing moves, appears or vanishes.
+            sensor: Sensor of this scan; None: the measurement of the filter's model.
 
         Returns:
             The new state and the estimate, n the state's size and m the measurement's.
 
         Raises:
-            ValueError: Measurements have a wrong shape or are not finite, or a covariance is not positive definite.
+            ValueError: Measurements have a wrong shape or are not finite, dt is negative, the model has no motion for
+                dt, or a covariance is not positive definite.
         """
-        z, number, single = read_measurements(measurement, self._sizes[1])
+        now = self.at(dt, sensor)
+        z, number, single = read_measurements(measurement, now._sizes[1])
         check_runs(state.next_label, z.shape[0], single)
         if single:
             state = add_axis(state)
-        births = self._static_births if isinstance(self.birth, Birth) else state.births
-        scan = Scan(z, number, self._clutter(z, number))
-        new, extraction, unexplained = self._advance(state, births, scan)
-        if not isinstance(self.birth, Birth):
-            new = new._replace(births=self.birth.next(self.model, z, unexplained))  # type: ignore[attr-defined]
+        state = resized(state, sum(now._sizes))  # type: ignore[type-var]
+        share = now.model.period / self.model.period
+        births = now._coming_births(state)
+        scan = Scan(z, number, now._clutter(z, number))
+        new, extraction, unexplained = now._advance(state, births, scan)
+        if self._anywhere is not None:
+            born = self._anywhere.born(now.model, z, unexplained, share if share > 0.0 else 1.0)
+            if share == 0.0:
+                born = state.births if born is None else joined_births(state.births, born)
+            elif born is None:
+                born = self._anywhere.empty(z.shape[0], now.model)
+            new = new._replace(births=born)  # type: ignore[attr-defined]
         return (first_row(new) if single else new), estimate_from_extraction(extraction, single)
+
+    def at(self, dt: float | None = None, sensor: Sensor | None = None) -> Self:
+        """The same filter for another interval and another sensor.
+
+        Args:
+            dt: Interval before a scan, s; None: the model's period.
+            sensor: Sensor of the scan; None: the measurement of the filter's model.
+
+        Returns:
+            A filter whose model, survival, expected births at sites, detection and clutter are those of the step.
+
+        Raises:
+            ValueError: dt is negative or not finite, or the model cannot serve it or the sensor.
+        """
+        period = self.model.period
+        if dt is None or dt == period:
+            if sensor is None:
+                return self
+            dt = period
+        known: dict[Any, Self] = self.__dict__.setdefault("_variants", {})
+        variant = known.get((dt, sensor))
+        if variant is None:
+            # A sensor that moves is a new one at every scan; without a limit they would fill the memory.
+            if len(known) >= self.variants:
+                known.pop(next(iter(known)))
+            variant = known[dt, sensor] = replace(self, **self._changes(dt, sensor))
+        return variant
+
+    def _changes(self, dt: float, sensor: Sensor | None) -> dict[str, Any]:
+        """Arguments of the filter of `at` that differ."""
+        share = dt / self.model.period
+        changes: dict[str, Any] = {
+            "model": model_at(self.model, dt, sensor),
+            "survival": _to_the(self.survival, share),
+        }
+        if sensor is not None:
+            for name in ("detection", "clutter_intensity"):
+                if getattr(sensor, name) is not None:
+                    changes[name] = getattr(sensor, name)
+        if self._sites is not None and share > 0.0:
+            sites = replace(self._sites, weights=np.minimum(share * self._sites.weights, 1.0))
+            changes["birth"] = sites if self._anywhere is None else Births(sites, self._anywhere)
+        shared = (replace(one, weight=min(share * one.weight, 1.0)) for one in self.spawn)
+        return {**changes, "spawn": tuple(shared) if share > 0.0 else ()}
+
+    def _coming_births(self, state: StateT) -> BirthMixture:
+        """Births of the coming step; none if it is at the instant of the last one."""
+        batch = len(state.next_label)
+        if self.model.period == 0.0:
+            n = self._sizes[0]
+            return BirthMixture(np.zeros((batch, 0)), np.zeros((batch, 0, n)), np.zeros((batch, 0, n, n)))
+        if self._anywhere is None:
+            return self._static_births
+        coming = self._anywhere.predicted(self.model, state.births)
+        return coming if self._sites is None else join_births(self._static_births, coming)
 
     @abstractmethod
     def _empty(self, batch: int) -> StateT:
@@ -173,17 +261,37 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         return pack_spawns(self.spawn, self._sizes[0])
 
     @cached_property
+    def _sites(self) -> Birth | None:
+        """Births at known places, if there are any."""
+        if isinstance(self.birth, Births):
+            return self.birth.sites
+        return self.birth if isinstance(self.birth, Birth) else None
+
+    @cached_property
+    def _anywhere(self) -> MeasurementBirth | None:
+        """Births at measurements, if there are any."""
+        if isinstance(self.birth, Births):
+            return self.birth.anywhere
+        return self.birth if isinstance(self.birth, MeasurementBirth) else None
+
+    @cached_property
     def _static_births(self) -> BirthMixture:
-        if not isinstance(self.birth, Birth):
-            raise TypeError("birth must be a Birth: only births at known places are the same at every step")
-        return BirthMixture(self.birth.weights[None], self.birth.means[None], self.birth.covariances[None])
+        sites = self._sites
+        if sites is None:
+            raise TypeError("birth must have sites: only births at known places are the same at every step")
+        return BirthMixture(sites.weights[None], sites.means[None], sites.covariances[None])
 
     def _no_births(self, batch: int) -> BirthMixture:
         """Births of an initial state: weights of 0, or empty arrays if births are the same at every step."""
         n = self._sizes[0]
-        if not isinstance(self.birth, Birth):
-            return self.birth.empty(batch, n)
+        if self._anywhere is not None:
+            return self._anywhere.empty(batch, self.model)
         return BirthMixture(np.zeros((batch, 0)), np.zeros((batch, 0, n)), np.zeros((batch, 0, n, n)))
+
+    def _attach(self, mixture: Mixture) -> None:
+        """Fill the predicted measurements of a mixture that the kernels cannot compute."""
+        if isinstance(self.model, SensedModel):
+            self.model.attach(mixture)
 
     def _clutter(self, z: Array, number: Labels) -> Array:
         """Clutter intensity at each measurement, 0 in unused rows. Shape (B, Z)."""
@@ -205,6 +313,43 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         states = mixture.mean[used][:, : self._sizes[0]]
         values[used] = checked_values(name, probability(states), len(states), 1.0)
         return values
+
+
+def resized(state: TupleT, width: int) -> TupleT:
+    """A state whose components have `width` entries, for a sensor whose measurements have another size.
+
+    Only hidden Markov models have other sensors, and there the entries of the last measurement are not used.
+    """
+
+    def fit(field: Any) -> Any:
+        if not isinstance(field, Mixture) or field.mean.shape[-1] == width:
+            return field
+        kept = min(width, field.mean.shape[-1])
+        mean = np.zeros((*field.mean.shape[:-1], width))
+        covariance = np.zeros((*mean.shape, width))
+        mean[..., :kept] = field.mean[..., :kept]
+        covariance[..., :kept, :kept] = field.covariance[..., :kept, :kept]
+        return field._replace(mean=mean, covariance=covariance)
+
+    return type(state)(*(fit(field) for field in state))
+
+
+def _to_the(probability: Probability, share: float) -> Probability:
+    """The probability of surviving a share of a period."""
+    if share == 1.0:
+        return probability
+    return _Power(probability, share) if callable(probability) else float(probability) ** share
+
+
+@dataclass(frozen=True)
+class _Power:
+    """A probability that depends on the state, to a power; unlike a lambda it can be pickled."""
+
+    probability: Callable[[Array], Array]
+    share: float
+
+    def __call__(self, states: Array) -> Array:
+        return np.asarray(self.probability(states), dtype=np.float64) ** self.share
 
 
 def checked_values(name: str, values: ArrayLike, number: int, top: float) -> Array:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from servotrack.estimators.rfs.pmb_kernel import Prediction, Tally, empty_tally,
 from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
 from servotrack.estimators.rfs.recursion import check_positive_definite
 from servotrack.estimators.rfs.reduction import Reduction
+from servotrack.estimators.rfs.sensors import Sensor
 from servotrack.estimators.rfs.sets import Extraction, Scan, empty_extraction
 from servotrack.estimators.types import Array, Labels
 
@@ -90,6 +91,22 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
                 if not np.array_equal(getattr(self.model.packed, name), getattr(self.modes.models[0].packed, name)):
                     raise ValueError(f"modes must have the measurement of model, they differ in {name}")
 
+    def _changes(self, dt: float, sensor: Sensor | None) -> dict[str, Any]:
+        if sensor is not None and self.adaptation is not None:
+            raise ValueError(
+                "sensor must be None in a filter that estimates its own sensor; pass adaptation=None, or use PMB"
+            )
+        changes = super()._changes(dt, sensor)
+        return changes if self.modes is None else {**changes, "modes": self.modes.at(dt, sensor)}
+
+    @cached_property
+    def _stated_detection(self) -> float:
+        return float(np.asarray(self.detection))
+
+    @cached_property
+    def _stated_clutter(self) -> float:
+        return float(np.asarray(self.clutter_intensity)) * self.volume
+
     @cached_property
     def _modes(self) -> PackedModes:
         modes = InteractingModels((self.model,), np.ones((1, 1))) if self.modes is None else self.modes
@@ -105,14 +122,14 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
             empty_mixture(batch, self.undetected, N),
             self._no_births(batch),
             np.ones(batch, np.int64),
-            adaptation.initial(batch, capacity, float(self.detection), float(self.clutter_intensity) * self.volume),
+            adaptation.initial(batch, capacity, self._stated_detection, self._stated_clutter),
         )
 
     def _advance(
         self, state: RobustPMBState, births: BirthMixture, scan: Scan
     ) -> tuple[RobustPMBState, Extraction, Array]:
         (batch, capacity), n = state.tracks.existence.shape, self._sizes[0]
-        detection = np.full(batch, float(self.detection))
+        detection = np.full(batch, self._stated_detection)
         if self.adaptation is not None:
             detection = self.adaptation.detection(state.sensor)
             intensity = self.adaptation.clutter_rate(state.sensor) / self.volume
@@ -164,6 +181,8 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
             pool,
             hidden,
         )
+        self._attach(pool)
+        self._attach(hidden)
         found = self._evaluate("detection", detection, pool)
         return Prediction(tracks, pool, hidden, found, self._evaluate("detection", detection, hidden))
 

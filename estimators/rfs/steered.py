@@ -54,7 +54,7 @@ class SteeredState(NamedTuple):
 
     Attributes:
         phd: State of the filter.
-        anywhere: Births of the next step at unexplained measurements, for an expected number of one.
+        anywhere: Births at the last unexplained measurements, for an expected number of one.
         account: Expected counts of the last step.
     """
 
@@ -90,7 +90,7 @@ class SteeredPHD:
         none = np.zeros(len(z))
         state = SteeredState(
             self.filter._empty(len(z)),
-            self.anywhere.empty(len(z), self.filter._sizes[0]),
+            self.anywhere.empty(len(z), self.filter.model),
             Account(none, none, none, none),
         )
         return first_row(state) if single else state
@@ -124,16 +124,17 @@ class SteeredPHD:
         used = np.arange(z.shape[1]) < number[:, None]
         left = np.where(used, unexplained, 0.0)
         account = Account(predicted, number - left.sum(axis=1), left.sum(axis=1), new.intensity.weight.sum(axis=1))
-        following = SteeredState(new, self.anywhere.next(phd.model, z, left), account)
+        born = self.anywhere.born(phd.model, z, left)
+        following = SteeredState(new, self.anywhere.empty(len(z), phd.model) if born is None else born, account)
         return (first_row(following) if single else following), estimate_from_extraction(extraction, single)
 
     def _births(self, anywhere: BirthMixture, expected: Array) -> BirthMixture:
         """Births at known places and at unexplained measurements."""
-        shared = anywhere._replace(weight=np.minimum(anywhere.weight * expected[:, None], 1.0))
+        moved = self.anywhere.predicted(self.filter.model, anywhere)
+        shared = moved._replace(weight=np.minimum(moved.weight * expected[:, None], 1.0))
         if not isinstance(self.filter.birth, Birth):
             return shared
-        known = self.filter.birth
-        return join_births(BirthMixture(known.weights, known.means, known.covariances), shared)
+        return join_births(self.filter._static_births, shared)
 
 
 def _checked_steering(steering: Steering, batch: tuple[int, ...]) -> Steering:

@@ -117,7 +117,7 @@ def _mixture(scene: SceneModel, settings: FilterSettings) -> PMBM:
 
 def _robust(scene: SceneModel, settings: FilterSettings) -> RobustPMB:
     model = scene.hidden_markov if settings.hidden_markov else scene.model
-    birth = _birth(scene)
+    birth: Birth | MeasurementBirth | Births = _birth(scene)
     if isinstance(birth, Birth):
         expected = ELSEWHERE * float(birth.weights.sum())
         birth = Births(birth, MeasurementBirth(expected, np.sqrt(np.diag(scene.birth_covariance)), largest=expected))

@@ -1,0 +1,111 @@
+"""Scans by their time stamps, also late ones: a tracker that knows the clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from servotrack.estimators.rfs.sensors import Sensor
+from servotrack.estimators.rfs.sets import SetEstimate
+from servotrack.estimators.types import Array
+from servotrack.estimators.validation import as_numbers
+
+StateT = TypeVar("StateT")
+
+
+class TimedFilter(Protocol[StateT]):
+    """A set filter whose steps take an interval and a sensor."""
+
+    initial: Callable[..., StateT]
+    step: Callable[..., tuple[StateT, SetEstimate]]
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """A scan with the state after it."""
+
+    time: float
+    measurements: Array
+    sensor: Sensor | None
+    state: Any
+
+
+class TimedTracker(Generic[StateT]):
+    """A set filter that takes scans with time stamps, from several sensors and in any order.
+
+    A scan that arrives late is put in its place: the filter goes back to the state before it and steps through the
+    later scans again. States are values, so nothing else is needed; it costs one step per later scan.
+
+    Args:
+        filter: The filter, whose model serves varying intervals.
+        memory: Largest delay of a scan, s. Raising it keeps more states and takes scans that are later.
+
+    Attributes:
+        time: Time of the newest scan, s; None before the first.
+        estimate: Estimate after the newest scan; None before the first.
+
+    Raises:
+        ValueError: `memory` is negative.
+    """
+
+    def __init__(self, filter: TimedFilter[StateT], memory: float = 10.0) -> None:
+        if not (np.isfinite(memory) and memory >= 0.0):
+            raise ValueError(f"memory must be finite and >= 0, got {memory!r}")
+        self.filter = filter
+        self.memory = memory
+        self.time: float | None = None
+        self.estimate: SetEstimate | None = None
+        self._scans: list[_Scan] = []
+        self._forgotten = False
+
+    def update(self, measurements: ArrayLike, time: float, sensor: Sensor | None = None) -> SetEstimate:
+        """Take a scan and return the estimate at the time of the newest one.
+
+        Args:
+            measurements: Shape (Z, m); Z may be 0.
+            time: Time of the scan, s, from any origin. Scans of one time are updates of one instant.
+            sensor: Sensor of the scan; None: the measurement of the filter's model.
+
+        Raises:
+            ValueError: The time is not finite, or before all scans in memory; measurements are refused by the filter.
+                Such a scan changes nothing.
+        """
+        if not np.isfinite(time):
+            raise ValueError(f"time must be finite, got {time!r}")
+        place = len(self._scans)
+        while place > 0 and self._scans[place - 1].time > time:
+            place -= 1
+        if place == 0 and self._forgotten:
+            raise ValueError(
+                f"time must be at least {self._scans[0].time!r}, the oldest scan in memory, got {time!r}; raise memory "
+                f"above {self.memory:g} s to take scans that are later"
+            )
+        waiting = [(time, as_numbers("measurements", measurements).copy(), sensor)]
+        waiting += [(scan.time, scan.measurements, scan.sensor) for scan in self._scans[place:]]
+        replayed: list[_Scan] = []
+        last = self._scans[place - 1] if place > 0 else None
+        for then, z, seen_by in waiting:
+            if last is None:
+                # The first scan comes a period after nothing.
+                state, dt = self.filter.initial(z, seen_by), None
+            else:
+                state, dt = last.state, then - last.time
+            state, estimate = self.filter.step(state, z, dt, seen_by)
+            last = _Scan(then, z, seen_by, state)
+            replayed.append(last)
+        self._scans[place:] = replayed
+        self.time, self.estimate = replayed[-1].time, estimate
+        first = int(np.searchsorted([scan.time for scan in self._scans], self.time - self.memory, side="left"))
+        # One state older than the memory is kept: a scan at its edge starts from it.
+        if first > 1:
+            del self._scans[: first - 1]
+            self._forgotten = True
+        return estimate
+
+    def reset(self) -> None:
+        """Forget all scans."""
+        self.time, self.estimate, self._scans, self._forgotten = None, None, [], False
