@@ -182,7 +182,7 @@ def test_misses_and_deaths_are_told_apart_as_by_enumeration(events):
         before, predicted = np.array([[r]]), np.array([[survival * r]])
         p = survival * r
         r = 1.0 if event else p * (1.0 - detection) / (1.0 - p * detection)
-        tally = Tally(np.zeros((1, 0)), np.array([[float(event)]]), np.zeros((1, 1), np.int64))
+        tally = Tally(np.zeros((1, 0)), np.array([[float(event)]]), np.zeros((1, 1), np.int64), np.zeros((1, 0)))
         state = adaptation.step(state, before, predicted, np.array([[r]]), tally)
         counted.append(p > 0.5)
     missed, found = chain(events, survival, detection, start)
@@ -194,11 +194,11 @@ def test_misses_and_deaths_are_told_apart_as_by_enumeration(events):
 def test_a_track_that_ends_is_counted_at_once_and_nothing_is_lost():
     adaptation = SensorAdaptation(lag=3)
     state = adaptation.initial(1, 2, 0.9, 1.0)
-    tally = Tally(np.zeros((1, 0)), np.array([[1.0, 0.0]]), np.array([[0, -1]]))
+    tally = Tally(np.zeros((1, 0)), np.array([[1.0, 0.0]]), np.array([[0, -1]]), np.zeros((1, 0)))
     state = adaptation.step(state, np.array([[0.9, 0.0]]), np.array([[0.9, 0.0]]), np.array([[1.0, 0.0]]), tally)
     assert state.pending.sum() == pytest.approx(1.0)
     found = float(state.found[0])
-    none = Tally(np.zeros((1, 0)), np.zeros((1, 2)), np.full((1, 2), -1))
+    none = Tally(np.zeros((1, 0)), np.zeros((1, 2)), np.full((1, 2), -1), np.zeros((1, 0)))
     state = adaptation.step(state, np.array([[1.0, 0.0]]), np.array([[0.99, 0.0]]), np.zeros((1, 2)), none)
     assert state.pending.sum() == 0.0 and float(state.found[0]) > 0.9 + found * np.exp(-1.0)
 
