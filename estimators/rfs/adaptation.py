@@ -90,8 +90,9 @@ class SensorAdaptation:
         detection_limits: Lower and upper limit of the detection probability that a filter uses. At 0.99 one miss means
             death as probably as not (for p_S = 0.99), so raising the upper limit ends tracks at chance misses.
         least_clutter: Lower limit of the clutter rate, false measurements per scan.
-        least_births: Lower limit of the rate of births at measurements, as a share of the given one. Raising it finds
-            the first target away from the known places sooner and reports more clutter.
+        birth_limits: Lower and upper limit of the rate of births at measurements, as shares of the given one. Raising
+            the lower limit finds the first target away from the known places sooner. Raising the upper one finds the
+            others sooner, and reports more pairs of clutter as short tracks.
 
     Raises:
         ValueError: An argument is out of range.
@@ -104,7 +105,7 @@ class SensorAdaptation:
     birth_trust: float = 20.0
     detection_limits: tuple[float, float] = (0.05, 0.98)
     least_clutter: float = 0.01
-    least_births: float = 0.1
+    birth_limits: tuple[float, float] = (0.1, 1.0)
 
     def __post_init__(self) -> None:
         for name in ("memory", "target_trust", "scan_trust", "birth_trust", "least_clutter"):
@@ -113,8 +114,9 @@ class SensorAdaptation:
                 raise ValueError(f"{name} must be finite and > 0, got {value!r}")
         if self.lag < 1:
             raise ValueError(f"lag must be at least 1 scan, got {self.lag!r}")
-        if not 0.0 <= self.least_births <= 1.0:
-            raise ValueError(f"least_births must be in [0, 1], got {self.least_births!r}")
+        least, most = self.birth_limits
+        if not 0.0 <= least <= most < np.inf:
+            raise ValueError(f"birth_limits must be ascending and at least 0, got {self.birth_limits!r}")
         low, high = self.detection_limits
         if not 0.0 < low <= high < 1.0:
             raise ValueError(f"detection_limits must be ascending inside (0, 1), got {self.detection_limits!r}")

@@ -159,7 +159,7 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
         """Births with the estimated rate of those at measurements."""
         if self.adaptation is None or self._stated_births == 0.0:
             return births
-        factor = np.maximum(state.sensor.birth_rate / self._stated_births, self.adaptation.least_births)
+        factor = np.clip(state.sensor.birth_rate / self._stated_births, *self.adaptation.birth_limits)
         weight = births.weight.copy()
         first = self._known_births(births)
         weight[:, first:] = np.minimum(weight[:, first:] * factor[:, None], 1.0)

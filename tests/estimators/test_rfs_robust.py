@@ -211,6 +211,20 @@ def test_without_targets_the_detection_probability_stays():
     assert float(tracker.state.sensor.detection) == pytest.approx(0.8, abs=1e-9)
 
 
+def test_births_at_measurements_that_never_come_are_expected_less():
+    sites = Births(SITES, MeasurementBirth(0.05, 10.0, largest=0.05))
+    rates = []
+    for shift in (0.0, 900.0):
+        tracker = Stateful(RobustPMB(HMM, sites, clutter_intensity=1e-6, volume=AREA, detection=0.98))
+        for k in range(60):
+            # A target is born every ten scans, at a site or elsewhere, and lives for nine of them.
+            age, life = k % 10, k // 10
+            z = np.array([[shift + 5.0 * age + 150.0 * life * (shift > 0.0), 0.0]])
+            tracker.step(z if age < 9 else z[:0])
+        rates.append(float(tracker.state.sensor.birth_rate))
+    assert rates[0] < 0.03 < 0.08 < rates[1] < 0.13
+
+
 # Motion modes
 
 
@@ -349,6 +363,7 @@ def test_maneuvers_are_followed():
         (lambda: SensorAdaptation(lag=0), "lag must be at least 1"),
         (lambda: SensorAdaptation(memory=0.0), "memory must be finite and > 0"),
         (lambda: SensorAdaptation(detection_limits=(0.5, 1.0)), "detection_limits must be ascending"),
+        (lambda: SensorAdaptation(birth_limits=(1.0, 0.5)), "birth_limits must be ascending"),
         (lambda: RobustPMB(HMM, SITES, clutter_intensity=1e-6, volume=0.0), "volume must be finite and > 0"),
         (
             lambda: RobustPMB(HMM, SITES, clutter_intensity=lambda z: z[:, 0], volume=1.0),

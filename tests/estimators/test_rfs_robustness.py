@@ -39,7 +39,7 @@ PLACE = Birth([0.1, 0.1], np.array([[0.0, 0.0, 0.0, 0.0], [50.0, 0.0, 0.0, 0.0]]
 
 def make(kind, model=HMM, birth=PLACE, **options):
     if kind in (GlobalNearestNeighbor, RawMeasurements):
-        return kind(model, **options)
+        return kind(model, **{name: options[name] for name in options if name == "capacity"})
     options = {"clutter_intensity": 1e-6, **options}
     if kind is ParticlePHD:
         return kind(model, birth, particles=50, birth_particles=50, capacity=2000, **options)

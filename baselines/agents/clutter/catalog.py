@@ -47,7 +47,7 @@ SMALLEST_CAPACITY = 100
 """Capacity of a filter (see `FilterSettings`) if three times the rows of an answer are fewer."""
 
 
-ELSEWHERE = 0.5
+ELSEWHERE = 0.35
 """Births of `robust-pmb` at unexplained measurements, as a share of those that the scene model expects at its sites."""
 
 
