@@ -208,7 +208,11 @@ def _lag_of_sine(angle: float) -> float:
 
 def _per_axis(block: Array, dimensions: int) -> Array:
     """The matrix of all axes from that of one."""
-    return np.kron(np.eye(dimensions), block).astype(np.float64)
+    size = len(block)
+    matrix = np.zeros((size * dimensions, size * dimensions))
+    for axis in range(0, size * dimensions, size):
+        matrix[axis : axis + size, axis : axis + size] = block
+    return matrix
 
 
 def _check_axes(process_noise: float, dimensions: int) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
@@ -190,36 +190,53 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         Raises:
             ValueError: dt is negative or not finite, or the model cannot serve it or the sensor.
         """
-        period = self.model.period
-        if dt is None or dt == period:
-            if sensor is None:
-                return self
-            dt = period
+        if sensor is not None:
+            return self._sensing(sensor).at(dt)
+        if dt is None or dt == self.model.period:
+            return self
+        return self._variant(float(dt), lambda: self._over(float(dt)))
+
+    def _sensing(self, sensor: Sensor) -> Self:
+        """The same filter with another sensor."""
+        return self._variant(sensor, lambda: replace(self, **self._sensor_changes(sensor)))
+
+    def _variant(self, key: Any, make: Callable[[], Self]) -> Self:
+        """A filter made earlier for an interval or a sensor, or a new one."""
         known: dict[Any, Self] = self.__dict__.setdefault("_variants", {})
-        variant = known.get((dt, sensor))
+        variant = known.get(key)
         if variant is None:
             # A sensor that moves is a new one at every scan; without a limit they would fill the memory.
             if len(known) >= self.variants:
                 known.pop(next(iter(known)))
-            variant = known[dt, sensor] = replace(self, **self._changes(dt, sensor))
+            variant = known[key] = make()
         return variant
 
-    def _changes(self, dt: float, sensor: Sensor | None) -> dict[str, Any]:
-        """Arguments of the filter of `at` that differ."""
-        share = dt / self.model.period
-        changes: dict[str, Any] = {
-            "model": model_at(self.model, dt, sensor),
-            "survival": _to_the(self.survival, share),
-        }
-        if sensor is not None:
-            for name in ("detection", "clutter_intensity"):
-                if getattr(sensor, name) is not None:
-                    changes[name] = getattr(sensor, name)
+    def _over(self, dt: float) -> Self:
+        """The same filter for another interval."""
+        made = object.__new__(type(self))
+        # `replace` would check all arguments again, which takes longer than a scan with a few targets.
+        made.__dict__.update({one.name: getattr(self, one.name) for one in fields(self)}, **self._interval_changes(dt))
+        return made
+
+    def _sensor_changes(self, sensor: Sensor) -> dict[str, Any]:
+        """Arguments of the filter with another sensor that differ."""
+        changes: dict[str, Any] = {"model": model_at(self.model, None, sensor)}
+        for name in ("detection", "clutter_intensity"):
+            if getattr(sensor, name) is not None:
+                changes[name] = getattr(sensor, name)
+        return changes
+
+    def _interval_changes(self, dt: float) -> dict[str, Any]:
+        """Arguments of the filter for another interval that differ."""
+        model, share = model_at(self.model, dt, None), dt / self.model.period
+        changes: dict[str, Any] = {"model": model, "survival": _to_the(self.survival, share)}
         if self._sites is not None and share > 0.0:
             sites = replace(self._sites, weights=np.minimum(share * self._sites.weights, 1.0))
             changes["birth"] = sites if self._anywhere is None else Births(sites, self._anywhere)
-        shared = (replace(one, weight=min(share * one.weight, 1.0)) for one in self.spawn)
-        return {**changes, "spawn": tuple(shared) if share > 0.0 else ()}
+        if self.spawn:
+            shared = (replace(one, weight=min(share * one.weight, 1.0)) for one in self.spawn)
+            changes["spawn"] = tuple(shared) if share > 0.0 else ()
+        return changes
 
     def _coming_births(self, state: StateT) -> BirthMixture:
         """Births of the coming step; none if it is at the instant of the last one."""

@@ -92,13 +92,17 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
                 if not np.array_equal(getattr(self.model.packed, name), getattr(self.modes.models[0].packed, name)):
                     raise ValueError(f"modes must have the measurement of model, they differ in {name}")
 
-    def _changes(self, dt: float, sensor: Sensor | None) -> dict[str, Any]:
-        if sensor is not None and self.adaptation is not None:
+    def _sensor_changes(self, sensor: Sensor) -> dict[str, Any]:
+        if self.adaptation is not None:
             raise ValueError(
                 "sensor must be None in a filter that estimates its own sensor; pass adaptation=None, or use PMB"
             )
-        changes = super()._changes(dt, sensor)
-        return changes if self.modes is None else {**changes, "modes": self.modes.at(dt, sensor)}
+        changes = super()._sensor_changes(sensor)
+        return changes if self.modes is None else {**changes, "modes": self.modes.at(None, sensor)}
+
+    def _interval_changes(self, dt: float) -> dict[str, Any]:
+        changes = super()._interval_changes(dt)
+        return changes if self.modes is None else {**changes, "modes": self.modes.at(dt)}
 
     @cached_property
     def _stated_detection(self) -> float:
