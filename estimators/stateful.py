@@ -19,7 +19,8 @@ def select_rows(mask: Mask, chosen: State, otherwise: State) -> State:
     Args:
         mask: Mask of the rows taken from `chosen`. Shape (*batch,), bool.
         chosen: Array with leading axes `batch`, or nested tuples and NamedTuples of such arrays; None stays.
-        otherwise: Values with the structure and shapes of `chosen`.
+        otherwise: Values with the structure of `chosen`. Where one of two arrays is larger behind the batch axes, as in
+            the state of a filter whose arrays have grown, the other one is filled up with zeros.
 
     Returns:
         New arrays in the structure of `chosen`.
@@ -30,6 +31,9 @@ def select_rows(mask: Mask, chosen: State, otherwise: State) -> State:
     if chosen is None:
         return otherwise
     a, b = np.asarray(chosen), np.asarray(otherwise)
+    if a.shape != b.shape:
+        shape = np.maximum(a.shape, b.shape)
+        a, b = (np.pad(x, [(0, int(more)) for more in shape - x.shape]) for x in (a, b))
     return np.where(mask.reshape(mask.shape + (1,) * (a.ndim - mask.ndim)), a, b)  # type: ignore[return-value]
 
 

@@ -35,8 +35,12 @@ HEAVY = {
 OPTIONAL = {"torch", "stable_baselines3", "sb3_contrib", "onnx", "pygame", "mujoco", "pytest"}
 TRAINING = "servotrack.baselines.training"
 """The only package that imports torch, Stable-Baselines3, sb3_contrib or onnx."""
-OTHER_INTERPRETERS = {"servotrack.baselines.speed.stone_soup"}
-"""Scripts of the speed benchmark that run in the virtual environment of the library they are compared with."""
+OTHER_INTERPRETERS = {
+    "servotrack.baselines.speed.stone_soup",
+    "servotrack.baselines.leaderboard.stone_soup_tracks",
+    "servotrack.estimators.rfs.stone_soup",
+}
+"""Modules for the virtual environment of a library that they are compared with or adapted to."""
 CACHES = {"__pycache__", ".mypy_cache", ".ruff_cache"}
 SECTIONS = [
     "Description",

@@ -6,17 +6,27 @@
         estimate = tracker.step(z)
         print(estimate.labels, estimate.states, estimate.existence)
 
-Start with `PMB`; `PMBM` is the exact posterior up to pruning and takes longer. `TrajectoryPMB` reports smoothed targets
-some scans late. `GMPHD` is the cheapest and the simplest filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each
-is a frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state, estimate)`; a state
-is a NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B independent filters at
-once. `step(..., dt=, sensor=)` takes scans at varying intervals and of other sensors, and `TimedTracker` takes them by
-their time stamps, late ones too.
+Start with `PMB`, or with `RobustPMB` where sensor and motion are not known well; `PMBM` is the exact posterior up to
+pruning and takes longer. `TrajectoryPMB` reports smoothed targets some scans late. `GMPHD` is the cheapest and the
+simplest filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each is a frozen dataclass with `initial(measurement)
+-> state` and `step(state, measurement) -> (state, estimate)`, whose state is a NamedTuple of arrays. Measurements of
+shape (B, rows, 1 + m), existence in column 0, run B independent filters at once. `step(..., dt=, sensor=)` takes scans
+at varying intervals and of other sensors, and `TimedTracker` takes them by their time stamps, late ones too.
 """
 
+from servotrack.estimators.rfs.adaptation import SensorAdaptation
 from servotrack.estimators.rfs.birth import Birth, MeasurementBirth, Spawn
 from servotrack.estimators.rfs.cbmember import GMCBMeMBer
 from servotrack.estimators.rfs.gnn import GlobalNearestNeighbor
+from servotrack.estimators.rfs.interacting import (
+    InteractingModels,
+    constant_acceleration,
+    coordinated_turn,
+    lasting,
+    maneuvers,
+    white_acceleration,
+)
+from servotrack.estimators.rfs.mixed_births import Births
 from servotrack.estimators.rfs.models import (
     STRUCTURES,
     HiddenMarkovModel,
@@ -32,6 +42,8 @@ from servotrack.estimators.rfs.pmb import PMB
 from servotrack.estimators.rfs.pmbm import PMBM
 from servotrack.estimators.rfs.raw import RawMeasurements
 from servotrack.estimators.rfs.reduction import Reduction
+from servotrack.estimators.rfs.region import RegionSurvival
+from servotrack.estimators.rfs.robust_pmb import RobustPMB
 from servotrack.estimators.rfs.sensor_models import bearing_sensor, range_bearing_sensor, spherical_sensor
 from servotrack.estimators.rfs.sensors import FunctionSensor, LinearSensor, Places
 from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
@@ -47,6 +59,7 @@ __all__ = [
     "PMBM",
     "STRUCTURES",
     "Birth",
+    "Births",
     "ConstantAcceleration",
     "ConstantVelocity",
     "CoordinatedTurn",
@@ -55,6 +68,7 @@ __all__ = [
     "GMCBMeMBer",
     "GlobalNearestNeighbor",
     "HiddenMarkovModel",
+    "InteractingModels",
     "LinearSensor",
     "MeasurementBirth",
     "PairwiseMarkovModel",
@@ -63,7 +77,10 @@ __all__ = [
     "RangeBearingModel",
     "RawMeasurements",
     "Reduction",
+    "RegionSurvival",
+    "RobustPMB",
     "RowAllocation",
+    "SensorAdaptation",
     "SetEstimate",
     "Spawn",
     "SteadyPHD",
@@ -74,12 +91,17 @@ __all__ = [
     "TrajectoryPMB",
     "bearing_sensor",
     "collect_trajectories",
+    "constant_acceleration",
     "constant_velocity",
+    "coordinated_turn",
     "definiteness_margin",
+    "lasting",
+    "maneuvers",
     "measurements_to_rows",
     "pairwise_structure",
     "range_bearing_sensor",
     "rows_to_tracks",
     "spherical_sensor",
     "track_scans",
+    "white_acceleration",
 ]

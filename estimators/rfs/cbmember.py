@@ -17,6 +17,7 @@ from servotrack.estimators.rfs.bernoulli import (
     rows_by_key,
 )
 from servotrack.estimators.rfs.birth import BirthMixture
+from servotrack.estimators.rfs.capacity import tracks_outgrew
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
 from servotrack.estimators.rfs.mixture import Mixture, append_births, append_spawn, empty_mixture, scratch_mixture
@@ -64,33 +65,44 @@ class GMCBMeMBer(GaussianSetFilter[CBMeMBerState]):
         if not 0.0 < self.largest_existence < 1.0:
             raise ValueError(f"largest_existence must be in (0, 1), got {self.largest_existence!r}")
 
-    def _empty(self, batch: int) -> CBMeMBerState:
-        rules = self.reduction
-        pool = empty_mixture(batch, rules.pool_size, sum(self._sizes))
-        return CBMeMBerState(empty_tracks(batch, rules.tracks), pool, self._no_births(batch), np.ones(batch, np.int64))
+    def _empty(self, batch: int, capacity: int | None = None) -> CBMeMBerState:
+        capacity = capacity or self.reduction.first_tracks
+        pool = empty_mixture(batch, self.reduction.pool_rows(capacity), sum(self._sizes))
+        return CBMeMBerState(empty_tracks(batch, capacity), pool, self._no_births(batch), np.ones(batch, np.int64))
 
     def _advance(
         self, state: CBMeMBerState, births: BirthMixture, scan: Scan
     ) -> tuple[CBMeMBerState, Extraction, Array]:
-        model, rules, batch = self.model.packed, self.reduction, scan.number.shape[0]
+        model, (batch, capacity) = self.model.packed, state.tracks.existence.shape
         n, m = self._sizes
         copies, arrivals = 1 + len(self.spawn), births.weight.shape[1]
-        predicted = empty_tracks(batch, rules.tracks * copies + arrivals)
+        predicted = empty_tracks(batch, capacity * copies + arrivals)
         components = scratch_mixture(batch, state.pool.weight.shape[1] * copies + arrivals, n + m)
         survival = self._evaluate("survival", self.survival, state.pool)
         _predict(model, state.tracks, state.pool, births, self._spawns, survival, predicted, components)
         self._attach(components)
-        detection = self._evaluate("detection", self.detection, components)
-        new = self._empty(batch)._replace(next_label=state.next_label.copy())
+        new, unexplained = self._updated(state, predicted, components, scan, capacity)
+        while tracks_outgrew(self.reduction, new.tracks, new.pool):
+            capacity *= 2
+            new, unexplained = self._updated(state, predicted, components, scan, capacity)
+        extraction = empty_extraction(batch, capacity, n)
+        extract_tracks(n, new.tracks, new.pool, new.next_label, RULES[self.extraction], self.threshold, extraction)
+        return new._replace(births=state.births), extraction, unexplained
+
+    def _updated(
+        self, state: CBMeMBerState, predicted: Tracks, components: Mixture, scan: Scan, capacity: int
+    ) -> tuple[CBMeMBerState, Array]:
+        """Update into arrays with room for `capacity` tracks."""
+        new = self._empty(len(scan.number), capacity)._replace(next_label=state.next_label.copy())
         unexplained = np.zeros(scan.clutter.shape)
         positive_definite = _update(
-            model,
+            self.model.packed,
             predicted,
             components,
             scan,
-            detection,
+            self._evaluate("detection", self.detection, components),
             self._gate,
-            rules.limits,
+            self.reduction.limits,
             (self.balanced, float(self.largest_existence)),
             new.next_label,
             new.tracks,
@@ -98,9 +110,7 @@ class GMCBMeMBer(GaussianSetFilter[CBMeMBerState]):
             unexplained,
         )
         check_positive_definite(positive_definite)
-        extraction = empty_extraction(batch, rules.tracks, n)
-        extract_tracks(n, new.tracks, new.pool, new.next_label, RULES[self.extraction], self.threshold, extraction)
-        return new._replace(births=state.births), extraction, unexplained
+        return new, unexplained
 
 
 @njit(cache=True, nogil=True)

@@ -13,6 +13,7 @@ from scipy.special import chdtri
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.birth import state_from_measurement
+from servotrack.estimators.rfs.capacity import warn_of_cap
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, predict_components
 from servotrack.estimators.rfs.models import TargetModel
@@ -61,7 +62,11 @@ class GlobalNearestNeighbor:
             detections and admits more clutter.
         confirm: M and N: a track is confirmed after M detections in its first or last N steps.
         misses: A confirmed track ends after this many steps without a detection.
-        capacity: Largest number of tracks; further measurements start no track.
+        capacity: Largest number of tracks; further measurements start no track. None: no limit; the arrays have room
+            for 200 tracks and double when more may be needed.
+
+    Warns:
+        UserWarning: `capacity` keeps measurements from starting tracks.
 
     Raises:
         ValueError: An argument is out of range.
@@ -72,7 +77,7 @@ class GlobalNearestNeighbor:
     gate_probability: float = 0.999
     confirm: tuple[int, int] = (3, 5)
     misses: int = 4
-    capacity: int = 200
+    capacity: int | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.hidden_deviation) and self.hidden_deviation > 0.0):
@@ -84,7 +89,7 @@ class GlobalNearestNeighbor:
             raise ValueError(f"confirm must be (M, N) with 1 <= M <= N <= 60, got {self.confirm!r}")
         if not 1 <= self.misses <= 60:
             raise ValueError(f"misses must be from 1 to 60, got {self.misses!r}")
-        if self.capacity < 1:
+        if self.capacity is not None and self.capacity < 1:
             raise ValueError(f"capacity must be at least 1, got {self.capacity!r}")
 
     @cached_property
@@ -111,13 +116,16 @@ class GlobalNearestNeighbor:
         if single:
             state = add_axis(state)
         batch = z.shape[0]
-        predicted = empty_mixture(batch, self.capacity, n + m)
+        capacity = state.hits.shape[1]
+        while self.capacity is None and capacity < int((state.tracks.number + number).max()):
+            capacity *= 2
+        predicted = empty_mixture(batch, state.hits.shape[1], n + m)
         _predict(self.model.packed, state.tracks, predicted)
         if isinstance(self.model, SensedModel):
             self.model.attach(predicted)
         start, start_covariance = state_from_measurement(self.model, z, self.hidden_deviation)
-        new = self._empty(batch)
-        extraction = empty_extraction(batch, self.capacity, n)
+        new = self._empty(batch, capacity)
+        extraction = empty_extraction(batch, capacity, n)
         for b in range(batch):
             self._assign(state, predicted, z[b, : number[b]], b, start[b], start_covariance[b], new)
             count = new.tracks.number[b]
@@ -131,10 +139,10 @@ class GlobalNearestNeighbor:
             extraction.expected[b] = confirmed.sum()
         return (first_row(new) if single else new), estimate_from_extraction(extraction, single)
 
-    def _empty(self, batch: int) -> GNNState:
+    def _empty(self, batch: int, capacity: int | None = None) -> GNNState:
         m, n = self.model.packed.observation.shape
-        shape = (batch, self.capacity)
-        tracks = empty_mixture(batch, self.capacity, n + m)
+        shape = (batch, capacity or self.capacity or 200)
+        tracks = empty_mixture(*shape, n + m)
         return GNNState(tracks, np.zeros(shape, np.int64), np.zeros(shape, np.int64), np.ones(batch, np.int64))
 
     def _assign(
@@ -177,7 +185,10 @@ class GlobalNearestNeighbor:
         tracks.weight[b, :count] = confirmed[keep]
         new.hits[b, :count], new.age[b, :count] = hits[keep], age[keep]
 
-        left = np.setdiff1d(np.arange(Z), partner)[: self.capacity - count]
+        left = np.setdiff1d(np.arange(Z), partner)
+        if count + len(left) > new.hits.shape[1]:
+            warn_of_cap("capacity", "tracks")
+            left = left[: new.hits.shape[1] - count]
         fresh = slice(count, count + len(left))
         tracks.mean[b, fresh, :n], tracks.mean[b, fresh, n:] = start[left], z[left]
         tracks.covariance[b, fresh, :n, :n] = start_covariance[left]

@@ -53,8 +53,8 @@ class TargetModel(Protocol):
 def checked_matrix(name: str, value: ArrayLike, shape: tuple[int | None, int | None]) -> Array:
     """Return a finite float64 matrix of the given shape (None: any size), or raise ValueError naming the argument."""
     matrix = np.array(value, dtype=np.float64)
-    wanted = tuple("any" if size is None else size for size in shape)
     if matrix.ndim != 2 or any(size not in (None, got) for size, got in zip(shape, matrix.shape, strict=True)):
+        wanted = tuple("any" if size is None else size for size in shape)
         raise ValueError(f"{name} must be a matrix of shape {wanted}, got shape {matrix.shape}")
     if not np.all(np.isfinite(matrix)):
         raise ValueError(f"{name} must be finite, got {matrix.tolist()}")
@@ -68,6 +68,10 @@ class MovingModel(Protocol):
     @property
     def transition(self) -> Array:
         """F. Shape (n, n)."""
+
+    @property
+    def process_noise(self) -> Array:
+        """Q. Shape (n, n)."""
 
     @property
     def motion(self) -> Motion | None:
@@ -98,6 +102,8 @@ def moved(model: MovingModel, dt: float) -> tuple[Array, Array]:
     n = model.transition.shape[0]
     if dt == 0.0:
         return np.eye(n), np.zeros((n, n))
+    if dt == model.period:
+        return model.transition, model.process_noise
     if model.motion is None:
         raise ValueError(
             f"dt must be the model's period, {model.period:g} s, or 0, got {dt!r}: the model knows its transition over "
@@ -110,7 +116,7 @@ def checked_covariance(name: str, value: ArrayLike, size: int, *, definite: bool
     """Return a symmetric positive (semi)definite matrix, or raise ValueError naming argument and eigenvalue."""
     matrix = checked_matrix(name, value, (size, size))
     scale = float(np.abs(matrix).max(initial=0.0))
-    if not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-12 * scale):
+    if np.abs(matrix - matrix.T).max(initial=0.0) > 1e-12 * scale:
         raise ValueError(f"{name} must be symmetric, got {matrix.tolist()}")
     smallest = float(np.linalg.eigvalsh(matrix).min())
     # Rounding alone moves the eigenvalues by this much.
@@ -164,21 +170,53 @@ class HiddenMarkovModel:
         """The same model for another interval; arguments and errors as in `TargetModel`."""
         if dt == self.period:
             return self
-        F, Q = moved(self, dt)
-        return replace(self, transition=F, process_noise=Q, period=dt)
+        return HiddenMarkovModel.over(self, dt, self.observation, self.measurement_noise)
+
+    @classmethod
+    def over(cls, model: MovingModel, dt: float, H: Array, R: Array) -> HiddenMarkovModel:
+        """The motion of a model over an interval with a linear measurement, whose matrices were checked before.
+
+        Args:
+            model: The model.
+            dt: Interval, s, at least 0.
+            H: Observation of a `HiddenMarkovModel` or a `LinearSensor`. Shape (m, n).
+            R: Measurement noise of the same. Shape (m, m).
+
+        Raises:
+            ValueError: The model has no motion for the interval, or the observation is of another state.
+        """
+        n = model.transition.shape[0]
+        F, Q = moved(model, dt)
+        fields = {
+            "transition": checked_matrix("transition", F, (n, n)),
+            "process_noise": checked_covariance("process_noise", Q, n, definite=False),
+            "observation": H if H.shape[1] == n else checked_matrix("observation", H, (None, n)),
+            "measurement_noise": R,
+            "motion": model.motion,
+            "period": checked_period(dt),
+        }
+        made = object.__new__(cls)
+        # A filter makes a model for every interval: checks of what was checked before would take most of a step.
+        for name, value in fields.items():
+            object.__setattr__(made, name, value)
+        return made
 
     @property
     def joint_noise(self) -> Array:
         """Sigma_HMM = [[Q, Q H^T], [H Q, H Q H^T + R]]. Shape (n + m, n + m)."""
         Q, H, R = self.process_noise, self.observation, self.measurement_noise
-        return np.block([[Q, Q @ H.T], [H @ Q, H @ Q @ H.T + R]])
+        n = Q.shape[0]
+        joint = np.empty((n + R.shape[0], n + R.shape[0]))
+        joint[:n, :n], joint[:n, n:], joint[n:, :n], joint[n:, n:] = Q, Q @ H.T, H @ Q, H @ Q @ H.T + R
+        return joint
 
     @cached_property
     def packed(self) -> PackedModel:
         """Arrays of the model for the compiled kernels."""
         F, H = self.transition, self.observation
         m, n = H.shape
-        B = np.block([[F, np.zeros((n, m))], [H @ F, np.zeros((m, m))]])
+        B = np.zeros((n + m, n + m))
+        B[:n, :n], B[n:, :n] = F, H @ F
         return pack_model(LINEAR, False, B, self.joint_noise, H, self.measurement_noise)
 
 

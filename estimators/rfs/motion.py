@@ -83,6 +83,70 @@ class ConstantAcceleration:
 
 
 @dataclass(frozen=True)
+class WhiteAcceleration:
+    """`ConstantVelocity` with the state of `ConstantAcceleration`, to stand beside it among motion modes.
+
+    The acceleration of the state has no influence on the motion; it is drawn anew at every scan, with the variance of
+    the mean acceleration between two scans.
+
+    Args:
+        process_noise: Square root of the spectral density of the acceleration, m/s^1.5.
+        dimensions: Number of axes.
+
+    Raises:
+        ValueError: An argument is out of range.
+    """
+
+    process_noise: float
+    dimensions: int = 2
+
+    def __post_init__(self) -> None:
+        _check_axes(self.process_noise, self.dimensions)
+
+    def __call__(self, dt: float, /) -> tuple[Array, Array]:
+        """Transition and process noise over `dt` seconds. Shapes (3 d, 3 d) for d axes."""
+        t = dt
+        F = np.array([[1.0, t, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+        Q = self.process_noise**2 * np.array([[t**3 / 3.0, t**2 / 2.0, 0.0], [t**2 / 2.0, t, 0.0], [0.0, 0.0, 1.0 / t]])
+        return _per_axis(F, self.dimensions), _per_axis(Q, self.dimensions)
+
+
+@dataclass(frozen=True)
+class Agile:
+    """A motion with more process noise.
+
+    Args:
+        motion: The motion.
+        factor: Factor on the standard deviation of its noise.
+    """
+
+    motion: Motion
+    factor: float
+
+    def __call__(self, dt: float, /) -> tuple[Array, Array]:
+        """Transition and process noise over `dt` seconds."""
+        F, Q = self.motion(dt)
+        return F, self.factor**2 * Q
+
+
+@dataclass(frozen=True)
+class Turning:
+    """A motion of the state [x, vx, y, vy] whose transition is a turn; its noise stays.
+
+    Args:
+        motion: The motion.
+        turn_rate: Rate of the turn, rad/s, positive counterclockwise.
+    """
+
+    motion: Motion
+    turn_rate: float
+
+    def __call__(self, dt: float, /) -> tuple[Array, Array]:
+        """Transition and process noise over `dt` seconds."""
+        return turn(self.turn_rate, dt), self.motion(dt)[1]
+
+
+@dataclass(frozen=True)
 class CoordinatedTurn:
     """Motion in the plane at a known turn rate; the state is [x, vx, y, vy].
 
@@ -104,20 +168,17 @@ class CoordinatedTurn:
 
     def __call__(self, dt: float, /) -> tuple[Array, Array]:
         """Transition and process noise over `dt` seconds. Shapes (4, 4)."""
-        rate, angle = self.turn_rate, self.turn_rate * dt
-        # sin(a)/w and (1 - cos(a))/w without a difference of nearly equal numbers at a small rate.
-        along = dt * float(np.sinc(angle / math.pi))
-        across = 0.5 * rate * (dt * float(np.sinc(0.5 * angle / math.pi))) ** 2
-        cosine, sine = math.cos(angle), math.sin(angle)
-        F = np.array(
-            [
-                [1.0, along, 0.0, -across],
-                [0.0, cosine, 0.0, -sine],
-                [0.0, across, 1.0, along],
-                [0.0, sine, 0.0, cosine],
-            ]
-        )
-        return F, self.process_noise**2 * _turning_noise(rate, dt)
+        return turn(self.turn_rate, dt), self.process_noise**2 * _turning_noise(self.turn_rate, dt)
+
+
+def turn(rate: float, dt: float) -> Array:
+    """Transition of [x, vx, y, vy] in a turn at `rate` rad/s over `dt` seconds. Shape (4, 4)."""
+    angle = rate * dt
+    # sin(a)/w and (1 - cos(a))/w without a difference of nearly equal numbers at a small rate.
+    along = dt * float(np.sinc(angle / math.pi))
+    across = dt * float(np.sinc(0.5 * angle / math.pi)) * math.sin(0.5 * angle)
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[1.0, along, 0.0, -across], [0.0, c, 0.0, -s], [0.0, across, 1.0, along], [0.0, s, 0.0, c]])
 
 
 def _turning_noise(rate: float, dt: float) -> Array:
@@ -147,7 +208,11 @@ def _lag_of_sine(angle: float) -> float:
 
 def _per_axis(block: Array, dimensions: int) -> Array:
     """The matrix of all axes from that of one."""
-    return np.kron(np.eye(dimensions), block).astype(np.float64)
+    size = len(block)
+    matrix = np.zeros((size * dimensions, size * dimensions))
+    for axis in range(0, size * dimensions, size):
+        matrix[axis : axis + size, axis : axis + size] = block
+    return matrix
 
 
 def _check_axes(process_noise: float, dimensions: int) -> None:

@@ -6,13 +6,14 @@ Clark, Panta and Vo (2006): a component keeps its identity through prediction, u
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.birth import BirthMixture
+from servotrack.estimators.rfs.capacity import intensity_outgrew
 from servotrack.estimators.rfs.extraction import RULES, extract_intensity
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
 from servotrack.estimators.rfs.mixture import (
@@ -24,7 +25,7 @@ from servotrack.estimators.rfs.mixture import (
     scratch_mixture,
 )
 from servotrack.estimators.rfs.recursion import GaussianSetFilter, Probability, check_positive_definite
-from servotrack.estimators.rfs.reduction import Candidates, Components, reduce_mixture
+from servotrack.estimators.rfs.reduction import Candidates, Components, Reduction, reduce_mixture
 from servotrack.estimators.rfs.sets import Extraction, Scan, empty_extraction
 from servotrack.estimators.types import Array, Labels
 
@@ -47,9 +48,10 @@ class PHDState(NamedTuple):
 class GMPHD(GaussianSetFilter[PHDState]):
     """GM-PHD filter; arguments as in `GaussianSetFilter`."""
 
+    reduction: Reduction = field(default_factory=lambda: Reduction(components=None))
+
     def _empty(self, batch: int) -> PHDState:
-        N = sum(self._sizes)
-        intensity = empty_mixture(batch, self.reduction.components, N)
+        intensity = empty_mixture(batch, self.reduction.first_components, sum(self._sizes))
         return PHDState(intensity, self._no_births(batch), np.ones(batch, np.int64))
 
     def _advance(self, state: PHDState, births: BirthMixture, scan: Scan) -> tuple[PHDState, Extraction, Array]:
@@ -59,23 +61,27 @@ class GMPHD(GaussianSetFilter[PHDState]):
         self, state: PHDState, births: BirthMixture, scan: Scan, probability: Probability | Array
     ) -> tuple[PHDState, Extraction, Array]:
         """Run `_advance` with another detection probability, which may be one number per run, shape (B,)."""
-        model, rules, batch = self.model.packed, self.reduction, scan.number.shape[0]
+        model, rules, (batch, capacity) = self.model.packed, self.reduction, state.intensity.weight.shape
         n, m = self._sizes
-        room = rules.components * (1 + len(self.spawn)) + births.weight.shape[1]
+        room = capacity * (1 + len(self.spawn)) + births.weight.shape[1]
         predicted = scratch_mixture(batch, room, n + m)
         survival = self._evaluate("survival", self.survival, state.intensity)
         _predict_intensity(model, state.intensity, births, self._spawns, survival, predicted)
         self._attach(predicted)
         detection = self._evaluate("detection", probability, predicted)
-        intensity = empty_mixture(batch, rules.components, n + m)
-        next_label = state.next_label.copy()
-        unexplained = np.zeros(scan.clutter.shape)
-        limits = rules.limits
-        positive_definite = _update_intensity(
-            model, predicted, scan, detection, self._gate, limits, next_label, intensity, unexplained
-        )
-        check_positive_definite(positive_definite)
-        extraction = empty_extraction(batch, rules.components, n)
+        while True:
+            intensity = empty_mixture(batch, capacity, n + m)
+            next_label = state.next_label.copy()
+            unexplained, left = np.zeros(scan.clutter.shape), np.zeros(batch)
+            limits = rules.limits._replace(components=capacity)
+            positive_definite = _update_intensity(
+                model, predicted, scan, detection, self._gate, limits, next_label, intensity, unexplained, left
+            )
+            check_positive_definite(positive_definite)
+            if not intensity_outgrew(rules, intensity, left - intensity.weight.sum(axis=1)):
+                break
+            capacity *= 2
+        extraction = empty_extraction(batch, capacity, n)
         extract_intensity(model, intensity, next_label, limits, RULES[self.extraction], self.threshold, extraction)
         return PHDState(intensity, state.births, next_label), extraction, unexplained
 
@@ -100,9 +106,12 @@ def _predict_intensity(model, intensity, births, spawns, survival, out):  # type
 
 @njit(cache=True, nogil=True)
 def _update_intensity(  # type: ignore[no-untyped-def]
-    model, predicted, scan, detection, gate, limits, next_label, out, unexplained
+    model, predicted, scan, detection, gate, limits, next_label, out, unexplained, expected
 ):
-    """Posterior intensity of every run: components missed, and corrected by measurements (Wu and Hu 2010, eq. 4)."""
+    """Posterior intensity of every run: components missed, and corrected by measurements (Wu and Hu 2010, eq. 4).
+
+    `expected` receives the expected number of targets before the reduction, shape (B,).
+    """
     m, n = model.observation.shape
     z, number, clutter = scan
     innovation = np.empty(m)
@@ -141,6 +150,7 @@ def _update_intensity(  # type: ignore[no-untyped-def]
                 detected_mean(model, predicted.mean[b, i], gain[i], z[b, j], innovation, mean[total])
                 total += 1
         next_label[b] += number[b]
+        expected[b] = weight[:total].sum()
         candidates = Candidates(weight[:total], mean[:total], source[:total], group[:total], label[:total])
         room = Components(out.weight[b], out.mean[b], out.covariance[b], out.detected[b], out.label[b])
         out.number[b] = reduce_mixture(

@@ -13,9 +13,11 @@ import numpy as np
 
 from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
 from servotrack.estimators.rfs.birth import BirthMixture
+from servotrack.estimators.rfs.capacity import tracks_outgrew
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
+from servotrack.estimators.rfs.interacting_kernel import ONE_MODE
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture
-from servotrack.estimators.rfs.pmb_kernel import update_pmb
+from servotrack.estimators.rfs.pmb_kernel import Prediction, Tally, empty_tally, update_pmb
 from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
 from servotrack.estimators.rfs.recursion import check_positive_definite
 from servotrack.estimators.rfs.reduction import Reduction
@@ -51,24 +53,36 @@ class PMB(PoissonTrackFilter[PMBState]):
 
     reduction: Reduction = field(default_factory=lambda: Reduction(components=5))
 
-    def _empty(self, batch: int) -> PMBState:
+    def _empty(self, batch: int, capacity: int | None = None) -> PMBState:
         rules, N = self.reduction, sum(self._sizes)
+        capacity = capacity or rules.first_tracks
         return PMBState(
-            empty_tracks(batch, rules.tracks),
-            empty_mixture(batch, rules.pool_size, N),
+            empty_tracks(batch, capacity),
+            empty_mixture(batch, rules.pool_rows(capacity), N),
             empty_mixture(batch, self.undetected, N),
             self._no_births(batch),
             np.ones(batch, np.int64),
         )
 
     def _advance(self, state: PMBState, births: BirthMixture, scan: Scan) -> tuple[PMBState, Extraction, Array]:
-        model, rules, batch = self.model.packed, self.reduction, scan.number.shape[0]
+        batch, capacity = state.tracks.existence.shape
         prediction = self._predict(state, state.tracks.existence, births)
-        new = self._empty(batch)._replace(births=state.births, next_label=state.next_label.copy())
-        unexplained = np.zeros(scan.clutter.shape)
-        check_positive_definite(update_pmb(model, prediction, scan, self._gate, rules.limits, new, unexplained))
-        extraction = empty_extraction(batch, rules.tracks, self._sizes[0])
+        new, tally = self._updated(state, prediction, scan, capacity)
+        while tracks_outgrew(self.reduction, new.tracks, new.pool):
+            capacity *= 2
+            new, tally = self._updated(state, prediction, scan, capacity)
+        extraction = empty_extraction(batch, capacity, self._sizes[0])
         rule = RULES[self.extraction]
         extract_tracks(self._sizes[0], new.tracks, new.pool, new.next_label, rule, self.threshold, extraction)
         expected = extraction.expected + new.undetected.weight.sum(axis=1)
-        return new, extraction._replace(expected=expected), unexplained
+        return new, extraction._replace(expected=expected), tally.unexplained
+
+    def _updated(self, state: PMBState, prediction: Prediction, scan: Scan, capacity: int) -> tuple[PMBState, Tally]:
+        """Update into arrays with room for `capacity` tracks."""
+        new = self._empty(len(scan.number), capacity)._replace(births=state.births, next_label=state.next_label.copy())
+        tally = empty_tally(scan, state.tracks, new.tracks)
+        limits = self.reduction.limits
+        check_positive_definite(
+            update_pmb(self.model.packed, prediction, scan, self._gate, limits, ONE_MODE, new, tally)
+        )
+        return new, tally

@@ -17,9 +17,11 @@ from servotrack.estimators.rfs.bernoulli import (
 )
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
 from servotrack.estimators.rfs.histories import update_histories
+from servotrack.estimators.rfs.interacting_kernel import predict_modes, reduce_modes, start_modes
 from servotrack.estimators.rfs.mixture import Mixture, append_births, append_spawn, predict_components
 from servotrack.estimators.rfs.reduction import Candidates, Components, reduce_mixture
-from servotrack.estimators.types import Array
+from servotrack.estimators.rfs.sets import Scan
+from servotrack.estimators.types import Array, Labels
 
 SMALLEST_ABSENCE = 1e-12
 """Lower limit of 1 - r p_D, which is zero for a certain target and a perfect sensor."""
@@ -46,6 +48,27 @@ class Prediction(NamedTuple):
     hidden_detection: Array
 
 
+class Tally(NamedTuple):
+    """Association probabilities of one scan.
+
+    Attributes:
+        unexplained: Probability of each measurement to be clutter. Shape (B, Z).
+        detected: Probability of each predicted track to be detected. Shape (B, T).
+        origin: Predicted track of each new track, -1 for one that starts with this scan. Shape (B, T').
+    """
+
+    unexplained: Array
+    detected: Array
+    origin: Labels
+
+
+def empty_tally(scan: Scan, before: Tracks, after: Tracks) -> Tally:
+    """Tally of a scan, to be written by `update_pmb`, for tracks in arrays of these capacities."""
+    return Tally(
+        np.zeros(scan.clutter.shape), np.zeros(before.existence.shape), np.full(after.existence.shape, -1, np.int64)
+    )
+
+
 @njit(cache=True, nogil=True)
 def predict_pmb(  # type: ignore[no-untyped-def]
     model, state, presence, births, spawns, survival, hidden_survival, out_tracks, out_pool, out_hidden
@@ -56,22 +79,43 @@ def predict_pmb(  # type: ignore[no-untyped-def]
     """
     m, n = model.observation.shape
     work = np.empty((n + m, n + m))
+    for b in range(state.tracks.existence.shape[0]):
+        predict_tracks(model, state.tracks, state.pool, survival, work, b, out_tracks, out_pool)
+        predict_undetected(model, state, presence, births, spawns, hidden_survival, b, work, out_hidden)
+
+
+@njit(cache=True, nogil=True)
+def predict_adaptive(  # type: ignore[no-untyped-def]
+    model, modes, state, births, spawns, survival, hidden_survival, out_tracks, out_pool, out_hidden
+):
+    """`predict_pmb` with motion modes, a `PackedModes`, in every component of the tracks."""
+    m, n = model.observation.shape
+    work = np.empty((n + m, n + m))
+    for b in range(state.tracks.existence.shape[0]):
+        predict_modes(model, modes, state.tracks, state.pool, survival, work, b, out_tracks, out_pool)
+        presence = state.tracks.existence
+        predict_undetected(model, state, presence, births, spawns, hidden_survival, b, work, out_hidden)
+
+
+@njit(cache=True, nogil=True)
+def predict_undetected(  # type: ignore[no-untyped-def]
+    model, state, presence, births, spawns, survival, b, work, out
+):
+    """Predict the undetected targets of run b and append births and split-off targets; arguments as above."""
     tracks, pool, hidden = state.tracks, state.pool, state.undetected
-    for b in range(tracks.existence.shape[0]):
-        predict_tracks(model, tracks, pool, survival, work, b, out_tracks, out_pool)
-        predict_components(model, hidden, b, work, out_hidden)
-        row = hidden.number[b]
-        for i in range(row):
-            out_hidden.weight[b, i] = hidden_survival[b, i] * hidden.weight[b, i]
-        for term in range(spawns[0].shape[0]):
-            c = 0
-            for i in range(tracks.number[b]):
-                for _ in range(tracks.size[b, i]):
-                    append_spawn(model, spawns, term, pool.mean[b, c], pool.covariance[b, c], b, row, out_hidden)
-                    out_hidden.weight[b, row] = spawns[0][term] * presence[b, i] * pool.weight[b, c]
-                    c += 1
-                    row += 1
-        out_hidden.number[b] = append_births(model, births, b, row, out_hidden)
+    predict_components(model, hidden, b, work, out)
+    row = hidden.number[b]
+    for i in range(row):
+        out.weight[b, i] = survival[b, i] * hidden.weight[b, i]
+    for term in range(spawns[0].shape[0]):
+        c = 0
+        for i in range(tracks.number[b]):
+            for _ in range(tracks.size[b, i]):
+                append_spawn(model, spawns, term, pool.mean[b, c], pool.covariance[b, c], b, row, out)
+                out.weight[b, row] = spawns[0][term] * presence[b, i] * pool.weight[b, c]
+                c += 1
+                row += 1
+    out.number[b] = append_births(model, births, b, row, out)
 
 
 @njit(cache=True, nogil=True)
@@ -97,7 +141,7 @@ def track_pairs(component, measurement, likelihood, owner, tracks, measurements)
 
 
 @njit(cache=True, nogil=True)
-def update_pmb(model, prediction, scan, gate, limits, out, unexplained, lineage=None):  # type: ignore[no-untyped-def]
+def update_pmb(model, prediction, scan, gate, limits, modes, out, tally, lineage=None):  # type: ignore[no-untyped-def]
     """Posterior of every run: old tracks, a new track per measurement, and undetected targets (Williams 2015).
 
     Args:
@@ -106,9 +150,10 @@ def update_pmb(model, prediction, scan, gate, limits, out, unexplained, lineage=
         scan: A `Scan`.
         gate: Largest squared Mahalanobis distance of a pair.
         limits: A `Limits`.
+        modes: Initial probabilities of the motion modes of a track; [1.0] for one model. Shape (S,).
         out: A `PMBState` to write to.
-        unexplained: Output: probability of each measurement to be clutter. Shape (B, Z).
-        lineage: A `Lineage` if the histories of the components are kept, else None.
+        tally: Output: a `Tally`.
+        lineage: A `Lineage` if the histories of the components are kept, else None; for one mode only.
 
     Returns:
         True if the covariance of every predicted measurement is positive definite.
@@ -116,7 +161,7 @@ def update_pmb(model, prediction, scan, gate, limits, out, unexplained, lineage=
     m, n = model.observation.shape
     tracks, pool, hidden, detection, hidden_detection = prediction
     z, number, clutter = scan
-    cap, least = limits.components, limits.existence
+    cap, least, S = limits.components, limits.existence, modes.shape[0]
     innovation = np.empty(m)
     positive_definite = True
     for b in range(tracks.existence.shape[0]):
@@ -161,6 +206,7 @@ def update_pmb(model, prediction, scan, gate, limits, out, unexplained, lineage=
             mean[c] = pool.mean[b, c]
         for p in range(track.shape[0]):
             existence[track[p]] += assigned[p]
+            tally.detected[b, track[p]] += assigned[p]
         for i in range(T):
             existence[i] = min(existence[i], 1.0)
         for p in range(pairs):
@@ -181,7 +227,7 @@ def update_pmb(model, prediction, scan, gate, limits, out, unexplained, lineage=
             evidence = clutter[b, j] + first_seen[j]
             real = first_seen[j] / evidence if evidence > 0.0 else 0.0
             existence[T + j] = fresh[j] * real
-            unexplained[b, j] = fresh[j] * (1.0 - real)
+            tally.unexplained[b, j] = fresh[j] * (1.0 - real)
         for p in range(fresh_pairs):
             j = hidden_measurement[p]
             hidden_likelihood[p] = hidden_likelihood[p] / first_seen[j] if first_seen[j] > 0.0 else 0.0
@@ -208,12 +254,14 @@ def update_pmb(model, prediction, scan, gate, limits, out, unexplained, lineage=
         for t in np.argsort(-existence, kind="mergesort"):
             if existence[t] < least or existence[t] <= 0.0 or place == new.existence.shape[1]:
                 break
-            most = min(cap, room.weight.shape[0] - filled)
+            most = min(cap, (room.weight.shape[0] - filled) // S)
             if t < T:
                 members = rows[start[t] : start[t + 1]]
-                size = reduce_mixture(
+                size = reduce_modes(
                     model.pairwise,
                     n,
+                    S,
+                    Z,
                     candidates,
                     members,
                     pool.covariance[b],
@@ -239,12 +287,14 @@ def update_pmb(model, prediction, scan, gate, limits, out, unexplained, lineage=
                     filled,
                     fresh_row_of,
                 )
+                size = start_modes(modes, size, room, filled)
             if size == 0:
                 continue
             normalize(room.weight, filled, size)
             new.existence[b, place] = existence[t]
             new.label[b, place] = tracks.label[b, t] if t < T else out.next_label[b] + t - T
             new.size[b, place] = size
+            tally.origin[b, place] = t if t < T else -1
             place += 1
             filled += size
         new.number[b] = place

@@ -142,9 +142,9 @@ class PMBM(PoissonTrackFilter[PMBMState]):
         rules, N = self.reduction, sum(self._sizes)
         return PMBMState(
             empty_hypotheses(batch, self.hypotheses, self.targets),
-            empty_tracks(batch, rules.tracks),
-            np.zeros((batch, rules.tracks), np.int64),
-            np.zeros((batch, rules.tracks)),
+            empty_tracks(batch, rules.first_tracks),
+            np.zeros((batch, rules.first_tracks), np.int64),
+            np.zeros((batch, rules.first_tracks)),
             empty_mixture(batch, rules.pool_size, N),
             empty_mixture(batch, self.undetected, N),
             self._no_births(batch),
@@ -165,7 +165,7 @@ class PMBM(PoissonTrackFilter[PMBMState]):
         self._warn(new)
         n = self._sizes[0]
         (tracks, pool), first = self._projection(new, rules.limits, heaviest=self.report == "hypothesis")
-        extraction = empty_extraction(batch, rules.tracks, n)
+        extraction = empty_extraction(batch, rules.first_tracks, n)
         extract_tracks(n, tracks, pool, new.next_label, RULES[self.extraction], self.threshold, extraction)
         keep_identities(tracks, first, new)
         expected = (new.share * new.tracks.existence).sum(axis=1) + new.undetected.weight.sum(axis=1)

@@ -49,8 +49,7 @@ class PoissonTrackFilter(GaussianSetFilter[StateT]):
         components = state.pool.weight.shape[1]
         n, m = self._sizes
         tracks, pool = empty_tracks(batch, capacity), scratch_mixture(batch, components, n + m)
-        room = self.undetected + births.weight.shape[1] + len(self.spawn) * components
-        hidden = scratch_mixture(batch, room, n + m)
+        hidden = scratch_mixture(batch, self._hidden_room(components, births), n + m)
         survival = self._evaluate("survival", self.survival, state.pool)
         hidden_survival = self._evaluate("survival", self.survival, state.undetected)
         predict_pmb(
@@ -60,3 +59,7 @@ class PoissonTrackFilter(GaussianSetFilter[StateT]):
         self._attach(hidden)
         detection = self._evaluate("detection", self.detection, pool)
         return Prediction(tracks, pool, hidden, detection, self._evaluate("detection", self.detection, hidden))
+
+    def _hidden_room(self, components: int, births: BirthMixture) -> int:
+        """Rows that the predicted undetected targets may take, for tracks with so many components."""
+        return self.undetected + births.weight.shape[1] + len(self.spawn) * components

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
@@ -21,6 +21,7 @@ from servotrack.estimators.rfs.birth import (
     pack_spawns,
 )
 from servotrack.estimators.rfs.extraction import RULES, Rule
+from servotrack.estimators.rfs.mixed_births import Births, join_births
 from servotrack.estimators.rfs.mixture import Mixture
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.reduction import Reduction
@@ -62,7 +63,7 @@ class GaussianSetFilter(ABC, Generic[StateT]):
 
     Args:
         model: Motion and measurement model of one target.
-        birth: Birth model: `Birth` at known places, `MeasurementBirth` at unexplained measurements.
+        birth: Birth model: `Birth` at known places, `MeasurementBirth` at unexplained measurements, `Births` for both.
         clutter_intensity: Expected false measurements per unit of measurement space, kappa; a number, or a function of
             measurements (Z, m) that returns (Z,). Clutter uniform over a volume V has kappa = rate / V. Raising it
             starts fewer tracks.
@@ -86,7 +87,7 @@ class GaussianSetFilter(ABC, Generic[StateT]):
     """
 
     model: TargetModel
-    birth: Birth | MeasurementBirth
+    birth: Birth | MeasurementBirth | Births
     _: KW_ONLY
     clutter_intensity: Intensity
     survival: Probability = 0.99
@@ -101,8 +102,9 @@ class GaussianSetFilter(ABC, Generic[StateT]):
 
     def __post_init__(self) -> None:
         n = self.model.packed.observation.shape[1]
-        if isinstance(self.birth, Birth) and self.birth.means.shape[1] != n:
-            raise ValueError(f"birth means must have {n} entries as the model's state, got {self.birth.means.shape[1]}")
+        sites = self.birth.sites if isinstance(self.birth, Births) else self.birth
+        if isinstance(sites, Birth) and sites.means.shape[1] != n:
+            raise ValueError(f"birth means must have {n} entries as the model's state, got {sites.means.shape[1]}")
         pack_spawns(self.spawn, n)
         for name, value in (("survival", self.survival), ("detection", self.detection), ("threshold", self.threshold)):
             if not callable(value) and not 0.0 <= value <= 1.0:
@@ -166,12 +168,12 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         births = now._coming_births(state)
         scan = Scan(z, number, now._clutter(z, number))
         new, extraction, unexplained = now._advance(state, births, scan)
-        if isinstance(self.birth, MeasurementBirth):
-            born = self.birth.born(now.model, z, unexplained, share if share > 0.0 else 1.0)
+        if self._anywhere is not None:
+            born = self._anywhere.born(now.model, z, unexplained, share if share > 0.0 else 1.0)
             if share == 0.0:
                 born = state.births if born is None else joined_births(state.births, born)
             elif born is None:
-                born = self.birth.empty(z.shape[0], now.model)
+                born = self._anywhere.empty(z.shape[0], now.model)
             new = new._replace(births=born)  # type: ignore[attr-defined]
         return (first_row(new) if single else new), estimate_from_extraction(extraction, single)
 
@@ -188,33 +190,53 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         Raises:
             ValueError: dt is negative or not finite, or the model cannot serve it or the sensor.
         """
-        period = self.model.period
-        if dt is None or dt == period:
-            if sensor is None:
-                return self
-            dt = period
+        if sensor is not None:
+            return self._sensing(sensor).at(dt)
+        if dt is None or dt == self.model.period:
+            return self
+        return self._variant(float(dt), lambda: self._over(float(dt)))
+
+    def _sensing(self, sensor: Sensor) -> Self:
+        """The same filter with another sensor."""
+        return self._variant(sensor, lambda: replace(self, **self._sensor_changes(sensor)))
+
+    def _variant(self, key: Any, make: Callable[[], Self]) -> Self:
+        """A filter made earlier for an interval or a sensor, or a new one."""
         known: dict[Any, Self] = self.__dict__.setdefault("_variants", {})
-        variant = known.get((dt, sensor))
+        variant = known.get(key)
         if variant is None:
             # A sensor that moves is a new one at every scan; without a limit they would fill the memory.
             if len(known) >= self.variants:
                 known.pop(next(iter(known)))
-            variant = known[dt, sensor] = self._variant(dt, sensor)
+            variant = known[key] = make()
         return variant
 
-    def _variant(self, dt: float, sensor: Sensor | None) -> Self:
-        """Make the filter of `at`."""
-        model = model_at(self.model, dt, sensor)
-        share = dt / self.model.period
-        changes: dict[str, Any] = {"survival": _to_the(self.survival, share)}
-        if sensor is not None:
-            for name in ("detection", "clutter_intensity"):
-                if getattr(sensor, name) is not None:
-                    changes[name] = getattr(sensor, name)
-        if isinstance(self.birth, Birth) and share > 0.0:
-            changes["birth"] = replace(self.birth, weights=np.minimum(share * self.birth.weights, 1.0))
-        spawn = tuple(replace(one, weight=min(share * one.weight, 1.0)) for one in self.spawn) if share > 0.0 else ()
-        return replace(self, model=model, spawn=spawn, **changes)
+    def _over(self, dt: float) -> Self:
+        """The same filter for another interval."""
+        made = object.__new__(type(self))
+        # `replace` would check all arguments again, which takes longer than a scan with a few targets.
+        made.__dict__.update({one.name: getattr(self, one.name) for one in fields(self)}, **self._interval_changes(dt))
+        return made
+
+    def _sensor_changes(self, sensor: Sensor) -> dict[str, Any]:
+        """Arguments of the filter with another sensor that differ."""
+        changes: dict[str, Any] = {"model": model_at(self.model, None, sensor)}
+        for name in ("detection", "clutter_intensity"):
+            if getattr(sensor, name) is not None:
+                changes[name] = getattr(sensor, name)
+        return changes
+
+    def _interval_changes(self, dt: float) -> dict[str, Any]:
+        """Arguments of the filter for another interval that differ."""
+        model, share = model_at(self.model, dt, None), dt / self.model.period
+        changes: dict[str, Any] = {"model": model, "survival": _to_the(self.survival, share)}
+        if self._sites is not None and share > 0.0:
+            sites = replace(self._sites, weights=np.minimum(share * self._sites.weights, 1.0))
+            changes["birth"] = sites if self._anywhere is None else Births(sites, self._anywhere)
+        if self.spawn:
+            shared = (replace(one, weight=min(share * one.weight, 1.0)) for one in self.spawn)
+            changes["spawn"] = tuple(shared) if share > 0.0 else ()
+        return changes
 
     def _coming_births(self, state: StateT) -> BirthMixture:
         """Births of the coming step; none if it is at the instant of the last one."""
@@ -222,9 +244,10 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         if self.model.period == 0.0:
             n = self._sizes[0]
             return BirthMixture(np.zeros((batch, 0)), np.zeros((batch, 0, n)), np.zeros((batch, 0, n, n)))
-        if isinstance(self.birth, MeasurementBirth):
-            return self.birth.predicted(self.model, state.births)
-        return self._static_births
+        if self._anywhere is None:
+            return self._static_births
+        coming = self._anywhere.predicted(self.model, state.births)
+        return coming if self._sites is None else join_births(self._static_births, coming)
 
     @abstractmethod
     def _empty(self, batch: int) -> StateT:
@@ -255,16 +278,31 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         return pack_spawns(self.spawn, self._sizes[0])
 
     @cached_property
+    def _sites(self) -> Birth | None:
+        """Births at known places, if there are any."""
+        if isinstance(self.birth, Births):
+            return self.birth.sites
+        return self.birth if isinstance(self.birth, Birth) else None
+
+    @cached_property
+    def _anywhere(self) -> MeasurementBirth | None:
+        """Births at measurements, if there are any."""
+        if isinstance(self.birth, Births):
+            return self.birth.anywhere
+        return self.birth if isinstance(self.birth, MeasurementBirth) else None
+
+    @cached_property
     def _static_births(self) -> BirthMixture:
-        if not isinstance(self.birth, Birth):
-            raise TypeError("birth must be a Birth: only births at known places are the same at every step")
-        return BirthMixture(self.birth.weights[None], self.birth.means[None], self.birth.covariances[None])
+        sites = self._sites
+        if sites is None:
+            raise TypeError("birth must have sites: only births at known places are the same at every step")
+        return BirthMixture(sites.weights[None], sites.means[None], sites.covariances[None])
 
     def _no_births(self, batch: int) -> BirthMixture:
         """Births of an initial state: weights of 0, or empty arrays if births are the same at every step."""
         n = self._sizes[0]
-        if isinstance(self.birth, MeasurementBirth):
-            return self.birth.empty(batch, self.model)
+        if self._anywhere is not None:
+            return self._anywhere.empty(batch, self.model)
         return BirthMixture(np.zeros((batch, 0)), np.zeros((batch, 0, n)), np.zeros((batch, 0, n, n)))
 
     def _attach(self, mixture: Mixture) -> None:

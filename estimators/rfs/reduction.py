@@ -72,10 +72,13 @@ class Reduction:
         prune: Components of less weight are dropped before merging (T_omega). Raising it gives smaller mixtures.
         merge: Squared Mahalanobis distance within which components merge (U). Raising it merges more; 0 merges none.
         components: Largest number of components kept, the heaviest (J_max); per track in the multi-Bernoulli filters.
+            None: 100, which doubles in a filter of one intensity when targets would be lost.
         existence: Tracks of less probability are dropped (T_r); multi-Bernoulli filters only. Raising it ends
             tracks sooner.
-        tracks: Largest number of tracks kept, the most probable (T_max); multi-Bernoulli filters only.
-        pool: Largest number of components of all tracks, those of the most probable tracks; None: three per track.
+        tracks: Largest number of tracks kept, the most probable (T_max); multi-Bernoulli filters only. None: no limit;
+            arrays have room for 100 tracks and double when they are full.
+        pool: Largest number of components of all tracks, those of the most probable tracks; None: three per track that
+            the arrays have room for.
         candidates: Merging considers the `candidates * components` heaviest components. This limits the time where
             thousands of measurements coincide; raising it loses less of the light components.
 
@@ -85,9 +88,9 @@ class Reduction:
 
     prune: float = 1e-5
     merge: float = 4.0
-    components: int = 100
+    components: int | None = 100
     existence: float = 1e-3
-    tracks: int = 100
+    tracks: int | None = None
     pool: int | None = None
     candidates: int = 10
 
@@ -100,8 +103,8 @@ class Reduction:
             if not 0.0 <= value < top:
                 raise ValueError(f"{name} must be at least 0 and below {top}, got {value!r}")
         for name, count in (
-            ("components", self.components),
-            ("tracks", self.tracks),
+            ("components", self.first_components),
+            ("tracks", self.first_tracks),
             ("pool", self.pool_size),
             ("candidates", self.candidates),
         ):
@@ -109,20 +112,38 @@ class Reduction:
                 raise ValueError(f"{name} must be at least 1, got {count!r}")
 
     @property
+    def first_components(self) -> int:
+        """Components for which the first arrays have room."""
+        return 100 if self.components is None else self.components
+
+    @property
+    def first_tracks(self) -> int:
+        """Tracks for which the first arrays have room."""
+        return 100 if self.tracks is None else self.tracks
+
+    @property
     def pool_size(self) -> int:
-        """Largest number of components of all tracks."""
-        return 3 * self.tracks if self.pool is None else self.pool
+        """Components of all tracks for which the first arrays have room."""
+        return self.pool_rows(self.first_tracks)
+
+    def pool_rows(self, tracks: int) -> int:
+        """Components of all tracks in arrays with room for so many tracks."""
+        return 3 * tracks if self.pool is None else self.pool
 
     @property
     def limits(self) -> Limits:
         """Numbers for the compiled kernels."""
         return Limits(
-            float(self.prune), float(self.merge), int(self.components), float(self.existence), int(self.candidates)
+            float(self.prune),
+            float(self.merge),
+            int(self.first_components),
+            float(self.existence),
+            int(self.candidates),
         )
 
 
 @njit(cache=True, nogil=True)
-def _squared_distance(difference, cov, size, limit, root):  # type: ignore[no-untyped-def]
+def squared_distance(difference, cov, size, limit, root):  # type: ignore[no-untyped-def]
     """Compute difference^T cov^-1 difference, or infinity once it exceeds the limit or cov is not definite."""
     # d^2 is at least the square of each entry over its variance; most pairs end here.
     for r in range(size):
@@ -205,7 +226,7 @@ def reduce_mixture(  # type: ignore[no-untyped-def]
                     continue
                 for r in range(1, size):
                     difference[r] = mean[other, r] - mean[head, r]
-                if _squared_distance(difference, cov, size, merge, root) <= merge:
+                if squared_distance(difference, cov, size, merge, root) <= merge:
                     taken[i] = True
                     following[last] = i
                     last = i

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -160,8 +160,7 @@ class SensedModel:
         """The same model for another interval; arguments and errors as in `TargetModel`."""
         if dt == self.period:
             return self
-        F, Q = moved(self, dt)
-        return replace(self, transition=F, process_noise=Q, period=dt)
+        return SensedModel(*moved(self, dt), self.sensor, self.motion, dt)
 
     @cached_property
     def packed(self) -> PackedModel:
@@ -229,21 +228,22 @@ def model_at(model: TargetModel, dt: float | None, sensor: Sensor | None) -> Tar
     Raises:
         ValueError: dt is negative or not finite, or the model cannot serve it or the sensor.
     """
-    if dt is not None:
-        if not (np.isfinite(dt) and dt >= 0.0):
-            raise ValueError(
-                f"dt must be finite and >= 0, got {dt!r}; for scans that arrive out of order use `TimedTracker`"
-            )
-        model = model.at(float(dt))
-    return model if sensor is None else sensed(model, sensor)
+    if dt is not None and not (np.isfinite(dt) and dt >= 0.0):
+        raise ValueError(
+            f"dt must be finite and >= 0, got {dt!r}; for scans that arrive out of order use `TimedTracker`"
+        )
+    if sensor is not None:
+        return sensed(model, sensor, dt)
+    return model if dt is None else model.at(float(dt))
 
 
-def sensed(model: TargetModel, sensor: Sensor) -> TargetModel:
+def sensed(model: TargetModel, sensor: Sensor, dt: float | None = None) -> TargetModel:
     """The motion of a model with the measurement of a sensor.
 
     Args:
         model: Model of one target.
         sensor: The sensor.
+        dt: Interval before the scan, s; None: the model's period.
 
     Raises:
         ValueError: The model is pairwise, whose measurements are part of its motion, or the sensor has another state.
@@ -255,13 +255,12 @@ def sensed(model: TargetModel, sensor: Sensor) -> TargetModel:
         )
     if not isinstance(model, HiddenMarkovModel | RangeBearingModel | SensedModel):
         raise ValueError(f"model must have a transition and a process noise for a sensor, got {type(model).__name__}")
+    interval = model.period if dt is None else float(dt)
     if isinstance(sensor, LinearSensor):
-        return HiddenMarkovModel(
-            model.transition, model.process_noise, sensor.observation, sensor.noise, model.motion, model.period
-        )
+        return HiddenMarkovModel.over(model, interval, sensor.observation, sensor.noise)
     if not isinstance(sensor, FunctionSensor):
         raise ValueError(f"sensor must be a LinearSensor or a FunctionSensor, got {type(sensor).__name__}")
-    return SensedModel(model.transition, model.process_noise, sensor, model.motion, model.period)
+    return SensedModel(*moved(model, interval), sensor, model.motion, interval)
 
 
 def _checked(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.estimators.rfs.birth import Birth, BirthMixture, MeasurementBirth
+from servotrack.estimators.rfs.mixed_births import join_births
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.phd import GMPHD, PHDState
 from servotrack.estimators.rfs.sets import Scan, SetEstimate, check_runs, estimate_from_extraction, read_measurements
@@ -133,13 +134,7 @@ class SteeredPHD:
         shared = moved._replace(weight=np.minimum(moved.weight * expected[:, None], 1.0))
         if not isinstance(self.filter.birth, Birth):
             return shared
-        known = self.filter._static_births
-        return BirthMixture(
-            *(
-                np.concatenate([np.broadcast_to(one, (len(expected), *one.shape[1:])), other], axis=1)
-                for one, other in zip(known, shared, strict=True)
-            )
-        )
+        return join_births(self.filter._static_births, shared)
 
 
 def _checked_steering(steering: Steering, batch: tuple[int, ...]) -> Steering:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -20,8 +19,13 @@ StateT = TypeVar("StateT")
 class TimedFilter(Protocol[StateT]):
     """A set filter whose steps take an interval and a sensor."""
 
-    initial: Callable[..., StateT]
-    step: Callable[..., tuple[StateT, SetEstimate]]
+    def initial(self, measurement: ArrayLike, sensor: Sensor | None = None) -> StateT:
+        """State before the first scan."""
+
+    def step(
+        self, state: StateT, measurement: ArrayLike, dt: float | None = None, sensor: Sensor | None = None
+    ) -> tuple[StateT, SetEstimate]:
+        """Predict over an interval and update with a scan of a sensor."""
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
-from servotrack.estimators.rfs.birth import BirthMixture, MeasurementBirth
+from servotrack.estimators.rfs.birth import BirthMixture
+from servotrack.estimators.rfs.capacity import tracks_outgrew
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
 from servotrack.estimators.rfs.histories import History, Lineage, empty_history, predict_histories
+from servotrack.estimators.rfs.interacting_kernel import ONE_MODE
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture
-from servotrack.estimators.rfs.pmb_kernel import update_pmb
+from servotrack.estimators.rfs.pmb_kernel import Prediction, Tally, empty_tally, update_pmb
 from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
 from servotrack.estimators.rfs.recursion import check_positive_definite
 from servotrack.estimators.rfs.reduction import Reduction
@@ -94,47 +96,65 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
         whole: TrajectoryPMBState = add_axis(state) if single else state
         return [estimate_from_extraction(self._smoothed(whole, past), single) for past in range(self.lag - 1, -1, -1)]
 
-    def _empty(self, batch: int) -> TrajectoryPMBState:
+    def _empty(self, batch: int, capacity: int | None = None) -> TrajectoryPMBState:
         rules, (n, m) = self.reduction, self._sizes
+        capacity = capacity or rules.first_tracks
+        components = rules.pool_rows(capacity)
         return TrajectoryPMBState(
-            empty_tracks(batch, rules.tracks),
-            empty_mixture(batch, rules.pool_size, n + m),
+            empty_tracks(batch, capacity),
+            empty_mixture(batch, components, n + m),
             empty_mixture(batch, self.undetected, n + m),
             self._no_births(batch),
             np.ones(batch, np.int64),
-            empty_history(batch, rules.pool_size, self.lag, n, n + m),
+            empty_history(batch, components, self.lag, n, n + m),
             empty_history(batch, self.undetected, self.lag, n, n + m),
-            empty_trajectories(batch, 2 * rules.tracks, self.lag, n),
+            empty_trajectories(batch, 2 * capacity, self.lag, n),
         )
 
     def _advance(
         self, state: TrajectoryPMBState, births: BirthMixture, scan: Scan
     ) -> tuple[TrajectoryPMBState, Extraction, Array]:
-        model, rules, batch = self.model.packed, self.reduction, scan.number.shape[0]
+        model, (batch, capacity) = self.model.packed, state.tracks.existence.shape
         n, m = self._sizes
         prediction = self._predict(state, state.tracks.existence, births)
-        new = self._empty(batch)._replace(births=state.births, next_label=state.next_label.copy())
         past = empty_history(batch, prediction.pool.weight.shape[1], self.lag, n, n + m)
         hidden_past = empty_history(batch, prediction.hidden.weight.shape[1], self.lag, n, n + m)
         shift, start = int(self.model.period > 0.0), np.zeros(batch, np.int64)
         predict_histories(model, state.pool, state.past, prediction.pool, shift, start, past)
         predict_histories(model, state.undetected, state.hidden_past, prediction.hidden, shift, start, hidden_past)
-        if isinstance(self.birth, MeasurementBirth) and shift:
-            # A target that is born at a measurement was there when it was measured.
+        if self._anywhere is not None and shift:
+            # A target that is born at a measurement was there when it was measured. These births are the last rows.
             born = _as_mixture(state.births)
             fresh = empty_history(batch, born.weight.shape[1], self.lag, n, n)
             start = prediction.hidden.number - born.number
             predict_histories(model, born, fresh, prediction.hidden, shift, start, hidden_past)
-        absent = np.zeros(state.tracks.existence.shape)
-        lineage = Lineage(past, hidden_past, new.past, new.hidden_past, absent)
-        unexplained = np.zeros(scan.clutter.shape)
-        check_positive_definite(
-            update_pmb(model, prediction, scan, self._gate, rules.limits, new, unexplained, lineage)
-        )
+        new, tally, absent = self._updated(state, prediction, past, hidden_past, scan, capacity)
+        while tracks_outgrew(self.reduction, new.tracks, new.pool):
+            capacity *= 2
+            new, tally, absent = self._updated(state, prediction, past, hidden_past, scan, capacity)
         survival = self._evaluate("survival", self.survival, state.pool)
         hidden_survival = self._evaluate("survival", self.survival, state.undetected)
         advance_trajectories(state, survival, hidden_survival, absent, self.threshold, shift, new)
-        return new, self._smoothed(new, self.lag), unexplained
+        return new, self._smoothed(new, self.lag), tally.unexplained
+
+    def _updated(
+        self,
+        state: TrajectoryPMBState,
+        prediction: Prediction,
+        past: History,
+        hidden_past: History,
+        scan: Scan,
+        capacity: int,
+    ) -> tuple[TrajectoryPMBState, Tally, Array]:
+        """Update into arrays with room for `capacity` tracks; also returns the factors of absent targets (B, T)."""
+        new = self._empty(len(scan.number), capacity)._replace(births=state.births, next_label=state.next_label.copy())
+        tally, absent = empty_tally(scan, state.tracks, new.tracks), np.zeros(state.tracks.existence.shape)
+        lineage = Lineage(past, hidden_past, new.past, new.hidden_past, absent)
+        limits = self.reduction.limits
+        check_positive_definite(
+            update_pmb(self.model.packed, prediction, scan, self._gate, limits, ONE_MODE, new, tally, lineage)
+        )
+        return new, tally, absent
 
     def _smoothed(self, state: TrajectoryPMBState, past: int) -> Extraction:
         """Extract the targets of the scan `past` before the newest one."""

@@ -41,6 +41,11 @@ CARDS = (
     _observer("gm-cbmember-hmm", "the same, assuming independent noises"),
     _observer("pmb", "track-oriented Poisson multi-Bernoulli filter with belief propagation", **_SETS),
     _observer("pmb-hmm", "the same, assuming independent noises"),
+    _observer(
+        "robust-pmb",
+        "PMB that estimates detection probability and clutter, follows maneuvers, and expects births anywhere; "
+        "the choice for levels 2 to 7",
+    ),
     _observer("pmbm", "Poisson multi-Bernoulli mixture filter: the exact posterior up to pruning"),
     _observer(
         "trajectory-pmb",

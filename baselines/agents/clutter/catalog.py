@@ -14,13 +14,17 @@ from servotrack.estimators.rfs import (
     PMB,
     PMBM,
     Birth,
+    Births,
     GlobalNearestNeighbor,
     GMCBMeMBer,
     MeasurementBirth,
     ParticlePHD,
     RawMeasurements,
     Reduction,
+    RegionSurvival,
+    RobustPMB,
     TrajectoryPMB,
+    maneuvers,
 )
 from servotrack.estimators.rfs.extraction import Rule
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD
@@ -33,6 +37,7 @@ TrackFilter: TypeAlias = (
     | PMB
     | PMBM
     | TrajectoryPMB
+    | RobustPMB
     | ParticlePHD
     | GlobalNearestNeighbor
     | RawMeasurements
@@ -45,6 +50,10 @@ SMOOTHER = "trajectory-pmb"
 
 SMALLEST_CAPACITY = 100
 """Capacity of a filter (see `FilterSettings`) if three times the rows of an answer are fewer."""
+
+
+ELSEWHERE = 0.2
+"""Births of `robust-pmb` at unexplained measurements, as a share of those that the scene model expects at its sites."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +120,26 @@ def _mixture(scene: SceneModel, settings: FilterSettings) -> PMBM:
     return replace(made, targets=max(made.targets, settings.capacity))
 
 
+def _robust(scene: SceneModel, settings: FilterSettings) -> RobustPMB:
+    model = scene.hidden_markov if settings.hidden_markov else scene.model
+    birth: Birth | MeasurementBirth | Births = _birth(scene)
+    if isinstance(birth, Birth):
+        expected = ELSEWHERE * float(birth.weights.sum())
+        birth = Births(birth, MeasurementBirth(expected, np.sqrt(np.diag(scene.birth_covariance)), largest=expected))
+    edge = np.full(2, scene.half_width)
+    return RobustPMB(
+        model,
+        birth,
+        clutter_intensity=scene.clutter_intensity,
+        volume=float(np.prod(scene.seen_high - scene.seen_low)),
+        survival=RegionSurvival(model, scene.survival_probability, -edge, edge),
+        detection=scene.detection_probability,
+        modes=maneuvers(model),
+        extraction=settings.extraction,
+        reduction=Reduction(components=5, tracks=settings.capacity),
+    )
+
+
 def _trajectories(scene: SceneModel, settings: FilterSettings) -> TrajectoryPMB:
     made = _gaussian(TrajectoryPMB, lambda capacity: Reduction(components=5, tracks=capacity))(scene, settings)
     return replace(made, lag=scene.lag)
@@ -169,6 +198,7 @@ TRACK_FILTERS: Mapping[str, Callable[[SceneModel, FilterSettings], TrackFilter]]
     "gm-phd-counting": _counting,
     "gm-cbmember": _gaussian(GMCBMeMBer, lambda capacity: Reduction(components=10, tracks=capacity)),
     "pmb": _gaussian(PMB, lambda capacity: Reduction(components=5, tracks=capacity)),
+    "robust-pmb": _robust,
     "pmbm": _mixture,
     SMOOTHER: _trajectories,
     "smc-phd": _particle,

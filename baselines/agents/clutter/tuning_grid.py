@@ -21,6 +21,11 @@ GRIDS: Mapping[str, Grid] = {
     "gm-phd": _MIXTURE,
     "gm-cbmember": _TRACKS,
     "pmb": _TRACKS,
+    "robust-pmb": {
+        **_TRACKS,
+        "adaptation.memory": (20.0, 50.0, 100.0),
+        "adaptation.target_trust": (2.0, 5.0, 20.0),
+    },
     "pmbm": {**_MIXTURE, "recycle": (0.01, 0.03, 0.1, 0.3), "least_weight": (1e-7, 1e-6, 1e-5, 1e-4)},
     "gnn": {"gate_probability": (0.99, 0.999, 0.9999), "misses": (2, 3, 4, 6, 8)},
 }
