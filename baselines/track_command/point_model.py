@@ -183,7 +183,6 @@ def _chains(points: PointScans, low: Array, high: Array, window: int) -> Array:
 def _tracker(points: PointScans, model: PointModel) -> TrajectoryPMB:
     d = points.dimensions
     motion = constant_velocity(model.process_noise, _position_noise(points, model), period=model.period, dimensions=d)
-    most = max(len(scan) for scan in points.scans)
     deviation = np.stack([(model.high - model.low) / math.sqrt(12.0), np.full(d, model.speed)], axis=1)
     center = np.stack([0.5 * (model.low + model.high), np.zeros(d)], axis=1)
     return TrajectoryPMB(
@@ -193,7 +192,7 @@ def _tracker(points: PointScans, model: PointModel) -> TrajectoryPMB:
         clutter_intensity=model.clutter_rate / float(np.prod(model.high - model.low)),
         survival=model.survival,
         detection=model.detection,
-        reduction=Reduction(components=5, existence=_LEAST_EXISTENCE, tracks=max(100, 8 * most)),
+        reduction=Reduction(components=5, existence=_LEAST_EXISTENCE),
         lag=smoothing_lag(points, model),
     )
 
