@@ -28,7 +28,7 @@ FUZZED = int(os.environ.get("SERVOTRACK_FUZZED_SEQUENCES", "2000"))
 FUZZED_SECONDS = float(os.environ.get("SERVOTRACK_FUZZED_SECONDS", "inf"))
 """Time limit of the slow fuzzer for each estimator, s."""
 
-FOUND = [("parametric-ukf", 4)]
+FOUND = [("parametric-ukf", 4), ("controller-damped", 8)]
 """Estimators and seeds at which the slow fuzzer found a fault that was mended."""
 
 
