@@ -123,6 +123,18 @@ def tracks(folder: Path) -> Any:
     return (out / "tracks.txt").read_text() if (out / "tracks.txt").exists() else ""
 
 
+def counted(folder: Path) -> Any:
+    """Tracks and counts, whose rows must be complete, and the files made of the tracks."""
+    out = folder / "out"
+    rows = (out / "counts.csv").read_text().splitlines() if (out / "counts.csv").exists() else []
+    assert all(len(row.split(",")) == 7 for row in rows)
+    frames = [int(row.split(",")[0]) for row in rows[1:]]
+    assert [frame for frame in frames if frames.count(frame) != 4] == []
+    if (out / "tracks.json").exists():
+        json.loads((out / "tracks.json").read_text())
+    return tracks(folder), rows, digests(out, "tracks.csv", "tracks.json", "tracks_offline.txt")
+
+
 COMMANDS = {
     "evaluate": Command(("evaluate", "UncalibServo-v0", "kf", "-n", "300", *SHORT, "-o", "out"), rows),
     "bench": Command(
@@ -137,6 +149,25 @@ COMMANDS = {
         ),
     ),
     "track": Command(("track", "walk.avi", "--out", "out", "--background", "0"), tracks),
+    "track with counts": Command(
+        (
+            "track",
+            "walk.avi",
+            "--out",
+            "out",
+            "--background",
+            "0",
+            "--zone",
+            "1,1,90,1,90,90",
+            "--line",
+            "60,0,60,96",
+            "--tracks",
+            "csv,coco",
+            "--offline",
+            "--no-video",
+        ),
+        counted,
+    ),
     "render": Command(("render", "scene", "--set", "horizon=150"), lambda folder: digests(folder, "scene/**/*")),
     "play": Command(("play", "--agent", "kf", "--seed", "3", "--video", "film.webm"), frames),
     "tune": Command(("tune", "kf", "broyden", "-n", "1", "-o", "tuning.json"), tuned),
