@@ -172,7 +172,7 @@ def test_trackers_are_told_the_time_or_given_empty_frames():
             if time == 5.4 and tracker is clocked:
                 assert tracker.passed == pytest.approx(0.3)
     assert ((plain.steps, clocked.steps) == (6, 4) and clocked.passed is None) or clocked.passed == pytest.approx(0.1)
-    with pytest.raises(ValueError, match=r"time must be a finite number and after that of the last frame, 5\.5, got 5\.5"):
+    with pytest.raises(ValueError, match=r"time must be a finite number and after .*, 5\.5, got 5\.5"):
         timed.step(nothing, 5.5)
     # Nothing is kept over minutes.
     TimedTracker(plain, 10.0).step(nothing, 0.0)
