@@ -77,7 +77,7 @@ def create_tracker(name: str, frame_size: Size | None = None, frame_rate: float 
         ImportError: A tracker of the package `trackers`, which is not installed.
     """
     _check_name("tracker", name, TRACKERS)
-    if frame_size is not None and not min(frame_size) >= 1:
+    if frame_size is not None and (np.shape(frame_size) != (2,) or not all(side >= 1 for side in frame_size)):
         raise ValueError(f"frame_size must be width and height of at least 1 px, got {frame_size!r}")
     if not (np.isfinite(frame_rate) and frame_rate > 0.0):
         raise ValueError(f"frame_rate must be finite and > 0, got {frame_rate!r}")
