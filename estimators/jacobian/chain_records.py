@@ -35,6 +35,8 @@ class ChainSettings(NamedTuple):
         target_speed: Prior standard deviation of a moving target's rates, rad/s and mean depths/s.
         target_change: Standard deviation of their change within a second, at rest.
         target_turn: The same as a share of the rates themselves.
+        eager: Number of frames that are fitted as they come.
+        refit: Number of frames between two fits after that.
         first_damping: Damping of the first fit, relative to the diagonal of the normal equations.
         least_damping: Least damping.
         largest_damping: Largest damping.
@@ -48,7 +50,6 @@ class ChainSettings(NamedTuple):
             of the chain's to their own least value.
         no_error: Least error before there is one, px^2.
         outlier: Square of a residual, relative to the variance, that counts at most in the estimate of the noise.
-        difference: Change of a parameter for the derivatives of the Jacobian.
         forgetting: Memory of the evidence per frame, see `ChainMemory`.
     """
 
@@ -76,6 +77,8 @@ class ChainSettings(NamedTuple):
     target_speed: float
     target_change: float
     target_turn: float
+    eager: float
+    refit: int
     first_damping: float = 1e-3
     least_damping: float = 1e-6
     largest_damping: float = 1e6
@@ -88,7 +91,6 @@ class ChainSettings(NamedTuple):
     failed: float = 4.0
     no_error: float = 1e12
     outlier: float = 9.0
-    difference: float = 1e-6
     forgetting: float = 0.98
 
 
@@ -97,7 +99,8 @@ class ChainMemory(NamedTuple):
 
     `moves` is true for chains whose target moves, `motion` and `motion_covariance` are its turn and shift, and their
     rates, see `chain_target`. `evidence` is the mean log density of a feature, without its offset, summed over past
-    frames with decreasing weights.
+    frames with decreasing weights. `factor` is that of the normal equations of the better chain at its last fit, and
+    `turn` the number of frames by which its fits come earlier than those of a chain with `turn` 0.
     """
 
     started: Mask
@@ -108,6 +111,8 @@ class ChainMemory(NamedTuple):
     scatter: Array
     known: Mask
     parameters: Array
+    factor: Array
+    turn: Array
     damping: Array
     cost: Array
     reverse: Mask
