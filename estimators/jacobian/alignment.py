@@ -6,8 +6,8 @@ estimator. Therefore the latest encoder readings are kept and interpolated at th
 
 from __future__ import annotations
 
-import math
 import functools
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 

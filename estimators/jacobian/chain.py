@@ -115,8 +115,8 @@ class ChainJacobian:
         drift: Standard deviation of the features' velocity that is not the arm's while the chain serves, px/s; it only
             enters `covariance`.
         eager: Number of frames that are fitted as they come. Larger values learn sooner what the first moves show.
-        refit: Number of frames, at least 2, between two fits after that. Larger values take less time, and follow
-            changes of the arm later.
+        refit: Number of frames between two fits after that, most of which search for a better explanation; the frames
+            between them correct the last fit. Larger values take less time, and find it later.
         moving: True for a rigid target that moves by itself, in the hand's or the world's frame. Its motion is filtered
             from what the chain leaves unexplained, and gives J_t, without a variance: a law feeds it forward in full.
         target_speed: Prior standard deviation of a moving target's rates, rad/s and mean depths of the points/s.
@@ -152,7 +152,7 @@ class ChainJacobian:
     patience: float = 40.0
     drift: float = 5.0
     eager: float = 100.0
-    refit: int = 8
+    refit: int = 4
     moving: bool = False
     target_speed: float = 0.02
     target_change: float = 0.015
@@ -171,8 +171,8 @@ class ChainJacobian:
             raise ValueError(f"keyframes must be at least 2, got {self.keyframes}")
         if self.iterations < 1:
             raise ValueError(f"iterations must be at least 1, got {self.iterations}")
-        if self.refit < 2:
-            raise ValueError(f"refit must be at least 2 frames, got {self.refit}")
+        if self.refit < 1:
+            raise ValueError(f"refit must be at least 1 frame, got {self.refit}")
         if self.memory < 1.0:
             raise ValueError(f"memory must be at least 1 frame, got {self.memory}")
 

@@ -89,8 +89,8 @@ class ChainBank:
         members = _mapped(alone, lambda each: np.repeat(np.expand_dims(each, axis), count, axis))
         moves = members.chain.moves.copy()
         moves[..., len(self.plays) :] = True
-        # One fit at a time: chains take turns, and so do both orders of each.
-        turns = np.broadcast_to(2.0 * np.arange(count), moves.shape).copy()
+        # One fit at a time: chains take turns.
+        turns = np.broadcast_to(np.arange(count, dtype=np.float64), moves.shape).copy()
         members = members._replace(chain=members.chain._replace(moves=moves, turn=turns))
         return EstimatorBankState(members, np.zeros((*np.shape(measurement.time), count)))
 

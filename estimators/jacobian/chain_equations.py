@@ -303,7 +303,13 @@ def descent(factor, slope, step):  # type: ignore[no-untyped-def]
         step[k] /= factor[k, k]
         for a in range(k):
             step[a] -= factor[k, a] * step[k]
-    for k in range(size):
+    unwhiten(factor, step)
+
+
+@njit(cache=True, nogil=True)
+def unwhiten(factor, step):  # type: ignore[no-untyped-def]
+    """Solve R x = z in place. Shapes (N, N) and (N,)."""
+    for k in range(step.shape[0]):
         for a in range(k):
             step[k] -= factor[k, a] * step[a]
         step[k] /= factor[k, k]

@@ -15,17 +15,24 @@ from servotrack.estimators.jacobian.chain_equations import (
     descent,
     factored,
     prior_cost,
+    row_terms,
     stored_terms,
+    unwhiten,
 )
 from servotrack.estimators.jacobian.chain_kernel import LEAST_DEPTH
-from servotrack.estimators.jacobian.chain_keyframes import noise_of, place_points, store_frame
+from servotrack.estimators.jacobian.chain_keyframes import chain_residuals, noise_of, place_points, store_frame
 from servotrack.estimators.jacobian.chain_scores import (
     better_chain,
     follow_offsets,
     score_frame,
     write_present,
 )
-from servotrack.estimators.jacobian.chain_target import forecast_target, place_target, restart_target
+from servotrack.estimators.jacobian.chain_target import (
+    eliminate,
+    forecast_target,
+    place_target,
+    restart_target,
+)
 
 
 @njit(cache=True, nogil=True)
@@ -108,8 +115,8 @@ def update_chains(memory, frame, settings, output):  # type: ignore[no-untyped-d
 def update_row(memory, frame, settings, output, row):  # type: ignore[no-untyped-def]
     """Update one row, see `update_chains`.
 
-    The first frames are fitted as they come. Later ones change little: both chains of a row take turns in which they are
-    fitted to all keyframes, and the frames between wait in the store.
+    The first frames are fitted as they come. Later ones change little: both chains of a row take turns to be fitted to
+    all keyframes, and the frames between correct the last fit.
     """
     n, m, size = frame.angles.shape[1], frame.features.shape[1], memory.parameters.shape[2]
     fresh = frame.fresh[row]
@@ -124,12 +131,12 @@ def update_row(memory, frame, settings, output, row):  # type: ignore[no-untyped
     if fresh:
         placed = _take_frame(memory, frame, settings, newest, old, row)
     eager = placed or memory.frames[row] < settings.eager
-    turn = int(memory.frames[row] + memory.turn[row]) % settings.refit if fresh else -1
-    if fresh and (eager or turn == 1):
+    turn = int(memory.frames[row] + memory.turn[row]) % (settings.refit * settings.own_share) if fresh else -1
+    due, challenged = eager or turn == 0, turn > 0 and turn % settings.refit == 0
+    if fresh and (eager or challenged):
         _challenge(memory, settings, 1.0 if eager else float(settings.iterations), row)
     before = better_chain(memory, row)
-    idle = not (turn == 1 or (eager and not _is_idle(memory, settings, row)))
-    due = eager or turn == 0
+    idle = _is_idle(memory, settings, row) if eager else not challenged
     excited, count = np.empty(n), store[0].shape[0]
     normals, factors, slope = np.empty((2, size, size)), np.empty((2, size, size)), np.empty(size)
     predicted, ready = np.empty((2, count, m)), False
@@ -141,7 +148,9 @@ def update_row(memory, frame, settings, output, row):  # type: ignore[no-untyped
             frames = (store[0], store[1], store[2], memory.noise[row])
             _sum_terms(parameters, reverse, excited, frames, settings, normals[0], slope, predicted[0])
             _keep_factor(memory, settings, normals[0], row)
-        score_frame(memory, frame, settings, output, newest, old, row)
+        columns = score_frame(memory, frame, settings, output, newest, old, row)
+        if not due:
+            _correct(memory, newest, columns, float(turn), settings, row, before)
     prior = (excited, memory.noise[row])
     gap = memory.cost[row, 1 - before] - memory.cost[row, before]
     if due:
@@ -166,6 +175,47 @@ def update_row(memory, frame, settings, output, row):  # type: ignore[no-untyped
         _store_newest(memory, frame, settings, newest, predicted[best], fitted, row)
     output.best[row] = best
     output.chained[row] = memory.errors[row, 1] < settings.margin * memory.errors[row, 0]
+
+
+@njit(cache=True, nogil=True)
+def _correct(memory, newest, columns, frames, settings, row, h):  # type: ignore[no-untyped-def]
+    """Correct a chain of a row by its newest frame alone, with the normal equations of the last fit.
+
+    It is the first step of a fit to all frames from the optimum for all but the newest: the update of an extended
+    Kalman filter. Frames since the last fit count as frames at the same posture.
+
+    Args:
+        memory: A `ChainMemory`; changed.
+        newest: See `_improve`.
+        columns: Whitened derivatives of the features by the parameters. Shape (N, m).
+        frames: Number of frames since the last fit, this one included.
+        settings: A `ChainSettings`.
+        row: Row of the batch.
+        h: Index of the chain.
+    """
+    parameters, factor = memory.parameters[row, h], memory.factor[row]
+    size, m = columns.shape
+    residual = np.empty(m)
+    chain_residuals(parameters, memory.reverse[row, h], newest[0][0], newest[1][0], settings, residual)
+    index = np.flatnonzero(newest[2][0])
+    count = len(index)
+    total, right = np.zeros((count, count)), np.empty((count, 1))
+    for c in range(count):
+        i = index[c]
+        right[c, 0] = residual[i]
+        for d in range(c + 1):
+            for a in range(size):
+                total[c, d] += frames * columns[a, i] * columns[a, index[d]]
+            total[d, c] = total[c, d]
+        total[c, c] += 1.0 / row_terms(residual[i], newest[2][0, i], memory.noise[row], settings)[1]
+    eliminate(total, right)
+    step = np.zeros(size)
+    for c in range(count):
+        for a in range(size):
+            step[a] += columns[a, index[c]] * right[c, 0]
+    unwhiten(factor, step)
+    for a in range(size):
+        parameters[a] += step[a]
 
 
 @njit(cache=True, nogil=True)
@@ -226,9 +276,7 @@ def _fit(  # type: ignore[no-untyped-def]
     parameters, reverse, new = memory.parameters[row, h], memory.reverse[row, h], np.empty(newest[1].shape)
     frames, (normal, factor, slope, predicted) = (store[0], store[1], store[2], prior[1]), work
     cost = _sum_terms(parameters, reverse, prior[0], frames, settings, normal, slope, predicted)
-    cost += stored_terms(
-        parameters, reverse, newest[0], newest[1], newest[2], prior[1], settings, normal, slope, new
-    )
+    cost += stored_terms(parameters, reverse, newest[0], newest[1], newest[2], prior[1], settings, normal, slope, new)
     memory.cost[row, h], memory.damping[row, h], ready = _improve(
         parameters,
         reverse,
@@ -348,8 +396,10 @@ def _challenge(memory, settings, share, row):  # type: ignore[no-untyped-def]
         return
     challenge, best = memory.challenge[row], better_chain(memory, row)
     challenge[1] += share
-    # At first both orders gather frames.
-    if challenge[1] < (settings.first_trial if challenge[0] == 0.0 else settings.trial):
+    # A challenger that has come to where the better chain is has lost at once. At first both orders gather frames.
+    apart = memory.cost[row, 1 - best] - memory.cost[row, best]
+    same = share > 1.0 and apart < settings.small_gain
+    if not same and challenge[1] < (settings.first_trial if challenge[0] == 0.0 else settings.trial):
         return
     joints, points = memory.origin.shape[1], memory.known.shape[1]
     kind = int(challenge[0]) % (joints + 3)

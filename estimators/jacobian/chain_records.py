@@ -36,7 +36,7 @@ class ChainSettings(NamedTuple):
         target_change: Standard deviation of their change within a second, at rest.
         target_turn: The same as a share of the rates themselves.
         eager: Number of frames that are fitted as they come.
-        refit: Number of frames between two fits after that.
+        refit: Number of frames between two fits after that, of either order.
         first_damping: Damping of the first fit, relative to the diagonal of the normal equations.
         least_damping: Least damping.
         largest_damping: Largest damping.
@@ -46,6 +46,7 @@ class ChainSettings(NamedTuple):
         first_trial: Number of frames in which both orders are fitted side by side.
         trial: Number of frames after which a worse chain has lost.
         rarely: Number of frames between two fits of the worse chain, once it has lost often.
+        own_share: Number of these fits of which one is that of the better chain, the others of its challenger.
         failed: Ratio of the mean squared errors of chain and linear filter that counts as a failure; its square is that
             of the chain's to their own least value.
         no_error: Least error before there is one, px^2.
@@ -88,6 +89,7 @@ class ChainSettings(NamedTuple):
     first_trial: float = 20.0
     trial: float = 12.0
     rarely: float = 8.0
+    own_share: int = 4
     failed: float = 4.0
     no_error: float = 1e12
     outlier: float = 9.0

@@ -45,7 +45,10 @@ def foresee(seen_joints, seen_features, jacobian, joints):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True)
 def score_frame(memory, frame, settings, output, newest, old, row):  # type: ignore[no-untyped-def]
-    """Score the prediction of a new frame by the chain so far, beside that of the linear filter."""
+    """Score the prediction of a new frame by the chain so far, beside that of the linear filter.
+
+    Returns the whitened derivatives of the features by the parameters. Shape (N, m).
+    """
     n, m = frame.angles.shape[1], frame.features.shape[1]
     best = better_chain(memory, row)
     parameters, reverse = memory.parameters[row, best], memory.reverse[row, best]
@@ -96,6 +99,7 @@ def score_frame(memory, frame, settings, output, newest, old, row):  # type: ign
         forecast = memory.motion[row].copy()
         correct_target(memory, innovations, old, rows, columns, settings, row)
         at_rest(memory, forecast, newest, rows, best, settings, row)
+    return columns
 
 
 @njit(cache=True, nogil=True)

@@ -42,8 +42,11 @@ def goal_velocity(state: GoalState, goal: Array, time: Array) -> tuple[GoalState
     """
     rows, m = state.time.size, goal.shape[-1]
     change, velocity = _velocities(
-        state.goal.reshape(rows, m), state.change.reshape(rows, m), state.time.reshape(rows),
-        np.ascontiguousarray(goal).reshape(rows, m), np.ascontiguousarray(time).reshape(rows),
+        state.goal.reshape(rows, m),
+        state.change.reshape(rows, m),
+        state.time.reshape(rows),
+        np.ascontiguousarray(goal).reshape(rows, m),
+        np.ascontiguousarray(time).reshape(rows),
     )
     return GoalState(goal.copy(), change.reshape(goal.shape), time.copy()), velocity.reshape(goal.shape)
 

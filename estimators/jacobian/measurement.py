@@ -107,13 +107,9 @@ def checked(measurement: ServoMeasurement, *, each_feature: bool = False) -> Ser
 
 def _are_sound(joint_angles: Array, features: Array, goal: Array, mask: Mask, clocks: Any, limits: Any) -> bool:
     """Return True if all values that are used are finite, within their limits and not later than the present."""
-    rows = clocks[1].size
-    m = features.shape[-1]
-    return bool(
-        _within_limits(
-            joint_angles, features.reshape(rows, m), goal.reshape(-1), mask.reshape(rows, mask.shape[-1]), *clocks, limits
-        )
-    )
+    rows, m, entries = clocks[1].size, features.shape[-1], mask.shape[-1]
+    shaped = features.reshape(rows, m), goal.reshape(-1), mask.reshape(rows, entries)
+    return bool(_within_limits(joint_angles, *shaped, *clocks, limits))
 
 
 @njit(cache=True, nogil=True)
