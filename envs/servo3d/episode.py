@@ -169,7 +169,8 @@ def draw_episode(config: Servo3DConfig, arm: SerialArm, seed: int, parts: Layout
     count = samples(config)
     noise, dropped = np.zeros((0, 2 * config.points)), np.zeros(0, np.bool_)
     if config.pixel_noise > 0.0:
-        noise = config.pixel_noise * streams[Stream.PIXEL_NOISE].standard_normal((count, 2 * config.points))
+        noise = streams[Stream.PIXEL_NOISE].standard_normal((count, 2 * config.points))
+        noise *= config.pixel_noise
     if config.dropout > 0.0:
         dropped = streams[Stream.DROPOUT].random(count) < config.dropout
         # The frame of the reset always arrives.

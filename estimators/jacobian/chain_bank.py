@@ -1,7 +1,7 @@
 """Bank of rigid chains that differ in the play of their gears: one compiled step for all of them.
 
-It returns what an `EstimatorBank` of `ChainJacobian`s does, to the bit, in a fraction of the time: present features and
-covariances are computed for the chosen chain alone.
+It returns what an `EstimatorBank` of `ChainJacobian`s that are fitted in turn does, to the bit, in a fraction of the
+time: present features and covariances are computed for the chosen chain alone.
 """
 
 from __future__ import annotations
@@ -141,8 +141,7 @@ class ChainBank:
             np.ascontiguousarray(state.log_weight).reshape(rows, count),
             (prepared.turning, prepared.half_play, self.chain.alignment.latency),
             (prepared.row_turning, prepared.row_half_play, linear.alignment.latency),
-            prepared.units,
-            prepared.noise,
+            (prepared.units, prepared.noise),
             prepared.settings,
             (self.forgetting, self.floor),
         )

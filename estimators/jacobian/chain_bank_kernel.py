@@ -31,7 +31,7 @@ class BankReadings(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def step_bank(  # type: ignore[no-untyped-def]
-    frames, rows, linear, seen, memory, readings, log_weight, frame_gears, row_gears, units, noise, settings, weighting
+    frames, rows, linear, seen, memory, readings, log_weight, frame_gears, row_gears, tuning, settings, weighting
 ):
     """Advance a bank by one measurement.
 
@@ -46,8 +46,7 @@ def step_bank(  # type: ignore[no-untyped-def]
         log_weight: Logarithms of the weights. Shape (rows, K).
         frame_gears: See `_advance_rows`.
         row_gears: See `_advance_rows`.
-        units: See `filter_rows`.
-        noise: See `filter_rows`.
+        tuning: Units and noise, see `filter_rows`.
         settings: A `ChainSettings`.
         weighting: Memory of the weights, and their floor.
 
@@ -56,7 +55,7 @@ def step_bank(  # type: ignore[no-untyped-def]
         `seen_features`, `seen_time` and `seen`; the new `ChainMemory`; new logarithms of the weights; fields of the
         `ChainEstimate`, with a leading axis of rows.
     """
-    aligned, single, filtered = _advance_rows(frames, rows, linear, readings, frame_gears, row_gears, units, noise)
+    aligned, single, filtered = _advance_rows(frames, rows, linear, readings, frame_gears, row_gears, tuning)
     foreseen = foresee(seen[0], seen[1], seen[4], aligned[4])
     new = _copied(memory)
     now_seen, weights, found = _update_bank(
@@ -103,7 +102,7 @@ def _copied(memory):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _advance_rows(frames, rows, linear, readings, frame_gears, row_gears, units, noise):  # type: ignore[no-untyped-def]
+def _advance_rows(frames, rows, linear, readings, frame_gears, row_gears, tuning):  # type: ignore[no-untyped-def]
     """Align frames and single features, and update the linear filters.
 
     Args:
@@ -113,8 +112,7 @@ def _advance_rows(frames, rows, linear, readings, frame_gears, row_gears, units,
         readings: `BankReadings`.
         frame_gears: Mask of the joints that turn (n,), half of their play (K, n), and latency, for `frames`.
         row_gears: The same for `rows`, with half plays (K m, n).
-        units: See `filter_rows`.
-        noise: See `filter_rows`.
+        tuning: Units and noise, see `filter_rows`.
 
     Returns:
         Results of `align_rows` for the frames; the fields of the new `AlignmentState` of the features, with leading
@@ -164,7 +162,7 @@ def _advance_rows(frames, rows, linear, readings, frame_gears, row_gears, units,
         single[12].reshape((total, m, n)),
         single[13].reshape((total, m)),
     )
-    filtered = filter_rows(linear, increment, offset, seen, units, noise)
+    filtered = filter_rows(linear, increment, offset, seen, tuning[0], tuning[1])
     history, waiting = rows.history_time.shape[2], rows.waiting_time.shape[2]
     split = (
         single[0].reshape((total, m, history)),

@@ -168,7 +168,9 @@ def update_row(memory, frame, settings, output, row):  # type: ignore[no-untyped
     best = better_chain(memory, row)
     fitted = due if best == before else not idle
     if ready:
-        memory.factor[row] = factors[best]
+        for a in range(size):
+            for b in range(a + 1):
+                memory.factor[row, a, b] = factors[best, a, b]
     elif fitted:
         _keep_factor(memory, settings, normals[best], row)
     if fresh:
