@@ -54,18 +54,24 @@ class Tally(NamedTuple):
     Attributes:
         unexplained: Probability of each measurement to be clutter. Shape (B, Z).
         detected: Probability of each predicted track to be detected. Shape (B, T).
-        origin: Predicted track of each new track, -1 for one that starts with this scan. Shape (B, T').
+        origin: Predicted track of each new track, -1 - j for one that measurement j started. Shape (B, T').
+        elsewhere: Probability that the target of a measurement, if it is a new one, belongs to the components of the
+            undetected targets that are marked by a label of 1. Shape (B, Z).
     """
 
     unexplained: Array
     detected: Array
     origin: Labels
+    elsewhere: Array
 
 
 def empty_tally(scan: Scan, before: Tracks, after: Tracks) -> Tally:
     """Tally of a scan, to be written by `update_pmb`, for tracks in arrays of these capacities."""
     return Tally(
-        np.zeros(scan.clutter.shape), np.zeros(before.existence.shape), np.full(after.existence.shape, -1, np.int64)
+        np.zeros(scan.clutter.shape),
+        np.zeros(before.existence.shape),
+        np.full(after.existence.shape, -1, np.int64),
+        np.zeros(scan.clutter.shape),
     )
 
 
@@ -86,15 +92,24 @@ def predict_pmb(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def predict_adaptive(  # type: ignore[no-untyped-def]
-    model, modes, state, births, spawns, survival, hidden_survival, out_tracks, out_pool, out_hidden
+    model, modes, state, births, sites, spawns, survival, hidden_survival, out_tracks, out_pool, out_hidden
 ):
-    """`predict_pmb` with motion modes, a `PackedModes`, in every component of the tracks."""
+    """`predict_pmb` with motion modes, a `PackedModes`, in every component of the tracks.
+
+    Births from row `sites` on are marked by a label of 1.
+    """
     m, n = model.observation.shape
     work = np.empty((n + m, n + m))
     for b in range(state.tracks.existence.shape[0]):
         predict_modes(model, modes, state.tracks, state.pool, survival, work, b, out_tracks, out_pool)
         presence = state.tracks.existence
         predict_undetected(model, state, presence, births, spawns, hidden_survival, b, work, out_hidden)
+        source = b if births.weight.shape[0] > 1 else 0
+        row = out_hidden.number[b]
+        for k in range(births.weight.shape[1] - 1, sites - 1, -1):
+            if births.weight[source, k] > 0.0:
+                row -= 1
+                out_hidden.label[b, row] = 1
 
 
 @njit(cache=True, nogil=True)
@@ -141,7 +156,9 @@ def track_pairs(component, measurement, likelihood, owner, tracks, measurements)
 
 
 @njit(cache=True, nogil=True)
-def update_pmb(model, prediction, scan, gate, limits, modes, out, tally, lineage=None):  # type: ignore[no-untyped-def]
+def update_pmb(  # type: ignore[no-untyped-def]
+    model, prediction, scan, gate, limits, modes, out, tally, lineage=None
+):
     """Posterior of every run: old tracks, a new track per measurement, and undetected targets (Williams 2015).
 
     Args:
@@ -153,7 +170,7 @@ def update_pmb(model, prediction, scan, gate, limits, modes, out, tally, lineage
         modes: Initial probabilities of the motion modes of a track; [1.0] for one model. Shape (S,).
         out: A `PMBState` to write to.
         tally: Output: a `Tally`.
-        lineage: A `Lineage` if the histories of the components are kept, else None; for one mode only.
+        lineage: A `Lineage` if the histories of the components are kept, else None.
 
     Returns:
         True if the covariance of every predicted measurement is positive definite.
@@ -231,6 +248,8 @@ def update_pmb(model, prediction, scan, gate, limits, modes, out, tally, lineage
         for p in range(fresh_pairs):
             j = hidden_measurement[p]
             hidden_likelihood[p] = hidden_likelihood[p] / first_seen[j] if first_seen[j] > 0.0 else 0.0
+            if hidden.label[b, hidden_component[p]] > 0:
+                tally.elsewhere[b, j] += hidden_likelihood[p]
 
         key = np.empty(count + pairs, np.int64)
         key[:count] = owner
@@ -308,7 +327,7 @@ def update_pmb(model, prediction, scan, gate, limits, modes, out, tally, lineage
             new.existence[b, place] = existence[t]
             new.label[b, place] = tracks.label[b, t] if t < T else out.next_label[b] + t - T
             new.size[b, place] = size
-            tally.origin[b, place] = t if t < T else -1
+            tally.origin[b, place] = t if t < T else -1 - (t - T)
             place += 1
             filled += size
         new.number[b] = place
@@ -316,7 +335,7 @@ def update_pmb(model, prediction, scan, gate, limits, modes, out, tally, lineage
         out.next_label[b] += Z
         left = hidden.weight[b, :unseen] * (1.0 - hidden_detection[b, :unseen])
         indices = np.arange(unseen)
-        remaining = Candidates(left, hidden.mean[b], indices, np.full(unseen, -1, np.int64), np.zeros(unseen, np.int64))
+        remaining = Candidates(left, hidden.mean[b], indices, np.full(unseen, -1, np.int64), hidden.label[b, :unseen])
         rest, left_row_of = out.undetected, np.full(unseen, -1)
         space = Components(rest.weight[b], rest.mean[b], rest.covariance[b], rest.detected[b], rest.label[b])
         rest.number[b] = reduce_mixture(

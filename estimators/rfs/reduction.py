@@ -206,6 +206,13 @@ def reduce_mixture(  # type: ignore[no-untyped-def]
     totals = np.empty(k)
     difference = np.empty(N)
     root = np.empty((N, N + 1))
+    # Nearly all pairs differ too much in the first entry; contiguous copies make that comparison cheap.
+    first, reach = np.empty(k), np.empty(k)
+    for i in range(k):
+        member = order[i]
+        first[i] = mean[member, 0]
+        variance = missed_cov[source[member], 0, 0] if group[member] < 0 else detected_cov[source[member], 0, 0]
+        reach[i] = merge * variance
     number = 0
     for h in range(k):
         if taken[h]:
@@ -217,14 +224,14 @@ def reduce_mixture(  # type: ignore[no-untyped-def]
         last = h
         if merge > 0.0:
             for i in range(h + 1, k):
+                apart = first[i] - first[h]
+                if apart * apart > reach[i] or taken[i]:
+                    continue
                 other = order[i]
-                if taken[i] or (pairwise and group[other] != group[head]):
+                if pairwise and group[other] != group[head]:
                     continue
                 cov = missed_cov[source[other]] if group[other] < 0 else detected_cov[source[other]]
-                difference[0] = mean[other, 0] - mean[head, 0]
-                if difference[0] * difference[0] > merge * cov[0, 0]:
-                    continue
-                for r in range(1, size):
+                for r in range(size):
                     difference[r] = mean[other, r] - mean[head, r]
                 if squared_distance(difference, cov, size, merge, root) <= merge:
                     taken[i] = True

@@ -60,15 +60,16 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
         births = Births(Birth(0.03, places, covariance), MeasurementBirth(0.02, largest=0.02))
         tracker = RobustPMB(model, births, clutter_intensity=scene, volume=4000.0**2, modes=maneuvers(model))
 
-    `detection` and `clutter_intensity` are where the estimates start, and must be numbers; `state.sensor` has the
-    current ones.
+    `detection`, `clutter_intensity` and the `expected` births at measurements are where the estimates start. The first
+    two must be numbers; `state.sensor` has the current ones.
 
     Args:
         undetected: Largest number of components of the intensity of undetected targets. Raising it costs time.
         volume: Volume of the sensor's field of view in measurement space, over which clutter is uniform, so that
             `clutter_intensity * volume` is the expected number of false measurements of a scan.
         modes: Motion modes of detected targets; None: `model` alone.
-        adaptation: Parameters of the online estimate; None keeps `detection` and `clutter_intensity` as they are.
+        adaptation: Parameters of the online estimate; None keeps `detection`, `clutter_intensity` and births as
+            they are.
 
     Raises:
         ValueError: An argument is out of range, or the modes do not fit the model.
@@ -112,6 +113,10 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
         return float(np.asarray(self.clutter_intensity)) * self.volume
 
     @cached_property
+    def _stated_births(self) -> float:
+        return 0.0 if self._anywhere is None else self._anywhere.expected
+
+    @cached_property
     def _modes(self) -> PackedModes:
         modes = InteractingModels((self.model,), np.ones((1, 1))) if self.modes is None else self.modes
         return modes.packed
@@ -126,7 +131,7 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
             empty_mixture(batch, self.undetected, N),
             self._no_births(batch),
             np.ones(batch, np.int64),
-            adaptation.initial(batch, capacity, self._stated_detection, self._stated_clutter),
+            adaptation.initial(batch, capacity, self._stated_detection, self._stated_clutter, self._stated_births),
         )
 
     def _advance(
@@ -138,6 +143,7 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
             detection = self.adaptation.detection(state.sensor)
             intensity = self.adaptation.clutter_rate(state.sensor) / self.volume
             scan = scan._replace(clutter=np.repeat(intensity[:, None], scan.clutter.shape[1], axis=1))
+            births = self._adapted(births, state)
         prediction = self._predict_modes(state, births, detection)
         new, tally = self._updated(state, prediction, scan, capacity)
         while tracks_outgrew(self.reduction, new.tracks, new.pool):
@@ -152,6 +158,21 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
             new = new._replace(sensor=sensor)
         expected = extraction.expected + new.undetected.weight.sum(axis=1)
         return new, extraction._replace(expected=expected), tally.unexplained
+
+    def _adapted(self, births: BirthMixture, state: RobustPMBState) -> BirthMixture:
+        """Births with the estimated rate of those at measurements."""
+        if self.adaptation is None or self._stated_births == 0.0:
+            return births
+        factor = np.clip(state.sensor.birth_rate / self._stated_births, *self.adaptation.birth_limits)
+        weight = births.weight.copy()
+        first = self._known_births(births)
+        weight[:, first:] = np.minimum(weight[:, first:] * factor[:, None], 1.0)
+        return births._replace(weight=weight)
+
+    def _known_births(self, births: BirthMixture) -> int:
+        """Number of births at known places, which come first."""
+        rows = births.weight.shape[1]
+        return rows if self._anywhere is None else min(rows, 0 if self._sites is None else len(self._sites.weights))
 
     def _updated(
         self, state: RobustPMBState, prediction: Prediction, scan: Scan, capacity: int
@@ -178,6 +199,7 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
             self._modes,
             PMBState(*state[:5]),
             births,
+            self._known_births(births),
             self._spawns,
             survival,
             hidden_survival,

@@ -14,6 +14,7 @@ from servotrack.estimators.rfs.extraction import RULES, extract_tracks
 from servotrack.estimators.rfs.histories import History, Lineage, empty_history, predict_histories
 from servotrack.estimators.rfs.interacting_kernel import ONE_MODE
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture
+from servotrack.estimators.rfs.pmb import PMBState
 from servotrack.estimators.rfs.pmb_kernel import Prediction, Tally, empty_tally, update_pmb
 from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
 from servotrack.estimators.rfs.recursion import check_positive_definite
@@ -99,14 +100,14 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
     def _empty(self, batch: int, capacity: int | None = None) -> TrajectoryPMBState:
         rules, (n, m) = self.reduction, self._sizes
         capacity = capacity or rules.first_tracks
-        components = rules.pool_rows(capacity)
+        rows = rules.pool_rows(capacity)
         return TrajectoryPMBState(
             empty_tracks(batch, capacity),
-            empty_mixture(batch, components, n + m),
+            empty_mixture(batch, rows, n + m),
             empty_mixture(batch, self.undetected, n + m),
             self._no_births(batch),
             np.ones(batch, np.int64),
-            empty_history(batch, components, self.lag, n, n + m),
+            empty_history(batch, rows, self.lag, n, n + m),
             empty_history(batch, self.undetected, self.lag, n, n + m),
             empty_trajectories(batch, 2 * capacity, self.lag, n),
         )
@@ -123,15 +124,16 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
         predict_histories(model, state.pool, state.past, prediction.pool, shift, start, past)
         predict_histories(model, state.undetected, state.hidden_past, prediction.hidden, shift, start, hidden_past)
         if self._anywhere is not None and shift:
-            # A target that is born at a measurement was there when it was measured. These births are the last rows.
+            # A target that is born at a measurement was there when it was measured.
             born = _as_mixture(state.births)
             fresh = empty_history(batch, born.weight.shape[1], self.lag, n, n)
             start = prediction.hidden.number - born.number
             predict_histories(model, born, fresh, prediction.hidden, shift, start, hidden_past)
-        new, tally, absent = self._updated(state, prediction, past, hidden_past, scan, capacity)
+        absent = np.zeros(state.tracks.existence.shape)
+        new, tally = self._updated(state, prediction, scan, capacity, past, hidden_past, absent)
         while tracks_outgrew(self.reduction, new.tracks, new.pool):
             capacity *= 2
-            new, tally, absent = self._updated(state, prediction, past, hidden_past, scan, capacity)
+            new, tally = self._updated(state, prediction, scan, capacity, past, hidden_past, absent)
         survival = self._evaluate("survival", self.survival, state.pool)
         hidden_survival = self._evaluate("survival", self.survival, state.undetected)
         advance_trajectories(state, survival, hidden_survival, absent, self.threshold, shift, new)
@@ -141,20 +143,21 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
         self,
         state: TrajectoryPMBState,
         prediction: Prediction,
-        past: History,
-        hidden_past: History,
         scan: Scan,
         capacity: int,
-    ) -> tuple[TrajectoryPMBState, Tally, Array]:
-        """Update into arrays with room for `capacity` tracks; also returns the factors of absent targets (B, T)."""
+        past: History,
+        hidden_past: History,
+        absent: Array,
+    ) -> tuple[TrajectoryPMBState, Tally]:
+        """Update into arrays with room for `capacity` tracks; `absent` is written."""
         new = self._empty(len(scan.number), capacity)._replace(births=state.births, next_label=state.next_label.copy())
-        tally, absent = empty_tally(scan, state.tracks, new.tracks), np.zeros(state.tracks.existence.shape)
+        tally = empty_tally(scan, state.tracks, new.tracks)
         lineage = Lineage(past, hidden_past, new.past, new.hidden_past, absent)
-        limits = self.reduction.limits
+        limits, target = self.reduction.limits, PMBState(*new[:5])
         check_positive_definite(
-            update_pmb(self.model.packed, prediction, scan, self._gate, limits, ONE_MODE, new, tally, lineage)
+            update_pmb(self.model.packed, prediction, scan, self._gate, limits, ONE_MODE, target, tally, lineage)
         )
-        return new, tally, absent
+        return new, tally
 
     def _smoothed(self, state: TrajectoryPMBState, past: int) -> Extraction:
         """Extract the targets of the scan `past` before the newest one."""

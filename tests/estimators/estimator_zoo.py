@@ -62,6 +62,10 @@ def _filters() -> dict[str, Kind]:
             found[f"{label}-{name}"] = _scans(kind(model, ANYWHERE, clutter_intensity=1e-4), polar=polar)
         smoother = rfs.TrajectoryPMB(model, ANYWHERE, clutter_intensity=1e-4, lag=2)
         found[f"trajectory-pmb-{name}"] = _scans(smoother, polar=polar)
+        robust = rfs.RobustPMB(
+            model, rfs.Births(PLACES, ANYWHERE), clutter_intensity=1e-4, volume=4e4, modes=rfs.maneuvers(model)
+        )
+        found[f"robust-pmb-{name}"] = _scans(robust, polar=polar)
         found[f"gnn-{name}"] = _scans(rfs.GlobalNearestNeighbor(model), polar=polar)
         found[f"raw-{name}"] = _scans(rfs.RawMeasurements(model), polar=polar)
     few = {"particles": 50, "birth_particles": 50, "capacity": 500}

@@ -14,14 +14,17 @@ from servotrack.estimators.rfs import (
     PMB,
     PMBM,
     Birth,
+    Births,
     GlobalNearestNeighbor,
     GMCBMeMBer,
     MeasurementBirth,
     ParticlePHD,
     RawMeasurements,
     Reduction,
+    RobustPMB,
     RowAllocation,
     Spawn,
+    maneuvers,
     measurements_to_rows,
     rows_to_tracks,
 )
@@ -58,6 +61,10 @@ def every_filter():
         yield pytest.param(kind, "HMM", {"birth": MeasurementBirth()}, id=f"{kind.__name__}-driven")
         spawn = (Spawn(0.02, 25.0 * np.eye(4)),)
         yield pytest.param(kind, "S1", {"spawn": spawn, "extraction": "sum"}, id=f"{kind.__name__}-spawn")
+    adaptive = {"volume": 4000.0**2, "birth": Births(known_birth(scene()[0]), MeasurementBirth(0.02))}
+    for structure in ("S1", "HMM"):
+        modes = maneuvers(scene(structure=structure)[0].model)
+        yield pytest.param(RobustPMB, structure, {**adaptive, "modes": modes}, id=f"RobustPMB-{structure}")
 
 
 def used(rows):

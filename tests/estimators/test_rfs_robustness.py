@@ -39,7 +39,7 @@ PLACE = Birth([0.1, 0.1], np.array([[0.0, 0.0, 0.0, 0.0], [50.0, 0.0, 0.0, 0.0]]
 
 def make(kind, model=HMM, birth=PLACE, **options):
     if kind in (GlobalNearestNeighbor, RawMeasurements):
-        return kind(model)
+        return kind(model, **{name: options[name] for name in options if name == "capacity"})
     options = {"clutter_intensity": 1e-6, **options}
     if kind is ParticlePHD:
         return kind(model, birth, particles=50, birth_particles=50, capacity=2000, **options)
@@ -139,9 +139,13 @@ def test_range_and_bearing_next_to_the_sensor_stay_finite(scans, kind, transform
         assert all(np.all(np.isfinite(leaf)) for leaf in leaves(state))
 
 
+@pytest.mark.filterwarnings("ignore:.*cap")
 @pytest.mark.parametrize("kind", [*GAUSSIAN, GlobalNearestNeighbor, RawMeasurements, ParticlePHD])
 def test_thousands_of_measurements_stay_within_the_caps(kind):
-    filter_ = make(kind)
+    caps = {GlobalNearestNeighbor: {"capacity": 200}}
+    for each in GAUSSIAN:
+        caps[each] = {"reduction": Reduction(components=20, tracks=100)}
+    filter_ = make(kind, **caps.get(kind, {}))
     rng = np.random.default_rng(0)
     state = filter_.initial(np.zeros((0, 2)))
     sizes = [leaf.shape for leaf in leaves(state)]

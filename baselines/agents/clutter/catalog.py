@@ -36,8 +36,8 @@ TrackFilter: TypeAlias = (
     | GMCBMeMBer
     | PMB
     | PMBM
-    | TrajectoryPMB
     | RobustPMB
+    | TrajectoryPMB
     | ParticlePHD
     | GlobalNearestNeighbor
     | RawMeasurements
@@ -52,7 +52,7 @@ SMALLEST_CAPACITY = 100
 """Capacity of a filter (see `FilterSettings`) if three times the rows of an answer are fewer."""
 
 
-ELSEWHERE = 0.2
+ELSEWHERE = 0.35
 """Births of `robust-pmb` at unexplained measurements, as a share of those that the scene model expects at its sites."""
 
 
@@ -136,7 +136,6 @@ def _robust(scene: SceneModel, settings: FilterSettings) -> RobustPMB:
         detection=scene.detection_probability,
         modes=maneuvers(model),
         extraction=settings.extraction,
-        reduction=Reduction(components=5, tracks=settings.capacity),
     )
 
 
