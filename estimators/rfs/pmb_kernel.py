@@ -276,21 +276,35 @@ def update_pmb(  # type: ignore[no-untyped-def]
             most = min(cap, (room.weight.shape[0] - filled) // S)
             if t < T:
                 members = rows[start[t] : start[t + 1]]
-                size = reduce_modes(
-                    model.pairwise,
-                    n,
-                    S,
-                    Z,
-                    candidates,
-                    members,
-                    pool.covariance[b],
-                    posterior,
-                    limits,
-                    most,
-                    room,
-                    filled,
-                    row_of,
-                )
+                if S == 1:
+                    size = reduce_mixture(
+                        model.pairwise,
+                        n,
+                        candidates,
+                        members,
+                        pool.covariance[b],
+                        posterior,
+                        limits,
+                        most,
+                        room,
+                        filled,
+                        row_of,
+                    )
+                else:
+                    size = reduce_modes(
+                        model.pairwise,
+                        n,
+                        S,
+                        Z,
+                        candidates,
+                        members,
+                        pool.covariance[b],
+                        posterior,
+                        limits,
+                        most,
+                        room,
+                        filled,
+                    )
             else:
                 members = fresh_rows[fresh_start[t - T] : fresh_start[t - T + 1]]
                 size = reduce_mixture(
