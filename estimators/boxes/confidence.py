@@ -69,7 +69,7 @@ def initial_confidence(rules: ScoreRules) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def read_scores(state, scores, rules):  # type: ignore[no-untyped-def]
+def read_scores(state, scores, regions, rules):  # type: ignore[no-untyped-def]
     """Update the range of the scores and read those of a frame.
 
     Args:
@@ -81,6 +81,8 @@ def read_scores(state, scores, rules):  # type: ignore[no-untyped-def]
         New state; readings x, shape (Z,).
     """
     out = state.copy()
+    if state[0] == 0.0 and len(scores) > 0:
+        out[9] *= 1.0 - 2.0 * regions
     for score in scores:
         out[0] += 1.0
         gap = score - out[1]

@@ -276,7 +276,11 @@ class BoxPMB:
         if self.split:
             known = (tracks.existence >= REPORTED) & (tracks.seen >= self.established)
             detections = split_merged(detections, center_boxes(tracks.mean[known]), self.split_rules)
-        confidence, reading = read_scores(state.confidence, np.ascontiguousarray(detections.confidences), self.scores)
+        solid = self.split_rules.solid * detections.boxes[:, 2] * detections.boxes[:, 3]
+        regions = float(np.mean(detections.areas < solid)) if len(solid) else 0.0
+        confidence, reading = read_scores(
+            state.confidence, np.ascontiguousarray(detections.confidences), regions, self.scores
+        )
         odds = score_log_odds(confidence, reading, self.scores)
         frame = _Frame(detections, reading, odds, dt, noise, self.cut_share * (1.0 - trust(confidence)))
         tracks, fresh = self._corrected(tracks, visible, frame)
