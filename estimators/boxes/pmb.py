@@ -46,7 +46,7 @@ from servotrack.estimators.boxes.merged import SplitRules, split_merged
 from servotrack.estimators.boxes.noise import NoiseLearning, NoiseScales, initial_noise, learn_noise
 from servotrack.estimators.boxes.overlap import covered_by
 from servotrack.estimators.boxes.person import PersonOdds
-from servotrack.estimators.boxes.perspective import HeightRules, initial_heights
+from servotrack.estimators.boxes.perspective import HeightRules, height_errors, initial_heights
 from servotrack.estimators.boxes.pmb_kernel import (
     associate,
     judge_tracks,
@@ -273,11 +273,11 @@ class BoxPMB:
         noise = self._measurement_noise * np.exp(0.5 * state.noise.measurement)
         tracks, visible = self._predicted(state.tracks, state.noise, state.camera, dt)
         tracks, camera = self._steadied(state.camera, tracks, detections, noise, dt, motion)
-        if self.split:
+        regions = self._share_of_regions(detections)
+        if self.split and regions > 0.0:
             known = (tracks.existence >= REPORTED) & (tracks.seen >= self.established)
-            detections = split_merged(detections, center_boxes(tracks.mean[known]), self.split_rules)
-        solid = self.split_rules.solid * detections.boxes[:, 2] * detections.boxes[:, 3]
-        regions = float(np.mean(detections.areas < solid)) if len(solid) else 0.0
+            deviation = height_errors(state.heights, np.ascontiguousarray(detections.boxes), self.heights)
+            detections = split_merged(detections, center_boxes(tracks.mean[known]), self.split_rules, deviation)
         confidence, reading = read_scores(
             state.confidence, np.ascontiguousarray(detections.confidences), regions, self.scores
         )
@@ -306,6 +306,13 @@ class BoxPMB:
     def _process_noise(self) -> Array:
         """Initial process noise: acceleration twice, drift twice. Shape (4,)."""
         return np.array([self.acceleration, self.acceleration, self.drift, self.drift])
+
+    def _share_of_regions(self, detections: Detections) -> float:
+        """Share of the detections that are regions of the foreground and not the boxes of a detector of people."""
+        if not len(detections.boxes):
+            return 0.0
+        solid = self.split_rules.solid * detections.boxes[:, 2] * detections.boxes[:, 3]
+        return float(np.mean(detections.areas < solid))
 
     def _predicted(
         self, tracks: BoxTracks, scales: NoiseScales, camera: CameraState, dt: float
