@@ -116,7 +116,7 @@ def track(
                 guard.check()
                 tracks.write(step.number + 1, estimate)
                 if counter is not None and counts is not None:
-                    counts.write(step, counter.step(step.number, estimate))
+                    counts.write(step, counter.step(step.number, estimate, step.time))
                 film.show(step, estimate)
                 run.frames.append(step.number)
                 run.times.append(step.time)

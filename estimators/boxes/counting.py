@@ -20,6 +20,7 @@ from scipy.special import gammaln
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.types import Array, Labels, Mask
+from servotrack.estimators.validation import checked_period
 
 NEGLIGIBLE = 1e-12
 """Probability of a number below which the number is left out of a distribution."""
@@ -176,13 +177,13 @@ class LineState(NamedTuple):
     Attributes:
         labels: Identities reported before. Shape (k,).
         feet: Last reported feet of each that were clear of the line, or the first ones. Shape (k, 2), px.
-        absent: Number of frames since the last report. Shape (k,).
+        absent: Time since the last report, s. Shape (k,).
         forward, backward: Distributions of the numbers of crossings seen so far.
     """
 
     labels: Labels
     feet: Array
-    absent: Labels
+    absent: Array
     forward: NumberDistribution
     backward: NumberDistribution
 
@@ -213,11 +214,13 @@ class LineCount:
         missed: Expected number of crossings that are not seen for each one that is, at least 0; the default is that
             of the MOTChallenge sequences of docs/counting.md. Raising it raises the number and widens the interval; 0
             counts only crossings that the tracker sees.
-        memory: Number of frames for which an unreported person is remembered. Raising it counts people who cross while
-            they are hidden, as long as the tracker keeps their identity.
+        memory: Time for which an unreported person is remembered, s. Raising it counts people who cross while they are
+            hidden, as long as the tracker keeps their identity.
+        frame_rate: Frames per second, where `step` is not given the time between frames.
 
     Raises:
-        ValueError: Points that are equal or not finite, or a negative margin, share or memory.
+        ValueError: Points that are equal or not finite, a negative margin, share or memory, or a frame rate that is not
+            positive.
     """
 
     start: tuple[float, float]
@@ -225,7 +228,8 @@ class LineCount:
     level: float = 0.9
     margin: float = 0.1
     missed: float = 0.4
-    memory: int = 1000
+    memory: float = 40.0
+    frame_rate: float = 25.0
 
     def __post_init__(self) -> None:
         _check_points("start and end", [self.start, self.end], 2)
@@ -235,20 +239,29 @@ class LineCount:
             raise ValueError(f"margin must be at least 0, got {self.margin!r}")
         _check_share("missed", self.missed)
         if not self.memory >= 0:
-            raise ValueError(f"memory must be at least 0, got {self.memory!r}")
+            raise ValueError(f"memory must be at least 0 s, got {self.memory!r}")
+        if not (self.frame_rate > 0.0 and np.isfinite(self.frame_rate)):
+            raise ValueError(f"frame_rate must be finite and > 0, got {self.frame_rate!r}")
 
     def initial(self) -> LineState:
         """State before the first frame."""
         none = np.zeros(0, np.int64)
-        return LineState(none, np.zeros((0, 2)), none, NOBODY, NOBODY)
+        return LineState(none, np.zeros((0, 2)), np.zeros(0), NOBODY, NOBODY)
 
-    def step(self, state: LineState, estimate: SetEstimate) -> tuple[LineState, Crossings]:
+    def step(
+        self, state: LineState, estimate: SetEstimate, dt: float | None = None
+    ) -> tuple[LineState, Crossings]:
         """Count the crossings between the last reports and this frame.
 
         Args:
             state: State after the last frame.
             estimate: Estimate of this frame; only reported people cross.
+            dt: Time since the last frame, s; None for 1 / `frame_rate`.
+
+        Raises:
+            ValueError: `dt` is not positive.
         """
+        dt = checked_period(dt, self.frame_rate)
         feet = _feet(estimate.states)
         before = np.full(len(feet), -1)
         order = np.argsort(state.labels)
@@ -266,11 +279,12 @@ class LineCount:
         feet[waiting] = state.feet[before[waiting]]
         gone = np.ones(len(state.labels), np.bool_)
         gone[before[old]] = False
-        gone &= state.absent < self.memory
+        absent = state.absent + dt
+        gone &= absent <= self.memory + 0.5 * dt
         after = LineState(
             np.concatenate([estimate.labels, state.labels[gone]]),
             np.concatenate([feet, state.feet[gone]]),
-            np.concatenate([np.zeros(len(feet), np.int64), state.absent[gone] + 1]),
+            np.concatenate([np.zeros(len(feet)), absent[gone]]),
             forward,
             backward,
         )

@@ -59,13 +59,13 @@ from servotrack.estimators.boxes.report import (
     LARGEST_HELD,
     box_covariances,
     checked_detections,
-    checked_period,
     set_of_boxes,
 )
 from servotrack.estimators.boxes.shared import SharingRules, correct_within, shared_regions
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs.sets import HELD, REPORTED, SetEstimate
 from servotrack.estimators.types import Array, Labels, Mask
+from servotrack.estimators.validation import checked_period
 
 
 class BoxPMBState(NamedTuple):

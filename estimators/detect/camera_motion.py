@@ -21,7 +21,7 @@ class MotionRules(NamedTuple):
         agree: Smallest share of the corners that move with the median, within half of its length. Raising it asks for
             a camera that only pans.
         confirm: Number of checks in a row that decide.
-        every: Number of frames between two checks.
+        period: Time between two checks, s.
         width: Largest width of the small copies in which corners are followed, px.
         corners: Largest number of corners.
         least_corners: Smallest number of corners for a decision.
@@ -32,7 +32,7 @@ class MotionRules(NamedTuple):
     shift: float = 0.0025
     agree: float = 0.5
     confirm: int = 2
-    every: int = 5
+    period: float = 0.2
     width: int = 192
     corners: int = 64
     least_corners: int = 8
@@ -45,13 +45,15 @@ class CameraMotion(NamedTuple):
         small: Small gray copy of the frame at the last check; None without one. uint8.
         checks: Number of checks in a row that contradict `moving`.
         moving: True while the camera moves.
-        shift: Length of the shift at the last check, px of the frame per frame.
+        speed: Length of the shift at the last check, px of the frame per s.
+        passed: Time since the last check, s.
     """
 
     small: Image | None = None
     checks: int = 0
     moving: bool = False
-    shift: float = 0.0
+    speed: float = 0.0
+    passed: float = 0.0
 
 
 def in_doubt(state: CameraMotion) -> bool:
@@ -79,7 +81,7 @@ def check_motion(state: CameraMotion, image: Image, share: float, regions: int, 
     moving = state.moving
     if checks >= rules.confirm:
         moving, checks = moves, 0
-    return CameraMotion(small, checks, moving, length * image.shape[1] / small.shape[1] / rules.every)
+    return CameraMotion(small, checks, moving, length * image.shape[1] / small.shape[1] / state.passed)
 
 
 def small_copy(image: Image, largest: int) -> Image:

@@ -82,7 +82,7 @@ def test_a_thing_that_was_left_becomes_background_and_who_stands_still_does_not(
 
 
 def test_after_the_longer_time_everything_becomes_background():
-    detector = MaskedBackground(still=StillRules(frames=40))
+    detector = MaskedBackground(still=StillRules(time=1.6))
     state = detector.initial(frame(0))
     for k in range(80):
         state, found = detector.step(state, frame(k, (60, 50)))

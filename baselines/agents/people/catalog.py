@@ -84,17 +84,20 @@ def create_tracker(name: str, frame_size: Size | None = None, frame_rate: float 
     return TRACKERS[name](frame_size, float(frame_rate))
 
 
-def create_detector(name: str, **parameters: Any) -> Detector:
+def create_detector(name: str, frame_rate: float | None = None, **parameters: Any) -> Detector:
     """Create a detector of people in frames.
 
     Args:
         name: One of `DETECTORS`.
+        frame_rate: Frames per second, for detectors whose `step` is not given the time; None for their default.
         **parameters: Parameters of the detector that differ from its preset.
 
     Raises:
         ValueError: An unknown name, or a parameter out of range.
     """
     _check_name("detector", name, DETECTORS)
+    if frame_rate is not None and name in TIMED_DETECTORS:
+        parameters = {"frame_rate": float(frame_rate), **parameters}
     return DETECTORS[name](**parameters)
 
 
@@ -230,6 +233,9 @@ DETECTORS: Mapping[str, Callable[..., Detector]] = {
     "knn": _knn,
 }
 """Factory of each detector."""
+
+TIMED_DETECTORS = ("masked", "masked-paper")
+"""Detectors with rules in seconds, which take a frame rate."""
 
 
 def _check_name(kind: str, name: str, known: Iterable[str]) -> None:
