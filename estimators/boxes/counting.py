@@ -248,9 +248,7 @@ class LineCount:
         none = np.zeros(0, np.int64)
         return LineState(none, np.zeros((0, 2)), np.zeros(0), NOBODY, NOBODY)
 
-    def step(
-        self, state: LineState, estimate: SetEstimate, dt: float | None = None
-    ) -> tuple[LineState, Crossings]:
+    def step(self, state: LineState, estimate: SetEstimate, dt: float | None = None) -> tuple[LineState, Crossings]:
         """Count the crossings between the last reports and this frame.
 
         Args:

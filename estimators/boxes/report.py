@@ -113,9 +113,7 @@ def set_of_boxes(
     states, names, chances, spread, held, held_states, held_chances = _divided(
         boxes, covariances, labels, existence, report
     )
-    return SetEstimate(
-        states, names, chances, spread, np.asarray(existence.sum()), held, held_states, held_chances
-    )
+    return SetEstimate(states, names, chances, spread, np.asarray(existence.sum()), held, held_states, held_chances)
 
 
 @njit(cache=True, nogil=True)
