@@ -17,7 +17,7 @@ from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.detect.faint import FaintRules, add_faint_regions, join_by_faint_regions
 from servotrack.estimators.detect.healing import HealingRules, heal_regions
 from servotrack.estimators.detect.images import checked_image, checked_images
-from servotrack.estimators.detect.runs import label_runs, measure_runs
+from servotrack.estimators.detect.runs import clear_removed, label_runs, measure_runs
 from servotrack.estimators.detect.soft_light import SoftLightRules, is_shadow, trim_soft_light
 from servotrack.estimators.detect.stillness import Stillness, StillRules, absorb_still_regions, no_stillness
 from servotrack.estimators.types import Array, FloatArray, Image
@@ -248,7 +248,7 @@ class MaskedBackground:
         cv2.accumulateWeighted(image, background, self.learning_rate, mask=cv2.bitwise_not(held))
         frames, still = state.frames + 1, state.still
         if still is not None:
-            still = still._replace(passed=still.passed + dt)
+            still = Stillness(still.level, still.age, still.passed + dt)
         share = cv2.countNonZero(found.mask) / found.mask.size
         flooded = state.flooded + dt if share > self.flood else 0.0
         motion = self._motion(state, dt, image, share, found.number)
@@ -275,7 +275,7 @@ class MaskedBackground:
         motion, rules = state.motion, self.motion
         if rules is None:
             return motion
-        motion = motion._replace(passed=motion.passed + dt)
+        motion = CameraMotion(motion.small, motion.checks, motion.moving, motion.speed, motion.passed + dt)
         if motion.small is not None and motion.passed < rules.period - 0.5 * dt:
             return motion
         return check_motion(motion, image, share, regions, rules)
@@ -379,8 +379,7 @@ class MaskedBackground:
         )  # fmt: skip
         if not removed:
             return found
-        for row, first, stop, _ in found.runs[found.runs[:, 3] < 0]:
-            mask[row, first:stop] = 0
+        clear_removed(mask, found.runs)
         return self._labeled(mask, found.faint_runs, found.faint_boxes)
 
     def _difference(self, image: Image, background: Image) -> Image:
