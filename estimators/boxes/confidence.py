@@ -33,7 +33,8 @@ class ScoreRules(NamedTuple):
             for.
         least_rate: Smallest rate of the second model: where fewer detections persist, their association fails or many
             are false.
-        first_factor: Log Bayes factor of the second model before any outcome. Raising it distrusts scores sooner.
+        first_factor: Log Bayes factor of the second model before any outcome, negative for a detector of people; its
+            sign is changed for regions of the foreground. Raising it distrusts scores sooner.
         largest_factor: Limit of its absolute value. Raising it lets the models change places more slowly.
         lowest: Smallest probability that a score is read as.
         highest: Probability that the highest score so far is read as. Raising it believes the best detections more.
@@ -75,6 +76,9 @@ def read_scores(state, scores, regions, rules):  # type: ignore[no-untyped-def]
     Args:
         state: State as in `initial_confidence`.
         scores: Scores of the frame's detections, on any scale. Shape (Z,).
+        regions: Share of these detections that are regions of the foreground. Those of the first frame with
+            detections decide the first belief: the score of a region is the visible share of what it shows, and no
+            probability of a person.
         rules: A `ScoreRules`.
 
     Returns:

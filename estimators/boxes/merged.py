@@ -20,10 +20,10 @@ class SplitRules(NamedTuple):
             fewer blobs.
         larger: Ratio of a blob's width or height to a person's from which the blob holds more than this person.
             Raising it splits fewer blobs.
-        least: Smallest height of a person in a blob, heights of the blob; shorter ones are parts of somebody. Raising
-            it splits fewer blobs.
-        tall: Height of the tallest person in a blob, heights of the blob, below which a blob of a person's height is one
-            person, whose parts were taken for several. Raising it splits fewer blobs.
+        least: Smallest height of a person in a blob, heights of the blob; shorter ones are fragments. Raising it splits
+            fewer blobs.
+        tall: Smallest height of the tallest person in a blob, heights of the blob: below it a blob of a person's height
+            is one person, whose parts were taken for several. Raising it splits fewer blobs.
         excess: Deviation of a blob's height from that of a person at its place, standard deviations, from which it is
             more than one person in any case. Raising it splits fewer blobs of people one above the other.
         solid: Largest ratio of a blob's area to its box's. Detections of a larger ratio are boxes of a person detector

@@ -14,8 +14,8 @@ class StillRules(NamedTuple):
     """Conditions under which a region is a thing that does not move.
 
     Attributes:
-        small_time: Time after which a region too small for a person is absorbed, s. Raising it keeps motionless parts of
-            people longer, and moved things, too.
+        small_time: Time after which a region too small for a person is absorbed, s. Raising it keeps motionless parts
+            of people longer, and moved things, too.
         time: Time after which any region is absorbed, s. People who breathe and sway do not stay that still; rendered
             ones may.
         small: Largest height of a small region, in heights of a person at its place.
