@@ -44,6 +44,7 @@ class H264Writer:
         )
         self._stream.width, self._stream.height = size
         self._stream.pix_fmt = "yuv420p"
+        self._failed = ""
 
     def write(self, image: Image) -> None:
         """Append an RGB frame.
@@ -53,14 +54,29 @@ class H264Writer:
         """
         import av
 
-        self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(image, "rgb24")))
+        self._append(av.VideoFrame.from_ndarray(image, "rgb24"))
+
+    def _append(self, frame: Any) -> None:
+        """Append a frame, or, for None, what the encoder still holds."""
+        if self._failed:
+            # Packets behind a header that could not be written crash FFmpeg.
+            raise OSError(self._failed)
+        try:
+            self._container.mux(self._stream.encode(frame))
+        except Exception as error:
+            self._failed = str(error)
+            raise
 
     def release(self) -> None:
-        """Finish the file."""
+        """Finish the file.
+
+        Raises:
+            OSError: The disk is full, now or in an earlier frame.
+        """
         if self._container is None:
             return
-        container, self._container = self._container, None
         try:
-            container.mux(self._stream.encode())
+            self._append(None)
         finally:
+            container, self._container = self._container, None
             container.close()

@@ -58,9 +58,12 @@ def stop_behind(error: BaseException) -> Stopped | None:
     A compiled function in which the signal arrives ends with SystemError, and code that cleans up may fail on its own.
     """
     seen: BaseException | None = error
-    while seen is not None and not isinstance(seen, Stopped):
+    # An error that is raised again while its own consequence is handled makes a circle.
+    known: set[int] = set()
+    while seen is not None and not isinstance(seen, Stopped) and id(seen) not in known:
+        known.add(id(seen))
         seen = seen.__cause__ or seen.__context__
-    return seen
+    return seen if isinstance(seen, Stopped) else None
 
 
 @contextlib.contextmanager

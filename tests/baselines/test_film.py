@@ -9,6 +9,7 @@ import pytest
 
 from servotrack.baselines.reporting import film as film_module
 from servotrack.baselines.reporting.film import CODECS, Film, FilmError, browser_suffix, write_film
+from servotrack.baselines.reporting.h264 import H264Writer, has_h264
 
 
 def picture(k: int, width: int = 64, height: int = 48) -> np.ndarray:
@@ -103,6 +104,20 @@ def test_film_that_could_not_be_written_in_full_is_removed(tmp_path, suffix):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not has_h264() or not Path("/dev/full").exists(), reason="needs PyAV and a full device")
+def test_a_full_disk_crashes_no_encoder():
+    writer = H264Writer(Path("/dev/full"), 10.0, (64, 48))
+    with pytest.raises(OSError, match="No space left"):
+        for k in range(100):
+            writer.write(picture(k, 320, 240))
+    for _ in range(2):
+        with pytest.raises(OSError, match="No space left"):
+            writer.write(picture(0))
+    with pytest.raises(OSError, match="No space left"):
+        writer.release()
+    writer.release()
 
 
 def test_name_of_a_folder_is_no_address(tmp_path, monkeypatch):

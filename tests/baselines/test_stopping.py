@@ -474,6 +474,13 @@ def test_a_signal_in_a_compiled_function_is_a_stop_too() -> None:
         raise ValueError("mistake")
 
 
+def test_errors_that_cause_each_other_end() -> None:
+    first, second = ValueError("first"), ValueError("second")
+    first.__cause__, second.__cause__ = second, first
+    with pytest.raises(ValueError, match="first"), keeping(lambda: "1 of 2"):
+        raise first
+
+
 def test_unfinished_files_are_removed_or_kept(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     for name in ("half", "whole", "folder/page", "done"):
