@@ -155,3 +155,20 @@ def _described(array: np.ndarray) -> str:
 def _shortened(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def checked_period(dt: float | None, frame_rate: float) -> float:
+    """Return the time since the last frame, s.
+
+    Args:
+        dt: Measured time since the last frame, s; None if unknown.
+        frame_rate: Frames per second, used where `dt` is None.
+
+    Raises:
+        ValueError: `dt` is not a positive number.
+    """
+    if dt is None:
+        return 1.0 / frame_rate
+    if not (np.isfinite(dt) and dt > 0.0):
+        raise ValueError(f"dt must be finite and > 0, got {dt!r}; pass the time since the last frame in s, or None")
+    return float(dt)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
+from numbers import Real
 from typing import Any, TypeVar
 
 EstimatorT = TypeVar("EstimatorT")
@@ -29,9 +30,11 @@ def with_values(estimator: EstimatorT, values: Mapping[str, float]) -> Estimator
         values: Path to number.
 
     Raises:
-        ValueError: A path that leads nowhere, or a number that the estimator refuses.
+        ValueError: A path that leads nowhere, a value that is not a number, or one that the estimator refuses.
     """
     for path, value in values.items():
+        if not isinstance(value, Real):
+            raise ValueError(f"values: {path} must be a number, got {value!r}")
         estimator = _replaced(estimator, path, path, value)
     return estimator
 

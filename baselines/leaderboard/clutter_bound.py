@@ -33,7 +33,7 @@ FIRST = 80_000
 def ospa_bound(config: ClutterConfig, seed: int, lag: int = 0) -> float:
     """Smallest expected OSPA (order 1) of any agent in an episode, over its births, deaths and detections, m.
 
-    The agent of the bound is told the motion, who exists, which measurement is whose, and at which site a target
+    The agent of the bound knows the motion, who exists, which measurement is whose, and at which site a target
     appeared; of a target that appears anywhere, that it is normal over the region.
 
     Args:

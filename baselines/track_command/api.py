@@ -19,6 +19,7 @@ from servotrack.baselines.track_command.people import Tracks
 from servotrack.baselines.track_command.timed import TimedTracker, estimates
 from servotrack.estimators.detect.detections import Detections, detections_from_boxes
 from servotrack.estimators.rfs.sets import SetEstimate
+from servotrack.estimators.validation import as_numbers
 
 
 class Tracker:
@@ -166,18 +167,21 @@ def as_detections(given: Any, confidences: ArrayLike | None = None, features: Ar
     if isinstance(given, Detections):
         return given
     if hasattr(given, "xyxy"):
-        corners = np.asarray(given.xyxy, dtype=np.float64).reshape(-1, 4)
+        corners = as_numbers("detections.xyxy", given.xyxy)
+        if corners.size and (corners.ndim != 2 or corners.shape[1] != 4):
+            raise ValueError(f"detections.xyxy must have shape (k, 4), got {corners.shape}")
+        corners = corners.reshape(-1, 4)
         boxes = np.concatenate([corners[:, :2], corners[:, 2:] - corners[:, :2]], axis=1)
         confidences = getattr(given, "confidence", None) if confidences is None else confidences
     else:
-        boxes = np.asarray(given, dtype=np.float64)
+        boxes = as_numbers("detections", given)
         boxes = boxes.reshape(0, 4) if boxes.size == 0 else boxes
         if boxes.ndim == 2 and boxes.shape[1] == 5 and confidences is None:
             boxes, confidences = boxes[:, :4], boxes[:, 4]
     found = detections_from_boxes(boxes, confidences)
     if features is None:
         return found
-    vectors = np.asarray(features, dtype=np.float64)
+    vectors = as_numbers("features", features)
     if vectors.ndim != 2 or len(vectors) != len(boxes) or not np.isfinite(vectors).all():
         raise ValueError(f"features must be finite with shape ({len(boxes)}, F), got {vectors.shape}")
     return found._replace(features=vectors)

@@ -27,7 +27,7 @@ from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.files import atomic_path
 from servotrack.baselines.reporting.grid import Grid, as_markdown
-from servotrack.baselines.reporting.terminal import print_tables
+from servotrack.baselines.reporting.terminal import print_tables, progress_bars
 from servotrack.baselines.running.stopping import Stopped
 from servotrack.baselines.track_command.claim import claim_folder
 from servotrack.baselines.track_command.counts import COUNTS, Counter, Places, check_places
@@ -96,7 +96,7 @@ def run_command(request: TrackRequest, console: Console) -> int:
 
     Args:
         request: Arguments of the command.
-        console: Console for progress, scores and paths.
+        console: Console for scores, counts, notes and paths. Progress and the notes of the moment go to stderr.
 
     Returns:
         Exit code: 0 for success; 1 if an error stopped the run (tracks up to it are kept); 128 plus the number of the
@@ -129,7 +129,7 @@ def run_command(request: TrackRequest, console: Console) -> int:
     painter = None
     if request.video and source.source_size is not None:
         painter = BoxPainter(source.source_size, truth, request.show_truth, counter)
-    with _progress(console) as progress:
+    with _progress() as progress:
         bar = progress.add_task(f"{detector} + {request.tracker}", total=source.length)
         run = track(source, tracker, out, painter, _advance(progress, bar, source), counter)
         progress.update(bar, total=len(run.frames), completed=len(run.frames))
@@ -175,15 +175,14 @@ def _advance(progress: Progress, bar: TaskID, source: Input) -> Callable[[], Non
     return advance
 
 
-def _progress(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
+def _progress() -> Progress:
+    return progress_bars(
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.completed:.0f} frames"),
         _RateColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        console=console,
     )
 
 

@@ -122,13 +122,15 @@ class Counter:
         self._lines = {name: line.initial() for name, line in places.lines.items()}
         self._largest: dict[str, tuple[int, PlaceCount]] = {}
         self._now: list[PlaceCount] = []
+        self._time: float | None = None
 
-    def step(self, frame: int, estimate: SetEstimate) -> list[PlaceCount]:
+    def step(self, frame: int, estimate: SetEstimate, time: float | None = None) -> list[PlaceCount]:
         """Count the people of a frame.
 
         Args:
             frame: Number of the frame, from 0.
             estimate: Boxes in the source's px.
+            time: Time of the frame, s; None for the nominal one.
         """
         places = self._places
         now = [PlaceCount(EVERYWHERE, "people", people_count(estimate, places.undetected, frame_size=self._size))]
@@ -137,8 +139,10 @@ class Counter:
             before = self._largest.get(found.place)
             if before is None or found.number.expected > before[1].number.expected:
                 self._largest[found.place] = frame, found
+        last, self._time = self._time, time
+        dt = None if time is None or last is None else time - last
         for name, line in places.lines.items():
-            self._lines[name], crossings = line.step(self._lines[name], estimate)
+            self._lines[name], crossings = line.step(self._lines[name], estimate, dt)
             now.append(PlaceCount(name, "forward", crossings.forward))
             now.append(PlaceCount(name, "backward", crossings.backward))
         self._now = now

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -144,6 +145,8 @@ class PixelInput:
         """Decode, resize and detect; yield one step per frame."""
         state: Any = self._detector.initial(self._first_pass()) if self._background else None
         motion, seen = None, PictureMotion().initial()
+        takes_time = "dt" in inspect.signature(self._detector.step).parameters
+        before: float | None = None
         try:
             for number, time, picture in self._frames.numbered():
                 frame = resize(picture, self._size)
@@ -151,12 +154,15 @@ class PixelInput:
                     state = self._detector.initial(frame)
                 if not self._notices.begun:
                     self._notices.take(number, state)
-                state, found = self._detector.step(state, frame)
+                now = self._time(number) if time is None else time
+                known = {"dt": now - before} if takes_time and before is not None and now > before else {}
+                state, found = self._detector.step(state, frame, **known)
+                before = now
                 self._notices.take(number, state)
                 if self._motion is not None:
                     seen, motion = self._motion.step(seen, frame, found.boxes)
                     self._moves.take(number, motion, frame.shape)
-                yield Step(number, picture, found, self._time(number) if time is None else time, motion)
+                yield Step(number, picture, found, now, motion)
         finally:
             self._frames.close()
 

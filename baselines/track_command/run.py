@@ -98,7 +98,7 @@ def track(
         Outcome of the run, also if a broken source, a full disk or a signal ended it.
 
     Raises:
-        ResultsError: Videos cannot be encoded.
+        ResultsError: Videos cannot be encoded, or a network fails before the first tracked frame.
         StorageError: `out` cannot be created or written.
         SequenceError: The source is broken before the first tracked frame.
     """
@@ -116,7 +116,7 @@ def track(
                 guard.check()
                 tracks.write(step.number + 1, estimate)
                 if counter is not None and counts is not None:
-                    counts.write(step, counter.step(step.number, estimate))
+                    counts.write(step, counter.step(step.number, estimate, step.time))
                 film.show(step, estimate)
                 run.frames.append(step.number)
                 run.times.append(step.time)
@@ -125,14 +125,14 @@ def track(
                     run.signal, run.stopped = interruption.signal, "interrupted"
                     break
             film.finish()
-        except (SequenceError, OSError) as error:
+        except FilmError as error:
+            raise ResultsError(f"{error}; or write no video (--no-video)") from error
+        except (SequenceError, ResultsError, OSError) as error:
             if not run.frames and isinstance(error, OSError):
                 raise storage_error(out, error) from error
             if not run.frames:
                 raise
             run.error, run.stopped = error, str(error)
-        except FilmError as error:
-            raise ResultsError(f"{error}; or write no video (--no-video)") from error
     run.seconds, run.rows = time.perf_counter() - started, tracks.rows
     run.warnings.extend([source.warning] if source.warning else [])
     run.notes.extend(source.notes)

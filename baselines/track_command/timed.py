@@ -16,6 +16,7 @@ from servotrack.baselines.track_command.inputs import Input, Step
 from servotrack.estimators.detect.detections import Detections, detections_from_boxes
 from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.types import Labels
+from servotrack.estimators.validation import as_numbers
 
 LONGEST_GAP = 60.0
 """Longest time that is bridged, s. No tracker keeps a track for longer."""
@@ -54,7 +55,10 @@ class TimedTracker:
         Raises:
             ValueError: The time is not after that of the last frame, or the motion is no similarity.
         """
-        estimate = self._stepped(detections, self._period(time), motion)
+        period, now = self._period(time)
+        # Kept only now: a refusal leaves everything as it was.
+        self._state, estimate = self._stepped(detections, period, motion)
+        self._time = now
         # Reported people first.
         labels, held = self._small(estimate.labels), self._small(estimate.held_labels)
         return replace(estimate, labels=labels, held_labels=held)
@@ -63,9 +67,10 @@ class TimedTracker:
         known = self._ids
         return np.array([known.setdefault(label, len(known) + 1) for label in labels.tolist()], np.int64)
 
-    def _stepped(self, detections: Detections, period: float | None, motion: ArrayLike | None) -> SetEstimate:
-        if self._state is None:
-            self._state = self.tracker.initial(detections)
+    def _stepped(
+        self, detections: Detections, period: float | None, motion: ArrayLike | None
+    ) -> tuple[Any, SetEstimate]:
+        state = self.tracker.initial(detections) if self._state is None else self._state
         known: dict[str, Any] = {}
         if self._takes_time and period is not None:
             known["dt"] = period
@@ -74,23 +79,23 @@ class TimedTracker:
         if period is not None and not self._takes_time:
             nothing = detections_from_boxes(np.zeros((0, 4)))
             for _ in range(max(round(period * self._rate) - 1, 0)):
-                self._state, _ = self.tracker.step(self._state, nothing)
-        self._state, estimate = self.tracker.step(self._state, detections, **known)
-        return estimate
+                state, _ = self.tracker.step(state, nothing)
+        state, estimate = self.tracker.step(state, detections, **known)
+        return state, estimate
 
-    def _period(self, time: float | None) -> float | None:
-        """Return the time since the last frame, s; None for the nominal one and at the first frame."""
+    def _period(self, time: float | None) -> tuple[float | None, float | None]:
+        """Return the time since the last frame, s, None for the nominal one and at the first frame; and the time."""
         before = self._time
         if time is None:
-            self._time = None if before is None else before + 1.0 / self._rate
-            return None
-        if not math.isfinite(time) or (before is not None and time <= before):
-            raise ValueError(f"time must be finite and after that of the last frame, {before}, got {time!r}")
-        self._time = float(time)
+            return None, None if before is None else before + 1.0 / self._rate
+        now = as_numbers("time", time)
+        if now.ndim or not math.isfinite(now) or (before is not None and now <= before):
+            since = "" if before is None else f" and after that of the last frame, {before}"
+            raise ValueError(f"time must be a finite number{since}, got {time!r}")
         if before is None:
-            return None
-        period = min(time - before, LONGEST_GAP)
-        return None if abs(period * self._rate - 1.0) <= _SAME else period
+            return None, float(now)
+        period = min(float(now) - before, LONGEST_GAP)
+        return None if abs(period * self._rate - 1.0) <= _SAME else period, float(now)
 
 
 def takes(tracker: BoxTracker, name: str) -> bool:

@@ -92,7 +92,7 @@ def rendered_sequence(level: int, seed: int, detector: str = "masked") -> People
     image, info = env.reset(seed=seed)
     model = env.get_wrapper_attr("scene_model")
     answer = np.zeros(env.action_space.shape or (), np.float32)
-    found = create_detector(detector)
+    found = create_detector(detector, model.frame_rate)
     state: Any = found.initial(image)
     frames: list[Detections] = []
     truth: dict[int, tuple[list[int], list[Any]]] = {}

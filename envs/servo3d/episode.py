@@ -6,16 +6,24 @@ import functools
 import math
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
 from servotrack.envs.arguments import Range
 from servotrack.envs.servo3d.arms import SerialArm
-from servotrack.envs.servo3d.kinematics import axes_now, twist_columns
+from servotrack.envs.servo3d.draws import (
+    LayoutRanges,
+    draw_cameras,
+    draw_constants,
+    draw_motions,
+    draw_offsets,
+    start_streams,
+)
+from servotrack.envs.servo3d.kinematics import ArmTables, axes_now, twist_columns
 from servotrack.envs.servo3d.layout import LayoutRules, accept_layouts
 from servotrack.envs.servo3d.levels import Servo3DConfig
 from servotrack.envs.streams import Streams
-from servotrack.estimators.elementary import power
 from servotrack.estimators.types import Array, Mask
 
 PERIOD = 0.05
@@ -49,6 +57,10 @@ class Stream(IntEnum):
     TIMING = 10
     START = 11
     ENCODER_TIMING = 12
+
+
+_CONSTANTS = np.array([Stream.OPTICS, Stream.ACTUATOR, Stream.HOMING, Stream.TIMING, Stream.ENCODER_TIMING])
+_LAYOUT = np.array([Stream.POSTURE, Stream.MOTION, Stream.MOUNTING, Stream.BOARD, Stream.START])
 
 
 @dataclass(frozen=True)
@@ -88,6 +100,14 @@ class Episode:
     encoder_age: int
 
 
+class LayoutParts(NamedTuple):
+    """Arm with a margin to its limits, conditions and ranges of layouts."""
+
+    tables: ArmTables
+    rules: LayoutRules
+    ranges: LayoutRanges
+
+
 def samples(config: Servo3DConfig) -> int:
     """Length K of an episode's tables."""
     return LEAD + config.horizon + 1
@@ -115,28 +135,46 @@ def _board_marks(points: int, side: float) -> Array:
     return np.array(grid[:points])
 
 
-def draw_episode(config: Servo3DConfig, arm: SerialArm, seed: int) -> Episode:
+def draw_episode(config: Servo3DConfig, arm: SerialArm, seed: int, parts: LayoutParts | None = None) -> Episode:
     """Make all random draws of one episode.
 
     A layout is drawn again until start and goal keep a margin to the joint limits, every point is in the image at the
     goal, and as many as `in_view` asks for at the start.
 
+    Args:
+        config: Parameters.
+        arm: Arm.
+        seed: Seed of the episode, below 2^64.
+        parts: See `layout_parts`; None: they are computed.
+
     Raises:
         ValueError: No layout was found; the message names the parameters that decide.
     """
     streams = Streams(seed)
-    optics = _draw_optics(config, streams)
+    lens, lag, homing, latency, encoder_age = draw_constants(
+        np.uint64(seed),
+        _CONSTANTS,
+        float(config.principal_offset),
+        config.focal,
+        config.actuator_lag,
+        float(config.homing),
+        _whole(config.latency),
+        _whole(config.encoder_age),
+        arm.joints,
+    )
+    middle = config.width / 2.0 + lens[0], config.height / 2.0 + lens[1]
+    optics = np.array([lens[2], *middle, float(config.width), float(config.height)])
     marks = board_marks(config.points, config.board * arm.reach)
-    mount, board, start, motion = _draw_layout(config, arm, streams, optics, marks)
+    mount, board, start, motion = _draw_layout(config, arm, seed, parts or layout_parts(config, arm), optics, marks)
     count = samples(config)
     noise, dropped = np.zeros((0, 2 * config.points)), np.zeros(0, np.bool_)
     if config.pixel_noise > 0.0:
-        noise = config.pixel_noise * streams[Stream.PIXEL_NOISE].standard_normal((count, 2 * config.points))
+        noise = streams[Stream.PIXEL_NOISE].standard_normal((count, 2 * config.points))
+        noise *= config.pixel_noise
     if config.dropout > 0.0:
         dropped = streams[Stream.DROPOUT].random(count) < config.dropout
         # The frame of the reset always arrives.
         dropped[: LEAD + 1] = False
-    lag = streams[Stream.ACTUATOR].uniform(*config.actuator_lag)
     return Episode(
         optics=optics,
         mount=mount,
@@ -147,46 +185,33 @@ def draw_episode(config: Servo3DConfig, arm: SerialArm, seed: int) -> Episode:
         feature_noise=noise,
         dropped=dropped,
         hidden=_draw_hiding(config, streams, count),
-        homing=streams[Stream.HOMING].uniform(-config.homing, config.homing, arm.joints),
-        lag=float(lag),
-        latency=_whole(streams[Stream.TIMING], config.latency),
-        encoder_age=_whole(streams[Stream.ENCODER_TIMING], config.encoder_age),
+        homing=homing,
+        lag=lag,
+        latency=latency,
+        encoder_age=encoder_age,
     )
 
 
-def _whole(rng: np.random.Generator, bounds: Range) -> int:
-    return int(rng.integers(int(bounds[0]), int(bounds[1]) + 1))
-
-
-def _draw_optics(config: Servo3DConfig, streams: Streams) -> Array:
-    rng = streams[Stream.OPTICS]
-    offset = rng.uniform(-config.principal_offset, config.principal_offset, 2)
-    focal = rng.uniform(*config.focal)
-    middle = config.width / 2.0 + offset[0], config.height / 2.0 + offset[1]
-    return np.array([focal, *middle, float(config.width), float(config.height)])
+def _whole(bounds: Range) -> tuple[int, int]:
+    return int(bounds[0]), int(bounds[1])
 
 
 def _draw_layout(
-    config: Servo3DConfig, arm: SerialArm, streams: Streams, optics: Array, marks: Array
+    config: Servo3DConfig, arm: SerialArm, seed: int, parts: LayoutParts, optics: Array, marks: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Return mount, board, start and motion of an `Episode`."""
-    tables = arm.tables(STOP_MARGIN)
-    least, most = config.in_view or (config.points, config.points)
-    rules = LayoutRules(
-        config.camera == "hand",
-        int(least),
-        int(most),
-        LEAST_ERROR,
-        0.02 * arm.reach,
-        config.horizon * PERIOD,
-    )
+    tables, rules, ranges = parts
+    states = start_streams(np.uint64(seed), _LAYOUT)
+    motions, offsets = np.empty((_BLOCK, arm.joints, 4)), np.empty((_BLOCK, 6))
+    mounts, boards = np.empty((_BLOCK, 3, 4)), np.empty((_BLOCK, 3, 4))
+    starts, accepted = np.empty((_BLOCK, arm.joints)), np.empty(_BLOCK, np.bool_)
     wanted = _SINGULAR_CHOICES if config.singular else 1
     found: list[tuple[float, Array, Array, Array, Array]] = []
     for _ in range(_MAX_BLOCKS):
-        motions = _draw_motions(config, arm, streams)
-        mounts, boards = _draw_cameras(config, arm, streams)
-        starts, accepted = np.zeros((_BLOCK, arm.joints)), np.zeros(_BLOCK, np.bool_)
-        offsets = _draw_offsets(config, streams)
+        draw_motions(states[:2], ranges, arm.ready, motions)
+        draw_cameras(states[2:4], ranges, mounts, boards)
+        draw_offsets(states[4], ranges, offsets)
+        starts[:], accepted[:] = 0.0, False
         left = wanted - len(found)
         accept_layouts(tables, rules, optics[None], marks, mounts, boards, offsets, motions, starts, accepted, left)
         for k in np.flatnonzero(accepted):
@@ -205,62 +230,34 @@ def _draw_layout(
     return mount, board, start, motion
 
 
-def _draw_motions(config: Servo3DConfig, arm: SerialArm, streams: Streams) -> Array:
-    """Return a block of motions, see `Episode`. Shape (_BLOCK, n, 4)."""
-    shape = (_BLOCK, arm.joints)
-    motions = np.zeros((*shape, 4))
-    motions[..., 0] = arm.ready + streams[Stream.POSTURE].uniform(-POSTURE, POSTURE, shape)
-    if config.motion > 0.0:
-        moving = streams[Stream.MOTION]
-        motions[..., 1] = config.motion * moving.uniform(0.5, 1.0, shape)
-        motions[..., 2] = 2.0 * math.pi / moving.uniform(*config.motion_period, shape)
-        motions[..., 3] = moving.uniform(-math.pi, math.pi, shape)
-    return motions
-
-
-def _draw_offsets(config: Servo3DConfig, streams: Streams) -> Array:
-    """Return differences of the board's pose in the camera's frame at start and goal, a block. Shape (_BLOCK, 6).
-
-    Columns: offset of the middle along both image axes as a share of the distance, tilts about them (rad), turn about
-    the optical axis (rad), and ratio of the distances.
-    """
-    rng = streams[Stream.START]
-    offsets = np.zeros((_BLOCK, 6))
-    offsets[:, 0:2] = rng.uniform(-config.shift, config.shift, (_BLOCK, 2))
-    offsets[:, 2:4] = rng.uniform(-config.lean, config.lean, (_BLOCK, 2))
-    offsets[:, 4] = rng.uniform(*config.turn, _BLOCK) * rng.choice((-1.0, 1.0), _BLOCK)
-    offsets[:, 5] = power(rng.uniform(*config.zoom, _BLOCK), rng.choice((-1.0, 1.0), _BLOCK))
-    return offsets
-
-
-def _draw_cameras(config: Servo3DConfig, arm: SerialArm, streams: Streams) -> tuple[Array, Array]:
-    """Return a block of mounts and of boards in the camera's frame at the goal. Shapes (_BLOCK, 3, 4).
-
-    With the camera in the world, the mounts are those of the board on the tool.
-    """
-    fixing, placing = streams[Stream.MOUNTING], streams[Stream.BOARD]
-    mounts, boards = np.zeros((_BLOCK, 3, 4)), np.zeros((_BLOCK, 3, 4))
-    spin = fixing.uniform(-config.mounting, config.mounting, _BLOCK)
-    mounts[:, :, :3] = _rotations(fixing.uniform(-config.mounting_tilt, config.mounting_tilt, (_BLOCK, 2)), spin)
-    if config.camera == "world":
-        # The board faces the camera: it is seen from in front of the tool.
-        mounts[:, :, 1:3] *= -1.0
-    mounts[:, :2, 3] = arm.reach * config.mounting_offset * fixing.uniform(-1.0, 1.0, (_BLOCK, 2))
-    facing = placing.uniform(-config.mounting, config.mounting, _BLOCK)
-    boards[:, :, :3] = _rotations(placing.uniform(-config.board_tilt, config.board_tilt, (_BLOCK, 2)), facing)
-    boards[:, 2, 3] = arm.reach * placing.uniform(*config.depth, _BLOCK)
-    boards[:, :2, 3] = 0.1 * boards[:, 2:, 3] * placing.uniform(-1.0, 1.0, (_BLOCK, 2))
-    return mounts, boards
-
-
-def _rotations(tilts: Array, spins: Array) -> Array:
-    """Rotations about the x, then the y, then the z axis. Shape (_BLOCK, 3, 3)."""
-    (cx, cy), (sx, sy), cz, sz = np.cos(tilts).T, np.sin(tilts).T, np.cos(spins), np.sin(spins)
-    rotations = np.empty((_BLOCK, 3, 3))
-    rotations[:, 0, 0], rotations[:, 0, 1], rotations[:, 0, 2] = cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx
-    rotations[:, 1, 0], rotations[:, 1, 1], rotations[:, 1, 2] = sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx
-    rotations[:, 2, 0], rotations[:, 2, 1], rotations[:, 2, 2] = -sy, cy * sx, cy * cx
-    return rotations
+def layout_parts(config: Servo3DConfig, arm: SerialArm) -> LayoutParts:
+    """Return what all layouts of a world have in common."""
+    least, most = config.in_view or (config.points, config.points)
+    rules = LayoutRules(
+        config.camera == "hand",
+        int(least),
+        int(most),
+        LEAST_ERROR,
+        0.02 * arm.reach,
+        config.horizon * PERIOD,
+    )
+    ranges = LayoutRanges(
+        in_hand=config.camera == "hand",
+        posture=POSTURE,
+        motion=float(config.motion),
+        motion_period=config.motion_period,
+        mounting=float(config.mounting),
+        mounting_tilt=float(config.mounting_tilt),
+        offset=arm.reach * config.mounting_offset,
+        board_tilt=float(config.board_tilt),
+        reach=arm.reach,
+        depth=config.depth,
+        shift=float(config.shift),
+        lean=float(config.lean),
+        turn=config.turn,
+        zoom=config.zoom,
+    )
+    return LayoutParts(arm.tables(STOP_MARGIN), rules, ranges)
 
 
 def _least_singular_value(arm: SerialArm, angles: Array) -> float:

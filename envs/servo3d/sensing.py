@@ -219,23 +219,23 @@ def _deliver_frames(rows, settings, tables, steps, state, sample):  # type: igno
     """Deliver the frames that arrive now; points that they do not show keep their last image."""
     images, in_image, optics, latency = state.images, state.in_image, tables.optics, tables.latency
     noise, dropped, hidden = tables.feature_noise, tables.dropped, tables.hidden
-    noisy, losing, hiding = noise.shape[0] > 0, dropped.shape[0] > 0, hidden.shape[0] > 0
+    noisy, losing, hiding = noise.shape[1] > 0, dropped.shape[1] > 0, hidden.shape[1] > 0
     features, visible, stamps, stamped = sample.features, sample.visible, sample.frame_time, settings.stamped
     for i in range(rows.shape[0]):
         if not rows[i]:
             continue
         frame = steps[i] + LEAD - latency[i]
         slot = frame % RING
-        arrives = not (losing and dropped[frame, i])
+        arrives = not (losing and dropped[i, frame])
         for m in range(visible.shape[1]):
-            shown = arrives and in_image[slot, i, m] and not (hiding and hidden[frame, i, m])
+            shown = arrives and in_image[slot, i, m] and not (hiding and hidden[i, frame, m])
             visible[i, m] = 1.0 if shown else 0.0
             if not shown:
                 continue
             u, v = images[slot, i, 2 * m], images[slot, i, 2 * m + 1]
             if noisy:
-                u += noise[frame, i, 2 * m]
-                v += noise[frame, i, 2 * m + 1]
+                u += noise[i, frame, 2 * m]
+                v += noise[i, frame, 2 * m + 1]
             features[i, 2 * m] = min(max(u, 0.0), optics[i, 3])
             features[i, 2 * m + 1] = min(max(v, 0.0), optics[i, 4])
         if arrives:

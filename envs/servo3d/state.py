@@ -48,8 +48,8 @@ class WorldSettings(NamedTuple):
 class EpisodeTables(NamedTuple):
     """Draws of all rows for the compiled kernels; see `Episode`.
 
-    Arrays have a leading axis of N, but tables over time an axis of N behind the time, so that a step reads them in
-    order: `feature_noise` (K, N, 2p), `dropped` (K, N), `hidden` (K, N, p).
+    Arrays have a leading axis of N, also tables over time, so that a reset writes them in order: `feature_noise`
+    (N, K, 2p), `dropped` (N, K), `hidden` (N, K, p).
     """
 
     optics: Array

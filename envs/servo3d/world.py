@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.servo3d.arms import SerialArm, arm_of
-from servotrack.envs.servo3d.episode import LEAD, PERIOD, Episode, draw_episode, samples
+from servotrack.envs.servo3d.episode import LEAD, PERIOD, Episode, draw_episode, layout_parts, samples
 from servotrack.envs.servo3d.kinematics import largest_torque
 from servotrack.envs.servo3d.levels import Servo3DConfig
 from servotrack.envs.servo3d.motors import move, settle
@@ -77,9 +77,9 @@ class Servo3DWorld:
             board=np.zeros((count, 3, 4)),
             marks=np.zeros((count, p, 3)),
             motion=np.zeros((count, n, 4)),
-            feature_noise=np.zeros((length if config.pixel_noise > 0.0 else 0, count, 2 * p)),
-            dropped=np.zeros((length if config.dropout > 0.0 else 0, count), np.bool_),
-            hidden=np.zeros((length if config.hiding > 0.0 and p > 2 else 0, count, p), np.bool_),
+            feature_noise=np.zeros((count, length if config.pixel_noise > 0.0 else 0, 2 * p)),
+            dropped=np.zeros((count, length if config.dropout > 0.0 else 0), np.bool_),
+            hidden=np.zeros((count, length if config.hiding > 0.0 and p > 2 else 0, p), np.bool_),
             homing=np.zeros((count, n)),
             lag=np.zeros(count),
             latency=np.zeros(count, np.int64),
@@ -102,7 +102,7 @@ class Servo3DWorld:
             goal=np.zeros((count, 2 * p)),
             frame_time=np.zeros(count),
         )
-        self._arm = self.arm.tables()
+        self._arm, self._layouts = self.arm.tables(), layout_parts(config, self.arm)
         torque = largest_torque(self._arm)
         self._settings = WorldSettings(
             in_hand=config.camera == "hand",
@@ -154,14 +154,10 @@ class Servo3DWorld:
         return (self.sample.tip_error < DISTANCE_BOUND) & (self.sample.tip_angle < ANGLE_BOUND)
 
     def _begin(self, row: int, seed: int) -> None:
-        episode = draw_episode(self.config, self.arm, seed)
+        episode = draw_episode(self.config, self.arm, seed, self._layouts)
         self.episodes[row], self.seeds[row] = episode, seed
         for name in EpisodeTables._fields:
-            table = getattr(self.tables, name)
-            if name in ("feature_noise", "dropped", "hidden"):
-                table[:, row] = getattr(episode, name)
-            else:
-                table[row] = getattr(episode, name)
+            getattr(self.tables, name)[row] = getattr(episode, name)
         state = self.state
         for name in ("motors", "geared", "joints"):
             getattr(state, name)[row] = episode.start

@@ -33,7 +33,8 @@ class ScoreRules(NamedTuple):
             for.
         least_rate: Smallest rate of the second model: where fewer detections persist, their association fails or many
             are false.
-        first_factor: Log Bayes factor of the second model before any outcome. Raising it distrusts scores sooner.
+        first_factor: Log Bayes factor of the second model before any outcome, negative for a detector of people; its
+            sign is changed for regions of the foreground. Raising it distrusts scores sooner.
         largest_factor: Limit of its absolute value. Raising it lets the models change places more slowly.
         lowest: Smallest probability that a score is read as.
         highest: Probability that the highest score so far is read as. Raising it believes the best detections more.
@@ -69,18 +70,23 @@ def initial_confidence(rules: ScoreRules) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def read_scores(state, scores, rules):  # type: ignore[no-untyped-def]
+def read_scores(state, scores, regions, rules):  # type: ignore[no-untyped-def]
     """Update the range of the scores and read those of a frame.
 
     Args:
         state: State as in `initial_confidence`.
         scores: Scores of the frame's detections, on any scale. Shape (Z,).
+        regions: Share of these detections that are regions of the foreground. Those of the first frame with
+            detections decide the first belief: the score of a region is the visible share of what it shows, and no
+            probability of a person.
         rules: A `ScoreRules`.
 
     Returns:
         New state; readings x, shape (Z,).
     """
     out = state.copy()
+    if state[0] == 0.0 and len(scores) > 0:
+        out[9] *= 1.0 - 2.0 * regions
     for score in scores:
         out[0] += 1.0
         gap = score - out[1]

@@ -20,6 +20,7 @@ from scipy.special import gammaln
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.types import Array, Labels, Mask
+from servotrack.estimators.validation import LIMITS, as_numbers, check_within, checked_period
 
 NEGLIGIBLE = 1e-12
 """Probability of a number below which the number is left out of a distribution."""
@@ -91,9 +92,8 @@ def add_chances(number: NumberDistribution, chances: ArrayLike) -> NumberDistrib
     Raises:
         ValueError: A probability is not in [0, 1].
     """
-    p = np.asarray(chances, dtype=np.float64).reshape(-1)
-    if not np.all((p >= 0.0) & (p <= 1.0)):
-        raise ValueError(f"chances must be in [0, 1], got {p[~((p >= 0.0) & (p <= 1.0))][0]}")
+    p = as_numbers("chances", chances).reshape(-1)
+    _check_chances("chances", p)
     return _trimmed(number.first, _convolved(np.ascontiguousarray(number.probability), p))
 
 
@@ -129,9 +129,10 @@ def people_count(
             A moving camera leaves others behind. None counts all.
 
     Raises:
-        ValueError: An argument is out of range.
+        ValueError: An argument is out of range, or the estimate holds boxes or probabilities that cannot be.
     """
     _check_share("undetected", undetected)
+    _check_estimate(estimate)
     held = estimate.held_existence
     if frame_size is not None:
         middle = estimate.held_states[:, :2] + estimate.held_states[:, 2:] / 2.0
@@ -151,7 +152,8 @@ class ZoneCount:
             `people_count`.
 
     Raises:
-        ValueError: Fewer than three corners, numbers that are not finite, or a negative share.
+        ValueError: Fewer than three corners, corners on one line, numbers that are not finite or beyond a million, or
+            a share that is not in 0 to 100.
     """
 
     corners: Sequence[tuple[float, float]]
@@ -159,11 +161,18 @@ class ZoneCount:
     undetected: float = UNDETECTED
 
     def __post_init__(self) -> None:
-        _check_points("corners", self.corners, 3)
+        corners = _checked_points("corners", self.corners, 3)
+        if np.linalg.matrix_rank(corners - corners[0]) < 2:
+            raise ValueError(f"corners must enclose an area, got points on one line: {self.corners!r}")
         _check_share("undetected", self.undetected)
 
     def count(self, estimate: SetEstimate) -> Count:
-        """Number of people in the zone in a frame: reported ones, held ones, and those without a track."""
+        """Number of people in the zone in a frame: reported ones, held ones, and those without a track.
+
+        Raises:
+            ValueError: The estimate holds boxes or probabilities that cannot be.
+        """
+        _check_estimate(estimate)
         states = np.concatenate([estimate.states, estimate.held_states])
         chances = np.concatenate([estimate.existence, estimate.held_existence])
         inside = _inside(_feet(states), np.asarray(self.corners, dtype=np.float64))
@@ -176,13 +185,13 @@ class LineState(NamedTuple):
     Attributes:
         labels: Identities reported before. Shape (k,).
         feet: Last reported feet of each that were clear of the line, or the first ones. Shape (k, 2), px.
-        absent: Number of frames since the last report. Shape (k,).
+        absent: Time since the last report, s. Shape (k,).
         forward, backward: Distributions of the numbers of crossings seen so far.
     """
 
     labels: Labels
     feet: Array
-    absent: Labels
+    absent: Array
     forward: NumberDistribution
     backward: NumberDistribution
 
@@ -213,11 +222,13 @@ class LineCount:
         missed: Expected number of crossings that are not seen for each one that is, at least 0; the default is that
             of the MOTChallenge sequences of docs/counting.md. Raising it raises the number and widens the interval; 0
             counts only crossings that the tracker sees.
-        memory: Number of frames for which an unreported person is remembered. Raising it counts people who cross while
-            they are hidden, as long as the tracker keeps their identity.
+        memory: Time for which an unreported person is remembered, s. Raising it counts people who cross while they are
+            hidden, as long as the tracker keeps their identity.
+        frame_rate: Frames per second, where `step` is not given the time between frames.
 
     Raises:
-        ValueError: Points that are equal or not finite, or a negative margin, share or memory.
+        ValueError: Points that are equal, not finite or beyond a million, a share that is not in 0 to 100, a negative
+            margin or memory, or a frame rate that is not positive.
     """
 
     start: tuple[float, float]
@@ -225,30 +236,39 @@ class LineCount:
     level: float = 0.9
     margin: float = 0.1
     missed: float = 0.4
-    memory: int = 1000
+    memory: float = 40.0
+    frame_rate: float = 25.0
 
     def __post_init__(self) -> None:
-        _check_points("start and end", [self.start, self.end], 2)
+        _checked_points("start and end", [self.start, self.end], 2)
         if tuple(self.start) == tuple(self.end):
             raise ValueError(f"start and end must be different points, got {self.start!r} twice")
         if not (self.margin >= 0.0 and np.isfinite(self.margin)):
             raise ValueError(f"margin must be at least 0, got {self.margin!r}")
         _check_share("missed", self.missed)
         if not self.memory >= 0:
-            raise ValueError(f"memory must be at least 0, got {self.memory!r}")
+            raise ValueError(f"memory must be at least 0 s, got {self.memory!r}")
+        if not (self.frame_rate > 0.0 and np.isfinite(self.frame_rate)):
+            raise ValueError(f"frame_rate must be finite and > 0, got {self.frame_rate!r}")
 
     def initial(self) -> LineState:
         """State before the first frame."""
         none = np.zeros(0, np.int64)
-        return LineState(none, np.zeros((0, 2)), none, NOBODY, NOBODY)
+        return LineState(none, np.zeros((0, 2)), np.zeros(0), NOBODY, NOBODY)
 
-    def step(self, state: LineState, estimate: SetEstimate) -> tuple[LineState, Crossings]:
+    def step(self, state: LineState, estimate: SetEstimate, dt: float | None = None) -> tuple[LineState, Crossings]:
         """Count the crossings between the last reports and this frame.
 
         Args:
             state: State after the last frame.
             estimate: Estimate of this frame; only reported people cross.
+            dt: Time since the last frame, s; None for 1 / `frame_rate`.
+
+        Raises:
+            ValueError: `dt` is not positive, or the estimate holds boxes or probabilities that cannot be.
         """
+        _check_estimate(estimate)
+        dt = checked_period(dt, self.frame_rate)
         feet = _feet(estimate.states)
         before = np.full(len(feet), -1)
         order = np.argsort(state.labels)
@@ -266,11 +286,12 @@ class LineCount:
         feet[waiting] = state.feet[before[waiting]]
         gone = np.ones(len(state.labels), np.bool_)
         gone[before[old]] = False
-        gone &= state.absent < self.memory
+        absent = state.absent + dt
+        gone &= absent <= self.memory + 0.5 * dt
         after = LineState(
             np.concatenate([estimate.labels, state.labels[gone]]),
             np.concatenate([feet, state.feet[gone]]),
-            np.concatenate([np.zeros(len(feet), np.int64), state.absent[gone] + 1]),
+            np.concatenate([np.zeros(len(feet)), absent[gone]]),
             forward,
             backward,
         )
@@ -331,15 +352,38 @@ def _trimmed(first: int, probability: Array) -> NumberDistribution:
     return NumberDistribution(first + int(likely[0]), kept / kept.sum())
 
 
+def _check_chances(name: str, chances: Array) -> None:
+    good = (chances >= 0.0) & (chances <= 1.0)
+    if not good.all():
+        raise ValueError(f"{name} must be in [0, 1], got {chances[~good].flat[0]}")
+
+
+def _check_estimate(estimate: SetEstimate) -> None:
+    """Check an estimate, since one of another source may hold boxes that would count nowhere."""
+    for name, states, existence in (
+        ("estimate.states", estimate.states, estimate.existence),
+        ("estimate.held_states", estimate.held_states, estimate.held_existence),
+    ):
+        if states.ndim != 2 or states.shape[1] != 4 or existence.shape != states.shape[:1]:
+            raise ValueError(
+                f"{name} must be boxes (left, top, width, height) with one probability each, got shapes {states.shape} "
+                f"and {existence.shape}"
+            )
+        check_within(name, states, LIMITS.boxes, "leave out boxes that are not known")
+        _check_chances(name.replace("states", "existence"), existence)
+
+
 def _check_share(name: str, share: float) -> None:
-    if not (share >= 0.0 and np.isfinite(share)):
-        raise ValueError(f"{name} must be at least 0 and finite, got {share!r}")
+    if not 0.0 <= share <= 100.0:
+        raise ValueError(f"{name} must be in 0 to 100, got {share!r}; 1 is as many as the detector finds")
 
 
-def _check_points(name: str, points: Sequence[tuple[float, float]], least: int) -> None:
-    array = np.asarray(points, dtype=np.float64)
+def _checked_points(name: str, points: Sequence[tuple[float, float]], least: int) -> Array:
+    array = as_numbers(name, points)
     if array.ndim != 2 or array.shape[1] != 2 or len(array) < least or not np.isfinite(array).all():
         raise ValueError(f"{name} must be at least {least} points (x, y) with finite numbers, got {points!r}")
+    check_within(name, array, LIMITS.boxes, "give px of the frame")
+    return array
 
 
 @njit(cache=True, nogil=True)

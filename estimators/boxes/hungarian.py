@@ -8,12 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.boxes.kalman import center_boxes, correct_boxes, predict_boxes, started_boxes
-from servotrack.estimators.boxes.report import box_covariances, checked_detections, checked_period, set_of_boxes
+from servotrack.estimators.boxes.report import box_covariances, checked_detections, set_of_boxes
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import box_distances
 from servotrack.estimators.rfs.sets import TENTATIVE_EXISTENCE, SetEstimate
 from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.validation import checked_period
 
 
 class KalmanState(NamedTuple):

@@ -48,6 +48,32 @@ def predict_boxes(mean, variance, missed, period, acceleration, drift, memory): 
 
 
 @njit(cache=True, nogil=True)
+def correct_place(mean, variance, axis, place, noise):  # type: ignore[no-untyped-def]
+    """Kalman correction, in place, of the position and velocity of one track along one axis.
+
+    Args:
+        mean: Mean of the track as in `predict_boxes`; changed. Shape (6,).
+        variance: Variances of the track as in `predict_boxes`; changed. Shape (8,).
+        axis: 0 for columns, 1 for rows.
+        place: Measured center, px.
+        noise: Variance of the measurement, px^2.
+
+    Returns:
+        Innovation divided by its standard deviation.
+    """
+    a, p = 2 * axis, 3 * axis
+    S = noise + variance[p]
+    gain, gain_velocity = variance[p] / S, variance[p + 1] / S
+    gap = place - mean[a]
+    mean[a] += gain * gap
+    mean[a + 1] += gain_velocity * gap
+    variance[p + 2] -= gain_velocity * variance[p + 1]
+    variance[p + 1] *= 1.0 - gain
+    variance[p] *= 1.0 - gain
+    return gap / math.sqrt(S)
+
+
+@njit(cache=True, nogil=True)
 def correct_boxes(mean, variance, partner, boxes, noise, smallest_size):  # type: ignore[no-untyped-def]
     """Kalman correction, in place, of the tracks that have a partner; the four measured entries are independent.
 
@@ -69,16 +95,8 @@ def correct_boxes(mean, variance, partner, boxes, noise, smallest_size):  # type
             continue
         height = mean[i, 5]
         for k in range(2):
-            a, p = 2 * k, 3 * k
-            S = (noise[k] * height) ** 2 + variance[i, p]
-            gain, gain_velocity = variance[i, p] / S, variance[i, p + 1] / S
-            gap = boxes[j, k] + boxes[j, 2 + k] / 2 - mean[i, a]
-            innovation[i, k] = gap / math.sqrt(S)
-            mean[i, a] += gain * gap
-            mean[i, a + 1] += gain_velocity * gap
-            variance[i, p + 2] -= gain_velocity * variance[i, p + 1]
-            variance[i, p + 1] *= 1.0 - gain
-            variance[i, p] *= 1.0 - gain
+            place = boxes[j, k] + boxes[j, 2 + k] / 2
+            innovation[i, k] = correct_place(mean[i], variance[i], k, place, (noise[k] * height) ** 2)
         for k in range(2):
             S = (noise[2 + k] * height) ** 2 + variance[i, 6 + k]
             gain = variance[i, 6 + k] / S

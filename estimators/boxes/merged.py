@@ -20,6 +20,12 @@ class SplitRules(NamedTuple):
             fewer blobs.
         larger: Ratio of a blob's width or height to a person's from which the blob holds more than this person.
             Raising it splits fewer blobs.
+        least: Smallest height of a person in a blob, heights of the blob; shorter ones are fragments. Raising it splits
+            fewer blobs.
+        tall: Smallest height of the tallest person in a blob, heights of the blob: below it a blob of a person's height
+            is one person, whose parts were taken for several. Raising it splits fewer blobs.
+        excess: Deviation of a blob's height from that of a person at its place, standard deviations, from which it is
+            more than one person in any case. Raising it splits fewer blobs of people one above the other.
         solid: Largest ratio of a blob's area to its box's. Detections of a larger ratio are boxes of a person detector
             and never split.
         duplicate: Overlap of two predicted boxes, as a share of the smaller one, from which they count as one person.
@@ -30,13 +36,22 @@ class SplitRules(NamedTuple):
 
     covered: float = 0.6
     larger: float = 1.4
+    least: float = 0.4
+    tall: float = 0.75
+    excess: float = 2.0
     solid: float = 0.97
     duplicate: float = 0.7
     largest_shift: float = 0.25
 
 
-def split_merged(detections: Detections, predicted: Array, rules: SplitRules | None = None) -> Detections:
+def split_merged(
+    detections: Detections, predicted: Array, rules: SplitRules | None = None, deviation: Array | None = None
+) -> Detections:
     """Replace each blob that covers several known people by one detection per person.
+
+    The parts of one person also become one blob. Divided by their boxes, it would confirm each of them, whatever its
+    size, and the next frame would be divided again. So a blob that may be one person is divided only if one of the
+    known people is nearly as tall as the blob is.
 
     The part of a person is the predicted box, moved so that the outermost boxes touch the blob's edges. Its appearance
     is unknown (zeros). Only blobs are split, that is, detections whose area is less than that of their box: a box of
@@ -46,6 +61,8 @@ def split_merged(detections: Detections, predicted: Array, rules: SplitRules | N
         detections: Detections of one frame.
         predicted: Boxes at which known people are expected. Shape (T, 4), px.
         rules: Conditions of a split; None for the defaults.
+        deviation: Deviation of each detection's height from that of a person at its place, standard deviations; None if
+            unknown. Shape (Z,).
 
     Returns:
         New detections, or the same object if no blob covers several people.
@@ -62,6 +79,11 @@ def split_merged(detections: Detections, predicted: Array, rules: SplitRules | N
     larger = (boxes[:, None, 2:] > rules.larger * predicted[None, :, 2:]).any(axis=2)
     # A person belongs to one blob.
     inside = (share >= rules.covered) & larger & blob[:, None] & (share == share.max(axis=0))
+    inside &= predicted[:, 3] >= rules.least * boxes[:, 3:]
+    divisible = (inside & (predicted[:, 3] >= rules.tall * boxes[:, 3:])).any(axis=1)
+    if deviation is not None:
+        divisible |= deviation >= rules.excess
+    inside &= divisible[:, None]
     several = np.flatnonzero(inside.sum(axis=1) >= 2)
     if len(several) == 0:
         return detections
@@ -95,7 +117,8 @@ def _may_cover_several(boxes, blob, predicted, least_cover, ratio):  # type: ign
 
 
 def _distinct(people: Array, duplicate: float) -> Array:
-    """Remove boxes that lie behind an earlier one or repeat it."""
+    """Remove boxes that lie behind a nearer one or repeat it; of two people the one with the lower feet is nearer."""
+    people = people[np.argsort(-(people[:, 1] + people[:, 3]), kind="stable")]
     share = covered_by(people, people)
     same = np.tril(np.maximum(share, share.T) >= duplicate, -1)
     return people[~same.any(axis=1)] if same.any() else people

@@ -50,7 +50,7 @@ class NoiseLearning(NamedTuple):
         limits: Limits of the absolute log factors: measurement, process.
     """
 
-    prior: float = 60.0
+    prior: float = 15.0
     memory: float = 400.0
     size: tuple[float, float] = (0.4, 0.7)
     lag: tuple[float, float] = (0.5, 2.5)

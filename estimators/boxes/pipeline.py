@@ -44,14 +44,19 @@ class DetectThenTrack:
         """
         return DetectThenTrackState(self.detector.initial(frames), None)
 
-    def step(self, state: DetectThenTrackState, frame: ArrayLike) -> tuple[DetectThenTrackState, SetEstimate]:
+    def step(
+        self, state: DetectThenTrackState, frame: ArrayLike, dt: float | None = None
+    ) -> tuple[DetectThenTrackState, SetEstimate]:
         """Detect in a frame and track the detections.
 
         Args:
             state: Result of `initial` or of the last `step`.
             frame: RGB, uint8. Shape (H, W, 3).
+            dt: Time since the last frame, s, for a detector and a tracker whose `step` takes it; None for the nominal
+                one of each.
         """
-        detector, detections = self.detector.step(state.detector, frame)
+        known: dict[str, Any] = {} if dt is None else {"dt": dt}
+        detector, detections = self.detector.step(state.detector, frame, **known)
         tracker = self.tracker.initial(detections) if state.tracker is None else state.tracker
-        tracker, estimate = self.tracker.step(tracker, detections)
+        tracker, estimate = self.tracker.step(tracker, detections, **known)
         return DetectThenTrackState(detector, tracker), estimate

@@ -44,14 +44,19 @@ from servotrack.estimators.boxes.confidence import (
 from servotrack.estimators.boxes.kalman import center_boxes, correct_boxes, predict_boxes, started_boxes
 from servotrack.estimators.boxes.merged import SplitRules, split_merged
 from servotrack.estimators.boxes.noise import NoiseLearning, NoiseScales, initial_noise, learn_noise
-from servotrack.estimators.boxes.overlap import covered_by
 from servotrack.estimators.boxes.person import PersonOdds
-from servotrack.estimators.boxes.perspective import HeightRules, initial_heights
+from servotrack.estimators.boxes.perspective import HeightRules, height_errors, initial_heights
 from servotrack.estimators.boxes.pmb_kernel import (
     associate,
+    birth_chances,
+    detection_odds,
     judge_tracks,
     mix_appearances,
     pair_log_weights,
+    region_share,
+    remaining_existence,
+    settled,
+    stated_existence,
     visible_shares,
 )
 from servotrack.estimators.boxes.pmb_tracks import BoxTracks, new_tracks
@@ -59,13 +64,13 @@ from servotrack.estimators.boxes.report import (
     LARGEST_HELD,
     box_covariances,
     checked_detections,
-    checked_period,
     set_of_boxes,
 )
 from servotrack.estimators.boxes.shared import SharingRules, correct_within, shared_regions
 from servotrack.estimators.detect.detections import Detections
-from servotrack.estimators.rfs.sets import HELD, REPORTED, SetEstimate
+from servotrack.estimators.rfs.sets import REPORTED, SetEstimate
 from servotrack.estimators.types import Array, Labels, Mask
+from servotrack.estimators.validation import checked_period
 
 
 class BoxPMBState(NamedTuple):
@@ -273,10 +278,14 @@ class BoxPMB:
         noise = self._measurement_noise * np.exp(0.5 * state.noise.measurement)
         tracks, visible = self._predicted(state.tracks, state.noise, state.camera, dt)
         tracks, camera = self._steadied(state.camera, tracks, detections, noise, dt, motion)
-        if self.split:
+        regions = region_share(detections.boxes, detections.areas, self.split_rules.solid)
+        if self.split and regions > 0.0:
             known = (tracks.existence >= REPORTED) & (tracks.seen >= self.established)
-            detections = split_merged(detections, center_boxes(tracks.mean[known]), self.split_rules)
-        confidence, reading = read_scores(state.confidence, np.ascontiguousarray(detections.confidences), self.scores)
+            deviation = height_errors(state.heights, np.ascontiguousarray(detections.boxes), self.heights)
+            detections = split_merged(detections, center_boxes(tracks.mean[known]), self.split_rules, deviation)
+        confidence, reading = read_scores(
+            state.confidence, np.ascontiguousarray(detections.confidences), regions, self.scores
+        )
         odds = score_log_odds(confidence, reading, self.scores)
         frame = _Frame(detections, reading, odds, dt, noise, self.cut_share * (1.0 - trust(confidence)))
         tracks, fresh = self._corrected(tracks, visible, frame)
@@ -315,11 +324,16 @@ class BoxPMB:
         there = tracks.existence * tracks.person
         visible, inside = visible_shares(mean, there, float(width), float(height))
         # A person who is more than half outside the frame may have left, if it was not the camera that turned away.
-        turning = np.hypot(*camera.velocity) > self.turning * self.speed * mean[:, 5]
-        staying = np.where(turning, 1.0, np.clip(2.0 * inside, 1e-3, 1.0))
-        existence = tracks.existence * math.exp(-dt / self.lifetime) * staying
-        floor = np.where(tracks.seen >= self.established, self.revival * staying, 0.0)
-        return tracks._replace(mean=mean, variance=variance, existence=np.maximum(existence, floor)), visible
+        existence = remaining_existence(
+            (mean, tracks.existence, tracks.seen),
+            inside,
+            camera.velocity,
+            math.exp(-dt / self.lifetime),
+            self.turning * self.speed,
+            self.established,
+            float(self.revival),
+        )
+        return tracks._replace(mean=mean, variance=variance, existence=existence), visible
 
     def _steadied(
         self,
@@ -338,27 +352,30 @@ class BoxPMB:
         if self.camera is None:
             return tracks, state
         told = (tracks.missed == 0) & (tracks.seen >= self.established)
-        boxes = np.ascontiguousarray(detections.boxes, dtype=np.float64)
         weight = np.where(told, tracks.existence, 0.0)
-        state = camera_step(state, tracks.mean, tracks.variance, weight, boxes, noise, dt, self.camera)
+        state = camera_step(state, tracks.mean, tracks.variance, weight, detections.boxes, noise, dt, self.camera)
         mean = tracks.mean.copy()
         mean[:, [0, 2]] += state.shift
         return tracks._replace(mean=mean), state
 
     def _corrected(self, tracks: BoxTracks, visible: Array, frame: _Frame) -> tuple[BoxTracks, Array]:
         """Tracks updated with the detections, and the probability of each detection that no track explains it."""
-        mean, variance, r = tracks.mean.copy(), tracks.variance.copy(), tracks.existence
-        boxes = np.ascontiguousarray(frame.detections.boxes, dtype=np.float64)
-        again = 1.0 - 0.5 ** (frame.dt / self.miss_half_life)
-        detectable = np.where(tracks.missed > 0, again, self.detection) * np.clip(visible, self.least_visible, 1.0)
-        absence = 1.0 - r * detectable
+        mean, variance, boxes = tracks.mean.copy(), tracks.variance.copy(), frame.detections.boxes
+        detectable, odds = detection_odds(
+            (tracks.existence, tracks.missed),
+            visible,
+            self.detection,
+            1.0 - 0.5 ** (frame.dt / self.miss_half_life),
+            self.least_visible,
+            self.clutter_log_density,
+        )
         log_weight = pair_log_weights(
             mean,
             variance,
             boxes,
             frame.noise,
             self._gate,
-            np.log(r * detectable / absence) - self.clutter_log_density,
+            odds,
             self.score_weight * (frame.odds - self.typical_score),
             frame.cut,
             float(self.cut_scale),
@@ -377,16 +394,22 @@ class BoxPMB:
         found = partner >= 0
         # A detection that belongs to a track in the best assignment starts no other track.
         fresh[partner[found]] = 0.0
-        reading, readings = tracks.reading.copy(), tracks.readings.copy()
-        reading[found] = frame.reading[partner[found]]
-        readings[found] += reading[found]
+        existence, frames, absent, seen, reading, readings = settled(
+            (tracks.existence, tracks.missed, tracks.absent, tracks.seen, tracks.reading, tracks.readings),
+            partner,
+            together,
+            detectable,
+            (missed, assigned),
+            frame.reading,
+            frame.dt,
+        )
         after = tracks._replace(
             mean=mean,
             variance=variance,
-            existence=np.where(together, r, np.minimum(missed * r * (1.0 - detectable) / absence + assigned, 1.0)),
-            missed=np.where(found, 0, tracks.missed + 1),
-            absent=np.where(found, 0.0, tracks.absent + frame.dt),
-            seen=tracks.seen + found,
+            existence=existence,
+            missed=frames,
+            absent=absent,
+            seen=seen,
             shares=together,
             reading=reading,
             readings=readings,
@@ -412,11 +435,9 @@ class BoxPMB:
 
     def _extended(self, tracks: BoxTracks, frame: _Frame, fresh: Array, label: int) -> tuple[BoxTracks, int]:
         """Drop improbable tracks and add a new one for each detection that no track explains."""
-        chance = self.birth * fresh
-        likely = tracks.existence >= REPORTED
-        if likely.any() and len(chance):
-            cover = covered_by(frame.detections.boxes, center_boxes(tracks.mean[likely])).max(axis=1)
-            chance = chance * np.maximum(1.0 - cover, 0.0) ** self.overlap
+        chance = birth_chances(
+            frame.detections.boxes, (tracks.mean, tracks.existence), fresh, self.birth, float(self.overlap)
+        )
         keep = np.flatnonzero((tracks.existence >= self.least_existence) & (tracks.absent <= self.memory))
         new = np.flatnonzero(chance >= self.least_existence)
         if len(keep) == len(tracks.existence) and len(new) == 0:
@@ -446,11 +467,13 @@ class BoxPMB:
 
     def _estimate(self, tracks: BoxTracks) -> SetEstimate:
         """Report the people with a detection; hold the others."""
-        existence = tracks.existence * tracks.person
-        shown = ((tracks.absent <= self.coast) | tracks.shares) & (tracks.seen >= self.confirm)
-        # Whoever has been followed for a while keeps the identity until the track ends.
-        least = np.where(tracks.seen >= self.established, HELD, 0.0)
-        existence = np.where(shown, existence, np.clip(existence, least, min(LARGEST_HELD, 0.99 * self.report)))
+        existence = stated_existence(
+            (tracks.existence, tracks.person, tracks.absent, tracks.shares, tracks.seen),
+            float(self.coast),
+            self.confirm,
+            self.established,
+            min(LARGEST_HELD, 0.99 * self.report),
+        )
         covariances = box_covariances(tracks.variance[:, [0, 3]], tracks.variance[:, 6:])
         return set_of_boxes(center_boxes(tracks.mean), covariances, tracks.label, existence, self.report)
 

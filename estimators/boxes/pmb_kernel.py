@@ -8,11 +8,13 @@ import numpy as np
 
 from servotrack.estimators.boxes.confidence import score_log_odds, trust
 from servotrack.estimators.boxes.kalman import center_boxes
+from servotrack.estimators.boxes.overlap import covered_boxes
 from servotrack.estimators.boxes.person import person_probabilities
 from servotrack.estimators.boxes.perspective import height_errors, learn_heights
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.rfs.association import association_marginals
+from servotrack.estimators.rfs.sets import HELD, REPORTED
 
 
 @njit(cache=True, nogil=True)
@@ -46,6 +48,146 @@ def visible_shares(mean, existence, frame_width, frame_height):  # type: ignore[
                 center, size = mean[i, 2 * axis], mean[i, 4 + axis]
                 inside[i] *= max(min(center + size / 2, end) - max(center - size / 2, 0.0), 0.0) / size
     return visible, inside
+
+
+@njit(cache=True, nogil=True)
+def region_share(boxes, areas, solid):  # type: ignore[no-untyped-def]
+    """Share of the detections whose area is less than `solid` times that of their box: regions of the foreground."""
+    count = 0
+    for j in range(len(boxes)):
+        count += areas[j] < solid * boxes[j, 2] * boxes[j, 3]
+    return count / max(len(boxes), 1)
+
+
+@njit(cache=True, nogil=True)
+def remaining_existence(tracks, inside, velocity, fading, turning, established, revival):  # type: ignore[no-untyped-def]
+    """Existence after the time between two frames, by the share of each track inside the frame.
+
+    Args:
+        tracks: Means (T, 6), existence (T,), numbers of detections (T,).
+        inside: Share inside the frame. Shape (T,).
+        velocity: Velocity of the camera. Shape (2,), px/s.
+        fading: Probability that a person stays who is entirely inside.
+        turning: Speed of the camera from which people outside the frame are expected back, heights/s.
+        established: Number of detections from which `revival` applies.
+        revival: Least existence of a lost person.
+
+    Returns:
+        Shape (T,).
+    """
+    mean, existence, seen = tracks
+    out = np.empty(len(existence))
+    speed = math.hypot(velocity[0], velocity[1])
+    for i in range(len(out)):
+        staying = 1.0 if speed > turning * mean[i, 5] else min(max(2.0 * inside[i], 1e-3), 1.0)
+        out[i] = existence[i] * fading * staying
+        if seen[i] >= established:
+            out[i] = max(out[i], revival * staying)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def detection_odds(tracks, visible, detection, again, least_visible, clutter):  # type: ignore[no-untyped-def]
+    """Probability of each track, if it exists, that it is detected, and log odds of "detected" against clutter.
+
+    Args:
+        tracks: Existence (T,), numbers of frames since the last detection (T,).
+        visible: Visible shares. Shape (T,).
+        detection: Detection probability of a person in full view.
+        again: The same for one who was missed in the last frame.
+        least_visible: Lower limit of the visible share.
+        clutter: Log density of false and new detections.
+
+    Returns:
+        Both of shape (T,).
+    """
+    existence, missed = tracks
+    detectable, odds = np.empty(len(existence)), np.empty(len(existence))
+    for i in range(len(odds)):
+        detectable[i] = (again if missed[i] > 0 else detection) * min(max(visible[i], least_visible), 1.0)
+        odds[i] = math.log(existence[i] * detectable[i] / (1.0 - existence[i] * detectable[i])) - clutter
+    return detectable, odds
+
+
+@njit(cache=True, nogil=True)
+def settled(tracks, partner, shares, detectable, chances, scores, dt):  # type: ignore[no-untyped-def]
+    """Existence, numbers and readings of the tracks after the assignment of a frame.
+
+    Args:
+        tracks: Existence, frames and time since the last detection, numbers of detections, last readings and summed
+            readings, shape (T,) each.
+        partner: Detection of each track, -1 for none. Shape (T,).
+        shares: Mask of the tracks that share a region. Shape (T,).
+        detectable: Detection probabilities. Shape (T,).
+        chances: Marginal probabilities that the track caused no detection, and that it caused one, shape (T,) each.
+        scores: Readings of the detections. Shape (Z,).
+        dt: Time since the last frame, s.
+
+    Returns:
+        The same as `tracks`.
+    """
+    before, frames, times, numbers, last, sums = tracks
+    existence, missed, absent, seen = before.copy(), frames + 1, times + dt, numbers.copy()
+    reading, readings = last.copy(), sums.copy()
+    for i in range(len(existence)):
+        if not shares[i]:
+            r, p = before[i], detectable[i]
+            existence[i] = min(chances[0][i] * r * (1.0 - p) / (1.0 - r * p) + chances[1][i], 1.0)
+        if partner[i] >= 0:
+            missed[i], absent[i] = 0, 0.0
+            seen[i] += 1
+            reading[i] = scores[partner[i]]
+            readings[i] += reading[i]
+    return existence, missed, absent, seen, reading, readings
+
+
+@njit(cache=True, nogil=True)
+def birth_chances(boxes, tracks, fresh, birth, overlap):  # type: ignore[no-untyped-def]
+    """Probability that each detection belongs to something new that persists.
+
+    Args:
+        boxes: Left, top, width, height of the detections. Shape (Z, 4), px.
+        tracks: Means (T, 6), existence (T,).
+        fresh: Probability that no track explains the detection. Shape (Z,).
+        birth: Probability that an unexplained detection belongs to something that persists.
+        overlap: Exponent of the share of the box that no probable track covers.
+
+    Returns:
+        Shape (Z,).
+    """
+    mean, existence = tracks
+    cover = covered_boxes(boxes, center_boxes(mean))
+    out = np.empty(len(boxes))
+    for j in range(len(boxes)):
+        most = 0.0
+        for i in range(len(mean)):
+            if existence[i] >= REPORTED:
+                most = max(most, cover[j, i])
+        out[j] = birth * fresh[j] * max(1.0 - most, 0.0) ** overlap
+    return out
+
+
+@njit(cache=True, nogil=True)
+def stated_existence(tracks, coast, confirm, established, held):  # type: ignore[no-untyped-def]
+    """Probability of each track that it is a person, limited for those that are held.
+
+    Args:
+        tracks: Existence, probability of a person, time since the last detection, mask of shared regions, numbers of
+            detections, shape (T,) each.
+        coast: Time for which undetected people are reported, s.
+        confirm: Number of detections from which a person is reported.
+        established: Number of detections from which a person keeps the identity until the track ends.
+        held: Largest existence of a held identity.
+
+    Returns:
+        Shape (T,).
+    """
+    existence, person, absent, shares, seen = tracks
+    out = existence * person
+    for i in range(len(out)):
+        if not ((absent[i] <= coast or shares[i]) and seen[i] >= confirm):
+            out[i] = min(max(out[i], HELD if seen[i] >= established else 0.0), held)
+    return out
 
 
 @njit(cache=True, nogil=True)

@@ -6,6 +6,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.rfs.sets import HELD, REPORTED, SetEstimate
 from servotrack.estimators.types import Array, Estimator, Labels
@@ -77,24 +78,8 @@ def checked_detections(detections: Detections, features: int | None = None) -> D
     return Detections(boxes, centroids, areas, confidences, appearance)
 
 
-def checked_period(dt: float | None, frame_rate: float) -> float:
-    """Return the time since the last frame, s.
-
-    Args:
-        dt: Measured time since the last frame, s; None if unknown.
-        frame_rate: Frames per second, used where `dt` is None.
-
-    Raises:
-        ValueError: `dt` is not a positive number.
-    """
-    if dt is None:
-        return 1.0 / frame_rate
-    if not (np.isfinite(dt) and dt > 0.0):
-        raise ValueError(f"dt must be finite and > 0, got {dt!r}; pass the time since the last frame in s, or None")
-    return float(dt)
-
-
-def box_covariances(position: Array, size: Array) -> Array:
+@njit(cache=True, nogil=True)
+def box_covariances(position, size):  # type: ignore[no-untyped-def]
     """Covariances of (left, top, width, height) for independent centers and sizes.
 
     Args:
@@ -105,10 +90,11 @@ def box_covariances(position: Array, size: Array) -> Array:
         Shape (k, 4, 4).
     """
     out = np.zeros((len(position), 4, 4))
-    for axis in (0, 1):
-        out[:, axis, axis] = position[:, axis] + size[:, axis] / 4.0
-        out[:, axis, 2 + axis] = out[:, 2 + axis, axis] = -size[:, axis] / 2.0
-        out[:, 2 + axis, 2 + axis] = size[:, axis]
+    for k in range(len(position)):
+        for axis in range(2):
+            out[k, axis, axis] = position[k, axis] + size[k, axis] / 4.0
+            out[k, axis, 2 + axis] = out[k, 2 + axis, axis] = -size[k, axis] / 2.0
+            out[k, 2 + axis, 2 + axis] = size[k, axis]
     return out
 
 
@@ -124,14 +110,22 @@ def set_of_boxes(
         existence: Probabilities of existence. Shape (k,).
         report: Existence from which an identity is reported. Raising it reports fewer.
     """
-    shown = existence >= report
-    held = ~shown & (existence >= HELD)
-    return SetEstimate(
+    states, names, chances, spread, held, held_states, held_chances = _divided(
+        boxes, covariances, labels, existence, report
+    )
+    return SetEstimate(states, names, chances, spread, np.asarray(existence.sum()), held, held_states, held_chances)
+
+
+@njit(cache=True, nogil=True)
+def _divided(boxes, covariances, labels, existence, report):  # type: ignore[no-untyped-def]
+    """Boxes, labels, existence and covariances of the reported identities; labels, boxes and existence of held ones."""
+    shown = np.flatnonzero(existence >= report)
+    held = np.flatnonzero((existence < report) & (existence >= HELD))
+    return (
         boxes[shown],
         labels[shown],
         np.maximum(existence[shown], REPORTED),
         covariances[shown],
-        np.asarray(existence.sum()),
         labels[held],
         boxes[held],
         np.minimum(existence[held], LARGEST_HELD),

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from servotrack.estimators.boxes.kalman import correct_place
 from servotrack.estimators.boxes.overlap import covered_boxes
 from servotrack.estimators.compilation import njit
 
@@ -103,14 +104,7 @@ def correct_within(mean, variance, shared, boxes, noise, rules):  # type: ignore
                 first = first and before[k, a] - half - before[i, a] > least
                 last = last and before[i, a] - before[k, a] - half > least
             if first or last:
-                place = middle + slack * (int(last) - int(first))
-                S = own + variance[i, p]
-                gain, gain_velocity = variance[i, p] / S, variance[i, p + 1] / S
-                mean[i, a + 1] += gain_velocity * (place - mean[i, a])
-                mean[i, a] += gain * (place - mean[i, a])
-                variance[i, p + 2] -= gain_velocity * variance[i, p + 1]
-                variance[i, p + 1] *= 1.0 - gain
-                variance[i, p] *= 1.0 - gain
+                correct_place(mean[i], variance[i], axis, middle + slack * (int(last) - int(first)), own)
             else:
                 mean[i, a] = middle
                 variance[i, p] = max(variance[i, p], slack**2)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from servotrack.estimators.color.contract import check_count, check_positive, check_shares
+from servotrack.estimators.color.contract import check_count, check_positive, check_shares, checked_frame
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.elementary import exponential
 from servotrack.estimators.types import Array, Image
@@ -79,8 +79,12 @@ class LightMeter:
         """Return the light of the first frame, whose gains are 1 by definition.
 
         Args:
-            image: RGB, shape (H, W, 3), uint8.
+            image: RGB, shape (H, W, 3), or gray, shape (H, W); uint8.
+
+        Raises:
+            ValueError: The image has another type or shape.
         """
+        image = checked_frame(image)
         stride = self._stride(image)
         return Light(np.zeros(3), image[::stride, ::stride].copy(), np.zeros(3), 0.0)
 
@@ -89,11 +93,22 @@ class LightMeter:
 
         Args:
             light: Light of the last frame.
-            image: RGB, of the same shape as the frames before, uint8.
+            image: RGB or gray, of the same height and width as the frames before, uint8.
+
+        Raises:
+            ValueError: The image has another type or shape.
         """
+        image = checked_frame(image)
+        stride = self._stride(image)
+        grid = image[::stride, ::stride].shape
+        if grid != light.key.shape:
+            raise ValueError(
+                f"image must have the height and width of the frames before it, got {image.shape[:2]}; resize it, or "
+                "start again with initial(image)"
+            )
         now, change, comparable, agreement = np.empty_like(light.key), np.zeros(3), np.zeros(3), np.zeros(3)
         counts = np.zeros((3, 2 * self.bins + 1), np.int64)
-        _count(image, light.key, self._stride(image), _LOG, self.dark, self.bright, self.step, now, counts)
+        _count(image, light.key, stride, _LOG, self.dark, self.bright, self.step, now, counts)
         _most_frequent(counts, self.window, self.step, change, comparable, agreement)
         least = max(self.few * now[..., 0].size, 1.0)
         everywhere = comparable.min() >= least

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.detect.images import checked_image
 from servotrack.estimators.types import Array
+from servotrack.estimators.validation import as_numbers
 
 
 def color_bins(image: ArrayLike, bins: int = 8) -> NDArray[np.int16]:
@@ -48,7 +49,7 @@ def box_histograms(image: ArrayLike, boxes: ArrayLike, bins: int = 8) -> Array:
     """
     colors = _as_colors(checked_image(image, "image"))
     _check_bins(bins)
-    array = np.asarray(boxes, dtype=np.float64)
+    array = as_numbers("boxes", boxes)
     if array.size == 0:
         array = array.reshape(0, 4)
     if array.ndim != 2 or array.shape[1] != 4 or not np.isfinite(array).all():

@@ -17,10 +17,11 @@ from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.detect.faint import FaintRules, add_faint_regions, join_by_faint_regions
 from servotrack.estimators.detect.healing import HealingRules, heal_regions
 from servotrack.estimators.detect.images import checked_image, checked_images
-from servotrack.estimators.detect.runs import label_runs, measure_runs
+from servotrack.estimators.detect.runs import clear_removed, label_runs, measure_runs
 from servotrack.estimators.detect.soft_light import SoftLightRules, is_shadow, trim_soft_light
 from servotrack.estimators.detect.stillness import Stillness, StillRules, absorb_still_regions, no_stillness
 from servotrack.estimators.types import Array, FloatArray, Image
+from servotrack.estimators.validation import checked_period
 
 
 class NoiseRules(NamedTuple):
@@ -48,7 +49,7 @@ class BackgroundState(NamedTuple):
         mask: Foreground of the last frame after opening and closing, 0 or 255. Shape (H, W), uint8.
         sizes: Heights of people by row.
         frames: Number of frames so far.
-        flooded: Number of consecutive frames whose foreground covered more than `flood` of the image.
+        flooded: Time for which the foreground has covered more than `flood` of the image, s.
         still: Content of the foreground and for how long it has not changed; None without `MaskedBackground.still`.
         noise: Gray levels that most background pixels do not exceed; 0 before they are measured.
         motion: Memory of the checks for a moving camera.
@@ -60,7 +61,7 @@ class BackgroundState(NamedTuple):
     mask: Image
     sizes: Sizes
     frames: int
-    flooded: int
+    flooded: float
     still: Stillness | None
     noise: float
     motion: CameraMotion
@@ -100,8 +101,9 @@ class MaskedBackground:
         shadows: True to remove pixels that are darker than the background and have its color.
         heal_every: Number of frames between two searches for ghosts and changed light; 0 for never.
         flood: Share of the image above which the foreground cannot be people. Then no detections are reported, and
-            after `flood_frames` such frames the frame becomes the background. 1 for never.
-        flood_frames: Number of consecutive frames above `flood` after which the background is replaced.
+            after `flood_time` the frame becomes the background. 1 for never.
+        flood_time: Time above `flood` after which the background is replaced, s. Raising it waits longer for the light
+            to return.
         blobs: Converts the mask to detections.
         faint_rules: Conditions under which a faint region completes a person.
         healing: Conditions under which a region is a ghost or changed light.
@@ -114,6 +116,7 @@ class MaskedBackground:
         motion: Conditions under which the camera moves. Then no detections are reported, and `BackgroundState.notice`
             says so; None for never.
         same_light: True to compute the first background only from frames before the first change of light.
+        frame_rate: Frames per second, where `step` is not given the time between frames.
 
     Raises:
         ValueError: A parameter is out of range.
@@ -130,7 +133,7 @@ class MaskedBackground:
     shadows: bool = False
     heal_every: int = 5
     flood: float = 0.4
-    flood_frames: int = 20
+    flood_time: float = 0.8
     blobs: BlobFinder = field(default_factory=BlobFinder)
     faint_rules: FaintRules = field(default_factory=FaintRules)
     healing: HealingRules = field(default_factory=HealingRules)
@@ -139,6 +142,7 @@ class MaskedBackground:
     still: StillRules | None = field(default_factory=StillRules)
     motion: MotionRules | None = field(default_factory=MotionRules)
     same_light: bool = True
+    frame_rate: float = 25.0
 
     def __post_init__(self) -> None:
         """Check the parameters."""
@@ -161,8 +165,9 @@ class MaskedBackground:
             raise ValueError(f"flood must be a share above 0 and at most 1, got {self.flood!r}")
         if not 0.0 <= self.edges <= 1.0:
             raise ValueError(f"edges must be a share from 0 to 1, got {self.edges!r}")
-        if not (isinstance(self.flood_frames, int) and self.flood_frames >= 1):
-            raise ValueError(f"flood_frames must be a whole number of at least 1, got {self.flood_frames!r}")
+        for name in ("flood_time", "frame_rate"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} must be finite and > 0, got {getattr(self, name)!r}")
 
     @classmethod
     def paper(cls) -> MaskedBackground:
@@ -213,22 +218,26 @@ class MaskedBackground:
         mask = np.zeros((height, width), np.uint8)
         still = no_stillness(height, width) if self.still is not None and self.heal_every else None
         return BackgroundState(
-            first, _rounded(first), mask, self.blobs.initial(), 0, 0, still, 0.0, CameraMotion(), notice
+            first, _rounded(first), mask, self.blobs.initial(), 0, 0.0, still, 0.0, CameraMotion(), notice
         )
 
-    def step(self, state: BackgroundState, frame: ArrayLike) -> tuple[BackgroundState, Detections]:
+    def step(
+        self, state: BackgroundState, frame: ArrayLike, dt: float | None = None
+    ) -> tuple[BackgroundState, Detections]:
         """Detect in a frame, then learn from it.
 
         Args:
             state: Result of `initial` or of the last `step`.
             frame: Frame with the shape of the first one, uint8.
+            dt: Time since the last frame, s; None for 1 / `frame_rate`.
 
         Returns:
             State and detections.
 
         Raises:
-            ValueError: The frame is not a valid image, or its shape differs.
+            ValueError: The frame is not a valid image, its shape differs, or `dt` is not positive.
         """
+        dt = checked_period(dt, self.frame_rate)
         image = checked_image(frame, shape=state.rounded.shape)
         difference = self._difference(image, state.rounded)
         foreground, threshold = self._foreground(difference, image, state.rounded)
@@ -238,38 +247,48 @@ class MaskedBackground:
         held = foreground if self.hold == "pixels" else found.mask
         cv2.accumulateWeighted(image, background, self.learning_rate, mask=cv2.bitwise_not(held))
         frames, still = state.frames + 1, state.still
+        if still is not None:
+            still = Stillness(still.level, still.age, still.passed + dt)
         share = cv2.countNonZero(found.mask) / found.mask.size
-        flooded = state.flooded + 1 if share > self.flood else 0
-        motion = state.motion
-        if self.motion is not None and state.frames % self.motion.every == 0:
-            motion = check_motion(motion, image, share, found.number, self.motion)
+        flooded = state.flooded + dt if share > self.flood else 0.0
+        motion = self._motion(state, dt, image, share, found.number)
         if motion.moving:
             # The newest frame, so that nothing old is in the background when the camera stops.
             background = image.astype(np.float32)
-        elif flooded > self.flood_frames:
-            background, flooded = image.astype(np.float32), 0
+        elif flooded > self.flood_time + 0.5 * dt:
+            background, flooded = image.astype(np.float32), 0.0
             found.runs[:, 3] = -1
         elif self.heal_every and frames % self.heal_every == 0 and found.number:
-            still = self._heal(state, image, background, found, threshold)
+            still = self._heal(state, image, background, found, threshold, still, dt)
         if flooded or in_doubt(motion):
             found.runs[:, 3] = -1
         elif self.edges and found.number:
             found = self._without_soft_light(found, image, state.rounded, background, threshold)
         sizes, detections = self.blobs.find(state.sizes, found.runs, found.number, image)
-        notice = self._notice(motion, flooded, share) or self.blobs.notice(sizes)
+        notice = self._notice(motion, flooded, share, dt) or self.blobs.notice(sizes)
         return BackgroundState(
             background, _rounded(background), found.mask, sizes, frames, flooded, still, noise, motion, notice
         ), detections
 
-    def _notice(self, motion: CameraMotion, flooded: int, share: float) -> str:
+    def _motion(self, state: BackgroundState, dt: float, image: Image, share: float, regions: int) -> CameraMotion:
+        """Memory of the checks for a moving camera; the first frame is checked, then one in each period."""
+        motion, rules = state.motion, self.motion
+        if rules is None:
+            return motion
+        motion = CameraMotion(motion.small, motion.checks, motion.moving, motion.speed, motion.passed + dt)
+        if motion.small is not None and motion.passed < rules.period - 0.5 * dt:
+            return motion
+        return check_motion(motion, image, share, regions, rules)
+
+    def _notice(self, motion: CameraMotion, flooded: float, share: float, dt: float) -> str:
         """Sentence on why nothing is reported; empty if something may be."""
         if motion.moving:
             return (
-                f"the camera moves by about {motion.shift:.1f} px per frame, so that everything differs from the "
+                f"the camera moves by about {motion.speed:.0f} px/s, so that everything differs from the "
                 "background; nothing is reported until it stands still; use a detector that needs no background, such "
                 "as --detector model.onnx"
             )
-        if flooded >= max(self.flood_frames // 2, 1):
+        if flooded > 0.5 * (self.flood_time - dt):
             return (
                 f"the foreground covers {100.0 * share:.0f} % of the image, more than people can; nothing is reported "
                 "until the background is learned anew; if this comes again and again, use a detector that needs no "
@@ -316,15 +335,22 @@ class MaskedBackground:
         return _Regions(mask, runs, count, faint_runs, faint_boxes)
 
     def _heal(
-        self, state: BackgroundState, image: Image, background: FloatArray, found: _Regions, threshold: float
+        self,
+        state: BackgroundState,
+        image: Image,
+        background: FloatArray,
+        found: _Regions,
+        threshold: float,
+        still: Stillness | None,
+        dt: float,
     ) -> Stillness | None:
         """Correct the background under ghosts, changed light and things that do not move; in place."""
         flat = (*found.mask.shape, -1)
         channels, known = image.reshape(flat), background.reshape(flat)
         heal_regions(channels, known, found.runs, found.number, threshold, self.healing)
-        if state.still is None or self.still is None or state.frames // self.heal_every % self.still.every:
-            return state.still
-        still = Stillness(state.still.level.copy(), state.still.age.copy())
+        if still is None or self.still is None or state.frames // self.heal_every % self.still.every:
+            return still
+        level, age = still.level.copy(), still.age.copy()
         boxes, _, _ = measure_runs(found.runs, found.number)
         heights = self.blobs.expected_heights(state.sizes, boxes)
         absorb_still_regions(
@@ -333,12 +359,14 @@ class MaskedBackground:
             found.runs,
             boxes,
             heights,
-            *still,
-            self.still.every * self.heal_every,
+            level,
+            age,
+            still.passed,
+            dt,
             threshold,
             self.still,
         )
-        return still
+        return Stillness(level, age, 0.0)
 
     def _without_soft_light(
         self, found: _Regions, image: Image, known: Image, background: FloatArray, threshold: float
@@ -351,8 +379,7 @@ class MaskedBackground:
         )  # fmt: skip
         if not removed:
             return found
-        for row, first, stop, _ in found.runs[found.runs[:, 3] < 0]:
-            mask[row, first:stop] = 0
+        clear_removed(mask, found.runs)
         return self._labeled(mask, found.faint_runs, found.faint_boxes)
 
     def _difference(self, image: Image, background: Image) -> Image:

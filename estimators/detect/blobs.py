@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TypeAlias
 
 import cv2
@@ -21,7 +22,7 @@ from servotrack.estimators.detect.bodies import (
 )
 from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.detect.images import checked_image
-from servotrack.estimators.detect.runs import label_runs, measure_runs
+from servotrack.estimators.detect.runs import keep_regions, label_runs, measure_runs
 from servotrack.estimators.detect.scene_sizes import (
     TABLE,
     SceneRules,
@@ -189,8 +190,7 @@ class BlobFinder:
         """
         boxes, centroids, areas = measure_runs(runs, regions)
         keep = areas >= self.smallest
-        number = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)
-        runs[:, 3] = number[runs[:, 3]]
+        keep_regions(runs, keep)
         boxes, centroids, areas = boxes[keep], centroids[keep], areas[keep]
         confidences = np.ones(len(boxes))
         if isinstance(state, SceneSizes):
@@ -202,7 +202,7 @@ class BlobFinder:
             if line is not None:
                 runs, boxes, heights = find_bodies(runs, boxes, line, cover)
                 keep = np.maximum(heights, boxes[:, 3]) >= self.least_height
-                runs[:, 3] = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)[runs[:, 3]]
+                keep_regions(runs, keep)
                 boxes = boxes[keep]
                 _, centroids, areas = measure_runs(runs, len(boxes))
                 whole = self.filled * heights[keep] ** 2
@@ -238,7 +238,7 @@ class BlobFinder:
                 whole[cut] *= np.minimum(boxes[cut, 2] / (self.cover.aspect * heights[cut]), 1.0)
                 confidences = np.minimum(areas / whole, 1.0)
                 keep = (confidences >= rules.part) & (np.maximum(heights, boxes[:, 3]) >= rules.far * line.typical)
-        runs[:, 3] = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)[runs[:, 3]]
+        keep_regions(runs, keep)
         boxes, centroids, areas, confidences = boxes[keep], centroids[keep], areas[keep], confidences[keep]
         features = run_appearance(image, runs, len(boxes), self.bins) if self.bins else np.zeros((len(boxes), 0))
         return state, Detections(boxes, centroids, areas, confidences, features)
@@ -246,10 +246,15 @@ class BlobFinder:
 
 def _open(mask: Image, side: int) -> Image:
     """Erosion and dilation by a square. For an even side the anchors differ, so that nothing is shifted."""
-    square, far = np.ones((side, side), np.uint8), side // 2
+    square, far = _rectangle(side, side), side // 2
     eroded = cv2.erode(mask, square, anchor=(far, far))
     return np.asarray(cv2.dilate(eroded, square, anchor=(side - 1 - far, side - 1 - far)), dtype=np.uint8)
 
 
+@lru_cache(maxsize=32)
+def _rectangle(width: int, height: int) -> Image:
+    return np.ones((height, width), np.uint8)
+
+
 def _morphology(mask: Image, operation: int, width: int, height: int) -> Image:
-    return np.asarray(cv2.morphologyEx(mask, operation, np.ones((height, width), np.uint8)), dtype=np.uint8)
+    return np.asarray(cv2.morphologyEx(mask, operation, _rectangle(width, height)), dtype=np.uint8)

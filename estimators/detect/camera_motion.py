@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Image
 
 
@@ -21,7 +23,7 @@ class MotionRules(NamedTuple):
         agree: Smallest share of the corners that move with the median, within half of its length. Raising it asks for
             a camera that only pans.
         confirm: Number of checks in a row that decide.
-        every: Number of frames between two checks.
+        period: Time between two checks, s.
         width: Largest width of the small copies in which corners are followed, px.
         corners: Largest number of corners.
         least_corners: Smallest number of corners for a decision.
@@ -32,7 +34,7 @@ class MotionRules(NamedTuple):
     shift: float = 0.0025
     agree: float = 0.5
     confirm: int = 2
-    every: int = 5
+    period: float = 0.2
     width: int = 192
     corners: int = 64
     least_corners: int = 8
@@ -45,13 +47,15 @@ class CameraMotion(NamedTuple):
         small: Small gray copy of the frame at the last check; None without one. uint8.
         checks: Number of checks in a row that contradict `moving`.
         moving: True while the camera moves.
-        shift: Length of the shift at the last check, px of the frame per frame.
+        speed: Length of the shift at the last check, px of the frame per s.
+        passed: Time since the last check, s.
     """
 
     small: Image | None = None
     checks: int = 0
     moving: bool = False
-    shift: float = 0.0
+    speed: float = 0.0
+    passed: float = 0.0
 
 
 def in_doubt(state: CameraMotion) -> bool:
@@ -79,7 +83,7 @@ def check_motion(state: CameraMotion, image: Image, share: float, regions: int, 
     moving = state.moving
     if checks >= rules.confirm:
         moving, checks = moves, 0
-    return CameraMotion(small, checks, moving, length * image.shape[1] / small.shape[1] / rules.every)
+    return CameraMotion(small, checks, moving, length * image.shape[1] / small.shape[1] / state.passed)
 
 
 def small_copy(image: Image, largest: int) -> Image:
@@ -90,12 +94,47 @@ def small_copy(image: Image, largest: int) -> Image:
     return np.asarray(cv2.cvtColor(reduced, cv2.COLOR_RGB2GRAY) if reduced.ndim == 3 else reduced, dtype=np.uint8)
 
 
+@njit(cache=True, nogil=True)
+def _changed_share(before, now, corners, shift):  # type: ignore[no-untyped-def]
+    """Share of the corners around which the picture changed by at least half of what the shift would change.
+
+    For small shifts d the sum of the squared differences over a window is d' G d with the structure tensor G of
+    the window (Lucas and Kanade 1981), and thus at least |d|^2 times its smaller eigenvalue.
+
+    Args:
+        before: Gray picture. Shape (H, W), uint8.
+        now: The same later. Shape (H, W), uint8.
+        corners: Columns and rows. Shape (k, 2), px.
+        shift: Length of the shift, px.
+    """
+    height, width = before.shape
+    changed, reach = 0, 3
+    for k in range(len(corners)):
+        column, row = int(corners[k, 0] + 0.5), int(corners[k, 1] + 0.5)
+        xx = yy = xy = total = 0.0
+        for y in range(max(row - reach, 1), min(row + reach + 1, height - 1)):
+            for x in range(max(column - reach, 1), min(column + reach + 1, width - 1)):
+                across = 0.5 * (float(before[y, x + 1]) - float(before[y, x - 1]))
+                along = 0.5 * (float(before[y + 1, x]) - float(before[y - 1, x]))
+                difference = float(now[y, x]) - float(before[y, x])
+                xx += across * across
+                yy += along * along
+                xy += across * along
+                total += difference * difference
+        smaller = 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)
+        changed += total >= 0.25 * shift * shift * smaller
+    return changed / len(corners)
+
+
 def _median_flow(before: Image, now: Image, rules: MotionRules) -> tuple[float, float]:
     """Return the length of the corners' median shift, px, and the share of the corners that agree with it."""
     corners = cv2.goodFeaturesToTrack(before, rules.corners, 0.01, before.shape[1] / 16.0)
     if corners is None or len(corners) < rules.least_corners:
         return 0.0, 0.0
     start = np.asarray(corners, dtype=np.float32)
+    # Following corners takes most of the time of a check, and most cameras stand still.
+    if _changed_share(before, now, start[:, 0], rules.shift * before.shape[1]) < rules.agree:
+        return 0.0, 0.0
     followed, found, _ = cv2.calcOpticalFlowPyrLK(before, now, start, start.copy(), winSize=(15, 15), maxLevel=3)
     flow = (np.asarray(followed) - start)[np.ravel(found) == 1, 0]
     if len(flow) < rules.least_corners:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.estimators.types import Array, Estimator
+from servotrack.estimators.validation import LIMITS, as_numbers, check_within
 
 
 class Detections(NamedTuple):
@@ -43,21 +44,22 @@ def detections_from_boxes(boxes: ArrayLike, confidences: ArrayLike | None = None
     Raises:
         ValueError: The shape is wrong, values are not finite, or a width or height is negative.
     """
-    array = np.array(boxes, dtype=np.float64)
+    array = np.array(as_numbers("boxes", boxes))
     if array.size == 0:
         array = array.reshape(0, 4)
     if array.ndim != 2 or array.shape[1] != 4:
         raise ValueError(f"boxes must have shape (k, 4), left, top, width, height, got {array.shape}")
-    bad = ~np.isfinite(array).all(axis=1) | (array[:, 2:] < 0.0).any(axis=1)
+    bad = ~(np.abs(array) <= LIMITS.boxes).all(axis=1) | (array[:, 2:] < 0.0).any(axis=1)
     if bad.any():
         row = int(np.argmax(bad))
         raise ValueError(
-            f"boxes must be finite with width and height of at least 0, got {array[row].tolist()} in row {row}; leave "
-            "bad rows out"
+            f"boxes must be finite, within {LIMITS.boxes:g} px, with width and height of at least 0, got "
+            f"{array[row].tolist()} in row {row}; leave bad rows out"
         )
     count = len(array)
-    given = np.ones(count) if confidences is None else np.array(confidences, dtype=np.float64)
-    if given.shape != (count,) or not np.isfinite(given).all():
-        raise ValueError(f"confidences must be finite with shape ({count},), got {given.shape}")
+    given = np.ones(count) if confidences is None else np.array(as_numbers("confidences", confidences))
+    if given.shape != (count,):
+        raise ValueError(f"confidences must have shape ({count},), got {given.shape}; give one for each box")
+    check_within("confidences", given, LIMITS.scores, "leave such boxes out")
     centroids = array[:, :2] + array[:, 2:] / 2.0
     return Detections(array, centroids, array[:, 2] * array[:, 3], given, np.zeros((count, 0)))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.detect.camera_motion import small_copy
+from servotrack.estimators.detect.detections import detections_from_boxes
 from servotrack.estimators.detect.images import checked_image
 from servotrack.estimators.types import Array, Image
 
@@ -66,13 +67,14 @@ class PictureMotion:
 
     def __post_init__(self) -> None:
         for name, least in (("width", 16), ("corners", 8), ("least_corners", 3), ("window", 5)):
-            if not getattr(self, name) >= least:
-                raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)!r}")
+            value = getattr(self, name)
+            if not (isinstance(value, int) and value >= least):
+                raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
         if not 0.0 < self.agree <= 1.0:
             raise ValueError(f"agree must be in (0, 1], got {self.agree!r}")
         for name in ("tolerance", "quiet", "weakest"):
-            if not getattr(self, name) >= 0.0:
-                raise ValueError(f"{name} must be at least 0, got {getattr(self, name)!r}")
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must be at least 0 and finite, got {getattr(self, name)!r}")
 
     def initial(self) -> PictureMotionState:
         """State before the first frame."""
@@ -93,12 +95,12 @@ class PictureMotion:
             where it is unknown: in the first frame, and in pictures without texture or with too few corners that agree.
 
         Raises:
-            ValueError: The frame is no image.
+            ValueError: The frame is not an image, or boxes are not finite or of another shape.
         """
         image = checked_image(frame)
         small = small_copy(image, self.width)
         scale = image.shape[1] / small.shape[1]
-        found = np.asarray(boxes, dtype=np.float64).reshape(-1, 4) / scale
+        found = detections_from_boxes(boxes).boxes / scale
         after = PictureMotionState(small, np.concatenate([found[:, :2], found[:, :2] + found[:, 2:]], axis=1))
         if state.small is None or state.small.shape != small.shape:
             return after, None

@@ -78,6 +78,39 @@ def _root(parent, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def keep_regions(runs, keep):  # type: ignore[no-untyped-def]
+    """Number the regions that are kept anew, in place; the index of runs of all others becomes -1.
+
+    Args:
+        runs: Result of `label_runs`; changed.
+        keep: Mask of the regions. Shape (k,).
+    """
+    number = np.full(len(keep), -1, np.int32)
+    count = 0
+    for k in range(len(keep)):
+        if keep[k]:
+            number[k] = count
+            count += 1
+    for n in range(len(runs)):
+        if runs[n, 3] >= 0:
+            runs[n, 3] = number[runs[n, 3]]
+
+
+@njit(cache=True, nogil=True)
+def clear_removed(mask, runs):  # type: ignore[no-untyped-def]
+    """Set the pixels of runs with a negative index to 0, in place.
+
+    Args:
+        mask: Foreground. Shape (H, W), uint8; changed.
+        runs: Runs of the mask.
+    """
+    for n in range(len(runs)):
+        if runs[n, 3] < 0:
+            for column in range(runs[n, 1], runs[n, 2]):
+                mask[runs[n, 0], column] = 0
+
+
+@njit(cache=True, nogil=True)
 def measure_runs(runs, regions):  # type: ignore[no-untyped-def]
     """Boxes, centroids and areas of regions.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import FloatArray
@@ -15,18 +14,18 @@ class StillRules(NamedTuple):
     """Conditions under which a region is a thing that does not move.
 
     Attributes:
-        small_frames: Number of frames after which a region too small for a person is absorbed. Raising it keeps
-            motionless parts of people longer, and moved things, too.
-        frames: Number of frames after which any region is absorbed. People who breathe and sway do not stay that still;
-            rendered ones may.
+        small_time: Time after which a region too small for a person is absorbed, s. Raising it keeps motionless parts
+            of people longer, and moved things, too.
+        time: Time after which any region is absorbed, s. People who breathe and sway do not stay that still; rendered
+            ones may.
         small: Largest height of a small region, in heights of a person at its place.
         share: Smallest share of a region's outline that has not changed.
         every: Number of searches for ghosts between two searches for things that do not move.
         tolerance: Largest change of brightness that counts as none, as a share of the threshold of foreground.
     """
 
-    small_frames: int = 50
-    frames: int = 1500
+    small_time: float = 5.0
+    time: float = 60.0
     small: float = 0.5
     share: float = 0.8
     every: int = 2
@@ -38,21 +37,23 @@ class Stillness(NamedTuple):
 
     Attributes:
         level: Running mean of the brightness since it last changed, gray levels. Shape (H, W), float32.
-        age: Number of frames since the brightness of a foreground pixel last changed; 0 on the background. Shape
-            (H, W), uint16.
+        age: Time since the brightness of a foreground pixel last changed, s; 0 on the background. Shape (H, W),
+            float32.
+        passed: Time since the memory was last updated, s.
     """
 
     level: FloatArray
-    age: NDArray[np.uint16]
+    age: FloatArray
+    passed: float
 
 
 def no_stillness(height: int, width: int) -> Stillness:
     """Return the memory before the first frame."""
-    return Stillness(np.zeros((height, width), np.float32), np.zeros((height, width), np.uint16))
+    return Stillness(np.zeros((height, width), np.float32), np.zeros((height, width), np.float32), 0.0)
 
 
 @njit(cache=True, nogil=True)
-def absorb_still_regions(image, background, runs, boxes, heights, level, age, passed, threshold, rules):  # type: ignore[no-untyped-def]
+def absorb_still_regions(image, background, runs, boxes, heights, level, age, passed, dt, threshold, rules):  # type: ignore[no-untyped-def]
     """Follow the content of the foreground; copy regions that do not move into the background, in place.
 
     Args:
@@ -62,8 +63,9 @@ def absorb_still_regions(image, background, runs, boxes, heights, level, age, pa
         boxes: Boxes of the regions. Shape (k, 4), px.
         heights: Height of a person at the place of each region, px; 0 where unknown. Shape (k,).
         level: `Stillness.level`; changed.
-        age: `Stillness.age` of the frame before; changed.
-        passed: Number of frames since the last call.
+        age: `Stillness.age` at the last call; changed.
+        passed: Time since the last call, s.
+        dt: Time since the frame before, s: the age of what is new.
         threshold: Difference from which a pixel is foreground, gray levels.
         rules: A `StillRules`.
 
@@ -74,7 +76,7 @@ def absorb_still_regions(image, background, runs, boxes, heights, level, age, pa
     ends, still = np.zeros(regions), np.zeros(regions)
     limits = np.empty(regions)
     for k in range(regions):
-        limits[k] = rules.small_frames if boxes[k, 3] < rules.small * heights[k] else rules.frames
+        limits[k] = rules.small_time if boxes[k, 3] < rules.small * heights[k] else rules.time
     fresh = np.zeros_like(age)
     for n in range(runs.shape[0]):
         row, first, stop, k = runs[n]
@@ -86,10 +88,10 @@ def absorb_still_regions(image, background, runs, boxes, heights, level, age, pa
                 total += image[row, column, channel]
             change = total / channels - level[row, column]
             if abs(change) < rules.tolerance * threshold and age[row, column] > 0:
-                fresh[row, column] = min(int(age[row, column]) + passed, 65535)
+                fresh[row, column] = age[row, column] + passed
                 level[row, column] += 0.25 * change
             else:
-                fresh[row, column] = 1
+                fresh[row, column] = dt
                 level[row, column] += change
         ends[k] += 2.0
         still[k] += (fresh[row, first] > limits[k]) + (fresh[row, stop - 1] > limits[k])

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
-from servotrack.estimators.validation import as_numbers, first_bad
+from servotrack.estimators.validation import LIMITS, as_numbers, first_bad, is_within
 
 
 class Span(NamedTuple):
@@ -63,8 +63,14 @@ def spans(probability: ArrayLike, threshold: float = 0.5, bridge: int = 6) -> li
         probability: Probability of presence, see `presence`. Shape (T,).
         threshold: Probability above which a row belongs to a span.
         bridge: Longest gap, in rows, that does not end a span.
+
+    Raises:
+        ValueError: Probabilities that are not finite, or of another shape.
     """
-    above = np.flatnonzero(np.asarray(probability) > threshold)
+    given = as_numbers("probability", probability)
+    if given.ndim != 1 or not is_within(given, LIMITS.scores):
+        raise ValueError(f"probability must be finite with shape (T,), got shape {given.shape}; leave such rows out")
+    above = np.flatnonzero(given > threshold)
     if not len(above):
         return []
     breaks = np.flatnonzero(np.diff(above) > bridge + 1)

@@ -7,6 +7,7 @@ farther the arm moved in it. The noise of the features is measured while the arm
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
@@ -157,7 +158,7 @@ class AdaptiveKalmanJacobian:
         alignment, increment = self.alignment.step(state.alignment, single)
         *batch, m, n = single.joint_angles.shape
         units = self.units(m, n)
-        rows = int(np.prod(batch, dtype=np.int64))
+        rows = math.prod(batch)
         offset = alignment.frame_features[..., 0] - single.goal[..., 0]
         flat = _flat_rows((state.filter, increment, offset, alignment.seen), rows, len(batch))
         results = filter_rows(*flat, units, self.noise())

@@ -7,6 +7,7 @@ estimator. Therefore the latest encoder readings are kept and interpolated at th
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -125,7 +126,7 @@ class Alignment:
         self.check_against(state, measurement)
         batch, n, m = measurement.time.shape, measurement.joint_angles.shape[-1], measurement.features.shape[-1]
         read_at = measurement.time if measurement.joint_time is None else measurement.joint_time
-        rows = int(np.prod(batch, dtype=np.int64))
+        rows = math.prod(batch)
         waiting = state.waiting_time.shape[-1]
         before = AlignmentState(
             state.history_time.reshape(rows, self.history),
@@ -281,7 +282,8 @@ def align_rows(before, now, turning, half_play):  # type: ignore[no-untyped-def]
         if now.read_at[row] > times[length - 1]:
             for k in range(length - 1):
                 times[k] = times[k + 1]
-                readings[k] = readings[k + 1]
+                for i in range(n):
+                    readings[k, i] = readings[k + 1, i]
         times[length - 1] = now.read_at[row]
         for i in range(n):
             reading = now.angles[row, i]
@@ -296,7 +298,8 @@ def align_rows(before, now, turning, half_play):  # type: ignore[no-untyped-def]
         instant = -np.inf
         if now.visible[row] and now.stamp[row] >= times[0] and (not seen[row] or now.stamp[row] > frame_time[row]):
             instant = now.stamp[row]
-            found[:] = now.features[row]
+            for i in range(m):
+                found[i] = now.features[row, i]
         if places > 0:
             instant = _next_frame(
                 new_waiting_time[row], new_waiting_features[row], instant, found, times[length - 1] + 1e-9
@@ -321,8 +324,10 @@ def align_rows(before, now, turning, half_play):  # type: ignore[no-untyped-def]
                     change[row, i] = found[i] - frame_features[row, i]
             new_seen[row] = True
             new_frame_time[row] = instant
-            new_frame_joints[row] = at_frame
-            new_frame_features[row] = found
+            for i in range(n):
+                new_frame_joints[row, i] = at_frame[i]
+            for i in range(m):
+                new_frame_features[row, i] = found[i]
         if new_seen[row]:
             pending_time[row] = now.time[row] - new_frame_time[row]
             step, age = times[length - 1] - times[length - 2], now.time[row] - times[length - 1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -112,7 +113,7 @@ class Cautious:
         """
         covariance, variance = uncertainty(estimate)
         *batch, m, d = estimate.jacobian.shape
-        rows = int(np.prod(batch, dtype=np.int64))
+        rows = math.prod(batch)
         given = getattr(estimate, "goal_velocity", None)
         motion, curvature, integral = _motions(
             integral.reshape(rows, m),

@@ -33,6 +33,7 @@ from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
 from servotrack.estimators.jacobian.chain_estimate import ChainEstimate
 from servotrack.estimators.jacobian.chain_fit import update_chains
 from servotrack.estimators.jacobian.chain_records import ChainFrame, ChainMemory, ChainOutput, ChainSettings
+from servotrack.estimators.jacobian.chain_scores import foresee
 from servotrack.estimators.jacobian.contract import Increment, JacobianEstimator, ServoMeasurement
 from servotrack.estimators.jacobian.measurement import checked
 from servotrack.estimators.types import Array, Mask
@@ -113,6 +114,9 @@ class ChainJacobian:
             keep them during longer disturbances.
         drift: Standard deviation of the features' velocity that is not the arm's while the chain serves, px/s; it only
             enters `covariance`.
+        eager: Number of frames that are fitted as they come. Larger values learn sooner what the first moves show.
+        refit: Number of frames between two fits after that, most of which search for a better explanation; the frames
+            between them correct the last fit. Larger values take less time, and find it later.
         moving: True for a rigid target that moves by itself, in the hand's or the world's frame. Its motion is filtered
             from what the chain leaves unexplained, and gives J_t, without a variance: a law feeds it forward in full.
         target_speed: Prior standard deviation of a moving target's rates, rad/s and mean depths of the points/s.
@@ -147,6 +151,8 @@ class ChainJacobian:
     offset_time: float = 1.0
     patience: float = 40.0
     drift: float = 5.0
+    eager: float = 100.0
+    refit: int = 4
     moving: bool = False
     target_speed: float = 0.02
     target_change: float = 0.015
@@ -165,6 +171,8 @@ class ChainJacobian:
             raise ValueError(f"keyframes must be at least 2, got {self.keyframes}")
         if self.iterations < 1:
             raise ValueError(f"iterations must be at least 1, got {self.iterations}")
+        if self.refit < 1:
+            raise ValueError(f"refit must be at least 1 frame, got {self.refit}")
         if self.memory < 1.0:
             raise ValueError(f"memory must be at least 1 frame, got {self.memory}")
 
@@ -292,6 +300,8 @@ class ChainJacobian:
             scatter=np.zeros(batch),
             known=np.zeros((*batch, points), np.bool_),
             parameters=parameters,
+            factor=np.zeros((*batch, parameters.shape[-1], parameters.shape[-1])),
+            turn=np.zeros(batch),
             damping=np.zeros((*batch, 2)),
             cost=np.zeros((*batch, 2)),
             reverse=np.broadcast_to(np.array([False, True]), (*batch, 2)).copy(),
@@ -326,6 +336,7 @@ class ChainJacobian:
             **numbers | {"center_spread": numbers["center_spread"] / numbers["focal"]},
             turning=turning,
             iterations=int(self.iterations),
+            refit=int(self.refit),
         )
 
 
@@ -349,6 +360,7 @@ _POSITIVE = (
     "offset_time",
     "patience",
     "drift",
+    "eager",
     "target_speed",
     "target_change",
     "target_turn",
@@ -385,8 +397,13 @@ def _frame(state: ChainState, alignment: AlignmentState, increment: Increment) -
     m = state.seen.shape[-1]
     fresh = increment.fresh | (alignment.seen & ~state.alignment.seen)
     features, seen = alignment.frame_features[..., :m], (alignment.frame_features[..., m:] > 0.5) & fresh[..., None]
-    motion = alignment.frame_joints[..., None, :] - state.seen_joints
-    expected = state.seen_features + np.einsum("...ij,...ij->...i", state.jacobian[..., :-1], motion)
+    rows, n = fresh.size, alignment.frame_joints.shape[-1]
+    expected = foresee(
+        state.seen_joints.reshape(rows, m, n),
+        state.seen_features.reshape(rows, m),
+        state.jacobian.reshape(rows, m, n + 1),
+        alignment.frame_joints.reshape(rows, n),
+    ).reshape(features.shape)
     expected += state.jacobian[..., -1] * (alignment.frame_time[..., None] - state.seen_time)
     return ChainFrame(
         fresh=fresh,

@@ -1,11 +1,12 @@
 """Bank of rigid chains that differ in the play of their gears: one compiled step for all of them.
 
-It returns what an `EstimatorBank` of `ChainJacobian`s does, to the bit, in a fraction of the time: present features and
-covariances are computed for the chosen chain alone.
+It returns what an `EstimatorBank` of `ChainJacobian`s that are fitted in turn does, to the bit, in a fraction of the
+time: present features and covariances are computed for the chosen chain alone.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
@@ -15,7 +16,7 @@ from servotrack.estimators.jacobian.adaptive import AdaptiveFilter, AdaptiveKalm
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState, gears
 from servotrack.estimators.jacobian.bank import EstimatorBankState, check_memory
 from servotrack.estimators.jacobian.chain import ChainJacobian, ChainState, checked_points
-from servotrack.estimators.jacobian.chain_bank_kernel import BankReadings, advance_rows, update_bank
+from servotrack.estimators.jacobian.chain_bank_kernel import BankReadings, step_bank
 from servotrack.estimators.jacobian.chain_estimate import ChainEstimate
 from servotrack.estimators.jacobian.chain_records import ChainMemory, ChainSettings
 from servotrack.estimators.jacobian.contract import ServoMeasurement
@@ -88,7 +89,9 @@ class ChainBank:
         members = _mapped(alone, lambda each: np.repeat(np.expand_dims(each, axis), count, axis))
         moves = members.chain.moves.copy()
         moves[..., len(self.plays) :] = True
-        members = members._replace(chain=members.chain._replace(moves=moves))
+        # One fit at a time: chains take turns.
+        turns = np.broadcast_to(np.arange(count, dtype=np.float64), moves.shape).copy()
+        members = members._replace(chain=members.chain._replace(moves=moves, turn=turns))
         return EstimatorBankState(members, np.zeros((*np.shape(measurement.time), count)))
 
     def step(
@@ -100,7 +103,7 @@ class ChainBank:
         before: ChainState = state.members
         self._check(before, whole)
         count, axes = self.count, len(batch)
-        rows = int(np.prod(batch, dtype=np.int64))
+        rows = math.prod(batch)
         prepared = self._prepared.get((n, m)) or self._prepare(n, m)
 
         def flat(values: Any) -> Any:
@@ -121,28 +124,11 @@ class ChainBank:
             whole.time.reshape(rows),
         )
         linear: Any = self.chain.linear
-        aligned, row_aligned, filtered = advance_rows(
+        aligned, row_aligned, filtered, seen, memory, log_weight, found = step_bank(
             AlignmentState(*map(flat, before.alignment)),
             AlignmentState(*map(flat, before.linear.alignment)),
             AdaptiveFilter(*map(flat, before.linear.filter)),
-            readings,
-            (prepared.turning, prepared.half_play, self.chain.alignment.latency),
-            (prepared.row_turning, prepared.row_half_play, linear.alignment.latency),
-            prepared.units,
-            prepared.noise,
-        )
-        alignment, row_alignment, newest = (
-            list(map(shaped, part)) for part in (aligned[:8], row_aligned, filtered[:9])
-        )
-        # NumPy sums in an order of its own, which a loop would not reproduce to the bit.
-        motion = alignment[4][..., None, :] - before.seen_joints
-        foreseen = before.seen_features + np.einsum("...ij,...ij->...i", before.jacobian[..., :-1], motion)
-        chains: Any = before.chain
-        memory = ChainMemory(*(flat(each).copy() for each in chains))
-        seen, log_weight, found = update_bank(
-            memory,
             (
-                flat(before.alignment.seen),
                 flat(before.seen_joints),
                 flat(before.seen_features),
                 flat(before.seen_time),
@@ -150,18 +136,20 @@ class ChainBank:
                 flat(before.jacobian),
                 flat(before.center),
             ),
-            aligned,
-            flat(foreseen),
-            filtered[9:],
-            readings.goal,
+            ChainMemory(*map(flat, before.chain)),  # type: ignore[arg-type]
+            readings,
             np.ascontiguousarray(state.log_weight).reshape(rows, count),
+            (prepared.turning, prepared.half_play, self.chain.alignment.latency),
+            (prepared.row_turning, prepared.row_half_play, linear.alignment.latency),
+            (prepared.units, prepared.noise),
             prepared.settings,
             (self.forgetting, self.floor),
         )
+        newest = list(map(shaped, filtered))
         seen_joints, seen_features, seen_time, ever_seen = map(shaped, seen)
         members = ChainState(
-            linear=AdaptiveState(AlignmentState(*row_alignment), AdaptiveFilter(*newest)),
-            alignment=AlignmentState(*alignment),
+            linear=AdaptiveState(AlignmentState(*map(shaped, row_aligned)), AdaptiveFilter(*newest)),
+            alignment=AlignmentState(*map(shaped, aligned)),
             center=before.center,
             seen_joints=seen_joints,
             seen_features=seen_features,
@@ -189,8 +177,16 @@ class ChainBank:
 
     def _check(self, before: ChainState, whole: ServoMeasurement) -> None:
         """Raise ValueError if a measurement does not continue a state, as `Alignment.step` does."""
-        axis, m = whole.time.ndim, before.seen_features.shape[-1]
+        axis, m, n = whole.time.ndim, before.seen_features.shape[-1], whole.joint_angles.shape[-1]
         first: Any = before.alignment
+        clock = whole.time if whole.joint_time is None else whole.joint_time
+        fits = (
+            before.seen_joints.shape == (*whole.time.shape, self.count, whole.features.shape[-1], n)
+            and first.history_time.shape[-1] == self.chain.alignment.history
+            and (whole.joint_time is None) == (first.waiting_time.shape[-1] == 0)
+        )
+        if fits and bool((clock[..., None] >= first.history_time[..., -1]).all()):
+            return
         if first.seen.ndim != axis + 1 or first.seen.shape[-1] != self.count:
             first = _mapped(first, lambda each: each[..., None])
         else:

@@ -10,8 +10,8 @@ from servotrack.estimators.compilation import njit
 from servotrack.estimators.jacobian.adaptive import filter_rows
 from servotrack.estimators.jacobian.alignment import AlignmentState, Readings, align_rows
 from servotrack.estimators.jacobian.chain_fit import copy_chain, update_row
-from servotrack.estimators.jacobian.chain_records import ChainFrame, ChainOutput
-from servotrack.estimators.jacobian.chain_scores import write_present
+from servotrack.estimators.jacobian.chain_records import ChainFrame, ChainMemory, ChainOutput
+from servotrack.estimators.jacobian.chain_scores import foresee, write_present
 from servotrack.estimators.jacobian.chain_target import restart_target
 from servotrack.estimators.jacobian.contract import Increment
 from servotrack.estimators.types import Array, Mask
@@ -30,7 +30,79 @@ class BankReadings(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def advance_rows(frames, rows, linear, readings, frame_gears, row_gears, units, noise):  # type: ignore[no-untyped-def]
+def step_bank(  # type: ignore[no-untyped-def]
+    frames, rows, linear, seen, memory, readings, log_weight, frame_gears, row_gears, tuning, settings, weighting
+):
+    """Advance a bank by one measurement.
+
+    Args:
+        frames: See `_advance_rows`.
+        rows: See `_advance_rows`.
+        linear: See `_advance_rows`.
+        seen: Fields of the `ChainState`s: `seen_joints`, `seen_features`, `seen_time`, `seen`, `jacobian` and `center`,
+            with a leading axis R.
+        memory: `ChainMemory` with a leading axis R.
+        readings: `BankReadings`.
+        log_weight: Logarithms of the weights. Shape (rows, K).
+        frame_gears: See `_advance_rows`.
+        row_gears: See `_advance_rows`.
+        tuning: Units and noise, see `filter_rows`.
+        settings: A `ChainSettings`.
+        weighting: Memory of the weights, and their floor.
+
+    Returns:
+        Fields of the new `AlignmentState`s of frames and features, and of the `AdaptiveFilter`; the new `seen_joints`,
+        `seen_features`, `seen_time` and `seen`; the new `ChainMemory`; new logarithms of the weights; fields of the
+        `ChainEstimate`, with a leading axis of rows.
+    """
+    aligned, single, filtered = _advance_rows(frames, rows, linear, readings, frame_gears, row_gears, tuning)
+    foreseen = foresee(seen[0], seen[1], seen[4], aligned[4])
+    new = _copied(memory)
+    now_seen, weights, found = _update_bank(
+        new, frames.seen, seen, aligned, foreseen, filtered[9:], readings.goal, log_weight, settings, weighting
+    )
+    return aligned[:8], single, filtered[:9], now_seen, new, weights, found
+
+
+@njit(cache=True, nogil=True)
+def _copied(memory):  # type: ignore[no-untyped-def]
+    """Return a copy of a `ChainMemory`."""
+    return ChainMemory(
+        memory.started.copy(),
+        memory.origin.copy(),
+        memory.angles.copy(),
+        memory.features.copy(),
+        memory.weights.copy(),
+        memory.scatter.copy(),
+        memory.known.copy(),
+        memory.parameters.copy(),
+        memory.factor.copy(),
+        memory.turn.copy(),
+        memory.damping.copy(),
+        memory.cost.copy(),
+        memory.reverse.copy(),
+        memory.challenge.copy(),
+        memory.noise.copy(),
+        memory.offset.copy(),
+        memory.offset_variance.copy(),
+        memory.offset_power.copy(),
+        memory.residual_power.copy(),
+        memory.white.copy(),
+        memory.residual.copy(),
+        memory.errors.copy(),
+        memory.failures.copy(),
+        memory.served.copy(),
+        memory.least_error.copy(),
+        memory.frames.copy(),
+        memory.moves.copy(),
+        memory.motion.copy(),
+        memory.motion_covariance.copy(),
+        memory.evidence.copy(),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _advance_rows(frames, rows, linear, readings, frame_gears, row_gears, tuning):  # type: ignore[no-untyped-def]
     """Align frames and single features, and update the linear filters.
 
     Args:
@@ -40,8 +112,7 @@ def advance_rows(frames, rows, linear, readings, frame_gears, row_gears, units, 
         readings: `BankReadings`.
         frame_gears: Mask of the joints that turn (n,), half of their play (K, n), and latency, for `frames`.
         row_gears: The same for `rows`, with half plays (K m, n).
-        units: See `filter_rows`.
-        noise: See `filter_rows`.
+        tuning: Units and noise, see `filter_rows`.
 
     Returns:
         Results of `align_rows` for the frames; the fields of the new `AlignmentState` of the features, with leading
@@ -91,7 +162,7 @@ def advance_rows(frames, rows, linear, readings, frame_gears, row_gears, units, 
         single[12].reshape((total, m, n)),
         single[13].reshape((total, m)),
     )
-    filtered = filter_rows(linear, increment, offset, seen, units, noise)
+    filtered = filter_rows(linear, increment, offset, seen, tuning[0], tuning[1])
     history, waiting = rows.history_time.shape[2], rows.waiting_time.shape[2]
     split = (
         single[0].reshape((total, m, history)),
@@ -124,16 +195,16 @@ def _merged(rows):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def update_bank(  # type: ignore[no-untyped-def]
-    memory, before, aligned, foreseen, linear, goal, log_weight, settings, weighting
+def _update_bank(  # type: ignore[no-untyped-def]
+    memory, was_seen, before, aligned, foreseen, linear, goal, log_weight, settings, weighting
 ):
     """Update all chains, and compute the estimate of the best one of each row.
 
     Args:
         memory: `ChainMemory` with a leading axis R; changed.
-        before: Fields of the `ChainState`s: `alignment.seen`, `seen_joints`, `seen_features`, `seen_time`, `seen`,
-            `jacobian` and `center`, with a leading axis R.
-        aligned: See `advance_rows`.
+        was_seen: `alignment.seen` of the `ChainState`s. Shape (R,).
+        before: See `step_bank`.
+        aligned: See `_advance_rows`.
         foreseen: Features that the linear filter foresees from the joints' motion. Shape (R, m), px.
         linear: Fields of the `LinearEstimate`, with a leading axis R.
         goal: Desired features. Shape (rows, m), px.
@@ -147,7 +218,7 @@ def update_bank(  # type: ignore[no-untyped-def]
     """
     rows, count = log_weight.shape
     n, m = aligned[4].shape[1], goal.shape[1]
-    frame, seen = _frames(before, aligned, foreseen)
+    frame, seen = _frames(was_seen, before, aligned, foreseen)
     size = memory.parameters.shape[2]
     output = ChainOutput(
         np.zeros((rows * count, m)),
@@ -160,7 +231,7 @@ def update_bank(  # type: ignore[no-untyped-def]
         np.zeros(rows * count, np.bool_),
         np.zeros((rows * count, size)),
     )
-    normals, weights = np.empty((count, 2, size, size)), np.empty((rows, count))
+    weights = np.empty((rows, count))
     error, jacobian, covariance = np.empty((rows, m)), np.empty((rows, m, n + 1)), np.empty((rows, m, n + 1, n + 1))
     variance, log_likelihood, nis = np.empty((rows, m)), np.empty(rows), np.empty(rows)
     chained, parameters, reverse = np.empty((rows, m), np.bool_), np.empty((rows, size)), np.empty(rows, np.bool_)
@@ -168,7 +239,7 @@ def update_bank(  # type: ignore[no-untyped-def]
     for row in range(rows):
         for k in range(count):
             r = row * count + k
-            update_row(memory, frame, settings, output, normals[k], r)
+            update_row(memory, frame, settings, output, r)
             if not output.chained[r]:
                 output.log_likelihood[r], output.nis[r] = linear[2][r], linear[3][r]
             weights[row, k] = weighting[0] * log_weight[row, k] + output.log_likelihood[r] / m
@@ -176,7 +247,7 @@ def update_bank(  # type: ignore[no-untyped-def]
         k = _chosen(weights[row], memory, row * count, weighting[1])
         r = row * count + k
         best = output.best[r]
-        write_present(memory, frame, settings, output, normals[k, best], r)
+        write_present(memory, frame, settings, output, r)
         log_likelihood[row], nis[row] = output.log_likelihood[r], output.nis[r]
         parameters[row], reverse[row] = output.parameters[r], memory.reverse[r, best]
         for j in range(n):
@@ -184,7 +255,7 @@ def update_bank(  # type: ignore[no-untyped-def]
         for i in range(m):
             chained[row, i] = output.chained[r] and memory.known[r, i // 2]
             if chained[row, i]:
-                error[row, i] = output.features[r, i] + (before[6][r, i % 2] - goal[row, i])
+                error[row, i] = output.features[r, i] + (before[5][r, i % 2] - goal[row, i])
                 variance[row, i] = output.variance[r, i]
                 jacobian[row, i], covariance[row, i] = output.jacobian[r, i], output.covariance[r, i]
             else:
@@ -240,9 +311,9 @@ def _normalize(weights, floor):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _frames(before, aligned, foreseen):  # type: ignore[no-untyped-def]
+def _frames(was_seen, before, aligned, foreseen):  # type: ignore[no-untyped-def]
     """Return the `ChainFrame`, and when each feature was last seen, see `ChainState`: joints, features, time, mask."""
-    was_seen, joints, features, times, known, jacobian, center = before
+    joints, features, times, known, jacobian, center = before
     seen, frame_time, frame_joints, frame_features = aligned[2], aligned[3], aligned[4], aligned[5]
     total, m, n = joints.shape
     joints, features, times, known = joints.copy(), features.copy(), times.copy(), known.copy()

@@ -29,25 +29,28 @@ def row_terms(residual, weight, noise, settings):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True)
-def _add_point(rows, point, weights, residuals, normal, slope):  # type: ignore[no-untyped-def]
+def _add_point(rows, wrenches, point, weights, residuals, gram, normal, slope):  # type: ignore[no-untyped-def]
     """Add a point to the lower triangle of the normal equations; its derivatives by other points are 0.
 
     Args:
         rows: See `point_derivatives`. Shape (2, 6n + 6).
+        wrenches: See `point_derivatives`. Shape (2, 6).
         point: Index of the point.
         weights: Weights of both coordinates, see `row_terms`.
         residuals: Residuals of both coordinates, px.
+        gram: Weighted squares of the wrenches, of which `_add_twists` makes what belongs to the twists; changed.
+            Shape (6, 6).
         normal: Normal equations; changed. Shape (N, N).
         slope: Gradient; changed. Shape (N,).
     """
     shared, size = rows.shape[1] - 6, slope.shape[0]
     own, tail = shared + 3 * point, size - 3
+    for i in range(6):
+        for k in range(6):
+            gram[i, k] += weights[0] * wrenches[0, i] * wrenches[0, k] + weights[1] * wrenches[1, i] * wrenches[1, k]
+    u, v = weights[0] * residuals[0], weights[1] * residuals[1]
     for a in range(shared):
-        u, v = weights[0] * rows[0, a], weights[1] * rows[1, a]
-        if u != 0.0 or v != 0.0:
-            slope[a] += u * residuals[0] + v * residuals[1]
-            for b in range(a + 1):
-                normal[a, b] += u * rows[0, b] + v * rows[1, b]
+        slope[a] += u * rows[0, a] + v * rows[1, a]
     for c in range(6):
         u, v = weights[0] * rows[0, shared + c], weights[1] * rows[1, shared + c]
         a = own + c if c < 3 else tail + c - 3
@@ -57,6 +60,42 @@ def _add_point(rows, point, weights, residuals, normal, slope):  # type: ignore[
         for d in range(c + 1):
             b = own + d if d < 3 else tail + d - 3
             normal[a, b] += u * rows[0, shared + d] + v * rows[1, shared + d]
+
+
+@njit(cache=True, nogil=True)
+def _add_twists(motions, gram, half, normal):  # type: ignore[no-untyped-def]
+    """Add a frame's points to the part of the normal equations that belongs to the twists: M' G M.
+
+    However many points there are, their derivatives by the twists are wrenches times the same six rows of M.
+
+    Args:
+        motions: M, see `chain_motions`. Shape (6, 6n).
+        gram: G, see `_add_point`. Shape (6, 6).
+        half: Overwritten. Shape (6, 6n).
+        normal: Normal equations; changed. Shape (N, N).
+    """
+    shared = motions.shape[1]
+    for i in range(6):
+        for b in range(shared):
+            half[i, b] = (
+                (gram[i, 0] * motions[0, b] + gram[i, 1] * motions[1, b])
+                + (gram[i, 2] * motions[2, b] + gram[i, 3] * motions[3, b])
+                + (gram[i, 4] * motions[4, b] + gram[i, 5] * motions[5, b])
+            )
+    for a in range(shared):
+        s, t, u = motions[0, a], motions[1, a], motions[2, a]
+        x, y, z = motions[3, a], motions[4, a], motions[5, a]
+        if s != 0.0 or t != 0.0 or u != 0.0:
+            for b in range(a + 1):
+                normal[a, b] += (
+                    (s * half[0, b] + t * half[1, b])
+                    + (u * half[2, b] + x * half[3, b])
+                    + (y * half[4, b] + z * half[5, b])
+                )
+        elif x != 0.0 or y != 0.0 or z != 0.0:
+            # The velocity of a twist turns nothing.
+            for b in range(a + 1):
+                normal[a, b] += (x * half[3, b] + y * half[4, b]) + z * half[5, b]
 
 
 @njit(cache=True, nogil=True)
@@ -151,6 +190,7 @@ def stored_terms(  # type: ignore[no-untyped-def]
     n, p = angles.shape[1], features.shape[1] // 2
     full = slope.shape[0] > 0
     rates, motions, rows = np.empty((6, 0)), np.empty((6, 6 * n if full else 0)), np.empty((2, 6 * n + 6))
+    wrenches, gram, half = np.empty((2, 6)), np.empty((6, 6)), np.empty((6, 6 * n if full else 0))
     tail = 6 * n + 3 * p
     focal = settings.focal * math.exp(parameters[tail])
     cost = 0.0
@@ -166,9 +206,10 @@ def stored_terms(  # type: ignore[no-untyped-def]
         pose = chain_motions(parameters, angles[k], reverse, rates, motions)
         # The cost of a frame is a sum of its own, to which the other frames' are added.
         frame_cost = 0.0
+        gram[:] = 0.0
         for j in range(p):
             point = placed(pose, parameters, 6 * n + 3 * j)
-            point_derivatives(pose, motions, point, focal, settings.focal, rows)
+            point_derivatives(pose, motions, point, focal, settings.focal, rows, wrenches)
             first, second = 0.0, 0.0
             for r in range(2):
                 predicted[k, 2 * j + r] = rows[r, 6 * n + 3] + settings.focal * parameters[tail + 1 + r]
@@ -180,7 +221,8 @@ def stored_terms(  # type: ignore[no-untyped-def]
                 part, second = row_terms(residual[1], weights[k, 2 * j + 1], noise, settings)
                 frame_cost += part
             if first != 0.0 or second != 0.0:
-                _add_point(rows, j, (first, second), residual, normal, slope)
+                _add_point(rows, wrenches, j, (first, second), residual, gram, normal, slope)
+        _add_twists(motions, gram, half, normal)
         cost += frame_cost
     return cost
 
@@ -261,7 +303,13 @@ def descent(factor, slope, step):  # type: ignore[no-untyped-def]
         step[k] /= factor[k, k]
         for a in range(k):
             step[a] -= factor[k, a] * step[k]
-    for k in range(size):
+    unwhiten(factor, step)
+
+
+@njit(cache=True, nogil=True)
+def unwhiten(factor, step):  # type: ignore[no-untyped-def]
+    """Solve R x = z in place. Shapes (N, N) and (N,)."""
+    for k in range(step.shape[0]):
         for a in range(k):
             step[k] -= factor[k, a] * step[a]
         step[k] /= factor[k, k]

@@ -237,7 +237,7 @@ def chain_derivatives(  # type: ignore[no-untyped-def]
     rates, motions = np.empty((6, n)), np.empty((6, 6 * n if full else 0))
     pose = chain_motions(parameters, angles, reverse, rates, motions)
     focal = focal_unit * math.exp(parameters[6 * n + 3 * p])
-    rows = np.empty((2, 6 * n + 6))
+    rows, wrenches = np.empty((2, 6 * n + 6)), np.empty((2, 6))
     if full:
         by_parameters[:] = 0.0
     for j in range(p):
@@ -258,11 +258,107 @@ def chain_derivatives(  # type: ignore[no-untyped-def]
                     + gz * rates[5, k]
                 )
         if full:
-            point_derivatives(pose, motions, (x, y, z), focal, focal_unit, rows)
+            point_derivatives(pose, motions, (x, y, z), focal, focal_unit, rows, wrenches)
             for r in range(2):
                 by_parameters[2 * j + r, : 6 * n] = rows[r, : 6 * n]
                 by_parameters[2 * j + r, 6 * n + 3 * j : 6 * n + 3 * j + 3] = rows[r, 6 * n : 6 * n + 3]
                 by_parameters[2 * j + r, 6 * n + 3 * p :] = rows[r, 6 * n + 3 :]
+
+
+@njit(cache=True, nogil=True)
+def jacobian_derivatives(parameters, angles, reverse, focal_unit, features, by_angles, columns):  # type: ignore[no-untyped-def]
+    """Write the image points of a chain, their derivatives by the joint angles, and the derivatives of both.
+
+    A parameter of a joint moves what follows it as a rigid body, the points and the fields of velocity of the joints
+    behind them: V(P) turns with the body. In front of the joint and in itself, V changes as P does; its own field
+    changes as its twist.
+
+    Args:
+        parameters: Parameters of the chain. Shape (N,).
+        angles: Joint angles. Shape (n,), rad.
+        reverse: True if the last joint is next to the camera.
+        focal_unit: See `chain_features`.
+        features: Output. Shape (m,), px.
+        by_angles: Output. Shape (m, n), px/rad.
+        columns: Output: derivatives of `by_angles`, joint by joint, then of `features`, by each parameter. Shape (N,
+            n m + m).
+    """
+    n, m = angles.shape[0], features.shape[0]
+    twists, tail, own = 6 * n, parameters.shape[0] - 3, m * n
+    rates, motions = np.empty((6, n)), np.empty((6, twists))
+    pose = chain_motions(parameters, angles, reverse, rates, motions)
+    fields = np.empty((6, twists))
+    _own_fields(parameters, angles, reverse, fields)
+    focal = focal_unit * math.exp(parameters[tail])
+    columns[:] = 0.0
+    speed = np.empty((n, 3))
+    for j in range(m // 2):
+        x, y, z = placed(pose, parameters, twists + 3 * j)
+        # First and second derivatives of the projection.
+        depth = max(z, LEAST_DEPTH)
+        scale = focal / depth
+        along = scale / depth if z > LEAST_DEPTH else 0.0
+        steep = 2.0 * along / depth
+        for k in range(n):
+            speed[k, 0], speed[k, 1], speed[k, 2] = _velocity(rates, k, x, y, z)
+        for r in range(2):
+            i = 2 * j + r
+            seen, gx, gy, gz = _projected(x, y, z, focal, r)
+            features[i] = seen + focal_unit * parameters[tail + 1 + r]
+            columns[tail, own + i], columns[tail + 1 + r, own + i] = seen, focal_unit
+            for k in range(n):
+                by_angles[i, k] = gx * speed[k, 0] + gy * speed[k, 1] + gz * speed[k, 2]
+                # All that a camera shows is proportional to its focal length.
+                columns[tail, k * m + i] = by_angles[i, k]
+        for a in range(twists + 3):
+            point = a - twists
+            joint = a // 6
+            if point < 0:
+                dx, dy, dz = _velocity(motions, a, x, y, z)
+                row = a
+            else:
+                dx, dy, dz = pose[0][point], pose[1][point], pose[2][point]
+                row = twists + 3 * j + point
+            first, second = (-along * dz, steep * x * dz - along * dx), (-along * dz, steep * y * dz - along * dy)
+            columns[row, own + 2 * j] = scale * dx - along * x * dz
+            columns[row, own + 2 * j + 1] = scale * dy - along * y * dz
+            for k in range(n):
+                u, v, w = speed[k, 0], speed[k, 1], speed[k, 2]
+                behind = k < joint if reverse else k > joint
+                if point < 0 and behind:
+                    turn, arm = (motions[0, a], motions[1, a], motions[2, a]), (u, v, w)
+                else:
+                    turn, arm = (rates[0, k], rates[1, k], rates[2, k]), (dx, dy, dz)
+                au = turn[1] * arm[2] - turn[2] * arm[1]
+                av = turn[2] * arm[0] - turn[0] * arm[2]
+                aw = turn[0] * arm[1] - turn[1] * arm[0]
+                if point < 0 and k == joint:
+                    fu, fv, fw = _velocity(fields, a, x, y, z)
+                    au, av, aw = au + fu, av + fv, aw + fw
+                columns[row, k * m + 2 * j] = first[0] * u + first[1] * w + scale * au - along * x * aw
+                columns[row, k * m + 2 * j + 1] = second[0] * v + second[1] * w + scale * av - along * y * aw
+
+
+@njit(cache=True, nogil=True)
+def _own_fields(parameters, angles, reverse, fields):  # type: ignore[no-untyped-def]
+    """Write the derivatives of each joint's motion by its angle, see `chain_motions`, by its twist. Shape (6, 6n)."""
+    n = angles.shape[0]
+    pose = _origin()
+    for at in range(n):
+        k = n - 1 - at if reverse else at
+        for i in range(3):
+            axis = (pose[0][i], pose[1][i], pose[2][i])
+            _write_motion(fields, 6 * k + i, axis, _carried(pose, axis, (0.0, 0.0, 0.0)))
+            _write_motion(fields, 6 * k + 3 + i, (0.0, 0.0, 0.0), axis)
+        pose = _product(pose, joint_pose(parameters, 6 * k, angles[k]))
+
+
+@njit(cache=True, nogil=True)
+def _velocity(motions, column, x, y, z):  # type: ignore[no-untyped-def]
+    """Return the velocity of a point in a motion, see `chain_motions`."""
+    a, b, c = motions[0, column], motions[1, column], motions[2, column]
+    u, v, w = motions[3, column], motions[4, column], motions[5, column]
+    return b * z - c * y + u, c * x - a * z + v, a * y - b * x + w
 
 
 @njit(cache=True, nogil=True)
@@ -313,7 +409,7 @@ def _write_motion(motions, column, turn, shift):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def point_derivatives(pose, motions, point, focal, focal_unit, rows):  # type: ignore[no-untyped-def]
+def point_derivatives(pose, motions, point, focal, focal_unit, rows, wrenches):  # type: ignore[no-untyped-def]
     """Write the derivatives of the image of one point by the parameters on which it depends.
 
     Args:
@@ -323,6 +419,7 @@ def point_derivatives(pose, motions, point, focal, focal_unit, rows):  # type: i
         focal: Focal length, px.
         focal_unit: See `chain_features`.
         rows: Output: derivatives by all twists, by the point, and by the last three parameters. Shape (2, 6n + 6).
+        wrenches: Output: derivatives by the angular velocity and the velocity of a motion of the point. Shape (2, 6).
     """
     x, y, z = point
     twists = motions.shape[1]
@@ -330,6 +427,8 @@ def point_derivatives(pose, motions, point, focal, focal_unit, rows):  # type: i
     for r in range(2):
         seen, gx, gy, gz = _projected(x, y, z, focal, r)
         hx, hy, hz = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
+        wrenches[r, 0], wrenches[r, 1], wrenches[r, 2] = hx, hy, hz
+        wrenches[r, 3], wrenches[r, 4], wrenches[r, 5] = gx, gy, gz
         row = rows[r]
         for c in range(twists):
             row[c] = hx * wx[c] + hy * wy[c] + hz * wz[c] + gx * vx[c] + gy * vy[c] + gz * vz[c]

@@ -35,6 +35,8 @@ class ChainSettings(NamedTuple):
         target_speed: Prior standard deviation of a moving target's rates, rad/s and mean depths/s.
         target_change: Standard deviation of their change within a second, at rest.
         target_turn: The same as a share of the rates themselves.
+        eager: Number of frames that are fitted as they come.
+        refit: Number of frames between two fits after that, of either order.
         first_damping: Damping of the first fit, relative to the diagonal of the normal equations.
         least_damping: Least damping.
         largest_damping: Largest damping.
@@ -44,11 +46,11 @@ class ChainSettings(NamedTuple):
         first_trial: Number of frames in which both orders are fitted side by side.
         trial: Number of frames after which a worse chain has lost.
         rarely: Number of frames between two fits of the worse chain, once it has lost often.
+        own_share: Number of these fits of which one is that of the better chain, the others of its challenger.
         failed: Ratio of the mean squared errors of chain and linear filter that counts as a failure; its square is that
             of the chain's to their own least value.
         no_error: Least error before there is one, px^2.
         outlier: Square of a residual, relative to the variance, that counts at most in the estimate of the noise.
-        difference: Change of a parameter for the derivatives of the Jacobian.
         forgetting: Memory of the evidence per frame, see `ChainMemory`.
     """
 
@@ -76,6 +78,8 @@ class ChainSettings(NamedTuple):
     target_speed: float
     target_change: float
     target_turn: float
+    eager: float
+    refit: int
     first_damping: float = 1e-3
     least_damping: float = 1e-6
     largest_damping: float = 1e6
@@ -85,10 +89,10 @@ class ChainSettings(NamedTuple):
     first_trial: float = 20.0
     trial: float = 12.0
     rarely: float = 8.0
+    own_share: int = 4
     failed: float = 4.0
     no_error: float = 1e12
     outlier: float = 9.0
-    difference: float = 1e-6
     forgetting: float = 0.98
 
 
@@ -97,7 +101,8 @@ class ChainMemory(NamedTuple):
 
     `moves` is true for chains whose target moves, `motion` and `motion_covariance` are its turn and shift, and their
     rates, see `chain_target`. `evidence` is the mean log density of a feature, without its offset, summed over past
-    frames with decreasing weights.
+    frames with decreasing weights. `factor` is that of the normal equations of the better chain at its last fit, and
+    `turn` the number of frames by which its fits come earlier than those of a chain with `turn` 0.
     """
 
     started: Mask
@@ -108,6 +113,8 @@ class ChainMemory(NamedTuple):
     scatter: Array
     known: Mask
     parameters: Array
+    factor: Array
+    turn: Array
     damping: Array
     cost: Array
     reverse: Mask

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from servotrack.estimators.compilation import njit
-from servotrack.estimators.jacobian.chain_equations import factored, whiten
-from servotrack.estimators.jacobian.chain_kernel import chain_derivatives
+from servotrack.estimators.jacobian.chain_equations import whiten
+from servotrack.estimators.jacobian.chain_kernel import chain_derivatives, jacobian_derivatives
 from servotrack.estimators.jacobian.chain_keyframes import chain_residuals
 from servotrack.estimators.jacobian.chain_target import (
     at_rest,
@@ -26,20 +26,40 @@ def better_chain(memory, row):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def score_frame(memory, frame, settings, output, normal, newest, old, row):  # type: ignore[no-untyped-def]
-    """Score the prediction of a new frame by the chain so far, beside that of the linear filter."""
+def foresee(seen_joints, seen_features, jacobian, joints):  # type: ignore[no-untyped-def]
+    """Return the features that a linear filter foresees from the joints' motion since each was seen. Shape (rows, m).
+
+    Args:
+        seen_joints: Joint angles when each feature was seen. Shape (rows, m, n), rad.
+        seen_features: Each feature then. Shape (rows, m), px.
+        jacobian: Total image Jacobian. Shape (rows, m, n + 1).
+        joints: Joint angles of the newest frame. Shape (rows, n), rad.
+    """
+    foreseen = seen_features.copy()
+    for row in range(foreseen.shape[0]):
+        for i in range(foreseen.shape[1]):
+            for k in range(joints.shape[1]):
+                foreseen[row, i] += jacobian[row, i, k] * (joints[row, k] - seen_joints[row, i, k])
+    return foreseen
+
+
+@njit(cache=True, nogil=True)
+def score_frame(memory, frame, settings, output, newest, old, row):  # type: ignore[no-untyped-def]
+    """Score the prediction of a new frame by the chain so far, beside that of the linear filter.
+
+    Returns the whitened derivatives of the features by the parameters. Shape (N, m).
+    """
     n, m = frame.angles.shape[1], frame.features.shape[1]
     best = better_chain(memory, row)
-    size = normal.shape[0]
     parameters, reverse = memory.parameters[row, best], memory.reverse[row, best]
     moves = memory.moves[row]
     if moves:
         parameters = moved_target(parameters, n, memory.motion[row])
+    size = len(parameters)
     predicted, by_angles, derivatives = np.empty(m), np.empty((m, n)), np.zeros((m, size))
     chain_derivatives(parameters, newest[0][0], reverse, settings.focal, predicted, by_angles, derivatives)
-    factor, columns = np.empty((size, size)), derivatives.T.copy()
-    if factored(normal, settings.least_damping, settings.least_pivot, factor):
-        whiten(factor, columns)
+    columns = derivatives.T.copy()
+    whiten(memory.factor[row], columns)
     fading = math.exp(-frame.duration[row] / settings.offset_time)
     rows = target_derivatives(parameters, derivatives, n, memory.motion[row]) if moves else np.empty((m, 6))
     innovations = np.zeros(m)
@@ -79,6 +99,7 @@ def score_frame(memory, frame, settings, output, normal, newest, old, row):  # t
         forecast = memory.motion[row].copy()
         correct_target(memory, innovations, old, rows, columns, settings, row)
         at_rest(memory, forecast, newest, rows, best, settings, row)
+    return columns
 
 
 @njit(cache=True, nogil=True)
@@ -125,7 +146,7 @@ def follow_offsets(memory, frame, settings, newest, row):  # type: ignore[no-unt
 
 
 @njit(cache=True, nogil=True)
-def write_present(memory, frame, settings, output, normal, row):  # type: ignore[no-untyped-def]
+def write_present(memory, frame, settings, output, row):  # type: ignore[no-untyped-def]
     """Write features and Jacobian at the present posture, and their covariances."""
     n, m = frame.angles.shape[1], frame.features.shape[1]
     best = output.best[row]
@@ -139,23 +160,17 @@ def write_present(memory, frame, settings, output, normal, row):  # type: ignore
     output.parameters[row] = parameters
     theta = frame.present[row] - memory.origin[row]
     reverse, focal_unit = memory.reverse[row, best], settings.focal
-    jacobian, derivatives = np.empty((m, n)), np.zeros((m, size))
-    chain_derivatives(parameters, theta, reverse, focal_unit, output.features[row], jacobian, derivatives)
-    columns, none = np.empty((size, m * n + m)), np.zeros((0, size))
-    changed, ignored = np.empty((m, n)), np.empty(m)
-    for a in range(size):
-        kept = parameters[a]
-        parameters[a] = kept + settings.difference
-        chain_derivatives(parameters, theta, reverse, focal_unit, ignored, changed, none)
-        parameters[a] = kept
-        for i in range(m):
-            for k in range(n):
-                columns[a, i * n + k] = (changed[i, k] - jacobian[i, k]) / settings.difference
-            columns[a, m * n + i] = derivatives[i, a]
+    jacobian, columns = np.empty((m, n)), np.empty((size, m * n + m))
+    jacobian_derivatives(parameters, theta, reverse, focal_unit, output.features[row], jacobian, columns)
+    derivatives = columns[:, m * n :].T
     rows = target_derivatives(parameters, derivatives, n, motion) if moves else np.empty((m, 6))
-    factor = np.empty((size, size))
-    if factored(normal, settings.least_damping, settings.least_pivot, factor):
-        whiten(factor, columns)
+    whiten(memory.factor[row], columns)
+    spreads = np.zeros((n, n, m))
+    for a in range(size):
+        for k in range(n):
+            for j in range(k + 1):
+                for i in range(m):
+                    spreads[k, j, i] += columns[a, k * m + i] * columns[a, j * m + i]
     for i in range(m):
         output.features[row, i] += memory.offset[row, i]
         total = memory.offset_variance[row, i]
@@ -165,18 +180,15 @@ def write_present(memory, frame, settings, output, normal, row):  # type: ignore
             total += spread(rows, doubt, 0, i) + age * age * spread(rows, doubt, 6, i)
         output.variance[row, i] = total
         covariance = output.covariance[row, i]
-        covariance[:] = 0.0
-        for a in range(size):
-            part = columns[a, i * n : (i + 1) * n]
-            for k in range(n):
-                for j in range(n):
-                    covariance[k, j] += part[k] * part[j]
+        for k in range(n):
+            for j in range(k + 1):
+                covariance[k, j], covariance[j, k] = spreads[k, j, i], spreads[k, j, i]
         # Whether the target moves is settled by comparison: no doubt of its rates, as the law sees it.
         covariance[n, n] = 0.0 if moves else settings.drift**2
         if moves:
             for a in range(6):
                 output.jacobian[row, i, n] += rows[i, a] * motion[6 + a]
         for k in range(n):
-            # The differences have rounding errors.
+            # Rounding must not leave it indefinite.
             covariance[k, k] *= 1.0 + 1e-9
             output.jacobian[row, i, k] = jacobian[i, k]

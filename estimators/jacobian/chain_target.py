@@ -136,7 +136,7 @@ def correct_target(memory, innovations, used, rows, columns, settings, row):  # 
             noise[c, d], noise[d, c] = own, own
             total[c, d], total[d, c] = own + carried, own + carried
     cross = right[:, :12].copy()
-    _eliminate(total, right)
+    eliminate(total, right)
     for a in range(12):
         for c in range(count):
             motion[a] += cross[c, a] * right[c, 12]
@@ -144,7 +144,7 @@ def correct_target(memory, innovations, used, rows, columns, settings, row):  # 
 
 
 @njit(cache=True, nogil=True)
-def _eliminate(matrix, right):  # type: ignore[no-untyped-def]
+def eliminate(matrix, right):  # type: ignore[no-untyped-def]
     """Solve matrix x = right in place, by elimination without pivots: the matrix is definite."""
     n, width = right.shape
     for k in range(n):

@@ -137,12 +137,13 @@ class ServoController:
         else:
             law_state, rate = law.rate(state.law, estimate)
         watch, active = state.supervisor, excitation.active(state.excitation)
-        blocked, restart = np.zeros_like(rate), np.zeros(rate.shape[:-1], np.bool_)
+        blocked, restart = np.zeros(rate.shape), np.zeros(rate.shape[:-1], np.bool_)
 
         if supervisor is not None:
             watch, verdict = supervisor.step(watch, measurement, estimate, state.commanded, active)
-            back = (watch.last_seen_joints - np.asarray(measurement.joint_angles)) / law.period
-            rate = np.where(verdict.lost[..., None], back, rate)
+            if verdict.lost.any():
+                back = (watch.last_seen_joints - np.asarray(measurement.joint_angles)) / law.period
+                rate = np.where(verdict.lost[..., None], back, rate)
             restart, blocked = verdict.excite & ~active, verdict.blocked
             if restart.any():
                 if hasattr(self.estimator, "forget"):
@@ -152,9 +153,12 @@ class ServoController:
 
         wish = Excite(restart, blocked, self.max_joint_rate)
         excitation_state, exciting = excitation.step(state.excitation, measurement, estimate, wish)
-        rate = np.where(exciting.active[..., None], exciting.joint_rate, rate)
-        rate = np.where(np.isfinite(rate), rate, 0.0)
-        rate = limiting_factor(rate, self.max_joint_rate) * rate
+        if exciting.active.any():
+            rate = np.where(exciting.active[..., None], exciting.joint_rate, rate)
+        # True also for NaN.
+        if not (np.abs(rate) <= self.max_joint_rate).all():
+            rate = np.where(np.isfinite(rate), rate, 0.0)
+            rate = limiting_factor(rate, self.max_joint_rate) * rate
         if self.limits is not None:
             rate = self._limited(rate, state, measurement, estimate)
         new_state = ControllerState(estimator_state, law_state, excitation_state, watch, rate * law.period, goal)
@@ -190,6 +194,8 @@ def _goal(measurement: ServoMeasurement) -> tuple[Array, Array]:
 
 def _relative(estimate: Any, velocity: Array) -> Any:
     """Estimate whose time column is that of the error: the velocity of the goal is subtracted."""
+    if not velocity.any():
+        return estimate
     jacobian = estimate.jacobian.copy()
     jacobian[..., -1] -= velocity
     given = {"goal_velocity": velocity} if hasattr(estimate, "goal_velocity") else {}

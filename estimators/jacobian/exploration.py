@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -117,9 +118,11 @@ class Exploration:
             ValueError: An estimate without covariances.
         """
         covariance, variance = uncertainty(estimate)
+        if not (state.active.any() or np.any(wish.restart)):
+            return state, Exciting(state.active, np.zeros(state.center.shape))
         angles = np.ascontiguousarray(measurement.joint_angles, np.float64)
         *batch, m, d = estimate.jacobian.shape
-        rows = int(np.prod(batch, dtype=np.int64))
+        rows = math.prod(batch)
         flat = ExplorationState(*(part.reshape((rows, *part.shape[len(batch) :])) for part in state))
         results = _explore(
             flat,

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
 
 
@@ -39,9 +40,32 @@ def goal_velocity(state: GoalState, goal: Array, time: Array) -> tuple[GoalState
     Returns:
         The new state and the velocity. Shape (*batch, m), px/s.
     """
-    change, passed = goal - state.goal, (time - state.time)[..., None]
-    before = np.sum(state.change**2, axis=-1, keepdims=True)
-    smooth = (np.sum((change - state.change) ** 2, axis=-1, keepdims=True) <= 0.25 * before) & (passed > 0.0)
-    velocity = np.divide(change, passed, out=np.zeros_like(change), where=np.broadcast_to(smooth, change.shape))
-    again = np.broadcast_to(passed > 0.0, change.shape)
-    return GoalState(goal.copy(), np.where(again, change, state.change), time.copy()), velocity
+    rows, m = state.time.size, goal.shape[-1]
+    change, velocity = _velocities(
+        state.goal.reshape(rows, m),
+        state.change.reshape(rows, m),
+        state.time.reshape(rows),
+        np.ascontiguousarray(goal).reshape(rows, m),
+        np.ascontiguousarray(time).reshape(rows),
+    )
+    return GoalState(goal.copy(), change.reshape(goal.shape), time.copy()), velocity.reshape(goal.shape)
+
+
+@njit(cache=True, nogil=True)
+def _velocities(goals, changes, times, goal, time):  # type: ignore[no-untyped-def]
+    """Return the changes to keep and the velocities of rows, see `goal_velocity`. Shapes (rows, m)."""
+    rows, m = goal.shape
+    kept, velocity = changes.copy(), np.zeros((rows, m))
+    for row in range(rows):
+        passed = time[row] - times[row]
+        if not passed > 0.0:
+            continue
+        before, differs = 0.0, 0.0
+        for i in range(m):
+            kept[row, i] = goal[row, i] - goals[row, i]
+            before += changes[row, i] ** 2
+            differs += (kept[row, i] - changes[row, i]) ** 2
+        if differs <= 0.25 * before:
+            for i in range(m):
+                velocity[row, i] = kept[row, i] / passed
+    return kept, velocity

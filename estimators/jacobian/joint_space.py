@@ -75,11 +75,13 @@ class JointSpace:
             high: Largest motion to it. Shape (*batch, n), rad.
         """
         state, rate = self.image.rate(state, estimate)
+        # Near the goal, which is most of the time, no more than this is computed.
+        squares = np.einsum("...i,...i->...", estimate.error, estimate.error) / estimate.error.shape[-1]
+        if not (squares > self.tolerance**2).any():
+            return state, rate
         if not isinstance(estimate, GoalSearch) or not is_dataclass(estimate):
             return state, rate
-        present = np.sqrt(np.mean(estimate.error**2, axis=-1))
-        if not (present > self.tolerance).any():
-            return state, rate
+        present = np.sqrt(squares)
         motion, left = estimate.motion_to_goal(low, high)
         step = np.einsum("...ij,...j->...i", damped_inverse(estimate.jacobian[..., :-1], 0.01), estimate.error)
         longest = self.detour * np.sqrt(np.sum(step**2, axis=-1))

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
+from servotrack.estimators.definite import keep_definite
 from servotrack.estimators.jacobian.contract import ServoEstimate, ServoMeasurement
 from servotrack.estimators.types import Array, Mask
 
@@ -222,6 +223,8 @@ class DampedLeastSquares:
         wanted = -self.gain * estimate.error - jacobian[..., -1] * self.period
         by_joints = jacobian[..., :-1]
         gram = np.einsum("...ik,...jk->...ij", by_joints, by_joints) + self.damping**2 * np.eye(by_joints.shape[-2])
+        # Beside Jacobians that no camera has, the damping is lost in rounding.
+        gram = keep_definite(gram, np.einsum("...ii->...i", gram))
         motion = np.einsum("...ij,...i->...j", by_joints, np.linalg.solve(gram, wanted[..., None])[..., 0])
         return state, motion / self.period
 

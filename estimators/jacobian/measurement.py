@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.jacobian.contract import ServoMeasurement
 from servotrack.estimators.types import Array, Mask
 from servotrack.estimators.validation import LIMITS, as_mask, as_numbers, check_within, first_bad
@@ -72,6 +75,12 @@ def checked(measurement: ServoMeasurement, *, each_feature: bool = False) -> Ser
                 f"{name} must have shape {shape} beside joint_angles of shape {joint_angles.shape} and features of "
                 f"shape {features.shape}, got {value.shape}; {remedy}"
             )
+    read_at = time if joint_time is None else joint_time
+    mask = visible if each_feature else visible[..., None]
+    clocks = frame_time.reshape(-1), time.reshape(-1), read_at.reshape(-1)
+    if _are_sound(joint_angles.reshape(-1), features, goal, mask, clocks, (*LIMITS[:3], CLOCK_TOLERANCE)):
+        return ServoMeasurement(joint_angles, features, goal, visible, frame_time, time, joint_time)
+    # What is wrong, in words.
     check_within("joint_angles", joint_angles, LIMITS.angles, "repeat the last good reading instead")
     check_within("goal", goal, LIMITS.pixels, "repeat the last goal instead")
     check_within("time", time, LIMITS.times, "pass the clock's reading")
@@ -94,6 +103,35 @@ def checked(measurement: ServoMeasurement, *, each_feature: bool = False) -> Ser
                 f"{first_bad(time, future)}; stamp encoder readings with the clock of `time`"
             )
     return ServoMeasurement(joint_angles, features, goal, visible, frame_time, time, joint_time)
+
+
+def _are_sound(joint_angles: Array, features: Array, goal: Array, mask: Mask, clocks: Any, limits: Any) -> bool:
+    """Return True if all values that are used are finite, within their limits and not later than the present."""
+    rows, m, entries = clocks[1].size, features.shape[-1], mask.shape[-1]
+    shaped = features.reshape(rows, m), goal.reshape(-1), mask.reshape(rows, entries)
+    return bool(_within_limits(joint_angles, *shaped, *clocks, limits))
+
+
+@njit(cache=True, nogil=True)
+def _within_limits(joint_angles, features, goal, mask, frame_time, time, read_at, limits):  # type: ignore[no-untyped-def]
+    """See `_are_sound`; rows of `mask` have one entry, or one per feature."""
+    pixels, angles, times, tolerance = limits
+    sound = True
+    for i in range(joint_angles.shape[0]):
+        sound = sound and abs(joint_angles[i]) <= angles
+    for i in range(goal.shape[0]):
+        sound = sound and abs(goal[i]) <= pixels
+    for row in range(time.shape[0]):
+        seen = False
+        for i in range(features.shape[1]):
+            if mask[row, i % mask.shape[1]]:
+                seen = True
+                sound = sound and abs(features[row, i]) <= pixels
+        if seen:
+            sound = sound and abs(frame_time[row]) <= times and frame_time[row] <= time[row] + tolerance
+        sound = sound and abs(time[row]) <= times and abs(read_at[row]) <= times
+        sound = sound and read_at[row] <= time[row] + tolerance
+    return sound
 
 
 def _of_each(visible: Mask, features: Array, batch: tuple[int, ...]) -> Mask:

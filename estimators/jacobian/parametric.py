@@ -149,6 +149,8 @@ class ParametricKalman:
             expected, cross, spread = self._linearized(mean, covariance, joints)
         innovation = offset - expected
         spread = spread + self._noise(mean, joints)[..., None, None] * np.eye(2)
+        # Features that no camera produces make it so large that rounding errors exceed the noise.
+        spread = keep_definite(spread, np.abs(np.einsum("...ii->...i", spread)))
         gain = np.swapaxes(np.linalg.solve(spread, np.swapaxes(cross, -1, -2)), -1, -2)
         whitened = np.einsum("...i,...i->...", innovation, np.linalg.solve(spread, innovation[..., None])[..., 0])
         updated = covariance - gain @ spread @ np.swapaxes(gain, -1, -2)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import functools
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.jacobian.cautious import uncertainty
 from servotrack.estimators.jacobian.contract import ServoEstimate, ServoMeasurement
 from servotrack.estimators.jacobian.supervisor import Verdict
@@ -80,6 +83,9 @@ class ProgressSupervisor:
             raise ValueError(f"tolerance must be >= 0 in the features' unit, got {self.tolerance}")
         if not (np.asarray(self.max_excursion, np.float64) > 0.0).all():
             raise ValueError(f"max_excursion must be > 0 rad, or infinite for none, got {self.max_excursion}")
+        for name in ("tolerance", "max_excursion"):
+            value = np.asarray(getattr(self, name), np.float64)
+            object.__setattr__(self, name, float(value) if value.ndim == 0 else tuple(value.tolist()))
         if not 0.0 < self.progress < 1.0:
             raise ValueError(f"progress must be in (0, 1), got {self.progress}")
 
@@ -126,40 +132,86 @@ class ProgressSupervisor:
             ValueError: An estimate without covariances.
         """
         variance = uncertainty(estimate)[1]
-        joint_angles = np.asarray(measurement.joint_angles, dtype=np.float64)
+        joint_angles = np.ascontiguousarray(measurement.joint_angles, np.float64)
         visible = np.asarray(measurement.visible, dtype=np.bool_)
-        seen = np.asarray(visible.any(axis=-1)) if visible.ndim == joint_angles.ndim else visible
+        *batch, n = joint_angles.shape
+        m, rows = variance.shape[-1], math.prod(batch)
+        groups = visible.shape[-1] if visible.ndim == joint_angles.ndim else 1
+        parts, away, excite, lost = _judged(
+            ProgressState(*(part.reshape((rows, *part.shape[len(batch) :])) for part in state)),
+            joint_angles.reshape(rows, n),
+            np.ascontiguousarray(visible).reshape(rows, groups),
+            np.ascontiguousarray(estimate.error).reshape(rows, m),
+            np.ascontiguousarray(variance).reshape(rows, m),
+            np.ascontiguousarray(commanded).reshape(rows, n),
+            np.ascontiguousarray(exploring).reshape(rows),
+            _each(self.tolerance, m),
+            _each(self.max_excursion, n),
+            (
+                self.settled,
+                self.progress,
+                self.patience,
+                self.least_motion,
+                self.followed,
+                self.blocked_limit,
+                self.unseen_limit,
+            ),
+        )
+        new_state = ProgressState(*(part.reshape((*batch, *part.shape[1:])) for part in parts))
+        return new_state, Verdict(excite.reshape(batch), lost.reshape(batch), away.reshape(joint_angles.shape))
 
-        known = variance < np.inf
-        least = np.maximum(variance, (np.asarray(self.tolerance, np.float64) / self.settled) ** 2)
-        squares = np.where(known, estimate.error**2 / least, 0.0).sum(axis=-1)
-        error = np.sqrt(squares / np.maximum(known.sum(axis=-1), 1))
-        near = (error < self.settled) & known.any(axis=-1)
-        better = seen & ~exploring & (error < (1.0 - self.progress) * state.best)
-        best = np.where(exploring, np.inf, np.where(better, error, state.best))
+
+@functools.lru_cache(maxsize=256)
+def _each(value: float | tuple[float, ...], count: int) -> Array:
+    """Return a number for each feature or joint."""
+    return np.broadcast_to(np.asarray(value, np.float64), count).copy()
+
+
+@njit(cache=True, nogil=True)
+def _judged(  # type: ignore[no-untyped-def]
+    before, angles, visible, errors, variances, commanded, exploring, tolerance, excursion, tuning
+):
+    """`ProgressSupervisor.step` over rows. Returns the fields of the state, then `away`, `excite` and `lost`."""
+    settled, progress, first_patience, least_motion, followed, blocked_limit, unseen_limit = tuning
+    rows, n = angles.shape
+    m = errors.shape[1]
+    best, stalled, patience = before.best.copy(), before.stalled.copy(), before.patience.copy()
+    turned, blocked, unseen = before.turned.copy(), before.blocked.copy(), before.unseen.copy()
+    last_seen = before.last_seen_joints.copy()
+    away, excite, lost = np.zeros((rows, n)), np.zeros(rows, np.bool_), np.zeros(rows, np.bool_)
+    for row in range(rows):
+        seen = False
+        for i in range(visible.shape[1]):
+            seen = seen or visible[row, i]
+        squares, known = 0.0, 0
+        for i in range(m):
+            if variances[row, i] < np.inf:
+                squares += errors[row, i] ** 2 / max(variances[row, i], (tolerance[i] / settled) ** 2)
+                known += 1
+        error = np.sqrt(squares / max(known, 1))
+        near = error < settled and known > 0
+        better = seen and not exploring[row] and error < (1.0 - progress) * best[row]
+        rested = exploring[row] or near or better
+        best[row] = np.inf if exploring[row] else error if better else best[row]
         # A step without a frame carries no new evidence.
-        counted = seen & ~exploring & ~near & ~better
-        stalled = np.where(exploring | near | better, 0, state.stalled + counted)
-        rested = exploring | near | better
-        way = np.abs(np.remainder(joint_angles - state.joint_angles + np.pi, 2.0 * np.pi) - np.pi)
-        turned = np.where(rested[..., None], 0.0, state.turned + way)
-        excite = (stalled >= state.patience) | (turned > np.asarray(self.max_excursion)).any(axis=-1)
-        patience = np.where(near, self.patience, np.where(excite, 2 * state.patience, state.patience))
-
-        stuck = (np.abs(commanded) > self.least_motion) & (
-            (joint_angles - state.joint_angles) * np.sign(commanded) < self.followed * np.abs(commanded)
-        )
-        blocked = np.where(stuck, state.blocked + 1, 0)
-        unseen = np.where(seen, 0, state.unseen + 1)
-        new_state = ProgressState(
-            best=best,
-            stalled=np.where(excite, 0, stalled),
-            patience=patience,
-            turned=np.where(excite[..., None], 0.0, turned),
-            joint_angles=joint_angles,
-            blocked=blocked,
-            unseen=unseen,
-            last_seen_joints=np.where(seen[..., None], joint_angles, state.last_seen_joints),
-        )
-        away = np.where(blocked >= self.blocked_limit, np.sign(commanded), 0.0)
-        return new_state, Verdict(excite, unseen >= self.unseen_limit, away)
+        stalled[row] = 0 if rested else stalled[row] + int(seen)
+        again = stalled[row] >= patience[row]
+        for j in range(n):
+            change = angles[row, j] - before.joint_angles[row, j]
+            way = abs((change + np.pi) % (2.0 * np.pi) - np.pi)
+            turned[row, j] = 0.0 if rested else turned[row, j] + way
+            again = again or turned[row, j] > excursion[j]
+            wanted = commanded[row, j]
+            stuck = abs(wanted) > least_motion and change * np.sign(wanted) < followed * abs(wanted)
+            blocked[row, j] = blocked[row, j] + 1 if stuck else 0
+            if blocked[row, j] >= blocked_limit:
+                away[row, j] = np.sign(wanted)
+            if seen:
+                last_seen[row, j] = angles[row, j]
+        patience[row] = first_patience if near else 2 * patience[row] if again else patience[row]
+        if again:
+            stalled[row] = 0
+            turned[row] = 0.0
+        unseen[row] = 0 if seen else unseen[row] + 1
+        excite[row], lost[row] = again, unseen[row] >= unseen_limit
+    return (best, stalled, patience, turned, angles.copy(), blocked, unseen, last_seen), away, excite, lost

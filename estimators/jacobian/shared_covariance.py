@@ -8,6 +8,7 @@ measurement variance.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -59,7 +60,7 @@ def shared_update(
         Mean and covariance after the measurement, its log likelihood and NIS.
     """
     batch = mean.shape[:-2]
-    rows = int(np.prod(batch, dtype=np.int64))
+    rows = math.prod(batch)
     m, d = mean.shape[-2:]
     new_mean, new_covariance, log_likelihood, nis = _shared_update(
         mean.reshape(rows, m, d),

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
+from servotrack.estimators.validation import as_numbers
 
 
 def point_distances(first: ArrayLike, second: ArrayLike) -> Array:
@@ -96,7 +97,7 @@ def wrapped_distances(first: ArrayLike, second: ArrayLike, period: float) -> Arr
 
 
 def _pair(first: ArrayLike, second: ArrayLike) -> tuple[Array, Array]:
-    a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    a, b = as_numbers("first", first), as_numbers("second", second)
     if a.ndim < 2 or b.ndim < 2:
         raise ValueError(
             f"first and second must have shapes (*batch, n, d) and (*batch, k, d), got {a.shape} and {b.shape}; "

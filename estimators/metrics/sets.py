@@ -12,6 +12,7 @@ from servotrack.estimators.compilation import njit
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.metrics.distances import point_distances
 from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.validation import as_numbers
 
 
 class GospaParts(NamedTuple):
@@ -67,7 +68,7 @@ def score_distances(
         raise ValueError(f"cutoff must be positive and finite, got {cutoff!r}")
     if not (math.isfinite(order) and order >= 1.0):
         raise ValueError(f"order must be finite and at least 1, got {order!r}")
-    matrix = np.asarray(distances, dtype=np.float64)
+    matrix = as_numbers("distances", distances)
     truths, estimates = np.asarray(truth_exists, dtype=np.bool_), np.asarray(estimate_exists, dtype=np.bool_)
     if (
         matrix.ndim < 2
@@ -110,7 +111,7 @@ def score_points(
     Raises:
         ValueError: As `score_distances`, or if points differ in dimension.
     """
-    a, b = np.asarray(truth, dtype=np.float64), np.asarray(estimate, dtype=np.float64)
+    a, b = as_numbers("truth", truth), as_numbers("estimate", estimate)
     distances = point_distances(a, b)
     truths = np.ones(distances.shape[:-1], np.bool_) if truth_exists is None else truth_exists
     estimates = np.ones((*distances.shape[:-2], b.shape[-2]), np.bool_) if estimate_exists is None else estimate_exists

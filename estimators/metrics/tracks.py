@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.validation import as_numbers
 
 
 class Track(NamedTuple):
@@ -138,7 +139,7 @@ def tracks_from_rows(labels: ArrayLike, states: ArrayLike) -> list[Track]:
     Raises:
         ValueError: Shapes disagree, or a label occurs twice in a step.
     """
-    names, values = np.asarray(labels, dtype=np.int64), np.asarray(states, dtype=np.float64)
+    names, values = as_numbers("labels", labels).astype(np.int64), as_numbers("states", states)
     if names.ndim != 2 or values.shape[:2] != names.shape or values.ndim != 3:
         raise ValueError(
             f"labels and states must have shapes (T, n) and (T, n, d), got {names.shape} and {values.shape}"

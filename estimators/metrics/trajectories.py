@@ -14,6 +14,7 @@ from scipy.sparse import csgraph
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.metrics.assignment import assign
 from servotrack.estimators.types import Array
+from servotrack.estimators.validation import as_numbers
 
 
 class TrajectoryGospaParts(NamedTuple):
@@ -109,7 +110,7 @@ def trajectory_gospa(
 
 
 def _check(truth: ArrayLike, estimate: ArrayLike, cutoff: float, order: float) -> tuple[Array, Array]:
-    a, b = np.asarray(truth, dtype=np.float64), np.asarray(estimate, dtype=np.float64)
+    a, b = as_numbers("truth", truth), as_numbers("estimate", estimate)
     if a.ndim != 3 or b.ndim != 3 or a.shape[1:] != b.shape[1:]:
         raise ValueError(
             f"truth and estimate must have shapes (n, T, d) and (k, T, d), got {a.shape} and {b.shape}; "

@@ -7,11 +7,11 @@
         print(estimate.labels, estimate.states, estimate.existence)
 
 Start with `PMB`, or with `RobustPMB` where sensor and motion are not known well; `PMBM` is the exact posterior up to
-pruning and takes longer. `GMPHD` is the cheapest and the simplest filter; `GMCBMeMBer` is the filter of Zhang et al.
-2017. Each is a frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state,
-estimate)`, whose state is a NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B
-independent filters at once. `step(..., dt=, sensor=)` takes scans at varying intervals and of other sensors, and
-`TimedTracker` takes them by their time stamps, late ones too.
+pruning and takes longer. `TrajectoryPMB` reports smoothed targets some scans late. `GMPHD` is the cheapest and the
+simplest filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each is a frozen dataclass with `initial(measurement)
+-> state` and `step(state, measurement) -> (state, estimate)`, whose state is a NamedTuple of arrays. Measurements of
+shape (B, rows, 1 + m), existence in column 0, run B independent filters at once. `step(..., dt=, sensor=)` takes scans
+at varying intervals and of other sensors, and `TimedTracker` takes them by their time stamps, late ones too.
 """
 
 from servotrack.estimators.rfs.adaptation import SensorAdaptation
@@ -50,6 +50,8 @@ from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measureme
 from servotrack.estimators.rfs.smc_phd import ParticlePHD
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD, Steering
 from servotrack.estimators.rfs.timed import TimedTracker
+from servotrack.estimators.rfs.trajectory import Trajectory, collect_trajectories, track_scans
+from servotrack.estimators.rfs.trajectory_pmb import TrajectoryPMB
 
 __all__ = [
     "GMPHD",
@@ -85,7 +87,10 @@ __all__ = [
     "SteeredPHD",
     "Steering",
     "TimedTracker",
+    "Trajectory",
+    "TrajectoryPMB",
     "bearing_sensor",
+    "collect_trajectories",
     "constant_acceleration",
     "constant_velocity",
     "coordinated_turn",
@@ -97,5 +102,6 @@ __all__ = [
     "range_bearing_sensor",
     "rows_to_tracks",
     "spherical_sensor",
+    "track_scans",
     "white_acceleration",
 ]

@@ -1,6 +1,6 @@
 """Bounds on what any tracker can reach: the error of one that knows which measurement is whose, and who exists.
 
-Told the association and the existence, the posterior of a linear Gaussian target is exactly Gaussian, and no estimator
+Given the association and the existence, the posterior of a linear Gaussian target is exactly Gaussian, and no estimator
 without that knowledge has a smaller expected distance. For a symmetric unimodal posterior the mean minimizes
 E min(c, |x - a|), so the bound needs covariances only, which depend on the sequence of detections and not on the
 measured values.

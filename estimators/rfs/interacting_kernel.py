@@ -160,7 +160,7 @@ def _blocks(S, candidates, members, measurements):  # type: ignore[no-untyped-de
 
 @njit(cache=True, nogil=True)
 def reduce_modes(  # type: ignore[no-untyped-def]
-    pairwise, n, S, measurements, candidates, members, missed_cov, detected_cov, limits, cap, out, start
+    pairwise, n, S, measurements, candidates, members, missed_cov, detected_cov, limits, cap, out, start, into=None
 ):
     """Prune, merge and cap blocks of S modes; arguments as in `reduce_mixture`.
 
@@ -179,12 +179,13 @@ def reduce_modes(  # type: ignore[no-untyped-def]
         cap: Largest number of blocks written.
         out: A `Components` to write to.
         start: First row to write.
+        into: Output of `reduce_mixture` with one mode, unused with more.
 
     Returns:
         Number of rows written, S for each block.
     """
     if S == 1:
-        return reduce_mixture(pairwise, n, candidates, members, missed_cov, detected_cov, limits, cap, out, start)
+        return reduce_mixture(pairwise, n, candidates, members, missed_cov, detected_cov, limits, cap, out, start, into)
     weight, mean, source, group, _ = candidates
     rows, total = _blocks(S, candidates, members, measurements)
     N = mean.shape[1]

@@ -16,6 +16,7 @@ from servotrack.estimators.rfs.bernoulli import (
     rows_by_key,
 )
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
+from servotrack.estimators.rfs.histories import update_histories
 from servotrack.estimators.rfs.interacting_kernel import predict_modes, reduce_modes, start_modes
 from servotrack.estimators.rfs.mixture import Mixture, append_births, append_spawn, predict_components
 from servotrack.estimators.rfs.reduction import Candidates, Components, reduce_mixture
@@ -155,7 +156,9 @@ def track_pairs(component, measurement, likelihood, owner, tracks, measurements)
 
 
 @njit(cache=True, nogil=True)
-def update_pmb(model, prediction, scan, gate, limits, modes, out, tally):  # type: ignore[no-untyped-def]
+def update_pmb(  # type: ignore[no-untyped-def]
+    model, prediction, scan, gate, limits, modes, out, tally, lineage=None
+):
     """Posterior of every run: old tracks, a new track per measurement, and undetected targets (Williams 2015).
 
     Args:
@@ -167,6 +170,7 @@ def update_pmb(model, prediction, scan, gate, limits, modes, out, tally):  # typ
         modes: Initial probabilities of the motion modes of a track; [1.0] for one model. Shape (S,).
         out: A `PMBState` to write to.
         tally: Output: a `Tally`.
+        lineage: A `Lineage` if the histories of the components are kept, else None.
 
     Returns:
         True if the covariance of every predicted measurement is positive definite.
@@ -261,6 +265,7 @@ def update_pmb(model, prediction, scan, gate, limits, modes, out, tally):  # typ
             hidden_measurement.astype(np.int64),
             np.zeros(fresh_pairs, np.int64),
         )
+        row_of, fresh_row_of = np.full(count + pairs, -1), np.full(fresh_pairs, -1)
         new, into = out.tracks, out.pool
         room = Components(into.weight[b], into.mean[b], into.covariance[b], into.detected[b], into.label[b])
         filled = 0
@@ -284,6 +289,7 @@ def update_pmb(model, prediction, scan, gate, limits, modes, out, tally):  # typ
                     most,
                     room,
                     filled,
+                    row_of,
                 )
             else:
                 members = fresh_rows[fresh_start[t - T] : fresh_start[t - T + 1]]
@@ -298,6 +304,7 @@ def update_pmb(model, prediction, scan, gate, limits, modes, out, tally):  # typ
                     most,
                     room,
                     filled,
+                    fresh_row_of,
                 )
                 size = start_modes(modes, size, room, filled)
             if size == 0:
@@ -315,7 +322,7 @@ def update_pmb(model, prediction, scan, gate, limits, modes, out, tally):  # typ
         left = hidden.weight[b, :unseen] * (1.0 - hidden_detection[b, :unseen])
         indices = np.arange(unseen)
         remaining = Candidates(left, hidden.mean[b], indices, np.full(unseen, -1, np.int64), hidden.label[b, :unseen])
-        rest = out.undetected
+        rest, left_row_of = out.undetected, np.full(unseen, -1)
         space = Components(rest.weight[b], rest.mean[b], rest.covariance[b], rest.detected[b], rest.label[b])
         rest.number[b] = reduce_mixture(
             model.pairwise,
@@ -328,5 +335,14 @@ def update_pmb(model, prediction, scan, gate, limits, modes, out, tally):  # typ
             rest.weight.shape[1],
             space,
             0,
+            left_row_of,
         )
+        if lineage is not None:
+            for i in range(T):
+                lineage.absent[b, i] = missed[i] / max(1.0 - tracks.existence[b, i] * detectable[i], SMALLEST_ABSENCE)
+            update_histories(model, b, lineage.pool, pool, z, candidates, row_of, filled, lineage.new_pool)
+            update_histories(model, b, lineage.hidden, hidden, z, arrivals, fresh_row_of, filled, lineage.new_pool)
+            update_histories(
+                model, b, lineage.hidden, hidden, z, remaining, left_row_of, rest.number[b], lineage.new_hidden
+            )
     return positive_definite

@@ -173,7 +173,7 @@ def squared_distance(difference, cov, size, limit, root):  # type: ignore[no-unt
 
 @njit(cache=True, nogil=True)
 def reduce_mixture(  # type: ignore[no-untyped-def]
-    pairwise, n, candidates, members, missed_cov, detected_cov, limits, cap, out, start
+    pairwise, n, candidates, members, missed_cov, detected_cov, limits, cap, out, start, into=None
 ):
     """Prune, merge and cap some candidates and write the remaining components, the heaviest first.
 
@@ -188,6 +188,7 @@ def reduce_mixture(  # type: ignore[no-untyped-def]
         cap: Largest number of components written.
         out: A `Components` to write to.
         start: First row to write.
+        into: Output if not None: the row that each candidate was merged into, unchanged for dropped ones. Shape (C,).
 
     Returns:
         Number of components written.
@@ -260,6 +261,8 @@ def reduce_mixture(  # type: ignore[no-untyped-def]
         i = h
         while i >= 0:
             member = order[i]
+            if into is not None:
+                into[member] = row
             if out_label[row] == 0:
                 out_label[row] = label[member]
             share = weight[member] / total

@@ -199,11 +199,12 @@ def measurements_to_rows(measurements: ArrayLike, rows: int) -> Array:
         Shape (rows, 1 + m), unused rows zero.
 
     Raises:
-        ValueError: There are more measurements than rows.
+        ValueError: There are more measurements than rows, or values that are not finite.
     """
-    z = np.asarray(measurements, dtype=np.float64)
+    z = as_numbers("measurements", measurements)
     if z.ndim != 2 or len(z) > rows:
         raise ValueError(f"measurements must have shape (at most {rows}, m), got {z.shape}; raise rows")
+    check_within("measurements", z, LIMITS.coordinates, "leave such rows out")
     fixed = np.zeros((rows, 1 + z.shape[1]))
     fixed[: len(z), 0], fixed[: len(z), 1:] = 1.0, z
     return fixed
@@ -280,10 +281,17 @@ def rows_to_tracks(rows: ArrayLike, identities: ArrayLike | None = None) -> dict
 
     Returns:
         Map from identity to position, shape (d,).
+
+    Raises:
+        ValueError: Rows of another shape, or a reported row that is not finite.
     """
-    array = np.asarray(rows, dtype=np.float64)
+    array = as_numbers("rows", rows)
+    if array.ndim != 2 or array.shape[1] < 2:
+        raise ValueError(f"rows must have shape (rows, 1 + d), existence and position, got {array.shape}")
     names = np.arange(len(array)) if identities is None else np.asarray(identities)
-    return {int(names[i]): array[i, 1:] for i in np.flatnonzero(array[:, 0] >= REPORTED)}
+    shown = ~(array[:, 0] < REPORTED)
+    check_within("rows", array[shown], LIMITS.coordinates, "leave such rows out")
+    return {int(names[i]): array[i, 1:] for i in np.flatnonzero(shown)}
 
 
 def _allocate(owners: Labels, labels: Labels, reported: int, new: Labels) -> None:

@@ -18,6 +18,7 @@ from servotrack.estimators.compilation import njit
 from servotrack.estimators.elementary import cosine, sum_in_order
 from servotrack.estimators.symmetric import weighted_rows
 from servotrack.estimators.types import Array, ComplexArray
+from servotrack.estimators.validation import as_numbers
 
 Shading = Literal["conventional", "chebyshev"]
 
@@ -275,9 +276,11 @@ def normalize(powers: ArrayLike, averages: int = 1110) -> Array:
         Powers with noise mean 1. Shape (*rows, beams).
 
     Raises:
-        ValueError: Powers are NaN, infinite or negative, or the median of a row is 0.
+        ValueError: Powers are NaN, infinite or negative, there are none, or the median of a row is 0.
     """
-    z = np.asarray(powers, np.float64)
+    z = as_numbers("powers", powers)
+    if z.ndim < 1 or not z.shape[-1]:
+        raise ValueError(f"powers must have shape (*rows, beams), got {z.shape}")
     bad = ~(np.isfinite(z) & (z >= 0.0))
     if bad.any():
         at = tuple(int(i) for i in np.argwhere(bad)[0])

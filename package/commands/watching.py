@@ -1,4 +1,4 @@
-"""The commands `track`, `render` and `play`: track a video, render a sequence, watch an episode."""
+"""The commands `track`, `render` and `play`: track a video or points, render a sequence, watch an episode."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ def track(
         list[str],
         typer.Argument(
             help="Video files, folders of images, MOTChallenge folders, camera indices, or addresses (http, https, "
-            "rtsp). Several ones are tracked one after the other."
+            "rtsp); or points in time, as .csv or .csv.gz with the columns time, x, y[, z] or time, lat, lon. Several "
+            "ones are tracked one after the other."
         ),
     ],
     detector: Annotated[
@@ -76,7 +77,7 @@ def track(
         Path | None,
         typer.Option(
             help="True tracks, for scores: MOTChallenge gt.txt, labels of KITTI, or CAVIAR XML. "
-            "Default: gt.txt of a MOTChallenge folder."
+            "Default: gt.txt of a MOTChallenge folder. For points: a .csv with an additional column id."
         ),
     ] = None,
     match: Annotated[
@@ -144,10 +145,15 @@ def track(
     show_truth: Annotated[bool, typer.Option("--show-truth", help="Draw the true boxes into the video, too.")] = False,
     table_format: TableFormat = "table",
 ) -> None:
-    """Track people in a real sequence; write MOTChallenge tracks, an annotated video and, with --truth, scores."""
+    """Track people in a real sequence; write MOTChallenge tracks, an annotated video and, with --truth, scores.
+
+    Points in time, such as those of a radar or of AIS, get a filter whose parameters are measured from them; the tracks
+    are written as tracks.csv and tracks.geojson, with a figure.
+    """
     from servotrack.baselines.track_command.command import TrackRequest, folder_name, run_command
     from servotrack.baselines.track_command.counts import parse_places
     from servotrack.baselines.track_command.opening import SourceRequest
+    from servotrack.envs.track.files.points import is_points_file
 
     names = [folder_name(source) for source in sources]
     if len(sources) > 1 and truth is not None:
@@ -158,8 +164,29 @@ def track(
     if missed is not None and not counting:
         raise ValueError("--missed is of counts; add --count, --zone or --line")
     places = parse_places(zone or [], line or [], missed) if counting else None
+    for_frames = {
+        "--detector": detector != "auto",
+        "--tracker": tracker != "pmb",
+        "--set": settings,
+        "--tracks": tracks,
+        "--benchmark": benchmark is not None,
+        "--start": start,
+        "--frames": frames is not None,
+        "--stride": stride != 1,
+        "--zone, --line and --count": counting,
+        "--offline": offline,
+        "--show-truth": show_truth,
+    }
     worst = 0
     for source, name in zip(sources, names, strict=True):
+        if is_points_file(source):
+            from servotrack.baselines.track_command.points_command import run_points
+
+            if given := [option for option, used in for_frames.items() if used]:
+                raise ValueError(f"{', '.join(given)} is for frames, and {source} holds points; leave it out")
+            folder = Path("results") / "track" / name if out is None else out / name if len(sources) > 1 else out
+            run_points(Path(source), folder, truth, console(table_format))
+            continue
         request = TrackRequest(
             SourceRequest(
                 source,

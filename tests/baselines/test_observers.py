@@ -93,3 +93,33 @@ def test_a_servo_is_refused() -> None:
         match=r"needs an environment whose `unwrapped\.scene_model` is a SceneModel; UncalibServo-v0 has none",
     ):
         create_agent("gm-phd", gym.make("UncalibServo-v0"))
+
+
+def test_observers_without_a_smoother_answer_later() -> None:
+    at_once, _ = play("pmb", [5, 6])
+    late, rewards = play("pmb", [5, 6], lag=4)
+    assert not late[:4].any() and not rewards[:4].any()
+    assert np.array_equal(late[4:], at_once[:-4])
+
+
+def test_smoothed_trajectories_score_more_than_late_answers() -> None:
+    lag, horizon = 10, 40
+    env = gym.make_vec(ENV_ID, 4, level=2, horizon=horizon, lag=lag)
+    scores = {}
+    for name in ("pmb", "trajectory-pmb"):
+        agent = create_agent(name, env)
+        observation, _ = env.reset(seed=[1, 2, 3, 4])
+        state, total = None, 0.0
+        for _ in range(horizon + lag):
+            answer, state = agent.predict(observation, state)
+            assert answer in env.action_space
+            observation, reward, _, _, info = env.step(answer)
+            total += reward.mean()
+        assert info["episode_scored"].all()
+        scores[name] = total, info["ospa2"].mean()
+    assert scores["trajectory-pmb"][0] > scores["pmb"][0] + 5.0
+    assert scores["trajectory-pmb"][1] < 0.7 * scores["pmb"][1]
+
+
+def test_without_a_lag_the_smoother_is_pmb() -> None:
+    assert np.array_equal(play("pmb", [5, 6])[0], play("trajectory-pmb", [5, 6])[0])

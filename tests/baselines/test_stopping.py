@@ -31,6 +31,8 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="lo
 
 TIMES = 20
 """Random times per command and signal of the slow test."""
+LONGEST_WAIT = 30.0
+"""Longest time before a signal, s. Commands that take longer go on where they were stopped."""
 LONGEST_END = 5.0
 """Time within which all processes must have ended, s, on a machine that is not overloaded."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -123,6 +125,18 @@ def tracks(folder: Path) -> Any:
     return (out / "tracks.txt").read_text() if (out / "tracks.txt").exists() else ""
 
 
+def counted(folder: Path) -> Any:
+    """Tracks and counts, whose rows must be complete, and the files made of the tracks."""
+    out = folder / "out"
+    rows = (out / "counts.csv").read_text().splitlines() if (out / "counts.csv").exists() else []
+    assert all(len(row.split(",")) == 7 for row in rows)
+    frames = [int(row.split(",")[0]) for row in rows[1:]]
+    assert [frame for frame in frames if frames.count(frame) != 4] == []
+    if (out / "tracks.json").exists():
+        json.loads((out / "tracks.json").read_text())
+    return tracks(folder), rows, digests(out, "tracks.csv", "tracks.json", "tracks_offline.txt")
+
+
 COMMANDS = {
     "evaluate": Command(("evaluate", "UncalibServo-v0", "kf", "-n", "300", *SHORT, "-o", "out"), rows),
     "bench": Command(
@@ -137,6 +151,25 @@ COMMANDS = {
         ),
     ),
     "track": Command(("track", "walk.avi", "--out", "out", "--background", "0"), tracks),
+    "track with counts": Command(
+        (
+            "track",
+            "walk.avi",
+            "--out",
+            "out",
+            "--background",
+            "0",
+            "--zone",
+            "1,1,90,1,90,90",
+            "--line",
+            "60,0,60,96",
+            "--tracks",
+            "csv,coco",
+            "--offline",
+            "--no-video",
+        ),
+        counted,
+    ),
     "render": Command(("render", "scene", "--set", "horizon=150"), lambda folder: digests(folder, "scene/**/*")),
     "play": Command(("play", "--agent", "kf", "--seed", "3", "--video", "film.webm"), frames),
     "tune": Command(("tune", "kf", "broyden", "-n", "1", "-o", "tuning.json"), tuned),
@@ -301,7 +334,7 @@ def test_signals_at_random_times(
     folder = prepared(name, tmp_path / "0")
     for _ in range(TIMES):
         process = started(command.arguments, folder)
-        time.sleep(chance.uniform(0.0, 0.9 * duration))
+        time.sleep(chance.uniform(0.0, min(0.9 * duration, LONGEST_WAIT)))
         end(process, number)
         assert not leftovers(folder)
         found = command.content(folder)

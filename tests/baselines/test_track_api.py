@@ -172,7 +172,7 @@ def test_trackers_are_told_the_time_or_given_empty_frames():
             if time == 5.4 and tracker is clocked:
                 assert tracker.passed == pytest.approx(0.3)
     assert ((plain.steps, clocked.steps) == (6, 4) and clocked.passed is None) or clocked.passed == pytest.approx(0.1)
-    with pytest.raises(ValueError, match=r"time must be finite and after that of the last frame, 5\.5, got 5\.5"):
+    with pytest.raises(ValueError, match=r"time must be a finite number and after .*, 5\.5, got 5\.5"):
         timed.step(nothing, 5.5)
     # Nothing is kept over minutes.
     TimedTracker(plain, 10.0).step(nothing, 0.0)
@@ -299,3 +299,43 @@ def test_the_loop_warns_when_the_camera_moves(tmp_path: Path) -> None:
         frames = list(servotrack.track(tmp_path, background=0))
     assert len(frames) == 50 and not any(len(frame) for frame in frames[40:])
     assert sum("camera moves" in str(warning.message) for warning in said) == 1
+
+
+@pytest.mark.parametrize(
+    ("bad", "name"),
+    [
+        ({"detections": [["a", "b", "c", "d"]]}, "detections must be real numbers"),
+        ({"detections": np.ones((1, 4), np.complex128)}, "detections must be real numbers"),
+        ({"detections": [[1.0], [1.0, 2.0]]}, "detections"),
+        ({"detections": SimpleNamespace(xyxy="abc")}, "detections.xyxy must be real numbers"),
+        ({"detections": SimpleNamespace(xyxy=np.zeros(3))}, r"detections.xyxy must have shape \(k, 4\)"),
+        ({"detections": [BOX], "features": [["a"]]}, "features must be real numbers"),
+        ({"detections": [BOX], "confidences": [np.nan]}, "confidences must be finite"),
+        ({"detections": [BOX], "time": "x"}, "time must be real numbers"),
+        ({"detections": [BOX], "time": 0.5}, "time must be a finite number and after"),
+        ({"detections": [BOX], "time": 9.0, "motion": np.zeros((2, 3))}, "motion must keep areas"),
+    ],
+)
+def test_refused_frames_change_nothing(bad, name):
+    trackers = [servotrack.Tracker(frame_rate=10.0) for _ in range(2)]
+    for tracker in trackers:
+        tracker.update([BOX], time=1.0)
+    with pytest.raises(ValueError, match=name):
+        trackers[0].update(**bad)
+    found, wanted = (tracker.update([BOX], time=1.1) for tracker in trackers)
+    assert (found.frame, found.time) == (wanted.frame, wanted.time)
+    np.testing.assert_array_equal(found.existence, wanted.existence)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        ({"frame_size": 5}, "frame_size"),
+        ({"frame_size": (5, np.nan)}, "frame_size"),
+        ({"birth": "many"}, "birth must be a number"),
+        ({"frame_rate": np.nan}, "frame_rate"),
+    ],
+)
+def test_parameters_of_a_tracker_are_checked(arguments, name):
+    with pytest.raises(ValueError, match=name):
+        servotrack.Tracker(**arguments)

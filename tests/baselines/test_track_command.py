@@ -342,6 +342,17 @@ def test_a_marked_folder_is_used_again(tmp_path):
         claim_folder(tmp_path, OUTPUTS, {})
 
 
+def test_progress_goes_to_stderr(sequence, tmp_path, capsys, monkeypatch):
+    from servotrack import __main__ as command_line
+
+    monkeypatch.setattr(sys, "argv", ["servotrack", "track", str(sequence / "walk.avi"), "-o", str(tmp_path / "out")])
+    with pytest.raises(SystemExit) as ended:
+        command_line.main()
+    captured = capsys.readouterr()
+    assert not ended.value.code and "12 frames" in captured.err
+    assert captured.out.splitlines()[0].endswith("tracks.txt")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -372,5 +383,7 @@ def test_mistakes_are_told_in_one_line(sequence, tmp_path, capsys, monkeypatch, 
         command_line.main()
     assert ended.value.code == 2
     captured = capsys.readouterr()
-    assert captured.err.startswith("servotrack: ") and message in captured.err
-    assert captured.err.count("\n") == 1
+    # A run that had begun leaves its bar above the line.
+    line = captured.err.splitlines()[-1]
+    assert line.startswith("servotrack: ") and message in line
+    assert captured.err.count("\n") - captured.err.count(" frames ") == 1 and "Traceback" not in captured.err

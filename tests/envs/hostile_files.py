@@ -14,8 +14,10 @@ import cv2
 import numpy as np
 
 from servotrack.envs.track.files.caviar import read_caviar
+from servotrack.envs.track.files.labeled import LabeledTruth, read_labeled
 from servotrack.envs.track.files.mot_files import read_mot_detections, read_mot_tracks, read_seqinfo
 from servotrack.envs.track.files.recorded import RecordedTracks
+from servotrack.estimators.metrics.benchmarks import LabeledBoxes
 
 GT = b"1,2,10,20,30,40,1,1,0.5\n1,7,0,0,5.5,6,1,1,1\n3,2,12,21,30,40,1,1,0.25\n2,9,1,1,1,1,0,8,1\n"
 DETECTIONS = b"1,-1,291.557,192.468,39.494,119.227,0.995128,-1,-1,-1\n4,-1,5,6,7,8,-0.5,-1,-1,-1\n4,-1,1e1,6,7,8\n"
@@ -34,6 +36,12 @@ CVML = b"""<?xml version="1.0" encoding="UTF-8"?>
 </dataset>
 """
 SEQINFO = b"[Sequence]\nname=Toy\nimDir=img1\nframeRate=25\nseqLength=3\nimWidth=64\nimHeight=48\nimExt=.jpg\n"
+
+KITTI = b"""0 2 Pedestrian 0 0 -1.79 296.74 161.75 455.22 292.37 2.0 1.82 4.43 -4.55 1.86 13.41 -2.12
+0 -1 DontCare -1 -1 -10 219.31 188.49 245.50 218.56 -1000 -1000 -1000 -10 -1 -1 -1
+1 2 Pedestrian 0 3 -1.7 300.0 161.75 460.5 292.37 2.0 1.82 4.43 -4.55 1.86 13.41 -2.12
+1 0 Cyclist 1 0 -1.7 10 20 30.5 60
+"""
 
 _TOKENS = (
     b"nan",
@@ -204,6 +212,42 @@ def _inside(element: Any, name: str) -> list[Any]:
     return [child for child in element.childNodes if getattr(child, "tagName", None) == name]
 
 
+def check_labels(content: bytes, found: LabeledTruth) -> None:
+    """Check KITTI's labels, or a gt.txt with its flags, against a plain second reading of its rows."""
+    if found.benchmark != "kitti-pedestrian":
+        rows = [(row[1], row[0] - 1, *row[2:6], len(row) < 7 or int(row[6]) != 0) for row in _labeled_rows(content)]
+        assert _labels(found.boxes) == sorted(rows) and not len(found.regions.steps)
+        return
+    rows, regions = [], []
+    for line in content.decode("ascii", "backslashreplace").split("\n"):
+        words = line.split()
+        if not words:
+            continue
+        step, identity, truncated, occluded = (_plain(words[k]) for k in (0, 1, 3, 4))
+        left, top, right, bottom = (_plain(word) for word in words[6:10])
+        box = (left, top, right - left, bottom - top)
+        if words[2].lower() == "dontcare":
+            regions.append((step, *box))
+        elif identity >= 0:
+            rows.append((identity, step, *box, int(occluded) <= 2 and int(truncated) <= 0))
+    assert _labels(found.boxes) == sorted(rows)
+    assert sorted((row[1], *row[2:6]) for row in _labels(found.regions)) == sorted(regions)
+
+
+def _labels(boxes: LabeledBoxes) -> list[tuple[float, ...]]:
+    listed = zip(boxes.ids.tolist(), boxes.steps.tolist(), boxes.boxes.tolist(), boxes.counted.tolist(), strict=True)
+    return sorted((name, step, *box, counted) for name, step, box, counted in listed)
+
+
+def _labeled_rows(content: bytes) -> list[list[float]]:
+    """Return the numbers of each row; columns behind the flag may hold anything that is a number."""
+    lines = content.removeprefix(b"\xef\xbb\xbf").decode("ascii").split("\n")
+    kept = [line for line in (line.strip(" \t\r\x0b\x0c") for line in lines) if line]
+    assert not any("\r" in line for line in kept)
+    parts = [line.rstrip(",").split(",") if "," in line else line.split() for line in kept]
+    return [[_plain(part) if k < 7 and k != 1 else float(part) for k, part in enumerate(row)] for row in parts]
+
+
 def check_seqinfo(content: bytes, found: Any) -> None:
     """Check that each number stands in the file, and that images lie inside the folder."""
     assert not Path(found.images).is_absolute() and ".." not in Path(found.images).parts
@@ -222,6 +266,8 @@ READERS: dict[str, tuple[Callable[[Path], Any], bytes, Callable[[bytes, Any], No
     "gt.txt": (read_mot_tracks, GT, check_tracks),
     "det.txt": (read_mot_detections, DETECTIONS, check_detections),
     "truth.xml": (read_caviar, CVML, check_cvml),
+    "labels.txt": (read_labeled, KITTI, check_labels),
+    "flags.txt": (read_labeled, GT, check_labels),
     "seqinfo.ini": (read_seqinfo, SEQINFO, check_seqinfo),
 }
 

@@ -319,3 +319,34 @@ def test_observations_lie_in_their_space(level):
         while not truncated:
             observation, _, _, truncated, _ = env.step(env.action_space.sample())
             assert observation in env.observation_space
+
+
+@pytest.mark.parametrize("level", [0, 2, 3, 4])
+def test_a_lag_changes_no_scan_and_appends_others(level):
+    without = draw_episode(clutter_config(level), 3)
+    late = draw_episode(clutter_config(level, lag=8), 3)
+    scans = len(without.states)
+    assert len(late.states) == scans + 8
+    for name in ("states", "exists", "measurements", "source"):
+        np.testing.assert_array_equal(getattr(late, name)[:scans], getattr(without, name))
+    assert not (late.exists[scans:] & ~without.exists[-1]).any()
+    if level == 0:
+        assert (late.exists[-1] == late.exists[scans - 1]).mean() > 0.8
+    both = late.exists[scans - 1 : -1] & late.exists[scans:]
+    moved = np.linalg.norm(np.diff(position(late.states[scans - 1 :]), axis=0), axis=-1)[both]
+    assert both.any() and moved.max() < 200.0
+
+
+def test_answers_are_late_by_the_lag():
+    env = gym.make(ENV_ID, level=1, horizon=20, lag=3).unwrapped
+    _, info = env.reset(seed=1)
+    answers, scored, rewards, truncated = [], [], [], False
+    while not truncated:
+        answers.append(true_answer(env, info))
+        late = answers[-4] if len(answers) > 3 else np.zeros(env.action_space.shape)
+        _, reward, _, truncated, info = env.step(late)
+        scored.append(info["scored"])
+        rewards.append(reward)
+    assert scored == [False] * 3 + [True] * 20
+    assert max(map(abs, rewards)) == 0.0
+    assert info["ospa2"] == 0.0 and info["episode_scored"]

@@ -49,7 +49,7 @@ def check_reader(path: Path, content: bytes) -> bool:
             found = reader(path)
     except SequenceError as error:
         assert str(path) in str(error) and "\n" not in str(error), error
-        if path.name in ("gt.txt", "det.txt", "truth.xml"):
+        if path.name != "seqinfo.ini":
             assert f"{path}, line " in str(error), error
         return False
     check(content, found)
@@ -157,7 +157,29 @@ HOSTILE = {
         b"\x00",
     ],
 }
-HOSTILE["det.txt"] = HOSTILE["gt.txt"]
+HOSTILE["det.txt"] = HOSTILE["flags.txt"] = HOSTILE["gt.txt"]
+HOSTILE["labels.txt"] = [
+    b"0 2 Pedestrian 0 0 0 1 2 3 4\n",
+    b"0 2 Pedestrian 0 0 0 1 2 3 4\n" * 2,
+    b"0 2.5 Pedestrian 0 0 0 1 2 3 4\n",
+    b"0.5 2 Pedestrian 0 0 0 1 2 3 4\n",
+    b"0 1e300 Pedestrian 0 0 0 1 2 3 4\n",
+    b"0 9007199254740993 Pedestrian 0 0 0 1 2 3 4\n",
+    b"nan 2 Pedestrian 0 0 0 1 2 3 4\n",
+    b"0 2 Pedestrian 0.5 0 0 1 2 3 4\n",
+    b"0 2 Pedestrian 1e400 0 0 1 2 3 4\n",
+    b"0 2 Pedestrian 0 0 0 3 2 1 4\n",
+    b"0 2 Pedestrian 0 0 0 1 2 inf 4\n",
+    b"0 2 Pedestrian 0 0 0 -1e308 2 1e308 4\n",
+    b"0 2 Pedestrian 0 0 0 1 2 3\n",
+    b"0 2 Pedestrian 0 0 0 1 2 3 4" + b" 1" * 99 + b"\n",
+    b"0 2 Pedestrian 0 0 0 1 2 3 4" + b" " * 5000 + b"\n",
+    b"0 2 Pedestrian 0 0 0 1 2 3 4\n0 3 Alien 0 0 0 1 2 3 4\n",
+    b"0 -1 DontCare -1 -1 -10 1 2 3 4\n",
+    b"0 -1 DontCare -1 -1 -10 nan 2 3 4\n",
+    b"-5 2 Pedestrian 0 0 0 1 2 3 4\n",
+    b"10000001 2 Pedestrian 0 0 0 1 2 3 4\n",
+]
 
 
 @pytest.mark.parametrize("name", READERS)

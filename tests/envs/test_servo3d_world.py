@@ -6,11 +6,22 @@ import numpy as np
 import pytest
 
 from servotrack.envs.servo3d.arms import ARMS
-from servotrack.envs.servo3d.episode import LEAD, LEAST_ERROR, PERIOD, STOP_MARGIN, draw_episode
+from servotrack.envs.servo3d.draws import draw_offsets, start_streams
+from servotrack.envs.servo3d.episode import (
+    LEAD,
+    LEAST_ERROR,
+    PERIOD,
+    STOP_MARGIN,
+    Stream,
+    draw_episode,
+    layout_parts,
+)
 from servotrack.envs.servo3d.kinematics import largest_torque
 from servotrack.envs.servo3d.layout import SHORTFALL
 from servotrack.envs.servo3d.levels import servo3d_config
 from servotrack.envs.servo3d.world import Servo3DWorld
+from servotrack.envs.streams import Streams
+from servotrack.estimators.elementary import power
 
 TUNE = range(100_000, 100_020)
 
@@ -138,6 +149,29 @@ def test_occlusions_leave_two_points():
     counts = 4 - np.concatenate(hidden).sum(axis=1)
     assert counts.min() == 2
     assert counts.max() == 4
+
+
+@pytest.mark.parametrize("seed", [0, 7, 2**63 - 5])
+def test_compiled_draws_are_those_of_numpy(seed):
+    config, arm = servo3d_config(3, latency=(0, 2), turn=(0.2, 0.5)), ARMS["panda"]
+    episode, streams = draw_episode(config, arm, seed), Streams(seed)
+    offset = streams[Stream.OPTICS].uniform(-30.0, 30.0, 2)
+    focal = streams[Stream.OPTICS].uniform(*config.focal)
+    assert episode.optics.tolist() == [focal, 320.0 + offset[0], 240.0 + offset[1], 640.0, 480.0]
+    assert episode.lag == streams[Stream.ACTUATOR].uniform(*config.actuator_lag)
+    np.testing.assert_array_equal(episode.homing, streams[Stream.HOMING].uniform(-config.homing, config.homing, 7))
+    assert episode.latency == streams[Stream.TIMING].integers(0, 3)
+    assert episode.encoder_age == streams[Stream.ENCODER_TIMING].integers(0, 3)
+    noise = config.pixel_noise * streams[Stream.PIXEL_NOISE].standard_normal(episode.feature_noise.shape)
+    np.testing.assert_array_equal(episode.feature_noise, noise)
+
+    offsets, rng = np.empty((64, 6)), streams[Stream.START]
+    states = start_streams(np.uint64(seed), np.array([Stream.START]))
+    draw_offsets(states[0], layout_parts(config, arm).ranges, offsets)
+    np.testing.assert_array_equal(offsets[:, :2], rng.uniform(-config.shift, config.shift, (64, 2)))
+    np.testing.assert_array_equal(offsets[:, 2:4], rng.uniform(-config.lean, config.lean, (64, 2)))
+    np.testing.assert_array_equal(offsets[:, 4], rng.uniform(*config.turn, 64) * rng.choice((-1.0, 1.0), 64))
+    np.testing.assert_array_equal(offsets[:, 5], power(rng.uniform(*config.zoom, 64), rng.choice((-1.0, 1.0), 64)))
 
 
 @pytest.mark.parametrize("camera", ["hand", "world"])

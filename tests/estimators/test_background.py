@@ -111,7 +111,7 @@ def test_after_a_step_of_light_the_printed_rule_is_stuck_and_ours_recovers(kind)
 
 def test_a_picture_that_changes_altogether_becomes_the_background():
     other = np.ascontiguousarray(frame(0)[::-1, ::-1]) // 2 + 100
-    detector = MaskedBackground(heal_every=0, threshold=20.0, flood=0.4, flood_frames=10)
+    detector = MaskedBackground(heal_every=0, threshold=20.0, flood=0.4, flood_time=0.4)
     state = detector.initial(frame(0))
     for step in range(30):
         state, found = detector.step(state, other)
@@ -234,7 +234,8 @@ def test_bad_first_frames_are_named(bad, match):
         ({"hold": "all"}, "hold must be one of"),
         ({"heal_every": -1}, "heal_every"),
         ({"flood": 0.0}, "flood must be a share"),
-        ({"flood_frames": 0}, "flood_frames"),
+        ({"flood_time": 0.0}, "flood_time"),
+        ({"frame_rate": -1.0}, "frame_rate"),
     ],
 )
 def test_bad_parameters_are_named(arguments, match):

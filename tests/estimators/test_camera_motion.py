@@ -28,7 +28,7 @@ def frame(step, left=0.0, people=(), gain=1.0):
 
 
 def run(frames):
-    detector = MaskedBackground(blobs=BlobFinder(split=False))
+    detector = MaskedBackground(blobs=BlobFinder(split=False), frame_rate=RATE)
     state, notices, counts = None, [], []
     for picture in frames:
         state = detector.initial(picture) if state is None else state
@@ -47,7 +47,7 @@ def test_a_camera_that_starts_to_pan_is_said_within_two_seconds(speed):
     first = next(k for k, notice in enumerate(notices) if notice)
     assert first - start <= 2 * RATE
     assert "the camera moves by about" in notices[first] and "--detector model.onnx" in notices[first]
-    assert float(notices[first].split("about ")[1].split()[0]) == pytest.approx(speed, abs=0.1)
+    assert float(notices[first].split("about ")[1].split()[0]) == pytest.approx(speed * RATE, abs=1.0)
     # Nothing is reported as long as it moves.
     assert not any(counts[first:])
     assert all(notices[first:])

@@ -18,7 +18,7 @@ from servotrack.estimators.jacobian import (
     ServoEstimate,
     ServoMeasurement,
 )
-from servotrack.estimators.jacobian.chain_kernel import chain_derivatives, chain_features
+from servotrack.estimators.jacobian.chain_kernel import chain_derivatives, chain_features, jacobian_derivatives
 from servotrack.estimators.testing import check_estimator
 
 PERIOD = 0.05
@@ -120,6 +120,19 @@ def test_derivatives_equal_finite_differences(reverse, angle):
         (by_parameters, differences(lambda x: features(x, angles), parameters)),
     ):
         np.testing.assert_allclose(ours, theirs, atol=1e-6 * np.abs(theirs).max())
+
+    def jacobian(parameters):
+        found = np.zeros((2 * p, n))
+        chain_derivatives(parameters, angles, reverse, 600.0, np.zeros(2 * p), found, np.zeros((0, len(parameters))))
+        return found.T.ravel()
+
+    shown, slopes, columns = np.zeros(2 * p), np.zeros((2 * p, n)), np.zeros((len(parameters), 2 * p * (n + 1)))
+    jacobian_derivatives(parameters, angles, reverse, 600.0, shown, slopes, columns)
+    np.testing.assert_allclose(shown, value, rtol=1e-12)
+    np.testing.assert_allclose(slopes, by_angles, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(columns[:, 2 * p * n :].T, by_parameters, rtol=1e-9, atol=1e-9)
+    theirs = differences(jacobian, parameters).T
+    np.testing.assert_allclose(columns[:, : 2 * p * n], theirs, atol=1e-6 * np.abs(theirs).max())
 
 
 @pytest.mark.parametrize("camera", ["hand", "world"])

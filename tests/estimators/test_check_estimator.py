@@ -28,6 +28,9 @@ FUZZED = int(os.environ.get("SERVOTRACK_FUZZED_SEQUENCES", "2000"))
 FUZZED_SECONDS = float(os.environ.get("SERVOTRACK_FUZZED_SECONDS", "inf"))
 """Time limit of the slow fuzzer for each estimator, s."""
 
+FOUND = [("parametric-ukf", 4), ("controller-damped", 8)]
+"""Estimators and seeds at which the slow fuzzer found a fault that was mended."""
+
 
 def inputs_of(kind: Kind, rows: int) -> Inputs:
     return inputs_for(kind.estimator) if kind.inputs is None else kind.inputs(rows)
@@ -39,6 +42,13 @@ def test_every_estimator_follows_the_contract(name: str) -> None:
     kind = ZOO[name]
     inputs = inputs_of(kind, 20)
     check_estimator(kind.estimator, inputs, sequences=kind.sequences, steps=kind.steps, skip=kind.skip)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize(("name", "seed"), FOUND)
+def test_faults_that_were_found_stay_mended(name: str, seed: int) -> None:
+    kind = ZOO[name]
+    check_estimator(kind.estimator, inputs_of(kind, 50), sequences=1, steps=kind.steps, seed=seed, skip=kind.skip)
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -15,6 +16,11 @@ from servotrack.estimators.rfs.sets import SetEstimate
 def seen(feet: list[tuple[float, float]], labels: list[int], existence: list[float]) -> SetEstimate:
     boxes = np.array([[x - 10.0, y - 60.0, 20.0, 60.0] for x, y in feet]).reshape(-1, 4)
     return set_of_boxes(boxes, np.zeros((len(boxes), 4, 4)), np.array(labels, np.int64), np.array(existence))
+
+
+ONE = seen([(0.0, 0.0)], [1], [0.9])
+ZONE = ZoneCount([(0.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+LINE = LineCount((0.0, 0.0), (1.0, 1.0))
 
 
 def test_numbers_have_the_distribution_of_all_combinations() -> None:
@@ -79,6 +85,22 @@ def test_a_line_counts_each_direction_once() -> None:
     assert crossings.forward.expected == pytest.approx(0.8)
 
 
+@pytest.mark.parametrize("rate", [5.0, 30.0])
+def test_a_line_remembers_hidden_people_for_a_time_at_every_frame_rate(rate: float) -> None:
+    def crossings(memory: float, dt: float | None) -> float:
+        line = LineCount((50.0, 0.0), (50.0, 100.0), missed=0.0, memory=memory, frame_rate=rate)
+        state, _ = line.step(line.initial(), seen([(20.0, 50.0)], [1], [1.0]), dt)
+        for _ in range(int(2.0 * rate)):
+            state, _ = line.step(state, seen([], [], []), dt)
+        _, found = line.step(state, seen([(80.0, 50.0)], [1], [1.0]), dt)
+        return found.forward.expected + found.backward.expected
+
+    for dt in (None, 1.0 / rate):
+        assert crossings(2.5, dt) == 1.0 and crossings(1.5, dt) == 0.0
+    with pytest.raises(ValueError, match="dt must be finite"):
+        crossings(1.0, -1.0)
+
+
 def test_people_that_a_camera_left_behind_are_not_in_the_frame() -> None:
     feet = [(50.0, 90.0), (95.0, 90.0), (160.0, 90.0)]
     estimate = seen(feet, [1, 2, 3], [0.9, 0.3, 0.3])
@@ -117,11 +139,22 @@ def test_missed_crossings_widen_the_interval_as_often_as_they_say() -> None:
         (lambda: LineCount((1.0, 1.0), (1.0, 1.0)), "different"),
         (lambda: LineCount((1.0, np.nan), (1.0, 1.0)), "start and end"),
         (lambda: LineCount((1.0, 0.0), (1.0, 1.0), missed=-1.0), "missed"),
+        (lambda: LineCount((1.0, 0.0), (1.0, 1.0), frame_rate=0.0), "frame_rate"),
         (lambda: LineCount((1.0, 0.0), (1.0, 1.0), margin=np.nan), "margin"),
         (lambda: ZoneCount([(0.0, 0.0), (1.0, 1.0), (0.0, 1.0)], undetected=-1.0), "undetected"),
         (lambda: add_chances(NOBODY, [1.2]), "chances"),
         (lambda: people_count(seen([], [], []), undetected=-1.0), "undetected"),
         (lambda: people_count(seen([], [], []), level=1.0), "level"),
+        (lambda: ZoneCount([(0.0, 0.0), (1.0, 1.0), (2.0, 2.0)]), "corners must enclose an area"),
+        (lambda: ZoneCount([(0.0, 0.0), (1e308, 1.0), (2.0, 0.0)]), "corners must be at most 1e"),
+        (lambda: ZoneCount([("a", 0.0), (1.0, 1.0), (2.0, 0.0)]), "corners must be real numbers"),
+        (lambda: LineCount((0.0, 0.0), (1e9, 1.0)), "start and end must be at most 1e"),
+        (lambda: LineCount((0.0, 0.0), (1.0, 1.0), missed=1e9), "missed must be in 0 to 100"),
+        (lambda: people_count(seen([(np.nan, 0.0)], [1], [0.9])), "estimate.states must be finite"),
+        (lambda: people_count(replace(ONE, existence=np.array([np.nan]))), r"estimate.existence must be in \[0, 1\]"),
+        (lambda: people_count(replace(ONE, states=np.zeros((1, 3)))), "estimate.states must be boxes"),
+        (lambda: ZONE.count(seen([(np.inf, 0.0)], [1], [0.9])), "estimate.states must be finite"),
+        (lambda: LINE.step(LINE.initial(), replace(ONE, existence=np.array([1.5]))), "estimate.existence"),
     ],
 )
 def test_errors_name_the_argument(make: object, name: str) -> None:

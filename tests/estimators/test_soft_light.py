@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import pytest
 
 from servotrack.estimators.detect import BlobFinder, MaskedBackground
 from servotrack.estimators.detect.stillness import StillRules
@@ -64,25 +65,37 @@ def test_a_cast_shadow_with_a_sharp_border_does_not_widen_a_person():
     np.testing.assert_allclose(box, (80, 40, 18, 50), atol=5.0)
 
 
-def walked(detector, frames=160):
+def walked(detector, frames=160, dt=None):
     """A person walks to and fro, and leaves a thing at frame 40; the person stops at frame 90."""
     state, counts = detector.initial(frame(0)), []
     for k in range(frames):
         x = 20 + abs(60 - 2 * (min(k, 90) % 60))
-        state, found = detector.step(state, frame(k, (x, 60), thing=(150, 100) if k >= 40 else None))
+        state, found = detector.step(state, frame(k, (x, 60), thing=(150, 100) if k >= 40 else None), dt)
         counts.append(len(found.boxes))
     return counts
 
 
 def test_a_thing_that_was_left_becomes_background_and_who_stands_still_does_not():
-    counts = walked(MaskedBackground())
+    counts = walked(MaskedBackground(frame_rate=10.0))
     assert max(counts[42:60]) == 2
     assert counts[-20:] == [1] * 20
-    assert walked(MaskedBackground(still=None))[-1] == 2
+    assert walked(MaskedBackground(frame_rate=10.0, still=None))[-1] == 2
+
+
+def test_a_thing_becomes_background_after_the_same_time_at_every_frame_rate():
+    def gone(rate, dt=None):
+        counts = walked(MaskedBackground(frame_rate=rate, still=StillRules(small_time=3.0)), 40 + int(4.5 * rate), dt)
+        return 1 + max(k for k, count in enumerate(counts) if count == 2) - 40
+
+    seconds = [gone(rate) / rate for rate in (10.0, 20.0, 30.0)]
+    assert all(3.0 <= one <= 4.2 for one in seconds), seconds  # A search every 10 frames.
+    assert gone(10.0, 0.1) == gone(10.0)
+    with pytest.raises(ValueError, match="dt must be finite"):
+        walked(MaskedBackground(), dt=0.0)
 
 
 def test_after_the_longer_time_everything_becomes_background():
-    detector = MaskedBackground(still=StillRules(frames=40))
+    detector = MaskedBackground(still=StillRules(time=1.6))
     state = detector.initial(frame(0))
     for k in range(80):
         state, found = detector.step(state, frame(k, (60, 50)))

@@ -47,6 +47,11 @@ CARDS = (
         "the choice for levels 2 to 7",
     ),
     _observer("pmbm", "Poisson multi-Bernoulli mixture filter: the exact posterior up to pruning"),
+    _observer(
+        "trajectory-pmb",
+        "PMB with smoothed trajectories, as late as the world's lag allows; equal to pmb without a lag",
+        in_default_suite=False,
+    ),
     _observer("smc-phd", "particle PHD filter with k-means extraction"),
     _observer("gnn", "Kalman tracks, nearest neighbors by one assignment, 3-of-5 confirmation"),
     _observer("gnn-hmm", "the same, assuming independent noises"),

@@ -23,12 +23,13 @@ from servotrack.estimators.rfs import (
     Reduction,
     RegionSurvival,
     RobustPMB,
+    TrajectoryPMB,
     maneuvers,
 )
 from servotrack.estimators.rfs.extraction import Rule
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD
 
-GaussianT = TypeVar("GaussianT", GMPHD, GMCBMeMBer, PMB, PMBM)
+GaussianT = TypeVar("GaussianT", GMPHD, GMCBMeMBer, PMB, PMBM, TrajectoryPMB)
 
 TrackFilter: TypeAlias = (
     GMPHD
@@ -36,12 +37,16 @@ TrackFilter: TypeAlias = (
     | PMB
     | PMBM
     | RobustPMB
+    | TrajectoryPMB
     | ParticlePHD
     | GlobalNearestNeighbor
     | RawMeasurements
     | SteadyPHD
     | CountingPHD
 )
+
+SMOOTHER = "trajectory-pmb"
+"""Observer that reports the scan that the scene's lag asks for; the others report the newest one."""
 
 SMALLEST_CAPACITY = 100
 """Capacity of a filter (see `FilterSettings`) if three times the rows of an answer are fewer."""
@@ -134,6 +139,11 @@ def _robust(scene: SceneModel, settings: FilterSettings) -> RobustPMB:
     )
 
 
+def _trajectories(scene: SceneModel, settings: FilterSettings) -> TrajectoryPMB:
+    made = _gaussian(TrajectoryPMB, lambda capacity: Reduction(components=5, tracks=capacity))(scene, settings)
+    return replace(made, lag=scene.lag)
+
+
 def steered_phd(scene: SceneModel, settings: FilterSettings | None = None) -> SteeredPHD:
     """Create a GM-PHD filter for a scene whose parameters are passed at every step."""
     made = _phd(scene, settings or FilterSettings())
@@ -189,6 +199,7 @@ TRACK_FILTERS: Mapping[str, Callable[[SceneModel, FilterSettings], TrackFilter]]
     "pmb": _gaussian(PMB, lambda capacity: Reduction(components=5, tracks=capacity)),
     "robust-pmb": _robust,
     "pmbm": _mixture,
+    SMOOTHER: _trajectories,
     "smc-phd": _particle,
     "gnn": _nearest,
     "raw-measurements": _raw,

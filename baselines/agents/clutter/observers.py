@@ -7,7 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from servotrack.baselines.agents.clutter.association_oracle import AssociationOracle
-from servotrack.baselines.agents.clutter.catalog import TrackFilter, observer_settings, track_filter
+from servotrack.baselines.agents.clutter.catalog import SMOOTHER, TrackFilter, observer_settings, track_filter
+from servotrack.baselines.agents.delayed import DelayedAgent
 from servotrack.baselines.agents.hyper_parameters import with_values
 from servotrack.baselines.agents.set_observer import RawObserver, SetObserver
 from servotrack.envs.track.clutter.scene_model import SceneModel
@@ -22,8 +23,8 @@ def create_clutter_observer(
     hidden_markov: bool = False,
     extraction: Rule = "threshold",
     values: Mapping[str, float] | None = None,
-) -> SetObserver | RawObserver:
-    """Create an observer of points in clutter.
+) -> SetObserver | RawObserver | DelayedAgent:
+    """Create an observer of points in clutter. With a lag in the scene, filters without a smoother answer later.
 
     Args:
         space: Action space of one scene.
@@ -36,11 +37,23 @@ def create_clutter_observer(
     Raises:
         ValueError: An unknown estimator, or values that do not fit it.
     """
+    observer = _undelayed(space, scene, estimator, hidden_markov, extraction, values or {})
+    return DelayedAgent(observer, scene.lag) if scene.lag and estimator != SMOOTHER else observer
+
+
+def _undelayed(
+    space: Any,
+    scene: SceneModel,
+    estimator: str,
+    hidden_markov: bool,
+    extraction: Rule,
+    values: Mapping[str, float],
+) -> SetObserver | RawObserver:
     rows = space.shape[0]
     if estimator == "association-oracle":
         return SetObserver(AssociationOracle(scene.model, scene.birth_covariance), rows, space.low, space.high)
     settings = replace(observer_settings(rows), hidden_markov=hidden_markov, extraction=extraction)
-    made: TrackFilter = with_values(track_filter(estimator, scene, settings), values or {})
+    made: TrackFilter = with_values(track_filter(estimator, scene, settings), values)
     if isinstance(made, RawMeasurements):
         return RawObserver(made, space.low, space.high)
     return SetObserver(made, rows, space.low, space.high)

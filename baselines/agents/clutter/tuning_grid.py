@@ -35,6 +35,7 @@ BORROWED: Mapping[str, str] = {
     "gm-phd-hmm": "gm-phd",
     "gm-cbmember-hmm": "gm-cbmember",
     "pmb-hmm": "pmb",
+    "trajectory-pmb": "pmb",
     "gnn-hmm": "gnn",
 }
 """Agents that use the values of another agent."""

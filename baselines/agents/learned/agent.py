@@ -239,6 +239,8 @@ def _predicting_sets(file: Path, card: LearnedCard, env: Any) -> SetPredictor:
     network, scene = OnnxNetwork(file.parent / card.network, card), public_attribute(env, "scene_model")
     if not isinstance(scene, SceneModel):
         raise AgentFileError(f"{file} needs an environment whose `unwrapped.scene_model` is a SceneModel")
+    if scene.lag:
+        raise AgentFileError(f"{file} answers at once; lag must be 0, got {scene.lag}")
     window = SetWindow.of(card.encoding)
     if (network.size, network.actions, network.memory) != (window.size, ANSWERS, 0):
         raise AgentFileError(

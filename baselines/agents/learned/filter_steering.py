@@ -159,5 +159,7 @@ def create_steering(env: Any) -> SteeringEncoding:
         raise ValueError(
             f"encoding steering needs an environment whose `unwrapped.scene_model` is a SceneModel, got {env.unwrapped}"
         )
+    if scene.lag:
+        raise ValueError(f"encoding steering answers at once: lag must be 0, got {scene.lag}")
     rows = getattr(env, "single_action_space", env.action_space).shape[0]
     return SteeringEncoding(steered_phd(scene, observer_settings(rows)), rows, scene.clutter_rate)

@@ -77,24 +77,27 @@ def create_tracker(name: str, frame_size: Size | None = None, frame_rate: float 
         ImportError: A tracker of the package `trackers`, which is not installed.
     """
     _check_name("tracker", name, TRACKERS)
-    if frame_size is not None and not min(frame_size) >= 1:
+    if frame_size is not None and (np.shape(frame_size) != (2,) or not all(side >= 1 for side in frame_size)):
         raise ValueError(f"frame_size must be width and height of at least 1 px, got {frame_size!r}")
     if not (np.isfinite(frame_rate) and frame_rate > 0.0):
         raise ValueError(f"frame_rate must be finite and > 0, got {frame_rate!r}")
     return TRACKERS[name](frame_size, float(frame_rate))
 
 
-def create_detector(name: str, **parameters: Any) -> Detector:
+def create_detector(name: str, frame_rate: float | None = None, **parameters: Any) -> Detector:
     """Create a detector of people in frames.
 
     Args:
         name: One of `DETECTORS`.
+        frame_rate: Frames per second, for detectors whose `step` is not given the time; None for their default.
         **parameters: Parameters of the detector that differ from its preset.
 
     Raises:
         ValueError: An unknown name, or a parameter out of range.
     """
     _check_name("detector", name, DETECTORS)
+    if frame_rate is not None and name in TIMED_DETECTORS:
+        parameters = {"frame_rate": float(frame_rate), **parameters}
     return DETECTORS[name](**parameters)
 
 
@@ -230,6 +233,9 @@ DETECTORS: Mapping[str, Callable[..., Detector]] = {
     "knn": _knn,
 }
 """Factory of each detector."""
+
+TIMED_DETECTORS = ("masked", "masked-paper")
+"""Detectors with rules in seconds, which take a frame rate."""
 
 
 def _check_name(kind: str, name: str, known: Iterable[str]) -> None:

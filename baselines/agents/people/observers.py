@@ -201,7 +201,7 @@ def create_video_observer(
     tracker = with_values(create_tracker(name, (scene.width, scene.height), scene.frame_rate), values or {})
     made: Estimator[Any, Any, SetEstimate] = DetectionRows(tracker)
     if scene.observation == "pixels":
-        made = DetectThenTrack(create_detector(detector), tracker)
+        made = DetectThenTrack(create_detector(detector, scene.frame_rate), tracker)
     return VideoObserver(made, space, identities=not isinstance(tracker, RawDetections))
 
 

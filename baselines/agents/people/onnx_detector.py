@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 from numpy.typing import ArrayLike, NDArray
 
-from servotrack.baselines.agents.learned.onnx_file.references import check_self_contained
-from servotrack.baselines.reporting.files import ResultsError, read_bounded
+from servotrack.baselines.agents.people.bounded_network import BoundedNetwork
+from servotrack.baselines.reporting.files import ResultsError
 from servotrack.estimators.detect.detections import Detections, detections_from_boxes
 from servotrack.estimators.detect.images import checked_image, checked_images
 from servotrack.estimators.detect.network_frames import (
@@ -25,8 +24,6 @@ from servotrack.estimators.detect.network_frames import (
 from servotrack.estimators.detect.network_heads import Candidates, Head, recognize_head
 from servotrack.estimators.types import Image
 
-LARGEST_FILE = 1 << 31
-"""Largest accepted size of a file, bytes; ONNX files cannot be larger."""
 CONFIDENCE = 0.25
 """Smallest confidence of a detection where none is given."""
 OVERLAP = 0.7
@@ -35,7 +32,11 @@ _MOST_BOXES = 300
 _MOST_CANDIDATES = 30_000
 _DEFAULT_SIDE = 640
 _SIDES = (32, 8192)
-_LONGEST_METADATA = 100_000
+_LARGEST_COORDINATE = 1e6
+"""Largest distance of a box from the origin, px."""
+_LARGEST_SCORE = 1.001
+"""Probabilities may exceed 1 by the rounding of 16 bits."""
+_MOST_CLASSES = 1_000_000
 _WANTED = "person"
 _MEAN, _DEVIATION = np.array([0.485, 0.456, 0.406], np.float32), np.array([0.229, 0.224, 0.225], np.float32)
 """Mean and deviation of the colors of ImageNet, which RF-DETR expects to be removed."""
@@ -46,8 +47,8 @@ class OnnxDetector:
     """Detector of people, or of other classes, that a network in an ONNX file finds in frames.
 
     Kind of outputs and size of the input are recognized from names and shapes, classes from the file's metadata. The
-    file must hold its weights itself. It is the user's own: unlike the networks of agents it may use every operator of
-    onnxruntime, and its computation is not bounded.
+    file must hold its weights itself. Unlike the networks of agents it may use every operator of onnxruntime; time and
+    memory are bounded, see `BoundedNetwork`.
 
     Args:
         path: The ONNX file.
@@ -78,7 +79,7 @@ class OnnxDetector:
             if not 0.0 <= value <= 1.0:
                 raise ValueError(f"{name} must lie in [0, 1], got {value!r}")
         self.path, self._confidence, self._overlap = Path(path), float(confidence), float(overlap)
-        self._session = self._load()
+        self._network = BoundedNetwork(self.path)
         self.names = _names(self._metadata("names"))
         self._find_input()
         self._ultralytics = bool(self._metadata("stride") or "ultralytics" in self._metadata("author").lower())
@@ -121,7 +122,7 @@ class OnnxDetector:
 
         Raises:
             ValueError: The frame has another type or shape.
-            ResultsError: The network fails.
+            ResultsError: The network fails, takes too long or too much memory, or gives boxes that cannot be.
         """
         return state, self.detect(checked_image(frame, "frame", state))[0]
 
@@ -132,7 +133,9 @@ class OnnxDetector:
             image = np.repeat(image[..., None], 3, axis=2)
         prepared, place = self._prepared(image)
         outputs = self._run(prepared, place.size)
-        found = self._selected(self.head.candidates(outputs, self.size, self._confidence))
+        with np.errstate(over="ignore", invalid="ignore"):
+            candidates = self.head.candidates(outputs, self.size, self._confidence)
+        found = self._selected(self._checked(candidates))
         corners = self._in_frame(found.corners, place)
         return detections_from_boxes(boxes_from_corners(corners), found.scores.astype(np.float64)), found.classes
 
@@ -141,9 +144,24 @@ class OnnxDetector:
             return letterbox(image, self.size)
         return stretch(image, self.size, smooth=not self._ultralytics)
 
+    def _checked(self, found: Candidates) -> Candidates:
+        """Return boxes that can be; others would be left out in silence, or spoil the tracks."""
+        for what, values, least, most in (
+            ("a confidence", found.scores, 0.0, _LARGEST_SCORE),
+            ("a corner at (px)", found.corners, -_LARGEST_COORDINATE, _LARGEST_COORDINATE),
+            ("a class", found.classes, 0, _MOST_CLASSES),
+        ):
+            good = (values >= least) & (values <= most)
+            if not good.all():
+                raise ResultsError(
+                    f"{self.path} gives {what} {values[~good].flat[0]}, which cannot be; its outputs are damaged, or "
+                    "not of the kind that their shapes say: export the network anew"
+                )
+        return found._replace(scores=np.minimum(found.scores, np.float32(1.0)))
+
     def _selected(self, found: Candidates) -> Candidates:
         """Return the boxes of wanted classes, the most confident ones, without those that better ones cover."""
-        kept = np.flatnonzero(np.isin(found.classes, self.wanted) & np.isfinite(found.corners).all(axis=1))
+        kept = np.flatnonzero(np.isin(found.classes, self.wanted))
         kept = kept[np.argsort(-found.scores[kept], kind="stable")]
         if self.head.kind == "dense":
             kept = kept[:_MOST_CANDIDATES]
@@ -159,35 +177,12 @@ class OnnxDetector:
         width, height = place.size
         return np.clip(corners, 0.0, np.array([width, height, width, height], np.float32))
 
-    def _load(self) -> onnxruntime.InferenceSession:
-        content = read_bounded(self.path, LARGEST_FILE)
-        try:
-            check_self_contained(content)
-        except ValueError as error:
-            raise ResultsError(f"{self.path} cannot be used: {error}") from error
-        options = onnxruntime.SessionOptions()
-        options.log_severity_level = 4
-        # Otherwise onnxruntime guesses from the bytes, and may read a file of its own format.
-        options.add_session_config_entry("session.load_model_format", "ONNX")
-        providers = [
-            name for name in ("CUDAExecutionProvider", "CPUExecutionProvider")
-            if name in onnxruntime.get_available_providers()
-        ]  # fmt: skip
-        try:
-            return onnxruntime.InferenceSession(content, options, providers=providers)
-        except Exception as error:  # onnxruntime's errors have no common base
-            raise self._cannot_run(error) from error
-
-    def _cannot_run(self, error: Exception) -> ResultsError:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        return ResultsError(f"{self.path} cannot be run by onnxruntime: {reason}")
-
     def _metadata(self, key: str) -> str:
-        return str(self._session.get_modelmeta().custom_metadata_map.get(key, ""))[:_LONGEST_METADATA]
+        return self._network.metadata.get(key, "")
 
     def _find_input(self) -> None:
         """Find the image among the inputs, its type and size, and the size of the frame if there is one."""
-        ports = self._session.get_inputs()
+        ports = self._network.inputs
         images = [port for port in ports if len(port.shape) == 4]
         others = [port for port in ports if len(port.shape) != 4]
         described = ", ".join(f"{port.name} {port.shape}" for port in ports)
@@ -209,8 +204,7 @@ class OnnxDetector:
             raise ValueError(f"{self.path}: the input must have sides from 32 to 8192 px, got {self.size}")
         self._image, self._type = image.name, _INPUT_TYPES[image.type]
         self._frame_size = others[0].name if others else None
-        outputs = {port.name.lower() for port in self._session.get_outputs()}
-        self._normalizes = {"dets", "labels"} <= outputs
+        self._normalizes = {"dets", "labels"} <= {name.lower() for name in self._network.outputs}
 
     def _run(self, image: Image, frame_size: tuple[int, int]) -> dict[str, NDArray[Any]]:
         """Return the outputs for an image of the input's size."""
@@ -222,11 +216,7 @@ class OnnxDetector:
         inputs = {self._image: np.ascontiguousarray(values.transpose(2, 0, 1)[None].astype(self._type))}
         if self._frame_size is not None:
             inputs[self._frame_size] = np.array([frame_size], np.int64)
-        try:
-            found = self._session.run(None, inputs)
-        except Exception as error:  # as above
-            raise self._cannot_run(error) from error
-        return {port.name: np.asarray(values) for port, values in zip(self._session.get_outputs(), found, strict=True)}
+        return self._network.run(inputs)
 
     def _chosen(self, classes: Sequence[str | int] | None) -> tuple[int, ...]:
         """Return the numbers of the wanted classes."""
@@ -257,24 +247,34 @@ class OnnxDetector:
 
 def _names(text: str) -> dict[int, str]:
     """Return names of classes by number, from the metadata that exporters write as a Python or JSON dictionary."""
-    try:
-        found = ast.literal_eval(text) if text else {}
-    except (ValueError, SyntaxError, MemoryError, RecursionError):
-        return {}
+    found = _literal(text)
     if isinstance(found, list):
         found = dict(enumerate(found))
     if not isinstance(found, dict):
         return {}
-    return {int(number): str(name) for number, name in found.items() if str(number).isdecimal()}
+    short = {number: name for number, name in found.items() if isinstance(name, str) and _is_class(number)}
+    return {int(number): name for number, name in short.items()}
+
+
+def _is_class(number: Any) -> bool:
+    """Return True for the number of a class, which JSON writes as text."""
+    if isinstance(number, str):
+        return number.isdecimal() and len(number) < len(str(_MOST_CLASSES))
+    return isinstance(number, int) and 0 <= number < _MOST_CLASSES
 
 
 def _sides(text: str) -> tuple[int, int]:
     """Return height and width from the metadata `imgsz`."""
-    try:
-        found = ast.literal_eval(text) if text else _DEFAULT_SIDE
-    except (ValueError, SyntaxError, MemoryError, RecursionError):
-        found = _DEFAULT_SIDE
+    found = _literal(text)
     sides = [found, found] if isinstance(found, int) else list(found) if isinstance(found, list | tuple) else []
-    if len(sides) == 2 and all(type(side) is int for side in sides):
+    if len(sides) == 2 and all(type(side) is int and 0 < side <= _SIDES[1] for side in sides):
         return sides[0], sides[1]
     return _DEFAULT_SIDE, _DEFAULT_SIDE
+
+
+def _literal(text: str) -> Any:
+    """Return the value of a Python literal; None for other text."""
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
+        return None

@@ -119,5 +119,5 @@ def _package(name: str) -> Any:
         return importlib.import_module(name)
     except ImportError as error:
         raise ImportError(
-            f"this tracker needs the package {name}, which is not installed: pip install trackers"
+            f'this tracker needs the package {name}, which is not installed: pip install "servotrack[trackers]"'
         ) from error

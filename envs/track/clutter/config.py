@@ -44,7 +44,9 @@ class ClutterConfig:
     Attributes:
         scenario: `paper` (twelve targets with the birth and death times of Zhang et al. 2017) or `random` (births and
             deaths drawn in every episode).
-        horizon: Scans of an episode.
+        horizon: Scored scans of an episode.
+        lag: Delay of answers, scans: the answer to scan k is for scan k - lag. Larger values give smoothers more scans
+            to work with. An episode has `horizon` + `lag` answers.
         half_width: Half the side of the square region, m. A path that leaves the region is drawn again in the scenario
             `paper`; in `random` the target disappears.
         period: Time between scans, s.
@@ -79,6 +81,7 @@ class ClutterConfig:
 
     scenario: str = "paper"
     horizon: int = 100
+    lag: int = 0
     half_width: float = 2000.0
     period: float = 1.0
     structure: str = "S1"
@@ -233,6 +236,7 @@ _CHOICES: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 _BOUNDS: tuple[tuple[str, float, float], ...] = (
     ("horizon", 1, 100_000),
+    ("lag", 0, 1000),
     ("half_width", 1.0, 1e6),
     ("period", 1e-3, 1e3),
     ("acceleration_noise", 1e-6, 1e4),
@@ -255,5 +259,5 @@ _BOUNDS: tuple[tuple[str, float, float], ...] = (
     ("max_estimates", 1, 10_000),
     ("cutoff", 1e-3, 1e6),
 )
-_WHOLE = frozenset({"horizon", "max_targets", "max_measurements", "max_estimates"})
+_WHOLE = frozenset({"horizon", "lag", "max_targets", "max_measurements", "max_estimates"})
 _OPTIONAL = frozenset({"told_detection_probability", "told_clutter_rate", "max_measurements", "max_estimates"})

@@ -24,7 +24,8 @@ class ClutterTrackingEnv(TrackEnv):
     Targets move over a square region with nearly constant velocity. They appear and disappear. Every second a sensor
     delivers a scan: at most one noisy measurement of each target, and false measurements (clutter), in random order.
     The agent is a passive observer: its actions do not influence the targets. It answers every scan with an estimate of
-    the set of targets and of their identities.
+    the set of targets and of their identities. Answers may be delayed by `lag` scans, so that smoothers can be used:
+    the answer to scan k is for scan k - lag.
 
     | level | world |
     |---|---|
@@ -57,25 +58,26 @@ class ClutterTrackingEnv(TrackEnv):
     ## Rewards
 
     `-GOSPA(c = cutoff, p = 1, alpha = 2) / c` of the answer to each scan: a missed or a false target costs one half, a
-    localized target costs its position error divided by c.
+    localized target costs its position error divided by c. The first `lag` answers precede the first scan and have
+    reward 0.
 
-    `info` serves evaluation; agents must not use it. It holds the scores of the last answer, 0 at reset: `ospa`,
-    `gospa` and its parts `location_error`, `missed_error` and `false_error` (m), and `cardinality_error`. `ospa2` is
-    OSPA(2) over the trajectories of the episode, which also penalizes identity switches (m); it is 0 until the whole
-    episode is answered, which `episode_scored` reports. `truth` is the ground truth of the newest scan: `states`
-    (max_targets, 4) as x, vx, y, vy; `exists`; and `source`, the index of the target that caused each measurement (-1
-    for clutter, -2 for an unused row).
+    `info` serves evaluation; agents must not use it. It holds `scored`, True if the last answer was for a scan, and the
+    scores of the last answer, 0 at reset: `ospa`, `gospa` and its parts `location_error`, `missed_error` and
+    `false_error` (m), and `cardinality_error`. `ospa2` is OSPA(2) over the trajectories of the episode, which also
+    penalizes identity switches (m); it is 0 until the whole episode is answered, which `episode_scored` reports.
+    `truth` is the ground truth of the newest scan: `states` (max_targets, 4) as x, vx, y, vy; `exists`; and `source`,
+    the index of the target that caused each measurement (-1 for clutter, -2 for an unused row).
 
     ## Starting State
 
     The first scan. Motion, births, deaths, detections, noise, clutter and order are drawn from the seed, each from its
-    own random stream, so that all agents get the same scans for the same seed. On level 0 a path that leaves the region
-    is drawn again; on the other levels the target disappears.
+    own random stream, so that all agents get the same scans for the same seed, with any lag. On level 0 a path that
+    leaves the region is drawn again; on the other levels the target disappears.
 
     ## Episode End
 
-    Truncation after `horizon` answers (default 100); the environment never terminates. The last observation is not
-    scored.
+    Truncation after `horizon` + `lag` answers (default 100 + 0); the environment never terminates. The last observation
+    is not scored.
 
     ## Arguments
 
@@ -119,7 +121,7 @@ class ClutterTrackingVectorEnv(TrackVectorEnv):
         level: Level from 0 to 7; see `ClutterTrackingEnv`.
         render_mode: None or `rgb_array`; `render()` returns a tuple of N frames.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED, as a Gymnasium `AutoresetMode` or its value.
-        max_episode_steps: Maximum number of steps of an episode; None: `horizon`.
+        max_episode_steps: Maximum number of steps of an episode; None: `horizon` + `lag`.
         **axes: Fields of `ClutterConfig`; see `ClutterTrackingEnv`.
     """
 

@@ -31,6 +31,7 @@ class Stream(IntEnum):
     CLUTTER_COUNT = 6
     CLUTTER = 7
     SHUFFLE = 8
+    AFTER = 9
 
 
 class PaperTarget(NamedTuple):
@@ -59,7 +60,9 @@ PAPER_TARGETS = (
 
 @dataclass(frozen=True)
 class ClutterEpisode:
-    """One episode; K = horizon + 1 scans (the last is never scored), n = max_targets, M = rows of an observation.
+    """One episode; K = horizon + 1 + lag scans, n = max_targets, M = rows of an observation.
+
+    The first `horizon` scans are scored. The same seed gives the same first horizon + 1 scans with any lag.
 
     Attributes:
         states: True states, shape (K, n, 4), m and m/s; zeros where a target does not exist.
@@ -95,10 +98,47 @@ def draw_episode(config: ClutterConfig, seed: int) -> ClutterEpisode:
         life = slice(life.start, life.start + len(path))
         exists[life, target] = True
         states[life, target], positions[life, target] = path[:, :4], path[:, 4:]
+    if config.lag:
+        states, exists, positions = _continued(config, streams, root, states, exists, positions)
     if config.sensor == "range-bearing":
         positions = _range_bearing(config, streams, states)
     measurements, source = _scan(config, streams, exists, positions)
     return ClutterEpisode(states, exists, measurements, source)
+
+
+def _continued(
+    config: ClutterConfig, streams: Streams, root: Array, states: Array, exists: Mask, positions: Array
+) -> tuple[Array, Mask, Array]:
+    """Append `lag` scans, which are never scored: targets go on, and none is born."""
+    extra, n = config.lag, config.max_targets
+    rng = streams[Stream.AFTER]
+    noise = rng.standard_normal((n, extra + 1, 6))
+    survives = rng.random((n, extra)) < (1.0 if config.scenario == "paper" else config.survival_probability)
+    lifetime = np.where(survives.all(axis=1), extra, survives.argmin(axis=1))
+    more = [np.concatenate([a, np.zeros((extra, *a.shape[1:]), a.dtype)]) for a in (states, exists, positions)]
+    now = len(states) - 1
+    for target in np.flatnonzero(exists[now]).tolist():
+        start, path = states[now, target], np.empty((1 + int(lifetime[target]), 6))
+        # The pair of state and measured position is continued: under a pairwise model both influence the next step.
+        noise[target, 0, 4:] = (positions[now, target] - start[[0, 2]]) / config.position_noise
+        turns = np.full(len(path), _turn_rates(config, streams, target)[now])
+        length = _simulate(
+            config.motion.packed.transition,
+            root,
+            config.position_noise,
+            start,
+            noise[target],
+            turns,
+            config.half_width,
+            path,
+        )
+        life = slice(now + 1, now + max(length, 1))
+        more[0][life, target], more[1][life, target], more[2][life, target] = (
+            path[1:length, :4],
+            True,
+            path[1:length, 4:],
+        )
+    return more[0], more[1], more[2]
 
 
 def _births(config: ClutterConfig, streams: Streams) -> tuple[Labels, Labels, Array]:

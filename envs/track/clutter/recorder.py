@@ -31,7 +31,7 @@ class Recorder:
         if world.steps[row] == 0:
             self._labels, self._reported, self._estimates, self._errors = [], [], [], []
             return
-        if world.steps[row] > world.config.horizon:
+        if not world.scored[row]:
             return
         self._labels.append(world.scorer.labels[row].copy())
         self._reported.append(world.scorer.reported[row].copy())
@@ -45,7 +45,8 @@ class Recorder:
             A new RGB image, shape (544, 800, 3), uint8.
         """
         world, row, config = self._world, self._row, self._world.config
-        step = max(min(int(world.steps[row]), config.horizon) - 1, 0)
+        # The answer was for this scan; with a lag it is not the newest one.
+        step = max(min(int(world.steps[row]) - config.lag, config.horizon) - 1, 0)
         scan, _, states, exists = world.scan(row, step)
         seen = scan[scan[:, 0] > 0.5, 1:]
         lines = np.empty((0, 2, 2))

@@ -34,6 +34,7 @@ class SceneModel(NamedTuple):
             anywhere.
         half_width: Half the side of the square region, m.
         cutoff: Cut-off c of the scores, m.
+        lag: Delay of the answers, scans: the answer to scan k is for scan k - lag.
     """
 
     model: Model
@@ -48,6 +49,7 @@ class SceneModel(NamedTuple):
     birth_weights: Array
     half_width: float
     cutoff: float
+    lag: int = 0
 
     @property
     def clutter_intensity(self) -> float:
@@ -95,4 +97,5 @@ def scene_model_of(config: ClutterConfig) -> SceneModel:
         birth_weights=weights,
         half_width=config.half_width,
         cutoff=config.cutoff,
+        lag=config.lag,
     )

@@ -16,15 +16,16 @@ from servotrack.envs.track.scoring import SetScorer
 from servotrack.estimators.types import Array, Labels, Mask
 
 _SCORES = (
-    "truncated", "reward", "ospa", "gospa", "location", "missed", "false", "cardinality_error", "ospa2",
+    "truncated", "scored", "reward", "ospa", "gospa", "location", "missed", "false", "cardinality_error", "ospa2",
 )  # fmt: skip
 
 
 class ClutterWorld:
     """N scenes with one observer each, stepped together. Arrays have a leading axis of N.
 
-    The observer gets scan k and answers with its estimate of the set of targets at scan k. `step` scores the answer and
-    advances to scan k + 1. After `reset` and `step` the attributes describe the newest scan; copy them to keep them.
+    The observer gets scan k and answers with its estimate of the set of targets at scan k - lag. `step` scores the
+    answer and advances to scan k + 1. After `reset` and `step` the attributes describe the newest scan; copy them to
+    keep them.
 
     Args:
         config: Parameters of the environment.
@@ -36,11 +37,12 @@ class ClutterWorld:
         exists: Targets that exist now, shape (N, n), bool.
         source: Index of the target that caused each measurement, shape (N, M): -1 clutter, -2 an unused row.
         steps: Number of answered scans, shape (N,).
-        reward: -GOSPA / cutoff of the last answer, shape (N,).
+        reward: -GOSPA / cutoff of the last answer, shape (N,); 0 if it was not scored.
         terminated: Always False, shape (N,).
         truncated: True if all scans are answered, shape (N,), bool.
-        ospa, gospa, location, missed, false: Scores of the last answer, shape (N,), m.
-        cardinality_error: Number of reported targets minus number of true ones, shape (N,), int.
+        scored: True if the last answer was for a scan of the episode, shape (N,), bool.
+        ospa, gospa, location, missed, false: Scores of the last answer, shape (N,), m; 0 if it was not scored.
+        cardinality_error: Number of reported targets minus number of true ones, shape (N,), int; 0 if not scored.
         ospa2: OSPA(2) of the episode, shape (N,), m; 0 until `truncated`.
         scorer: Holds identities and reported rows of the last answer.
     """
@@ -48,13 +50,14 @@ class ClutterWorld:
     def __init__(self, config: ClutterConfig, count: int) -> None:
         self.config = config
         self.count = count
-        scans, n, rows = config.horizon + 1, config.max_targets, config.measurement_rows
+        scans, n, rows = config.horizon + 1 + config.lag, config.max_targets, config.measurement_rows
         self._states, self._exists = np.zeros((count, scans, n, 4)), np.zeros((count, scans, n), np.bool_)
         self._measurements = np.zeros((count, scans, rows, 3))
         self._source = np.full((count, scans, rows), -2, dtype=np.int64)
         self.scorer = SetScorer(count, config.estimate_rows, 2, config.horizon, config.cutoff)
         self.steps, self.seeds = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self.terminated, self.truncated = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+        self.scored = np.zeros(count, np.bool_)
         self.reward, self.ospa, self.gospa = np.zeros(count), np.zeros(count), np.zeros(count)
         self.location, self.missed, self.false = np.zeros(count), np.zeros(count), np.zeros(count)
         self.cardinality_error, self.ospa2 = np.zeros(count, np.int64), np.zeros(count)
@@ -79,18 +82,25 @@ class ClutterWorld:
         """Score the answers to the newest scans, and advance to the next scans.
 
         Args:
-            answers: Answers, shape (N, rows, 3): existence and position, m.
+            answers: Existence and position (m) at scan `steps` - lag, shape (N, rows, 3).
             running: True for scenes whose episode is running, shape (N,), bool; None: all. The other scenes stay at
                 their scan until they are reset.
         """
         if running is None:
             running = np.ones(self.count, np.bool_)
-        scores = self.scorer.score(answers, self.states[..., [0, 2]], self.exists, self.steps)
-        self.ospa, self.cardinality_error = scores.ospa, scores.cardinality_error
-        self.gospa, self.location, self.missed, self.false = scores.gospa
-        self.reward = -scores.gospa.total / self.config.cutoff
+        config = self.config
+        at = self.steps - config.lag
+        self.scored = (at >= 0) & (at < config.horizon)
+        _, _, states, exists = self._at(np.where(self.scored, at, 0))
+        # An answer for a time before the first scan only starts identities.
+        where = np.where(self.scored, at, config.horizon)
+        scores = self.scorer.score(answers, states[..., [0, 2]], exists, where)
+        self.ospa = np.where(self.scored, scores.ospa, 0.0)
+        self.cardinality_error = np.where(self.scored, scores.cardinality_error, 0)
+        self.gospa, self.location, self.missed, self.false = (np.where(self.scored, v, 0.0) for v in scores.gospa)
+        self.reward = np.where(self.scored, -self.gospa / config.cutoff, 0.0)
         self.steps = self.steps + running
-        self.truncated = self.steps >= self.config.horizon
+        self.truncated = self.steps >= self.episode_steps
         for row in np.flatnonzero(running & self.truncated).tolist():
             self.ospa2[row] = self.scorer.trajectory_score(row, self.true_tracks(row))
         self._observe()
@@ -105,18 +115,26 @@ class ClutterWorld:
         Raises:
             ValueError: An entry is missing, or does not fit.
         """
-        draw_again(self, _SCORES, state, self.config.horizon)
+        draw_again(self, _SCORES, state, self.episode_steps)
         self._observe()
 
     def _observe(self) -> None:
+        self.measurements, self.source, self.states, self.exists = self._at(self.steps)
+
+    def _at(self, steps: Labels) -> tuple[Array, Labels, Array, Mask]:
+        """Return copies of one scan of each row: measurements, sources, true states and existence."""
         rows = np.arange(self.count)
-        self.measurements, self.source = self._measurements[rows, self.steps], self._source[rows, self.steps]
-        self.states, self.exists = self._states[rows, self.steps], self._exists[rows, self.steps]
+        return (
+            self._measurements[rows, steps],
+            self._source[rows, steps],
+            self._states[rows, steps],
+            self._exists[rows, steps],
+        )
 
     def true_tracks(self, row: int) -> Array:
         """Return the true positions at the scored scans, shape (n, horizon, 2), m; NaN if a target is absent."""
-        positions = self._states[row, :-1][:, :, [0, 2]]
-        return np.where(self._exists[row, :-1, :, None], positions, np.nan).swapaxes(0, 1)
+        positions = self._states[row, : self.config.horizon][:, :, [0, 2]]
+        return np.where(self._exists[row, : self.config.horizon, :, None], positions, np.nan).swapaxes(0, 1)
 
     def scan(self, row: int, step: int) -> tuple[Array, Labels, Array, Mask]:
         """Return views of a scan: measurements (M, 3), sources (M,), true states (n, 4), existence (n,)."""
@@ -134,6 +152,7 @@ class ClutterWorld:
     def scores(self) -> dict[str, Any]:
         """Return the entries of `info` for the last answer, arrays of N rows."""
         return {
+            "scored": self.scored,
             "ospa": self.ospa,
             "gospa": self.gospa,
             "location_error": self.location,
@@ -149,10 +168,10 @@ class ClutterWorld:
     @property
     def episode_steps(self) -> int:
         """Number of steps after which an episode is truncated."""
-        return self.config.horizon
+        return self.config.horizon + self.config.lag
 
     def privileged(self) -> dict[str, Array]:
-        """Return the privileged information of oracle agents, arrays of N rows.
+        """Return the privileged information of oracle agents about the newest scan, arrays of N rows.
 
         Returns:
             `true_source` (N, M): index of the target that caused each measurement, -1 for clutter, -2 for an unused
@@ -167,7 +186,7 @@ class ClutterWorld:
     def debug_view(self, row: int = 0) -> str:
         """Return the state of a scene as text, for debugging."""
         return (
-            f"scan {self.steps[row]}/{self.config.horizon}  targets={int(self.exists[row].sum())}  "
+            f"scan {self.steps[row]}/{self.episode_steps}  targets={int(self.exists[row].sum())}  "
             f"measurements={int(self.measurements[row, :, 0].sum())}  reported={int(self.scorer.reported[row].sum())}  "
             f"ospa={self.ospa[row]:.2f} m  gospa={self.gospa[row]:.2f} m  cardinality {self.cardinality_error[row]:+d}"
         )

@@ -147,6 +147,8 @@ def _kitti_row(
         levels = int(truncated), int(occluded)
     except (ValueError, OverflowError):
         raise rows.fail(line, f"columns must be numbers, got {' '.join(words)[:60]!r}") from None
+    if (step, name) != (frame, identity):
+        raise rows.fail(line, f"frame and id must be whole numbers, got {frame:g} and {identity:g}")
     return step, name, kind, *levels, (left, top, right - left, bottom - top)
 
 

@@ -33,7 +33,7 @@ _DETECTOR = MaskedBackground(
     shadows=False,
     heal_every=5,
     flood=0.5,
-    flood_frames=20,
+    flood_time=0.8,
     blobs=BlobFinder(
         opening=3,
         closing=(3, 7),
@@ -67,6 +67,7 @@ _DETECTOR = MaskedBackground(
     still=None,
     motion=None,
     same_light=False,
+    frame_rate=25.0,
 )
 """All parameters are explicit, so that changes of the detector's defaults do not change the environment."""
 

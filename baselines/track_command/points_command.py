@@ -1,0 +1,169 @@
+"""`servotrack track points.csv`: read points in time, measure the filter's parameters, track, report and score."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from servotrack.baselines.evaluation.provenance import provenance
+from servotrack.baselines.evaluation.results import ResultsFolder
+from servotrack.baselines.reporting.figure import save_figure
+from servotrack.baselines.reporting.files import atomic_path
+from servotrack.baselines.reporting.grid import Grid, as_markdown
+from servotrack.baselines.reporting.terminal import print_tables
+from servotrack.baselines.reporting.trajectory_figure import draw_trajectories
+from servotrack.baselines.reporting.trajectory_files import write_geojson, write_trajectories
+from servotrack.baselines.track_command.claim import claim_folder
+from servotrack.baselines.track_command.point_model import PointModel, measured_model, smoothing_lag, track_points
+from servotrack.envs.track.files.points import PointScans, PointTruth, read_point_truth, read_points
+from servotrack.estimators.metrics import gospa, ospa, ospa2
+from servotrack.estimators.rfs import Trajectory
+from servotrack.estimators.types import Array
+
+TRACKS, MAP, FIGURE, SCORES = "tracks.csv", "tracks.geojson", "tracks.png", "scores"
+"""Names of the files written; the scores are a .json and a .md."""
+OUTPUTS = (TRACKS, MAP, FIGURE, SCORES + ".json", SCORES + ".md")
+"""Names of all files that a run may write."""
+_CUTOFF_SHARE = 0.025
+"""Cut-off of the scores as a share of the region's longest side."""
+_FORMAT, _FORMAT_VERSION = "servotrack-point-scores", 1
+
+
+def run_points(source: Path, out: Path, truth_file: Path | None, console: Console) -> None:
+    """Track the points of a file, and write the tracks, a map, a figure and, with a truth, scores.
+
+    Args:
+        source: File of points; see `read_points`.
+        out: Folder for all output.
+        truth_file: File of true tracks; see `read_point_truth`. None: no scores.
+        console: Console for the report.
+
+    Raises:
+        SequenceError: A file cannot be used.
+        ResultsError: The folder cannot be written, or holds files of these names that are not of an earlier run.
+    """
+    points = read_points(source)
+    truth = None if truth_file is None else read_point_truth(truth_file, points)
+    ResultsFolder(out).check_writable()
+    claim_folder(out, OUTPUTS, {"source": str(source), "tracker": "trajectory-pmb"})
+    model, notes = measured_model(points)
+    trajectories = track_points(points, model)
+    print_tables(console, {f"{source.name}: measured from {len(points.times)} scans": _model_grid(points, model)})
+    d = points.dimensions
+    position = range(0, 2 * d, 2)
+    names = [name for axis in "xyz"[:d] for name in (axis, f"v{axis}")]
+    write_trajectories(out / TRACKS, trajectories, names)
+    origin = points.origin
+    write_geojson(
+        out / MAP,
+        trajectories,
+        position,
+        None if origin is None else origin.to_map,
+        _date if points.dated else None,
+    )
+    everything = np.concatenate(points.scans)[:, :2]
+    axes = ("x, m", "y, m") if origin is None else ("east, m", "north, m")
+    save_figure(draw_trajectories(trajectories, position, everything, axes), out / FIGURE)
+    written = [TRACKS, MAP, FIGURE]
+    if truth is not None:
+        written += _score(source, points, model, trajectories, truth, out, console)
+    for name in OUTPUTS:
+        # Files of an earlier run would be mistaken for this one's.
+        if name not in written:
+            (out / name).unlink(missing_ok=True)
+    for name in written:
+        console.print(str(out / name), soft_wrap=True)
+    for note in notes:
+        console.print(f"note: {note}", style="cyan", soft_wrap=True)
+    console.print(f"{len(points.times)} scans, {len(everything)} points, {len(trajectories)} tracks")
+
+
+def _model_grid(points: PointScans, model: PointModel) -> Grid:
+    """Table of the parameters and of how each was measured."""
+    extent = " x ".join(f"{side:.4g}" for side in model.high - model.low)
+    given = model.measurement_noise is None
+    rows = [
+        ["interval", f"{model.period:.4g} s", "median of the time steps"],
+        ["region", f"{extent} m", "bounds of all points and 2 %; clutter is uniform in it"],
+        [
+            "position noise",
+            "columns" if given else f"{model.measurement_noise:.4g} m",
+            "covariances of the file, their mean in each scan" if given else "likelihood of the tracks' points",
+        ],
+        ["process noise", f"{model.process_noise:.4g} m/s^1.5", "likelihood of the tracks' points"],
+        ["speed", f"{model.speed:.4g} m/s", "root mean square of the tracks' velocities, per axis"],
+        ["detection", f"{model.detection:.3f}", "share of the scans inside tracks with a point in the gate"],
+        ["clutter", f"{model.clutter_rate:.4g} per scan", "points that belong to no track"],
+        ["births", f"{model.births:.4g} per scan", "tracks that start after the first tenth of the scans"],
+        ["survival", f"{model.survival:.4g} per scan", "ends of tracks"],
+        ["smoothing lag", f"{smoothing_lag(points, model)} scans", "five detections of a target, 10 to 30 scans"],
+    ]
+    return Grid(["parameter", "measured by", "value"], [[name, how, value] for name, value, how in rows], 2)
+
+
+def _score(
+    source: Path,
+    points: PointScans,
+    model: PointModel,
+    trajectories: list[Trajectory],
+    truth: PointTruth,
+    out: Path,
+    console: Console,
+) -> list[str]:
+    """Score the tracks, print the table and write it; return the names of the files."""
+    cutoff = _CUTOFF_SHARE * float((model.high - model.low).max())
+    estimate = _stacked(points, trajectories)[:, truth.known]
+    true = truth.tracks[:, truth.known]
+    sets = [(_present(true[:, k]), _present(estimate[:, k])) for k in range(true.shape[1])]
+    scores = {
+        "ospa": float(np.mean([ospa(a, b, cutoff) for a, b in sets])),
+        "gospa": float(np.mean([gospa(a, b, cutoff, order=1.0).total for a, b in sets])),
+        "ospa2": ospa2(true[_seen(true)], estimate[_seen(estimate)], cutoff),
+        "count_error": float(np.mean([abs(len(a) - len(b)) for a, b in sets])),
+    }
+    headings = ["tracker", "OSPA m", "GOSPA m", "OSPA(2) m", "count error"]
+    grid = Grid(headings, [["trajectory-pmb", *(f"{value:.3g}" for value in scores.values())]], 1)
+    note = f"Cut-off {cutoff:.4g} m, order 1, {len(sets)} scans of the truth, {int(_seen(true).sum())} true tracks."
+    print_tables(console, {source.name: grid})
+    console.print(note, style="dim", highlight=False)
+    record = {
+        "format": _FORMAT,
+        "version": _FORMAT_VERSION,
+        "source": source.name,
+        "cutoff": cutoff,
+        "scans": len(sets),
+        "scores": scores,
+        "provenance": provenance(),
+    }
+    files = {SCORES + ".json": json.dumps(record, indent=1) + "\n", SCORES + ".md": f"{as_markdown(grid)}\n{note}\n"}
+    for name, text in files.items():
+        with atomic_path(out / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    return list(files)
+
+
+def _stacked(points: PointScans, trajectories: list[Trajectory]) -> Array:
+    """Positions of the tracks at all scans, NaN where absent. Shape (k, K, d)."""
+    d = points.dimensions
+    tracks = np.full((len(trajectories), len(points.times), d), np.nan)
+    for track, one in zip(tracks, trajectories, strict=True):
+        track[np.searchsorted(points.times, one.times)] = one.states[:, 0 : 2 * d : 2]
+    return tracks
+
+
+def _present(members: Array) -> Array:
+    return members[~np.isnan(members[:, 0])]
+
+
+def _seen(tracks: Array) -> Array:
+    """Mask of the tracks that exist at any scan."""
+    return np.asarray(~np.isnan(tracks[:, :, 0]).all(axis=1))
+
+
+def _date(time: float) -> str:
+    """Date in ISO 8601 of seconds since 1970."""
+    return datetime.fromtimestamp(time, timezone.utc).isoformat()

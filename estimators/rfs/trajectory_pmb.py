@@ -1,0 +1,184 @@
+"""Trajectory Poisson multi-Bernoulli filter with a fixed smoothing lag (Garcia-Fernandez et al. 2020)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
+from servotrack.estimators.rfs.birth import BirthMixture
+from servotrack.estimators.rfs.capacity import tracks_outgrew
+from servotrack.estimators.rfs.extraction import RULES, extract_tracks
+from servotrack.estimators.rfs.histories import History, Lineage, empty_history, predict_histories
+from servotrack.estimators.rfs.interacting_kernel import ONE_MODE
+from servotrack.estimators.rfs.mixture import Mixture, empty_mixture
+from servotrack.estimators.rfs.pmb import PMBState
+from servotrack.estimators.rfs.pmb_kernel import Prediction, Tally, empty_tally, update_pmb
+from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
+from servotrack.estimators.rfs.recursion import check_positive_definite
+from servotrack.estimators.rfs.reduction import Reduction
+from servotrack.estimators.rfs.sets import (
+    Extraction,
+    Scan,
+    SetEstimate,
+    empty_extraction,
+    estimate_from_extraction,
+)
+from servotrack.estimators.rfs.trajectory_tables import (
+    Trajectories,
+    advance_trajectories,
+    empty_trajectories,
+    smoothed_tracks,
+)
+from servotrack.estimators.stateful import add_axis
+from servotrack.estimators.types import Array, Labels
+
+
+class TrajectoryPMBState(NamedTuple):
+    """State of a `TrajectoryPMB`; the first five entries are those of a `PMB`.
+
+    Attributes:
+        tracks: Tracks of targets detected at least once.
+        pool: Components of the tracks.
+        undetected: Intensity of targets never detected.
+        births: Births at the last measurements if they depend on them, else empty.
+        next_label: The next new identity. Shape (*batch,).
+        past: Past states of the components of the tracks.
+        hidden_past: Past states of the components of undetected targets.
+        trajectories: Smoothed existence and states by identity, those of ended targets included.
+    """
+
+    tracks: Tracks
+    pool: Mixture
+    undetected: Mixture
+    births: BirthMixture
+    next_label: Labels
+    past: History
+    hidden_past: History
+    trajectories: Trajectories
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
+    """PMB that reports smoothed targets some scans late; further arguments as in `PMB` and `GaussianSetFilter`.
+
+    `step` returns the estimate for the scan `lag` before the newest one; the first `lag` estimates are empty, and
+    `flush` returns those of the last `lag` scans. Its data association is that of `PMB`. Each component keeps its
+    past states, and each track the probability that its target existed at past scans: targets start before their first
+    detection and end where they disappeared, which no filter without delay can know.
+
+    Args:
+        lag: Smoothing lag L, scans. Raising it smooths more, at a time and memory that grow with it; beyond 10 there is
+            little to gain.
+        least_length: Identities that have ended and existed for fewer scans are withheld. Raising it removes false
+            targets, and those that were detected only a few times.
+
+    References:
+        Garcia-Fernandez, Svensson, Williams, Xia and Granstrom, "Trajectory Poisson multi-Bernoulli filters", IEEE
+        Transactions on Signal Processing 68, 2020.
+    """
+
+    reduction: Reduction = field(default_factory=lambda: Reduction(components=5))
+    lag: int = 5
+    least_length: int = 2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.lag < 0:
+            raise ValueError(f"lag must be at least 0 scans, got {self.lag!r}")
+        if self.least_length < 0:
+            raise ValueError(f"least_length must be at least 0 scans, got {self.least_length!r}")
+
+    def flush(self, state: TrajectoryPMBState) -> list[SetEstimate]:
+        """Return the estimates of the last `lag` scans, the oldest first; the state does not change."""
+        single = np.ndim(state.next_label) == 0
+        whole: TrajectoryPMBState = add_axis(state) if single else state
+        return [estimate_from_extraction(self._smoothed(whole, past), single) for past in range(self.lag - 1, -1, -1)]
+
+    def _empty(self, batch: int, capacity: int | None = None) -> TrajectoryPMBState:
+        rules, (n, m) = self.reduction, self._sizes
+        capacity = capacity or rules.first_tracks
+        rows = rules.pool_rows(capacity)
+        return TrajectoryPMBState(
+            empty_tracks(batch, capacity),
+            empty_mixture(batch, rows, n + m),
+            empty_mixture(batch, self.undetected, n + m),
+            self._no_births(batch),
+            np.ones(batch, np.int64),
+            empty_history(batch, rows, self.lag, n, n + m),
+            empty_history(batch, self.undetected, self.lag, n, n + m),
+            empty_trajectories(batch, 2 * capacity, self.lag, n),
+        )
+
+    def _advance(
+        self, state: TrajectoryPMBState, births: BirthMixture, scan: Scan
+    ) -> tuple[TrajectoryPMBState, Extraction, Array]:
+        model, (batch, capacity) = self.model.packed, state.tracks.existence.shape
+        n, m = self._sizes
+        prediction = self._predict(state, state.tracks.existence, births)
+        past = empty_history(batch, prediction.pool.weight.shape[1], self.lag, n, n + m)
+        hidden_past = empty_history(batch, prediction.hidden.weight.shape[1], self.lag, n, n + m)
+        shift, start = int(self.model.period > 0.0), np.zeros(batch, np.int64)
+        predict_histories(model, state.pool, state.past, prediction.pool, shift, start, past)
+        predict_histories(model, state.undetected, state.hidden_past, prediction.hidden, shift, start, hidden_past)
+        if self._anywhere is not None and shift:
+            # A target that is born at a measurement was there when it was measured.
+            born = _as_mixture(state.births)
+            fresh = empty_history(batch, born.weight.shape[1], self.lag, n, n)
+            start = prediction.hidden.number - born.number
+            predict_histories(model, born, fresh, prediction.hidden, shift, start, hidden_past)
+        absent = np.zeros(state.tracks.existence.shape)
+        new, tally = self._updated(state, prediction, scan, capacity, past, hidden_past, absent)
+        while tracks_outgrew(self.reduction, new.tracks, new.pool):
+            capacity *= 2
+            new, tally = self._updated(state, prediction, scan, capacity, past, hidden_past, absent)
+        survival = self._evaluate("survival", self.survival, state.pool)
+        hidden_survival = self._evaluate("survival", self.survival, state.undetected)
+        advance_trajectories(state, survival, hidden_survival, absent, self.threshold, shift, new)
+        return new, self._smoothed(new, self.lag), tally.unexplained
+
+    def _updated(
+        self,
+        state: TrajectoryPMBState,
+        prediction: Prediction,
+        scan: Scan,
+        capacity: int,
+        past: History,
+        hidden_past: History,
+        absent: Array,
+    ) -> tuple[TrajectoryPMBState, Tally]:
+        """Update into arrays with room for `capacity` tracks; `absent` is written."""
+        new = self._empty(len(scan.number), capacity)._replace(births=state.births, next_label=state.next_label.copy())
+        tally = empty_tally(scan, state.tracks, new.tracks)
+        lineage = Lineage(past, hidden_past, new.past, new.hidden_past, absent)
+        limits, target = self.reduction.limits, PMBState(*new[:5])
+        check_positive_definite(
+            update_pmb(self.model.packed, prediction, scan, self._gate, limits, ONE_MODE, target, tally, lineage)
+        )
+        return new, tally
+
+    def _smoothed(self, state: TrajectoryPMBState, past: int) -> Extraction:
+        """Extract the targets of the scan `past` before the newest one."""
+        n, m = self._sizes
+        batch, rows = state.trajectories.label.shape
+        tracks, mixture = empty_tracks(batch, rows), empty_mixture(batch, rows, n + m)
+        expected = smoothed_tracks(state.trajectories, past, self.threshold, self.least_length, tracks, mixture)
+        extraction = empty_extraction(batch, rows, n)
+        extract_tracks(n, tracks, mixture, state.next_label, RULES[self.extraction], self.threshold, extraction)
+        return extraction._replace(expected=expected)
+
+
+def _as_mixture(births: BirthMixture) -> Mixture:
+    """Births of positive weight as components whose measurement is known, in their order."""
+    active = births.weight > 0.0
+    order = np.argsort(~active, axis=1, kind="stable")
+    return Mixture(
+        active.sum(axis=1),
+        np.take_along_axis(births.weight, order, axis=1),
+        np.take_along_axis(births.mean, order[:, :, None], axis=1),
+        np.take_along_axis(births.covariance, order[:, :, None, None], axis=1),
+        np.ones(active.shape, np.bool_),
+        np.zeros(active.shape, np.int64),
+    )

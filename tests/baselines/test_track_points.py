@@ -1,0 +1,180 @@
+"""`servotrack track points.csv`: the reader's errors name the row, and the parameters are measured from the points."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from servotrack.__main__ import app
+from servotrack.baselines.reporting.trajectory_files import read_trajectories
+from servotrack.baselines.track_command.point_model import measured_model, track_points
+from servotrack.envs.track.files.points import GeographicOrigin, PointScans, read_point_truth, read_points
+from servotrack.envs.track.files.recorded import SequenceError
+
+GOOD = "time,x,y\n0,0,0\n0,5,5\n1,1,0\n2,,\n3,3,0\n"
+
+
+def written(folder: Path, text: str, name: str = "points.csv") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_rows_of_one_time_are_a_scan(tmp_path: Path) -> None:
+    points = read_points(written(tmp_path, GOOD))
+    assert points.times.tolist() == [0.0, 1.0, 2.0, 3.0] and [len(scan) for scan in points.scans] == [2, 1, 0, 1]
+    assert points.covariances is None and points.identities is None and points.origin is None
+    packed = tmp_path / "points.csv.gz"
+    packed.write_bytes(gzip.compress(GOOD.encode()))
+    assert [scan.tolist() for scan in read_points(packed).scans] == [scan.tolist() for scan in points.scans]
+
+
+def test_three_axes_covariances_and_identities(tmp_path: Path) -> None:
+    head = "id,Time,x,y,z,cov_xx,cov_xy,cov_xz,cov_yy,cov_yz,cov_zz,quality"
+    points = read_points(written(tmp_path, f"{head}\na,0,1,2,3,4,1,0,5,0,6,?\nb,1,1,2,3,4,1,0,5,0,6,?\n"))
+    assert points.dimensions == 3 and points.identities == [["a"], ["b"]]
+    assert points.covariances is not None
+    assert points.covariances[0].tolist() == [[[4.0, 1.0, 0.0], [1.0, 5.0, 0.0], [0.0, 0.0, 6.0]]]
+
+
+def test_dates_and_degrees(tmp_path: Path) -> None:
+    text = "MMSI,BaseDateTime,LAT,LON\n1,2024-05-01T00:00:00,56,179.999\n1,2024-05-01T00:00:10Z,56.01,-179.999\n"
+    points = read_points(written(tmp_path, text))
+    assert points.dated and np.diff(points.times).tolist() == [10.0]
+    assert points.origin == GeographicOrigin(56.0, 179.999)
+    # Across the date line: 0.002 deg of longitude, 0.01 deg of latitude.
+    np.testing.assert_allclose(points.scans[1], [[124.36, 1111.95]], rtol=1e-3)
+    np.testing.assert_allclose(points.origin.to_map(points.scans[1]), [[-179.999, 56.01]], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("time,a,b\n0,1,2\n", "row 1 must name the columns time, x, y"),
+        ("x,y\n0,1\n", "row 1 must name the columns time"),
+        ("time,x,x,y\n0,1,2,3\n", "row 1 must name each column once"),
+        ("time,x,y\n", "two times or more, got 0"),
+        ("time,x,y\n0,1,2\n0,3,4\n", "two times or more, got 1"),
+        ("time,x,y\n0,,\n1,,\n", "no row with a position"),
+        ("time,x,y\n0,1,2\n1,nan,2\n", "row 3: x must be a finite number, got 'nan'"),
+        ("time,x,y\n0,1,2\n1,,2\n", "row 3: x must be a finite number, got ''"),
+        ("time,x,y\n0,1,2\n1,1_0,2\n", "row 3: x must be a finite number"),
+        ("time,x,y\ninf,1,2\n1,1,2\n", "row 2: time must be finite"),
+        ("time,x,y\nnoon,1,2\n1,1,2\n", "row 2: time must be seconds or a date"),
+        ("time,x,y\n0,1,2\n2024-05-01,1,2\n", "row 3 must have a time of the kind of the first row"),
+        ("time,x,y\n3,1,2\n\n1,1,2\n", "row 4: time 1 is before that of the row above"),
+        ("time,x,y\n0,1,2\n1,1\n", "row 3 must have 3 columns"),
+        ("time,x,y,cov_xx\n0,1,2,1\n1,1,2,1\n", "all of cov_xx, cov_xy, cov_yy or none, got cov_xx"),
+        ("time,x,y,cov_xx,cov_xy,cov_yy\n0,1,2,1,2,1\n1,1,2,1,0,1\n", "row 2 must have a positive definite"),
+        ("time,lat,lon\n0,91,0\n1,1,1\n", "row 2 must have a latitude"),
+        ('time,x,y\n0,"1,2\n', "is no row of a CSV file"),
+    ],
+)
+def test_bad_files_are_refused_with_their_row(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(SequenceError, match=message):
+        read_points(written(tmp_path, text))
+
+
+def test_a_damaged_gzip_file_and_binary_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv.gz"
+    path.write_bytes(gzip.compress(GOOD.encode())[:-6])
+    with pytest.raises(SequenceError, match="damaged gzip"):
+        read_points(path)
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SequenceError, match="UTF-8"):
+        read_points(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,x,y\n0,1,2\n1,1,2\n", "must have a column of identities"),
+        ("time,id,x,y,z\n0,a,1,2,3\n1,a,1,2,3\n", "must have the same coordinates"),
+        ("time,id,x,y\n10,a,1,2\n11,a,1,2\n", "must overlap the points in time"),
+        ("time,id,x,y\n0,a,1,2\n0,a,1,2\n1,a,1,1\n", "one row of target 'a' at time 0, got two"),
+    ],
+)
+def test_a_bad_truth_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    points = read_points(written(tmp_path, GOOD))
+    with pytest.raises(SequenceError, match=message):
+        read_point_truth(written(tmp_path, text, "truth.csv"), points)
+
+
+def scene(
+    noise: float, detection: float, clutter: float, seed: int = 0, steps: int = 60
+) -> tuple[PointScans, np.ndarray]:
+    """Six targets of constant velocity in a square of 2 km, and their true tracks."""
+    rng = np.random.default_rng(seed)
+    start, velocity = rng.uniform(-600, 600, (6, 2)), rng.normal(0, 8, (6, 2))
+    times = np.cumsum(rng.choice([0.5, 1.0, 1.5], steps))
+    truth = start[:, None] + velocity[:, None] * (times - times[0])[:, None]
+    scans = []
+    for k in range(steps):
+        seen = truth[rng.random(6) < detection, k]
+        seen = seen + rng.normal(0, noise, seen.shape)
+        scans.append(np.concatenate([seen, rng.uniform(-1000, 1000, (rng.poisson(clutter), 2))]))
+    return PointScans(times, scans, None, None, None, False), truth
+
+
+@pytest.mark.parametrize(("noise", "detection", "clutter"), [(2.0, 0.95, 5.0), (10.0, 0.9, 3.0), (1.0, 0.7, 10.0)])
+def test_parameters_are_measured(noise: float, detection: float, clutter: float) -> None:
+    points, truth = scene(noise, detection, clutter)
+    model, notes = measured_model(points)
+    assert not notes
+    assert model.measurement_noise == pytest.approx(noise, rel=0.2)
+    assert model.detection == pytest.approx(detection, abs=0.06)
+    assert model.clutter_rate == pytest.approx(clutter, rel=0.2)
+    trajectories = track_points(points, model)
+    assert len(trajectories) == 6
+    last = np.array([one.states[-1, [0, 2]] for one in trajectories])
+    assert all(np.linalg.norm(last - end, axis=1).min() < 5.0 * noise for end in truth[:, -1])
+
+
+def test_command_writes_tracks_map_figure_and_scores(tmp_path: Path) -> None:
+    points, truth = scene(2.0, 0.95, 3.0, steps=40)
+    rows = ["time,x,y", *(f"{t},{x},{y}" for t, scan in zip(points.times, points.scans, strict=True) for x, y in scan)]
+    source = written(tmp_path, "\n".join(rows))
+    lines = [
+        f"{t},{i},{truth[i, k, 0]},{truth[i, k, 1]}" for k, t in enumerate(points.times) for i in range(len(truth))
+    ]
+    true = written(tmp_path, "\n".join(["time,id,x,y", *lines]), "truth.csv")
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["track", str(source), "--truth", str(true), "--out", str(out), "--format", "csv"])
+    assert result.exit_code == 0, result.output
+    assert "position noise" in result.output and "6 tracks" in result.output
+    assert len(read_trajectories(out / "tracks.csv")) == 6
+    assert len(json.loads((out / "tracks.geojson").read_text())["features"]) == 6
+    scores = json.loads((out / "scores.json").read_text())["scores"]
+    assert scores["ospa2"] < 5.0 and scores["count_error"] < 0.1
+    assert (out / "tracks.png").exists()
+    again = CliRunner().invoke(app, ["track", str(source), "--out", str(out)])
+    assert again.exit_code == 0 and not (out / "scores.json").exists()
+    refused = CliRunner().invoke(app, ["track", str(source), "--stride", "2"])
+    assert refused.exit_code != 0
+    assert "--stride" in str(refused.exception) or "--stride" in refused.output
+
+
+def test_covariances_of_the_file_are_used() -> None:
+    points, _ = scene(3.0, 0.95, 3.0)
+    given = points._replace(covariances=[np.tile(9.0 * np.eye(2), (len(scan), 1, 1)) for scan in points.scans])
+    model, _ = measured_model(given)
+    assert model.measurement_noise is None
+    assert len(track_points(given, model)) == 6
+
+
+def test_scans_of_single_ships_are_tracked() -> None:
+    # Every scan holds one message of one of four ships.
+    rng = np.random.default_rng(1)
+    start, velocity = rng.uniform(-4000, 4000, (4, 2)), rng.normal(0, 5, (4, 2))
+    times = np.arange(240.0)
+    scans = [start[k % 4] + velocity[k % 4] * t + rng.normal(0, 5, (1, 2)) for k, t in enumerate(times)]
+    points = PointScans(times, scans, None, None, None, False)
+    model, _ = measured_model(points)
+    assert model.detection == pytest.approx(0.25, abs=0.05)
+    assert len(track_points(points, model)) == 4
