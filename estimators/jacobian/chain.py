@@ -331,7 +331,7 @@ class ChainJacobian:
             raise ValueError(
                 f"revolute must have one entry per joint, got {turning.size} for {joints} joints; None: all turn"
             )
-        numbers = {name: float(getattr(self, name)) for name in _POSITIVE}
+        numbers: dict[str, Any] = {name: float(getattr(self, name)) for name in _POSITIVE}
         return ChainSettings(
             **numbers | {"center_spread": numbers["center_spread"] / numbers["focal"]},
             turning=turning,

@@ -37,7 +37,7 @@ from servotrack.estimators.jacobian.chain_target import (
 
 @njit(cache=True, nogil=True)
 def _improve(  # type: ignore[no-untyped-def]
-    parameters, reverse, store, frame, prior, settings, normal, slope, cost, damping, iterations, predicted, factor
+    parameters, reverse, store, frame, prior, settings, normal, slope, start, iterations, predicted, factor
 ):
     """Levenberg-Marquardt steps on the parameters, in place; return the new cost and damping.
 
@@ -52,13 +52,12 @@ def _improve(  # type: ignore[no-untyped-def]
         settings: A `ChainSettings`.
         normal: Normal equations at the parameters; overwritten by later ones. Shape (N, N).
         slope: Gradient of the cost. Shape (N,).
-        cost: Cost at the parameters.
-        damping: Damping, relative to the diagonal of the normal equations.
+        start: Cost at the parameters, and damping, relative to the diagonal of the normal equations.
         iterations: Largest number of steps.
         predicted: Features of the chain at the keyframes; changed with the parameters. Shape (K, m), px.
         factor: Overwritten. Shape (N, N).
     """
-    excited, noise = prior
+    (excited, noise), (cost, damping) = prior, start
     size = parameters.shape[0]
     step, trial, ready = np.empty(size), np.empty(size), False
     nothing, empty = np.zeros((0, 0)), np.zeros(0)
@@ -288,8 +287,7 @@ def _fit(  # type: ignore[no-untyped-def]
         settings,
         normal,
         slope,
-        cost,
-        memory.damping[row, h],
+        (cost, memory.damping[row, h]),
         iterations,
         predicted,
         factor,
