@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.utils import seeding
 
 from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.provenance import code_version
@@ -20,6 +21,7 @@ from servotrack.baselines.leaderboard.exact_filter import ENV_ID
 from servotrack.baselines.reporting.embed import embed
 from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.running.stopping import program
+from servotrack.envs.streams import episode_seed
 from servotrack.envs.track.clutter.config import LEVEL_NAMES, ClutterConfig, clutter_config
 from servotrack.envs.track.clutter.episode import draw_episode
 from servotrack.envs.track.clutter.scene_model import scene_model_of
@@ -38,7 +40,7 @@ def ospa_bound(config: ClutterConfig, seed: int, lag: int = 0) -> float:
 
     Args:
         config: Parameters of the environment.
-        seed: Seed of the episode.
+        seed: Seed of the episode, as passed to the environment's `reset`.
         lag: Number of later scans that an answer may use.
 
     Raises:
@@ -46,7 +48,8 @@ def ospa_bound(config: ClutterConfig, seed: int, lag: int = 0) -> float:
     """
     if config.sensor != "position" or (config.maneuver_rate > 0.0 and config.max_turn_rate > 0.0):
         raise ValueError("the bound needs linear Gaussian targets: sensor='position' and no maneuvers")
-    episode = draw_episode(config, seed)
+    # The episode that `env.reset(seed=seed)` plays.
+    episode = draw_episode(config, episode_seed(seeding.np_random(seed)[0]))
     birth = scene_model_of(config).birth_covariance.copy()
     if config.scenario == "random" and config.births == "anywhere":
         birth[[0, 2], [0, 2]] = config.half_width**2 / 3.0

@@ -119,16 +119,30 @@ class _Worker:
         self.parent = parent
         self.busy = False
         self.stopped: float | None = None
+        self._raised = False
+        self._unraisable = sys.unraisablehook
 
     def on_signal(self, number: int, frame: FrameType | None) -> None:
         """Leave at once if no task runs; else interrupt it, so that it removes its unfinished files."""
-        if self.stopped is not None:
+        if self._raised:
             return
-        self.stopped = time.monotonic()
-        threading.Thread(target=self._leave_by_force, daemon=True).start()
+        self._raised = True
+        if self.stopped is None:
+            self.stopped = time.monotonic()
+            threading.Thread(target=self._leave_by_force, daemon=True).start()
         if not self.busy:
             self.leave()
         raise Stopped(number)
+
+    def on_unraisable(self, unraisable: sys.UnraisableHookArgs) -> None:
+        """Raise again what was raised where nothing can be, as in a finalizer or while kernels are compiled."""
+        if not isinstance(unraisable.exc_value, Stopped):
+            self._unraisable(unraisable)
+            return
+        self._raised = False
+        timer = threading.Timer(0.02, os.kill, (os.getpid(), signal.SIGTERM))
+        timer.daemon = True
+        timer.start()
 
     def leave(self) -> NoReturn:
         """End this process."""
@@ -167,6 +181,7 @@ def _enter(parent: int, here: str, folders: Sequence[str]) -> None:
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _worker.on_signal)
+    sys.unraisablehook = _worker.on_unraisable
     threading.Thread(target=_worker.watch_parent, daemon=True).start()
 
 

@@ -314,6 +314,31 @@ def test_a_stopped_bench_ends_its_workers_and_goes_on(tmp_path: Path) -> None:
     assert all(again[path] == rows for path, rows in found.items() if len(rows) == 30) and len(again) == 9
 
 
+def test_a_worker_that_is_stopped_inside_a_finalizer_ends_without_a_traceback(tmp_path: Path) -> None:
+    program = """
+import os, signal, time
+from servotrack.baselines.running import workers
+from servotrack.baselines.running.stopping import Stopped
+
+class Finalized:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+
+workers._enter(os.getppid(), ".", [])
+workers._worker.busy = True
+one = Finalized()
+try:
+    del one
+    time.sleep(2.0)
+except Stopped:
+    print("stopped", flush=True)
+os._exit(0)
+"""
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("stopped\n", "")
+
+
 def test_workers_of_a_killed_command_end(tmp_path: Path) -> None:
     process = started(("bench", "-a", "kf,ukf", "-n", "400", "-j", "2", "-o", "out", "--no-video"), tmp_path)
     wait_for_workers(process)
