@@ -112,17 +112,17 @@ def draw_arm(ranges, states, constants):  # type: ignore[no-untyped-def]
     """Draw links, camera and goal of an episode into its record of constants."""
     links, size = constants.links, ranges.camera_size
     for j in range(2):
-        links[j] = _within(states[Stream.LINKS], ranges.links)
-    focal, depth = _within(states[Stream.FOCAL], ranges.focal), _within(states[Stream.DEPTH], ranges.depth)
+        links[j] = _within(states[Stream.LINKS.value], ranges.links)
+    focal, depth = _within(states[Stream.FOCAL.value], ranges.focal), _within(states[Stream.DEPTH.value], ranges.depth)
     mounting, distortion = (
-        _around(states[Stream.MOUNTING], ranges.mounting),
-        _within(states[Stream.DISTORTION], ranges.distortion),
+        _around(states[Stream.MOUNTING.value], ranges.mounting),
+        _within(states[Stream.DISTORTION.value], ranges.distortion),
     )
-    cu = size / 2.0 + _around(states[Stream.PRINCIPAL_POINT], ranges.offset)
-    cv = size / 2.0 + _around(states[Stream.PRINCIPAL_POINT], ranges.offset)
-    tilt_x = _around(states[Stream.TILT], ranges.tilt)
-    tilt_y = _around(states[Stream.TILT], ranges.tilt)
-    aspect = _around(states[Stream.ASPECT], ranges.aspect)
+    cu = size / 2.0 + _around(states[Stream.PRINCIPAL_POINT.value], ranges.offset)
+    cv = size / 2.0 + _around(states[Stream.PRINCIPAL_POINT.value], ranges.offset)
+    tilt_x = _around(states[Stream.TILT.value], ranges.tilt)
+    tilt_y = _around(states[Stream.TILT.value], ranges.tilt)
+    aspect = _around(states[Stream.ASPECT.value], ranges.aspect)
     pack_into(focal, depth, mounting, cu, cv, tilt_x, tilt_y, aspect, distortion, size / 2.0, constants.camera)
     u, v, _ = project_ground(constants.camera, 0.0, 0.0)
     constants.goal[0], constants.goal[1] = u, v
@@ -232,7 +232,7 @@ def draw_layouts(rows, seeds, ranges, fixed, constants, paths):  # type: ignore[
         states = start_streams(seeds[n])
         for _ in range(MAX_DRAWS):
             draw_arm(ranges, states, constants[row])
-            draw_wave_path(ranges, states[Stream.TARGET], constants[row].links, paths[row])
+            draw_wave_path(ranges, states[Stream.TARGET.value], constants[row].links, paths[row])
             if fixed or accepted(ranges, constants[row], paths[row]):
                 found = True
                 break
