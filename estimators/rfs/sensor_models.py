@@ -7,7 +7,7 @@ counterclockwise from the first axis; elevation is the angle above the plane of 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,21 +95,9 @@ def range_bearing_sensor(
     Raises:
         ValueError: An argument is out of range or has a wrong shape.
     """
-    view = _View(_axes(position, 2), _point("at", at, 2))
-    doppler = None if range_rate_deviation is None else _Doppler(_axes(velocity, 2), _point("moving", moving, 2))
-    entries = ("range", "bearing") if doppler is None else ("range", "bearing", "range rate")
-    deviations = {"range_deviation": range_deviation, "bearing_deviation": bearing_deviation}
-    if range_rate_deviation is not None:
-        deviations["range_rate_deviation"] = range_rate_deviation
-    noise = _noise(**deviations)
-    return FunctionSensor(
-        _Measured(view, doppler, entries),
-        noise,
-        angular=(False, True, False)[: len(noise)],
-        position=view.position,
-        places=_FromPolar(view.at, noise[:2, :2]),
-        detection=detection,
-        clutter_intensity=clutter_intensity,
+    measured = (("range", "range_deviation", range_deviation), ("bearing", "bearing_deviation", bearing_deviation))
+    return _ranging(
+        measured, range_rate_deviation, 2, at, moving, position, velocity, _FromPolar, detection, clutter_intensity
     )
 
 
@@ -144,23 +132,41 @@ def spherical_sensor(
     Raises:
         ValueError: An argument is out of range or has a wrong shape.
     """
-    view = _View(_axes(position, 3), _point("at", at, 3))
-    doppler = None if range_rate_deviation is None else _Doppler(_axes(velocity, 3), _point("moving", moving, 3))
-    entries = ("bearing", "elevation", "range") if doppler is None else ("bearing", "elevation", "range", "range rate")
-    deviations = {
-        "azimuth_deviation": azimuth_deviation,
-        "elevation_deviation": elevation_deviation,
-        "range_deviation": range_deviation,
-    }
+    measured = (
+        ("bearing", "azimuth_deviation", azimuth_deviation),
+        ("elevation", "elevation_deviation", elevation_deviation),
+        ("range", "range_deviation", range_deviation),
+    )
+    return _ranging(
+        measured, range_rate_deviation, 3, at, moving, position, velocity, _FromSpherical, detection, clutter_intensity
+    )
+
+
+def _ranging(
+    measured: Sequence[tuple[str, str, float]],
+    range_rate_deviation: float | None,
+    size: int,
+    at: ArrayLike,
+    moving: ArrayLike,
+    position: Sequence[int],
+    velocity: Sequence[int],
+    places: Callable[[tuple[float, ...], Array], Callable[[Array], Places]],
+    detection: Probability | None,
+    clutter_intensity: Intensity | None,
+) -> FunctionSensor:
+    """A sensor of as many entries as the position has, given by entry, argument and deviation, and the range rate."""
+    view, doppler = _View(_axes(position, size), _point("at", at, size)), None
     if range_rate_deviation is not None:
-        deviations["range_rate_deviation"] = range_rate_deviation
-    noise = _noise(**deviations)
+        doppler = _Doppler(_axes(velocity, size), _point("moving", moving, size))
+        measured = (*measured, ("range rate", "range_rate_deviation", range_rate_deviation))
+    noise = _noise(**{argument: deviation for _, argument, deviation in measured})
+    entries = tuple(entry for entry, _, _ in measured)
     return FunctionSensor(
         _Measured(view, doppler, entries),
         noise,
-        angular=(True, True, False, False)[: len(noise)],
+        angular=[entry in ("bearing", "elevation") for entry in entries],
         position=view.position,
-        places=_FromSpherical(view.at, noise[:3, :3]),
+        places=places(view.at, noise[:size, :size]),
         detection=detection,
         clutter_intensity=clutter_intensity,
     )
