@@ -8,6 +8,7 @@ two, and scans may come whenever they come.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -24,7 +25,27 @@ class Motion(Protocol):
 
 
 @dataclass(frozen=True)
-class ConstantVelocity:
+class _AxisMotion(ABC):
+    """A motion that is the same along each axis and independent between them."""
+
+    process_noise: float
+    dimensions: int = 2
+
+    def __post_init__(self) -> None:
+        _check_axes(self.process_noise, self.dimensions)
+
+    def __call__(self, dt: float, /) -> tuple[Array, Array]:
+        """Transition and process noise over `dt` seconds. Shapes (k d, k d) for d axes of k state entries."""
+        F, Q = self._axis(dt)
+        return _per_axis(F, self.dimensions), _per_axis(self.process_noise**2 * Q, self.dimensions)
+
+    @abstractmethod
+    def _axis(self, t: float) -> tuple[Array, Array]:
+        """Transition of one axis, and its noise for a density of one. Shapes (k, k)."""
+
+
+@dataclass(frozen=True)
+class ConstantVelocity(_AxisMotion):
     """Nearly constant velocity along each axis; the state is [x, vx, y, vy, ...].
 
     Args:
@@ -36,22 +57,14 @@ class ConstantVelocity:
         ValueError: An argument is out of range.
     """
 
-    process_noise: float
-    dimensions: int = 2
-
-    def __post_init__(self) -> None:
-        _check_axes(self.process_noise, self.dimensions)
-
-    def __call__(self, dt: float, /) -> tuple[Array, Array]:
-        """Transition and process noise over `dt` seconds. Shapes (2 d, 2 d) for d axes."""
-        t = dt
+    def _axis(self, t: float) -> tuple[Array, Array]:
         F = np.array([[1.0, t], [0.0, 1.0]])
-        Q = self.process_noise**2 * np.array([[t**3 / 3.0, t**2 / 2.0], [t**2 / 2.0, t]])
-        return _per_axis(F, self.dimensions), _per_axis(Q, self.dimensions)
+        Q = np.array([[t**3 / 3.0, t**2 / 2.0], [t**2 / 2.0, t]])
+        return F, Q
 
 
 @dataclass(frozen=True)
-class ConstantAcceleration:
+class ConstantAcceleration(_AxisMotion):
     """Nearly constant acceleration along each axis; the state is [x, vx, ax, y, vy, ay, ...].
 
     Args:
@@ -62,28 +75,20 @@ class ConstantAcceleration:
         ValueError: An argument is out of range.
     """
 
-    process_noise: float
-    dimensions: int = 2
-
-    def __post_init__(self) -> None:
-        _check_axes(self.process_noise, self.dimensions)
-
-    def __call__(self, dt: float, /) -> tuple[Array, Array]:
-        """Transition and process noise over `dt` seconds. Shapes (3 d, 3 d) for d axes."""
-        t = dt
+    def _axis(self, t: float) -> tuple[Array, Array]:
         F = np.array([[1.0, t, t**2 / 2.0], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
-        Q = self.process_noise**2 * np.array(
+        Q = np.array(
             [
                 [t**5 / 20.0, t**4 / 8.0, t**3 / 6.0],
                 [t**4 / 8.0, t**3 / 3.0, t**2 / 2.0],
                 [t**3 / 6.0, t**2 / 2.0, t],
             ]
         )
-        return _per_axis(F, self.dimensions), _per_axis(Q, self.dimensions)
+        return F, Q
 
 
 @dataclass(frozen=True)
-class WhiteAcceleration:
+class WhiteAcceleration(_AxisMotion):
     """`ConstantVelocity` with the state of `ConstantAcceleration`, to stand beside it among motion modes.
 
     The acceleration of the state has no influence on the motion; it is drawn anew at every scan, with the variance of
@@ -97,18 +102,10 @@ class WhiteAcceleration:
         ValueError: An argument is out of range.
     """
 
-    process_noise: float
-    dimensions: int = 2
-
-    def __post_init__(self) -> None:
-        _check_axes(self.process_noise, self.dimensions)
-
-    def __call__(self, dt: float, /) -> tuple[Array, Array]:
-        """Transition and process noise over `dt` seconds. Shapes (3 d, 3 d) for d axes."""
-        t = dt
+    def _axis(self, t: float) -> tuple[Array, Array]:
         F = np.array([[1.0, t, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
-        Q = self.process_noise**2 * np.array([[t**3 / 3.0, t**2 / 2.0, 0.0], [t**2 / 2.0, t, 0.0], [0.0, 0.0, 1.0 / t]])
-        return _per_axis(F, self.dimensions), _per_axis(Q, self.dimensions)
+        Q = np.array([[t**3 / 3.0, t**2 / 2.0, 0.0], [t**2 / 2.0, t, 0.0], [0.0, 0.0, 1.0 / t]])
+        return F, Q
 
 
 @dataclass(frozen=True)
