@@ -380,7 +380,7 @@ def _sensed_starts(
 
 
 def _excess_at_places(model: SensedModel, z: Array, excess: Array) -> Array:
-    """What a measurement's excess noise adds to the covariance of its places, to first order. Shape (k, c, d, d).
+    """Covariance that the excess noise of measurements adds to their places, to first order. Shape (k, c, d, d).
 
     The sensor made the places for its own noise. Where a measurement is more exact than that nothing is subtracted:
     a part of the covariance may not come from the noise.

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtri
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.birth import state_from_measurement
 from servotrack.estimators.rfs.capacity import warn_of_cap
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
+from servotrack.estimators.rfs.matching import most_likely_pairs
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, predict_components
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.recursion import check_positive_definite, resized
@@ -30,9 +30,6 @@ from servotrack.estimators.rfs.sets import (
 )
 from servotrack.estimators.stateful import add_axis, first_row
 from servotrack.estimators.types import Array, Labels
-
-FORBIDDEN_COST = 1e9
-"""Cost of a pair outside the gate, above any negative log likelihood inside it."""
 
 
 class GNNState(NamedTuple):
@@ -171,14 +168,9 @@ class GlobalNearestNeighbor:
             model, T, predicted.mean[b], predicted.covariance[b], z, excess, Z, self._gate
         )
         check_positive_definite(positive_definite)
-        cost = np.full((T, Z), FORBIDDEN_COST)
-        cost[track, measurement] = -np.log(likelihood)
+        partner = most_likely_pairs(track, measurement, likelihood, T, Z)
         row = np.zeros((T, Z), np.int64)
         row[track, measurement] = part
-        rows, columns = linear_sum_assignment(cost)
-        inside = cost[rows, columns] < FORBIDDEN_COST
-        partner = np.full(T, -1)
-        partner[rows[inside]] = columns[inside]
         chosen = np.where(partner >= 0, row[np.arange(T), partner], -1) if Z else partner
         _correct(model, partner, chosen, gain, posterior, z, b, predicted)
 

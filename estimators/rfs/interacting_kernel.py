@@ -131,7 +131,7 @@ def start_modes(modes, count, out, start):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _blocks(S, candidates, component, members, measurements):  # type: ignore[no-untyped-def]
+def _blocks(S, candidates, component, members):  # type: ignore[no-untyped-def]
     """Candidates of each component and measurement, one per mode or -1, and their joint weight: (H, S), (H,)."""
     weight, group = candidates.weight, candidates.group
     k = members.shape[0]
@@ -140,10 +140,11 @@ def _blocks(S, candidates, component, members, measurements):  # type: ignore[no
     if k == 0:
         return rows, total
     lowest = component[members[0]] // S
-    highest = lowest
+    highest, columns = lowest, 1
     for i in range(k):
         highest = max(highest, component[members[i]] // S)
-    slot = np.full((highest - lowest + 1, measurements + 1), -1, np.int64)
+        columns = max(columns, group[members[i]] + 2)
+    slot = np.full((highest - lowest + 1, columns), -1, np.int64)
     number = 0
     for i in range(k):
         member = members[i]
@@ -160,7 +161,7 @@ def _blocks(S, candidates, component, members, measurements):  # type: ignore[no
 
 @njit(cache=True, nogil=True)
 def reduce_modes(  # type: ignore[no-untyped-def]
-    pairwise, n, S, measurements, candidates, component, members, missed_cov, detected_cov, limits, cap, out, start
+    pairwise, n, S, candidates, component, members, missed_cov, detected_cov, limits, cap, out, start
 ):
     """Prune, merge and cap blocks of S modes; arguments as in `reduce_mixture`.
 
@@ -170,7 +171,6 @@ def reduce_modes(  # type: ignore[no-untyped-def]
         pairwise: True if missed and detected components differ in kind.
         n: State size.
         S: Number of modes.
-        measurements: Number of measurements of the scan.
         candidates: A `Candidates`.
         component: Predicted component of each candidate; S successive ones are a block. Shape (C,).
         members: Rows of the candidates of one track, in the order of their components. Shape (k,).
@@ -185,7 +185,7 @@ def reduce_modes(  # type: ignore[no-untyped-def]
         Number of rows written, S for each block.
     """
     weight, mean, source, group, _ = candidates
-    rows, total = _blocks(S, candidates, component, members, measurements)
+    rows, total = _blocks(S, candidates, component, members)
     N = mean.shape[1]
     heavy = np.flatnonzero(total > limits.prune)
     order = heavy[np.argsort(-total[heavy], kind="mergesort")][: limits.candidates * cap]

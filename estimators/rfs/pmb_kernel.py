@@ -297,7 +297,6 @@ def update_pmb(  # type: ignore[no-untyped-def]
                         model.pairwise,
                         n,
                         S,
-                        Z,
                         candidates,
                         origin,
                         members,

@@ -24,6 +24,7 @@ from servotrack.estimators.rfs import (
     TrajectoryPMB,
     constant_velocity,
     maneuvers,
+    match_measurements,
     pairwise_structure,
     range_bearing_sensor,
 )
@@ -220,3 +221,47 @@ def test_a_function_sensor_without_places_starts_nothing():
     state, estimate = filter.step(filter.initial(z, sensor), z, sensor=sensor, noise=OTHER[None])
     assert len(estimate.labels) == 0
     assert not (state.births.weight > 0.0).any()
+
+
+@pytest.mark.parametrize("kind", [kind for kind in GAUSSIAN if kind is not TrajectoryPMB])
+@pytest.mark.parametrize("sensor", [None, range_bearing_sensor(2.0, 0.01)], ids=["linear", "polar"])
+def test_names_of_measurements_reach_the_targets_that_they_belong_to(kind, sensor):
+    filter, rng = make(kind), np.random.default_rng(100_003)
+    state = filter.initial(np.zeros((0, 2)), sensor)
+    correct, seen = 0, 0
+    for k in range(25):
+        true = np.array([[100.0 + 10.0 * k, 60.0], [100.0 + 10.0 * k, -60.0], [400.0, 10.0 * k]])
+        names = np.array(["A", "B", "C"] + ["clutter"] * 5)
+        places = np.vstack([true + rng.normal(0.0, 1.5, (3, 2)), rng.uniform(-500.0, 500.0, (5, 2))])
+        z = places if sensor is None else np.c_[np.hypot(*places.T), np.arctan2(places[:, 1], places[:, 0])]
+        order = rng.permutation(8)[2:]
+        z, names = z[order], names[order]
+        state, estimate = filter.step(state, z, sensor=sensor)
+        found = match_measurements(estimate, z, PLANE, sensor=sensor)
+        used = found[found >= 0]
+        assert len(set(used.tolist())) == len(used)
+        for target, row in zip(estimate.states, found, strict=True):
+            distance = np.linalg.norm(true - target[[0, 2]], axis=1)
+            name = "ABC"[int(distance.argmin())]
+            if k >= 5 and distance.min() < 10.0 and name in names:
+                seen += 1
+                correct += row >= 0 and names[row] == name
+    assert seen > 20
+    assert correct >= 0.95 * seen
+
+
+def test_matching_refuses_batches_and_other_scans():
+    filter = make(PMB)
+    z = np.zeros((1, 2))
+    _, estimate = filter.step(filter.initial(z), z)
+    with pytest.raises(ValueError, match=r"measurements must have shape \(number, 2\)"):
+        match_measurements(estimate, np.zeros((1, 3)), PLANE)
+    with pytest.raises(ValueError, match="gate_probability must be in"):
+        match_measurements(estimate, z, PLANE, gate_probability=1.0)
+    with pytest.raises(ValueError, match="measurement must be a scan of one run"):
+        match_measurements(estimate, np.zeros((1, 2, 3)), PLANE)
+    rows = np.zeros((1, 2, 3))
+    _, batch = filter.step(filter.initial(rows), rows)
+    with pytest.raises(ValueError, match="estimate must be of one run"):
+        match_measurements(batch, z, PLANE)
+    assert match_measurements(estimate, np.zeros((0, 2)), PLANE).shape == estimate.labels.shape
