@@ -190,6 +190,13 @@ def _draw_path(config: ClutterConfig, streams: Streams, target: int, start: Arra
     )
 
 
+def turn_angles(config: ClutterConfig, seed: int) -> Array:
+    """Angle by which the velocity of each target turns before each scan of an episode. Shape (K, n), rad."""
+    streams = Streams(seed)
+    turns = np.stack([_turn_rates(config, streams, target) for target in range(config.max_targets)], axis=1)
+    return np.concatenate([turns, np.repeat(turns[-1:], config.lag, axis=0)])
+
+
 def _turn_rates(config: ClutterConfig, streams: Streams, target: int) -> Array:
     """Angle by which a target's velocity turns before each scan, shape (K,), rad."""
     scans = config.horizon + 1
