@@ -81,7 +81,7 @@ class EpisodeBound:
     Attributes:
         column: Column in the rows of results that it bounds.
         values: "module:callable" called with the environment's arguments and seeds; returns a list of floats.
-        meaning: What the agent of the bound knows, for captions.
+        meaning: Knowledge of the agent of the bound, for captions.
         episodes: Largest number of an agent's episodes that the column "x bound" is taken over. Raising it takes time.
     """
 

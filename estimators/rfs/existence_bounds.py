@@ -1,4 +1,4 @@
-"""Errors that nobody can avoid about who exists: of the number of targets, and of existence and position together.
+"""Errors about who exists that no tracker can avoid: of the number of targets, of existence and position together.
 
 A target that may or may not be there is a Markov chain of two states. Who knows where it would be and what every other
 target does sees at each scan the measurements near that place, and its posterior probability r follows by Bayes' rule

@@ -56,9 +56,10 @@ def _scans(estimator: Any, *, polar: bool = False, steered: bool = False) -> Kin
 
 def _filters() -> dict[str, Kind]:
     found = {}
+    kinds = {"phd": rfs.GMPHD, "cbmember": rfs.GMCBMeMBer, "lmb": rfs.LMB, "pmb": rfs.PMB, "pmbm": rfs.PMBM}
     for name, model in {"hmm": HMM, "pmm": PMM, "ekf": EKF, "ukf": UKF}.items():
         polar = name in ("ekf", "ukf")
-        for label, kind in {"phd": rfs.GMPHD, "cbmember": rfs.GMCBMeMBer, "pmb": rfs.PMB, "pmbm": rfs.PMBM}.items():
+        for label, kind in kinds.items():
             found[f"{label}-{name}"] = _scans(kind(model, ANYWHERE, clutter_intensity=1e-4), polar=polar)
         smoother = rfs.TrajectoryPMB(model, ANYWHERE, clutter_intensity=1e-4, lag=2)
         found[f"trajectory-pmb-{name}"] = _scans(smoother, polar=polar)

@@ -11,6 +11,7 @@ from scipy.integrate import quad_vec
 
 from servotrack.estimators.rfs import (
     GMPHD,
+    LMB,
     PMB,
     PMBM,
     Birth,
@@ -32,7 +33,7 @@ from servotrack.estimators.rfs import (
     spherical_sensor,
 )
 
-FILTERS = [GMPHD, GMCBMeMBer, PMB, PMBM]
+FILTERS = [GMPHD, GMCBMeMBer, LMB, PMB, PMBM]
 KAPPA = 20.0 / 4000.0**2
 PLANE = constant_velocity(5.0, 1.5)
 
