@@ -275,7 +275,8 @@ def test_grids_of_other_worlds_hold_the_defaults_and_reach_the_estimator(family:
         choices = family.grids[agent][path]
         assert default in choices and len(choices) == len(set(choices)) > 1
         for choice in choices:
-            assert value_at(with_values(family.create(agent), {path: choice}), path) == choice
+            into = family.path(path)
+            assert value_at(with_values(family.create(agent), {into: choice}), into) == choice
 
 
 def test_every_kind_of_world_has_a_family_with_all_its_levels() -> None:
