@@ -1,6 +1,8 @@
 """Signals at random times: a command ends within 5 s, leaves valid files and nothing hidden, and goes on later.
 
-The resumed command ends with the result of a run that was not stopped.
+The resumed command ends with the result of a run that was not stopped. The slow sweep takes some minutes for each
+command and signal, `reproduce in workers` up to ten; `-s` shows how far it is. Do not edit the package meanwhile:
+results of another version of the code are computed anew.
 """
 
 from __future__ import annotations
@@ -57,11 +59,14 @@ class Command:
         arguments: Arguments of the program.
         content: Returns the results in the working directory; all files that it reads must be valid.
         before: Commands that prepare the working directory.
+        longest_wait: Longest time before a signal, s. A command that is resumed does not start from zero, so that
+            shorter times reach all of its parts too.
     """
 
     arguments: tuple[str, ...]
     content: Callable[[Path], Any]
     before: tuple[tuple[str, ...], ...] = ()
+    longest_wait: float = LONGEST_WAIT
 
 
 def rows(folder: Path) -> Any:
@@ -181,7 +186,7 @@ COMMANDS = {
         ((*TRAIN, "--seeds", "0-1", "--steps", "256"),),
     ),
     "reproduce": Command(("reproduce", "unscented_jacobian", "--runs", "1", "-o", "out"), parts),
-    "reproduce in workers": Command(("reproduce", "hmm_sonar", "--runs", "2", "-o", "out"), parts),
+    "reproduce in workers": Command(("reproduce", "hmm_sonar", "--runs", "2", "-o", "out"), parts, longest_wait=12.0),
 }
 
 
@@ -357,10 +362,14 @@ def test_signals_at_random_times(
     chance = random.Random(f"{name} {number}")
     attempt = 0
     folder = prepared(name, tmp_path / "0")
-    for _ in range(TIMES):
+    begin = time.monotonic()
+    for turn in range(TIMES):
         process = started(command.arguments, folder)
-        time.sleep(chance.uniform(0.0, min(0.9 * duration, LONGEST_WAIT)))
+        time.sleep(chance.uniform(0.0, min(0.9 * duration, command.longest_wait)))
         end(process, number)
+        print(
+            f"{name}, {signal.Signals(number).name} {turn + 1} of {TIMES}: {time.monotonic() - begin:.0f} s", flush=True
+        )
         assert not leftovers(folder)
         found = command.content(folder)
         if process.returncode in (0, -number):
