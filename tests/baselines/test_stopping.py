@@ -142,6 +142,14 @@ def counted(folder: Path) -> Any:
     return tracks(folder), rows, digests(out, "tracks.csv", "tracks.json", "tracks_offline.txt")
 
 
+def points(folder: Path) -> Any:
+    """Tracks of points; the files of a run appear together."""
+    found = digests(folder / "out", "tracks.csv", "tracks.geojson")
+    assert len(found) in (0, 2)
+    assert (folder / "out" / "tracks.png").exists() == bool(found)
+    return found
+
+
 COMMANDS = {
     "evaluate": Command(("evaluate", "UncalibServo-v0", "kf", "-n", "300", *SHORT, "-o", "out"), rows),
     "bench": Command(
@@ -175,6 +183,7 @@ COMMANDS = {
         ),
         counted,
     ),
+    "track points": Command(("track", "points.csv", "--out", "out"), points),
     "render": Command(("render", "scene", "--set", "horizon=150"), lambda folder: digests(folder, "scene/**/*")),
     "play": Command(("play", "--agent", "kf", "--seed", "3", "--video", "film.webm"), frames),
     "tune": Command(("tune", "kf", "broyden", "-n", "1", "-o", "tuning.json"), tuned),
@@ -201,6 +210,9 @@ def prepared(name: str, folder: Path) -> Path:
         frame[24:64, 16 + k % 90 : 32 + k % 90] = 255
         writer.write(frame)
     writer.release()
+    places = noise.uniform(-500.0, 500.0, (4, 2)) + np.arange(150)[:, None, None] * noise.normal(0.0, 5.0, (4, 2))
+    rows = [f"{k},{x},{y}" for k, scan in enumerate(places + noise.normal(0.0, 2.0, places.shape)) for x, y in scan]
+    (folder / "points.csv").write_text("\n".join(["time,x,y", *rows]) + "\n")
     for arguments in COMMANDS[name].before:
         finish(arguments, folder)
     return folder
