@@ -45,6 +45,8 @@ _LATITUDES, _LONGITUDES = ("lat", "latitude"), ("lon", "longitude", "lng")
 _IDENTITIES = ("id", "label", "track", "target", "mmsi")
 _AXES = ("x", "y", "z")
 _REMEDY = "split the file"
+_BLANKS = " \t"
+"""Characters that count as nothing around a cell. Python's own list has control characters, too."""
 _QUOTED = 80
 """Number of characters of a cell that a message quotes."""
 
@@ -141,7 +143,7 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
     first = next(rows, None)
     if first is None:
         raise SequenceError(f"{path} is empty; it must begin with a header such as time,x,y")
-    head = [cell.strip().lower() for cell in first[1]]
+    head = [cell.strip(_BLANKS).lower() for cell in first[1]]
     columns = _Columns.of(path, head)
     d, names = len(columns.places), columns.covariance_names
     times, sizes = array("d"), array("q")
@@ -168,7 +170,7 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
             sizes.append(0)
             if columns.identity is not None:
                 identities.append([])
-        cells = [row[at].strip() for at in columns.places]
+        cells = [row[at].strip(_BLANKS) for at in columns.places]
         if not any(cells):
             continue
         place = [_number(cell, head[at], where) for cell, at in zip(cells, columns.places, strict=True)]
@@ -191,7 +193,7 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
             )
         places.extend(place)
         if columns.identity is not None:
-            text = row[columns.identity].strip()
+            text = row[columns.identity].strip(_BLANKS)
             identities[-1].append(texts.setdefault(text, text))
         if names:
             covariances.extend(_number(row[at], head[at], where, LIMITS.coordinates**2) for at in columns.covariance)
@@ -329,7 +331,7 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     try:
         for row in reader:
             lines.of_row = 0
-            if any(cell.strip() for cell in row):
+            if any(cell.strip(_BLANKS) for cell in row):
                 yield reader.line_num, row
                 continue
             blank += 1
@@ -386,7 +388,7 @@ def _first(columns: dict[str, int], names: tuple[str, ...]) -> int | None:
 
 def _number(cell: str, name: str, where: str, limit: float = LIMITS.coordinates) -> float:
     try:
-        value = parse_number(cell.strip())
+        value = parse_number(cell.strip(_BLANKS))
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
@@ -401,7 +403,7 @@ def _number(cell: str, name: str, where: str, limit: float = LIMITS.coordinates)
 
 def _time(cell: str, where: str) -> tuple[float, bool]:
     """Seconds, and True for a date."""
-    text = cell.strip()
+    text = cell.strip(_BLANKS)
     is_date = False
     try:
         value = parse_number(text)
@@ -422,4 +424,4 @@ def _time(cell: str, where: str) -> tuple[float, bool]:
 
 def _short(cell: str) -> str:
     """Begin of a text from a file, in quotes."""
-    return repr(cell.strip()[:_QUOTED])
+    return repr(cell.strip(_BLANKS)[:_QUOTED])
