@@ -56,7 +56,7 @@ _FAR, _MOST = 30.0, 0.95
 """Distance of a far point in distances within which this share of the points lies."""
 _SMALLEST = 1e-15
 """Smallest median time step, s, and extent of all points, m."""
-_STEPS = (1e-6, 1e12)
+_STEPS = (1e-6, 1e9)
 """Least time step and longest time of a file, in median steps."""
 _FIRST_SHARE = 0.1
 """Share of the scans whose new tracks are targets that were there before."""
