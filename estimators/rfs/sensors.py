@@ -39,6 +39,8 @@ Intensity = float | Callable[[Array], Array]
 """A constant, or a function of measurements (Z, m) that returns (Z,)."""
 
 
+_LARGEST = LIMITS.coordinates**2
+"""Largest magnitude of what a caller's function returns; the square of a measurement's limit."""
 _ROUNDING = 1e-12
 """Share of a covariance's largest entry that rounding explains."""
 
@@ -222,7 +224,7 @@ class SensedModel:
         mean, covariance = (as_numbers("what the sensor's places returns", one) for one in found)
         d, c = len(self.sensor.position), mean.shape[1] if mean.ndim == 3 else 1
         places = _checked("places", mean, (len(z), c, d))
-        spread = _checked("covariance of places", covariance, (len(z), c, d, d), LIMITS.coordinates**2)
+        spread = _checked("covariance of places", covariance, (len(z), c, d, d))
         scale = np.abs(spread).max(axis=(-1, -2), initial=0.0)
         skew = np.abs(spread - np.swapaxes(spread, -1, -2)).max(axis=(-1, -2), initial=0.0)
         if (skew > _ROUNDING * scale).any() or (np.linalg.eigvalsh(spread)[..., 0] < -_ROUNDING * scale).any():
@@ -279,14 +281,14 @@ def sensed(model: TargetModel, sensor: Sensor, dt: float | None = None) -> Targe
     return SensedModel(*moved(model, interval), sensor, model.motion, interval)
 
 
-def _checked(name: str, values: ArrayLike, shape: tuple[int, ...], limit: float = LIMITS.coordinates) -> Array:
+def _checked(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Check what a caller's function returned."""
     array = as_numbers(f"what the sensor's {name} returns", values)
     if array.shape != shape:
         raise ValueError(f"sensor {name} must return shape {shape}, got {array.shape}")
     if not np.all(np.isfinite(array)):
         raise ValueError(f"sensor {name} must return finite values, got NaN or infinity; guard it near its singularity")
-    check_within(f"what the sensor's {name} returns", array, limit, "guard it near its singularity")
+    check_within(f"what the sensor's {name} returns", array, _LARGEST, "guard it near its singularity")
     return array
 
 

@@ -38,6 +38,7 @@ from servotrack.estimators.rfs.sensors import (
 )
 from servotrack.estimators.rfs.timed import TimedFilter, TimedTracker
 from servotrack.estimators.types import Array, Mask
+from servotrack.estimators.validation import as_numbers
 
 
 @dataclass(frozen=True)
@@ -155,10 +156,17 @@ class SetFilterTracker(Tracker):  # type: ignore[misc]
     def update_tracker(
         self, time: datetime.datetime, detections: set[Detection]
     ) -> tuple[datetime.datetime, set[Track]]:
-        """Take the detections of one time and return the tracks after it."""
-        if self._start is None:
-            self._start = time
-        seconds = (time - self._start).total_seconds()
+        """Take the detections of one time and return the tracks after it.
+
+        Raises:
+            ValueError: The time is no datetime, or has a time zone unlike the first one; a detection has no measurement
+                model, or is refused by the filter.
+        """
+        start = self._start or time
+        if not isinstance(time, datetime.datetime) or (time.tzinfo is None) != (start.tzinfo is None):
+            raise ValueError(f"time must be a datetime, all with a time zone or all without, got {time!r}")
+        seconds = (time - start).total_seconds()
+        self._start = start
         for model, rows in self._scans(detections):
             estimate = self._tracker.update(rows, seconds, self._sensor(model))
         held = {int(label) for label in (*estimate.labels, *estimate.held_labels) if label > 0}
@@ -173,9 +181,11 @@ class SetFilterTracker(Tracker):  # type: ignore[misc]
         scans: dict[int, tuple[Any, list[tuple[float, ...]]]] = {}
         for detection in detections:
             model = detection.measurement_model or self.measurement_model
+            if model is None:
+                raise ValueError("measurement_model must be given to the tracker, since a detection has none")
             row = tuple(float(entry) for entry in np.ravel(detection.state_vector))
             scans.setdefault(id(model), (model, []))[1].append(row)
-        found = [(model, np.array(sorted(rows))) for model, rows in scans.values()]
+        found = [(model, as_numbers("detections of one model", sorted(rows))) for model, rows in scans.values()]
         found.sort(key=lambda scan: (scan[1].shape[1], scan[1].tolist()))
         return found or [(self.measurement_model, np.zeros((0, self.measurement_model.ndim_meas)))]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -183,6 +184,80 @@ def test_measuring_begins_at_the_first_point_and_far_points_are_noted() -> None:
     assert len(track_points(late, measured_model(late)[0])) == 6
     far = points._replace(scans=[*points.scans[:-1], np.array([[1e7, 0.0]])])
     assert any("1 points are more than 30 times as far out" in note for note in measured_model(far)[1])
+
+
+def any_points(seed: int) -> PointScans:
+    """Points of any scale: at random, in lines, at few places, with outliers, gaps and covariances."""
+    rng = np.random.default_rng(seed)
+    scans, d = int(rng.integers(2, 25)), int(rng.integers(2, 4))
+    steps = np.exp(rng.normal(0.0, rng.choice([0.0, 0.5, 4.0]), scans)) * 10.0 ** rng.uniform(-12, 6)
+    times = np.cumsum(np.maximum(steps, 1e-14)) + rng.choice([0.0, 0.0, 1.7e9, -1e9])
+    kinds = {
+        "random": lambda n, k: rng.uniform(-1.0, 1.0, (n, d)),
+        "line": lambda n, k: np.full((n, d), k / scans) + np.arange(n)[:, None],
+        "places": lambda n, k: rng.integers(-1, 2, (n, d)).astype(np.float64),
+        "one": lambda n, k: np.ones((n, d)),
+        "wide": lambda n, k: rng.uniform(-1.0, 1.0, (n, d)) * 10.0 ** rng.uniform(-8.0, 0.0, (n, d)),
+        "flat": lambda n, k: rng.uniform(-1.0, 1.0, (n, d)) * (np.arange(d) == 0),
+    }
+    draw = kinds[str(rng.choice(list(kinds)))]
+    scale, most = 10.0 ** rng.uniform(-14, 8), int(rng.integers(1, 12))
+    found = [scale * draw(int(rng.integers(0, most + 1)), k) for k in range(scans)]
+    found[int(rng.integers(scans))] = scale * draw(1, 0) * rng.choice([1.0, 1.0, 10.0])
+    covariances = None
+    if rng.random() < 0.3:
+        covariances = [
+            np.array([np.diag(10.0 ** rng.uniform(-20, 10, 1) * 10.0 ** rng.uniform(-5, 5, d)) for _ in scan]).reshape(
+                -1, d, d
+            )
+            for scan in found
+        ]
+    _, kept = np.unique(times, return_index=True)
+    return PointScans(
+        times[kept],
+        [found[k] for k in kept],
+        None if covariances is None else [covariances[k] for k in kept],
+        None,
+        None,
+        False,
+    )
+
+
+def check_any_points(seed: int) -> bool:
+    """Return True if the points were tracked, False if they were refused; anything else fails."""
+    points = any_points(seed)
+    if len(points.times) < 2 or not any(map(len, points.scans)):
+        return False
+    try:
+        model, _ = measured_model(points)
+        trajectories = track_points(points, model)
+    except SequenceError:
+        return False
+    except Exception as error:
+        raise AssertionError(f"points of seed {seed}") from error
+    for name, value in model._asdict().items():
+        assert value is None or (np.isfinite(value).all() and (name in ("low", "high") or value > 0.0)), (
+            seed,
+            name,
+            value,
+        )
+    for one in trajectories:
+        assert np.isfinite(one.states).all() and np.isfinite(one.covariances).all(), seed
+        assert (np.einsum("kii->ki", one.covariances) >= 0.0).all(), seed
+        assert np.isin(one.times, points.times).all(), seed
+    return True
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_any_points_are_tracked_or_refused() -> None:
+    assert sum(map(check_any_points, range(30))) > 10
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_many_points_are_tracked_or_refused() -> None:
+    count = int(os.environ.get("SERVOTRACK_FUZZED_POINTS", "3000"))
+    print(f"{sum(map(check_any_points, range(count)))} of {count} tracked")
 
 
 @pytest.mark.parametrize(

@@ -123,3 +123,26 @@ def test_late_detections_are_put_in_their_place():
         late.update_tracker(*scans[k])
     (expected,), (found,) = ordered.tracks, late.tracks
     np.testing.assert_array_equal(found.state_vector, expected.state_vector)
+
+
+@pytest.mark.parametrize(
+    ("time", "rows", "message"),
+    [
+        (at(1).replace(tzinfo=datetime.timezone.utc), [[0.0, 0.0]], "all with a time zone or all without"),
+        ("noon", [[0.0, 0.0]], "time must be a datetime"),
+        (at(1), [[np.nan, 0.0]], "measurements must be finite"),
+        (at(1), [[0.0, 0.0, 0.0]], "measurements must have shape"),
+        (at(1), [[0.0, 0.0], [0.0, 0.0, 0.0]], "detections of one model must be an array of numbers"),
+    ],
+)
+def test_bad_times_and_detections_are_refused_by_name(time, rows, message):
+    position = LinearGaussian(4, (0, 2), np.eye(2))
+    filter = PMB(target_model(steady(2), position), MeasurementBirth(0.1, 20.0), clutter_intensity=1e-6)
+    tracker = SetFilterTracker(None, filter, position)
+    tracker.update_tracker(START, {Detection(StateVector([0.0, 0.0]), timestamp=START)})
+    with pytest.raises(ValueError, match=message):
+        tracker.update_tracker(time, {Detection(StateVector(row), timestamp=START) for row in rows})
+    with pytest.raises(ValueError, match="measurement_model must be given"):
+        SetFilterTracker(None, filter, None).update_tracker(
+            START, {Detection(StateVector([0.0, 0.0]), timestamp=START)}
+        )
