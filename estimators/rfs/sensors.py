@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.definite import LEAST_SHARE
 from servotrack.estimators.rfs.gaussians import FUNCTION, PackedModel, pack_model
 from servotrack.estimators.rfs.mixture import Mixture
 from servotrack.estimators.rfs.models import (
@@ -41,8 +42,6 @@ Intensity = float | Callable[[Array], Array]
 
 _LARGEST = LIMITS.coordinates**2
 """Largest magnitude of what a caller's function returns; the square of a measurement's limit."""
-_ROUNDING = 1e-12
-"""Share of a covariance's largest entry that rounding explains."""
 
 
 class Places(NamedTuple):
@@ -227,7 +226,8 @@ class SensedModel:
         spread = _checked("covariance of places", covariance, (len(z), c, d, d))
         scale = np.abs(spread).max(axis=(-1, -2), initial=0.0)
         skew = np.abs(spread - np.swapaxes(spread, -1, -2)).max(axis=(-1, -2), initial=0.0)
-        if (skew > _ROUNDING * scale).any() or (np.linalg.eigvalsh(spread)[..., 0] < -_ROUNDING * scale).any():
+        rounding = LEAST_SHARE * scale
+        if (skew > rounding).any() or (np.linalg.eigvalsh(spread)[..., 0] < -rounding).any():
             raise ValueError("sensor places must return symmetric positive semidefinite covariances")
         return Places(places, spread)
 
