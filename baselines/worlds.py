@@ -143,8 +143,8 @@ WORLDS: Mapping[str, World] = {
         ),
         World(
             "clutter",
-            "points in clutter",
-            ("ClutterTracking-v0",),
+            "points in clutter, drawn or recorded",
+            ("ClutterTracking-v0", "RecordedPoints-v0"),
             RankingMetric("ospa2", "OSPA(2)", "m"),
             "gm-phd",
             f"{_RECORDERS}.set_scores:SetScoreRecorder",

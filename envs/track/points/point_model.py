@@ -18,6 +18,7 @@ from servotrack.envs.track.files.points import PointScans
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs import (
     Birth,
+    HiddenMarkovModel,
     LinearSensor,
     Reduction,
     Trajectory,
@@ -38,9 +39,12 @@ _CHANCE = 0.05
 """Largest probability that a neighbor so close is there by chance."""
 _GATE = 1e-3
 """Share of a track's own measurements that its gate excludes when measurements are counted."""
-_LEAST_EXISTENCE = 1e-5
+LEAST_EXISTENCE = 1e-5
 """Tracks of less probability are dropped. A first detection in much clutter is less than 0.001 probable."""
 _MARGIN = 0.02
+_CUTOFF_SHARE = 0.025
+_LEAST_NOISE = 1e-6
+"""Least position noise as a share of the region's longest side."""
 _WINDOWS = (1, 2, 4, 8, 16, 30)
 """Numbers of scans in which the next measurement of a target is searched."""
 _FIRST_SHARE = 0.1
@@ -72,6 +76,20 @@ class PointModel(NamedTuple):
     births: float
     survival: float
     speed: float
+
+
+def region_of(points: PointScans) -> tuple[Array, Array]:
+    """Corners of the region of points: their bounds and a margin of 2 %. Shapes (d,), m."""
+    everything = np.concatenate(points.scans)
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    # A region without extent along an axis would have no volume.
+    margin = np.maximum(_MARGIN * (high - low), 1e-3 * max(float((high - low).max()), 1e-9))
+    return low - margin, high + margin
+
+
+def scores_cutoff(low: Array, high: Array) -> float:
+    """Cut-off of scores in a region, m: a fortieth of its longest side."""
+    return _CUTOFF_SHARE * float((high - low).max())
 
 
 def track_points(points: PointScans, model: PointModel) -> list[Trajectory]:
@@ -106,11 +124,8 @@ def measured_model(points: PointScans) -> tuple[PointModel, list[str]]:
 def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
     """Parameters from chains of nearest neighbors."""
     everything = np.concatenate(points.scans)
-    low, high = everything.min(axis=0), everything.max(axis=0)
-    side = max(float((high - low).max()), 1e-9)
-    # A region without extent along an axis would have no volume.
-    margin = np.maximum(_MARGIN * (high - low), 1e-3 * side)
-    low, high = low - margin, high + margin
+    side = max(float((everything.max(axis=0) - everything.min(axis=0)).max()), 1e-9)
+    low, high = region_of(points)
     count = len(everything) / len(points.scans)
     period = float(np.median(np.diff(points.times)))
     # Where each scan holds few of the targets, such as that of one ship, chains span several scans.
@@ -120,7 +135,7 @@ def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
     notes = []
     if len(chains):
         bends, speeds = chains[:, 0], chains[:, 1]
-        noise = max(float(np.median(bends)) / 0.6745, 1e-6 * side)
+        noise = max(float(np.median(bends)) / 0.6745, _LEAST_NOISE * side)
         speed = max(float(np.sqrt(np.mean(speeds**2))), 1e-6 * side / period)
     else:
         noise, speed = 1e-3 * side, 1e-2 * side / period
@@ -181,20 +196,32 @@ def _chains(points: PointScans, low: Array, high: Array, window: int) -> Array:
 
 
 def _tracker(points: PointScans, model: PointModel) -> TrajectoryPMB:
-    d = points.dimensions
-    motion = constant_velocity(model.process_noise, _position_noise(points, model), period=model.period, dimensions=d)
-    deviation = np.stack([(model.high - model.low) / math.sqrt(12.0), np.full(d, model.speed)], axis=1)
-    center = np.stack([0.5 * (model.low + model.high), np.zeros(d)], axis=1)
+    center, covariance = birth_place(model)
     return TrajectoryPMB(
-        motion,
-        # One Gaussian as wide as the region: births at measurements would also take place where targets already are.
-        Birth(np.array([min(model.births, 1.0)]), center.reshape(1, -1), np.diag(deviation.reshape(-1) ** 2)),
+        motion_of(points, model),
+        Birth(np.array([min(model.births, 1.0)]), center[None], covariance),
         clutter_intensity=model.clutter_rate / float(np.prod(model.high - model.low)),
         survival=model.survival,
         detection=model.detection,
-        reduction=Reduction(components=5, existence=_LEAST_EXISTENCE),
+        reduction=Reduction(components=5, existence=LEAST_EXISTENCE),
         lag=smoothing_lag(points, model),
     )
+
+
+def motion_of(points: PointScans, model: PointModel) -> HiddenMarkovModel:
+    """Motion and measurement of one target with measured parameters."""
+    noise = _position_noise(points, model)
+    return constant_velocity(model.process_noise, noise, period=model.period, dimensions=points.dimensions)
+
+
+def birth_place(model: PointModel) -> tuple[Array, Array]:
+    """Mean (n,) and covariance (n, n) of the states of new targets: one Gaussian as wide as the region.
+
+    Births at measurements would also take place where targets already are.
+    """
+    deviation = np.stack([(model.high - model.low) / math.sqrt(12.0), np.full(len(model.low), model.speed)], axis=1)
+    center = np.stack([0.5 * (model.low + model.high), np.zeros(len(model.low))], axis=1)
+    return center.reshape(-1), np.diag(deviation.reshape(-1) ** 2)
 
 
 def smoothing_lag(points: PointScans, model: PointModel) -> int:
@@ -266,10 +293,12 @@ def _counted(points: PointScans, model: PointModel) -> PointModel | None:
         model,
         _position_noise(points, model),
     )
+    # Points without noise fit ever less noise, down to covariances that rounding makes indefinite.
+    least = _LEAST_NOISE * float((model.high - model.low).max())
     velocities = np.concatenate([one.states[:, 1::2] for one in trajectories])
     return model._replace(
-        process_noise=process,
-        measurement_noise=None if model.measurement_noise is None else measurement,
+        process_noise=max(process, 1e-3 * least / model.period**1.5),
+        measurement_noise=None if model.measurement_noise is None else max(measurement, least),
         detection=float(np.clip((detected + 1.0) / (inside + 2.0), 0.02, 0.99)),
         clutter_rate=max((sum(map(len, points.scans)) - taken) / scans, 0.01),
         births=float(np.clip((late + 0.5) / ((1.0 - _FIRST_SHARE) * scans), 1e-3, 10.0)),
