@@ -96,7 +96,7 @@ def _model_grid(points: PointScans, model: PointModel) -> Grid:
         [
             "position noise",
             "columns" if given else f"{model.measurement_noise:.4g} m",
-            "covariances of the file, their mean in each scan" if given else "likelihood of the tracks' points",
+            "covariances of the file" if given else "likelihood of the tracks' points",
         ],
         ["process noise", f"{model.process_noise:.4g} m/s^1.5", "likelihood of the tracks' points"],
         ["speed", f"{model.speed:.4g} m/s", "root mean square of the tracks' velocities, per axis"],

@@ -10,8 +10,9 @@ Start with `PMB`, or with `RobustPMB` where sensor and motion are not known well
 pruning and takes longer. `TrajectoryPMB` reports smoothed targets some scans late. `GMPHD` is the cheapest and the
 simplest filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each is a frozen dataclass with `initial(measurement)
 -> state` and `step(state, measurement) -> (state, estimate)`, whose state is a NamedTuple of arrays. Measurements of
-shape (B, rows, 1 + m), existence in column 0, run B independent filters at once. `step(..., dt=, sensor=)` takes scans
-at varying intervals and of other sensors, and `TimedTracker` takes them by their time stamps, late ones too.
+shape (B, rows, 1 + m), existence in column 0, run B independent filters at once. `step(..., dt=, sensor=, noise=)`
+takes scans at varying intervals, of other sensors, and with a noise for each measurement; `TimedTracker` takes them by
+their time stamps, late ones too.
 """
 
 from servotrack.estimators.rfs.adaptation import SensorAdaptation
@@ -26,6 +27,7 @@ from servotrack.estimators.rfs.interacting import (
     maneuvers,
     white_acceleration,
 )
+from servotrack.estimators.rfs.matching import match_measurements
 from servotrack.estimators.rfs.mixed_births import Births
 from servotrack.estimators.rfs.models import (
     STRUCTURES,
@@ -97,6 +99,7 @@ __all__ = [
     "definiteness_margin",
     "lasting",
     "maneuvers",
+    "match_measurements",
     "measurements_to_rows",
     "pairwise_structure",
     "range_bearing_sensor",

@@ -110,7 +110,12 @@ class MeasurementBirth:
         )
 
     def born(
-        self, model: TargetModel, measurements: Array, unexplained: Array, share: float = 1.0
+        self,
+        model: TargetModel,
+        measurements: Array,
+        unexplained: Array,
+        share: float = 1.0,
+        excess: Array | None = None,
     ) -> BirthMixture | None:
         """Births at the measurements of this step, as they are at its time; `predicted` moves them to the next.
 
@@ -120,6 +125,7 @@ class MeasurementBirth:
             unexplained: Probability that a measurement is clutter or new; 0 for unused rows. Shape (batch, Z).
             share: The interval before this step, in which the targets appeared, as a share of the one that `expected`
                 is for.
+            excess: Noise of each measurement in excess of the sensor's; None or no rows: none. Shape (batch, Z, m, m).
 
         Returns:
             The births; None if the sensor does not say where a target with a measurement may be.
@@ -127,8 +133,10 @@ class MeasurementBirth:
         batch, kept = measurements.shape[0], min(self.places, measurements.shape[1])
         if kept == 0:
             return None if isinstance(model, SensedModel) and model.sensor.places is None else self.empty(batch, model)
-        z, chance = _least_explained(np.ascontiguousarray(measurements), unexplained, kept)
-        found = self._starts(model, z)
+        z, chance, order = _least_explained(np.ascontiguousarray(measurements), unexplained, kept)
+        if excess is not None and excess.shape[1] > 0:
+            excess = np.take_along_axis(excess, order[:, :, None, None], axis=1)
+        found = self._starts(model, z, excess)
         if found is None:
             return None
         mean, covariance = found
@@ -161,12 +169,12 @@ class MeasurementBirth:
             moved = np.where(active[:, :, None, None], _next_covariance(model, covariance), 0.0)
         return BirthMixture(births.weight, mean, moved)
 
-    def _starts(self, model: TargetModel, z: Array) -> tuple[Array, Array] | None:
+    def _starts(self, model: TargetModel, z: Array, excess: Array | None) -> tuple[Array, Array] | None:
         """Means (batch, Z, c, n) at measurements, and covariances, (1, 1, 1, n, n) if all are the same."""
         if isinstance(model, SensedModel):
-            return _sensed_starts(model, z, self.hidden_deviation)
-        if isinstance(model, RangeBearingModel):
-            mean, covariance = state_from_measurement(model, z, self.hidden_deviation)
+            return _sensed_starts(model, z, self.hidden_deviation, excess)
+        if isinstance(model, RangeBearingModel) or (excess is not None and excess.shape[1] > 0):
+            mean, covariance = state_from_measurement(model, z, self.hidden_deviation, excess)
             return mean[:, :, None], covariance[:, :, None]
         H, R = model.packed.observation, model.packed.measurement_noise
         kept: _LinearBirth | None = self.__dict__.get("_kept")
@@ -209,14 +217,14 @@ def joined_births(first: BirthMixture, second: BirthMixture) -> BirthMixture:
 
 @njit(cache=True, nogil=True)
 def _least_explained(measurements, unexplained, kept):  # type: ignore[no-untyped-def]
-    """The `kept` least explained measurements of each run, the least first, and their probability of being new."""
+    """The `kept` least explained measurements of each run, the least first, their chances to be new, and their rows."""
     batch, _, m = measurements.shape
-    z, chance = np.empty((batch, kept, m)), np.empty((batch, kept))
+    z, chance, rows = np.empty((batch, kept, m)), np.empty((batch, kept)), np.empty((batch, kept), np.int64)
     for b in range(batch):
         order = np.argsort(-unexplained[b], kind="mergesort")
         for k in range(kept):
-            z[b, k], chance[b, k] = measurements[b, order[k]], unexplained[b, order[k]]
-    return z, chance
+            z[b, k], chance[b, k], rows[b, k] = measurements[b, order[k]], unexplained[b, order[k]], order[k]
+    return z, chance, rows
 
 
 @njit(cache=True, nogil=True)
@@ -309,13 +317,16 @@ def pack_spawns(spawns: Sequence[Spawn], n: int) -> tuple[Array, Array, Array, A
     )
 
 
-def state_from_measurement(model: TargetModel, z: Array, hidden_deviation: ArrayLike) -> tuple[Array, Array]:
+def state_from_measurement(
+    model: TargetModel, z: Array, hidden_deviation: ArrayLike, excess: Array | None = None
+) -> tuple[Array, Array]:
     """Distribution of the state given one measurement only.
 
     Args:
         model: Model of one target.
         z: Measurements. Shape (*batch, m).
         hidden_deviation: Standard deviation of the unmeasured state entries; a number or shape (n,).
+        excess: Noise of each measurement in excess of the sensor's; None or no rows: none. Shape (*batch, m, m).
 
     Returns:
         mean (*batch, n), zero in unmeasured entries; covariance (*batch, n, n).
@@ -324,13 +335,16 @@ def state_from_measurement(model: TargetModel, z: Array, hidden_deviation: Array
         ValueError: The sensor does not say where a target with a measurement may be.
     """
     if isinstance(model, SensedModel):
-        found = _sensed_starts(model, z, hidden_deviation)
+        found = _sensed_starts(model, z, hidden_deviation, excess)
         if found is None:
             raise ValueError(
                 "sensor must have places= to start a track from one measurement, got None; or give births at sites"
             )
         return _matched(*found)
     packed, inverse = model.packed, _inverse(model)
+    R = packed.measurement_noise
+    if excess is not None and excess.shape[:-2] == z.shape[:-1]:
+        R = R + excess
     hidden = _hidden(inverse, packed.observation, hidden_deviation)
     if isinstance(model, RangeBearingModel):
         distance, bearing = z[..., 0], z[..., 1]
@@ -339,25 +353,47 @@ def state_from_measurement(model: TargetModel, z: Array, hidden_deviation: Array
         polar = np.stack(
             [np.stack([cosine, -distance * sine], axis=-1), np.stack([sine, distance * cosine], axis=-1)], axis=-2
         )
-        noise = np.einsum("...ij,jk,...lk->...il", polar, packed.measurement_noise, polar)
+        noise = np.einsum("...ij,...jk,...lk->...il", polar, R, polar)
     else:
         position = z
-        noise = np.broadcast_to(packed.measurement_noise, (*z.shape[:-1], *packed.measurement_noise.shape))
+        noise = np.broadcast_to(R, (*z.shape[:-1], *R.shape[-2:]))
     mean = np.einsum("rk,...k->...r", inverse, position)
     return mean, hidden + np.einsum("rk,...kl,cl->...rc", inverse, noise, inverse)
 
 
-def _sensed_starts(model: SensedModel, z: Array, hidden_deviation: ArrayLike) -> tuple[Array, Array] | None:
+def _sensed_starts(
+    model: SensedModel, z: Array, hidden_deviation: ArrayLike, excess: Array | None
+) -> tuple[Array, Array] | None:
     """Gaussians (*batch, c, n), (*batch, c, n, n) of the state given one measurement, or None."""
-    found = model.places(z.reshape(-1, z.shape[-1]))
+    flat = z.reshape(-1, z.shape[-1])
+    found = model.places(flat)
     if found is None:
         return None
+    if excess is not None and excess.shape[:-2] == z.shape[:-1]:
+        found = found._replace(covariance=found.covariance + _excess_at_places(model, flat, excess))
     inverse = np.eye(model.transition.shape[0])[:, list(model.sensor.position)]
     mean = np.einsum("rk,zck->zcr", inverse, found.mean)
     spread = np.einsum("rk,zckl,sl->zcrs", inverse, found.covariance, inverse)
     covariance = spread + _hidden(inverse, inverse.T, hidden_deviation)
     batch = z.shape[:-1]
     return mean.reshape(*batch, *mean.shape[1:]), covariance.reshape(*batch, *covariance.shape[1:])
+
+
+def _excess_at_places(model: SensedModel, z: Array, excess: Array) -> Array:
+    """Covariance that the excess noise of measurements adds to their places, to first order. Shape (k, c, d, d).
+
+    The sensor made the places for its own noise. Where a measurement is more exact than that nothing is subtracted:
+    a part of the covariance may not come from the noise.
+    """
+    values, vectors = np.linalg.eigh(excess.reshape(len(z), *excess.shape[-2:]))
+    roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    added: Array | float = 0.0
+    for k in range(z.shape[1]):
+        after, before = model.places(z + roots[:, :, k]), model.places(z - roots[:, :, k])
+        if after is not None and before is not None:
+            half = 0.5 * (after.mean - before.mean)
+            added = added + half[..., :, None] * half[..., None, :]
+    return np.asarray(added, dtype=np.float64)
 
 
 def _matched(mean: Array, covariance: Array) -> tuple[Array, Array]:

@@ -151,15 +151,15 @@ def _update(  # type: ignore[no-untyped-def]
     `form` is the pair of `balanced` and `largest_existence`.
     """
     m, n = model.observation.shape
-    z, number, clutter = scan
+    z, number, clutter, excess = scan
     balanced, largest_existence = form
     prune, cap, least = limits.prune, limits.components, limits.existence
     innovation = np.empty(m)
     positive_definite = True
     for b in range(tracks.existence.shape[0]):
         count, T, Z = pool.number[b], tracks.number[b], number[b]
-        component, measurement, likelihood, gain, posterior, definite = weigh_pairs(
-            model, count, pool.mean[b], pool.covariance[b], z[b], Z, gate
+        component, measurement, likelihood, part, gain, posterior, definite = weigh_pairs(
+            model, count, pool.mean[b], pool.covariance[b], z[b], excess[b], Z, gate
         )
         positive_definite = positive_definite and definite
         pairs = component.shape[0]
@@ -194,7 +194,7 @@ def _update(  # type: ignore[no-untyped-def]
             numerator[j] += r[i] * (1.0 - r[i]) * rho / (absent * absent) if balanced else r[i] * rho / absent
             weight[count + p] = r[i] / (1.0 - r[i]) * rho
             density[j] += weight[count + p]
-            source[count + p], group[count + p] = c, j
+            source[count + p], group[count + p] = part[p], j
             if weight[count + p] > heaviest[j]:
                 heaviest[j] = weight[count + p]
                 label[T + j] = label[i] if label[i] > 0 else next_label[b] + j
@@ -206,7 +206,7 @@ def _update(  # type: ignore[no-untyped-def]
             c, j = component[p], measurement[p]
             weight[count + p] = weight[count + p] / density[j] if density[j] > 0.0 else 0.0
             if weight[count + p] > prune and existence[T + j] >= least:
-                detected_mean(model, pool.mean[b, c], gain[c], z[b, j], innovation, mean[count + p])
+                detected_mean(model, pool.mean[b, c], gain[part[p]], z[b, j], innovation, mean[count + p])
         key = np.empty(count + pairs, np.int64)
         key[:count] = owner
         key[count:] = T + measurement

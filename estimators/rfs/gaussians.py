@@ -231,7 +231,7 @@ def innovate(model, z, mean, innovation):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def weigh_pairs(model, count, mean, cov, measurements, number, gate):  # type: ignore[no-untyped-def]
+def weigh_pairs(model, count, mean, cov, measurements, excess, number, gate):  # type: ignore[no-untyped-def]
     """Likelihoods q_i(z_j) of all pairs of a component and a measurement inside the gate.
 
     Args:
@@ -240,13 +240,17 @@ def weigh_pairs(model, count, mean, cov, measurements, number, gate):  # type: i
         mean: Predicted means. Shape (>= J, N).
         cov: Predicted covariances. Shape (>= J, N, N).
         measurements: Measurements. Shape (>= Z, m).
+        excess: R_j - R of each measurement; no rows if all have the model's R. Shape (>= Z or 0, m, m).
         number: Number of measurements in use, Z.
         gate: Largest squared Mahalanobis distance of a pair.
 
     Returns:
         component (pairs,), measurement (pairs,), likelihood (pairs,): pairs in order of components, then of
-        measurements; gain (J, n, m); posterior (J, n, n); True if every P_yy is positive definite.
+        measurements; part (pairs,), the row of each pair in gain (parts, n, m) and posterior (parts, n, n), which is
+        its component if all measurements have the same noise; True if every P_yy is positive definite.
     """
+    if excess.shape[0] > 0:
+        return _weigh_each_pair(model, count, mean, cov, measurements, excess, number, gate)
     m, n = model.observation.shape
     component = np.empty(count * number, np.int32)
     measurement = np.empty(count * number, np.int32)
@@ -283,7 +287,57 @@ def weigh_pairs(model, count, mean, cov, measurements, number, gate):  # type: i
                     measurement[pairs] = j
                     likelihood[pairs] = q
                     pairs += 1
-    return component[:pairs], measurement[:pairs], likelihood[:pairs], gain, posterior, positive_definite
+    component = component[:pairs]
+    return component, measurement[:pairs], likelihood[:pairs], component, gain, posterior, positive_definite
+
+
+@njit(cache=True, nogil=True)
+def _weigh_each_pair(model, count, mean, cov, measurements, excess, number, gate):  # type: ignore[no-untyped-def]
+    """`weigh_pairs` with a noise of its own for each measurement: every pair has its own gain and posterior."""
+    m, n = model.observation.shape
+    component = np.empty(count * number, np.int32)
+    measurement = np.empty(count * number, np.int32)
+    likelihood = np.empty(count * number)
+    root, innovation, noisy = np.empty((m, m)), np.empty(m), np.empty((n + m, n + m))
+    pairs = 0
+    positive_definite = True
+    for i in range(count):
+        for j in range(number):
+            first = measurements[j, 0] - mean[i, n]
+            if first * first > gate * (cov[i, n, n] + excess[j, 0, 0]) and not model.angular[0]:
+                continue
+            add_noise(model, cov[i], excess[j], noisy)
+            log_diagonal = cholesky_inverse(noisy, m, n, root)
+            if math.isnan(log_diagonal):
+                positive_definite = False
+                continue
+            innovate(model, measurements[j], mean[i], innovation)
+            distance = 0.0
+            for r in range(m):
+                value = 0.0
+                for k in range(r + 1):
+                    value += root[r, k] * innovation[k]
+                distance += value * value
+            q = math.exp(-log_diagonal - 0.5 * m * math.log(2.0 * math.pi) - 0.5 * distance)
+            if distance <= gate and q > SMALLEST_LIKELIHOOD:
+                component[pairs], measurement[pairs], likelihood[pairs] = i, j, q
+                pairs += 1
+    gain, posterior = np.empty((pairs, n, m)), np.empty((pairs, n, n))
+    for p in range(pairs):
+        add_noise(model, cov[component[p]], excess[measurement[p]], noisy)
+        condition_gaussian(model, noisy, root, gain[p], posterior[p])
+    part = np.arange(pairs).astype(np.int32)
+    return component[:pairs], measurement[:pairs], likelihood[:pairs], part, gain, posterior, positive_definite
+
+
+@njit(cache=True, nogil=True)
+def add_noise(model, cov, excess, out):  # type: ignore[no-untyped-def]
+    """Predicted covariance of a component for a measurement whose noise exceeds the model's."""
+    m, n = model.observation.shape
+    out[:] = cov
+    for r in range(m):
+        for c in range(m):
+            out[n + r, n + c] += excess[r, c]
 
 
 @njit(cache=True, nogil=True)

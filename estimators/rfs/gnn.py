@@ -8,16 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtri
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.birth import state_from_measurement
 from servotrack.estimators.rfs.capacity import warn_of_cap
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
+from servotrack.estimators.rfs.matching import most_likely_pairs
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, predict_components
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.recursion import check_positive_definite, resized
+from servotrack.estimators.rfs.scan_noise import no_excess, read_noise
 from servotrack.estimators.rfs.sensors import SensedModel, Sensor, model_at
 from servotrack.estimators.rfs.sets import (
     TENTATIVE_EXISTENCE,
@@ -29,9 +30,6 @@ from servotrack.estimators.rfs.sets import (
 )
 from servotrack.estimators.stateful import add_axis, first_row
 from servotrack.estimators.types import Array, Labels
-
-FORBIDDEN_COST = 1e9
-"""Cost of a pair outside the gate, above any negative log likelihood inside it."""
 
 
 class GNNState(NamedTuple):
@@ -104,12 +102,17 @@ class GlobalNearestNeighbor:
         return first_row(state) if single else state
 
     def step(
-        self, state: GNNState, measurement: ArrayLike, dt: float | None = None, sensor: Sensor | None = None
+        self,
+        state: GNNState,
+        measurement: ArrayLike,
+        dt: float | None = None,
+        sensor: Sensor | None = None,
+        noise: ArrayLike | None = None,
     ) -> tuple[GNNState, SetEstimate]:
         """Predict, assign, update; arguments and errors as in `GaussianSetFilter.step`. Counts are of scans."""
         if dt is not None or sensor is not None:
             now = replace(self, model=model_at(self.model, dt, sensor))
-            return now.step(resized(state, sum(now.model.packed.observation.shape)), measurement)
+            return now.step(resized(state, sum(now.model.packed.observation.shape)), measurement, noise=noise)
         m, n = self.model.packed.observation.shape
         z, number, single = read_measurements(measurement, m)
         check_runs(state.next_label, z.shape[0], single)
@@ -123,11 +126,12 @@ class GlobalNearestNeighbor:
         _predict(self.model.packed, state.tracks, predicted)
         if isinstance(self.model, SensedModel):
             self.model.attach(predicted)
-        start, start_covariance = state_from_measurement(self.model, z, self.hidden_deviation)
+        excess = no_excess(batch, m) if noise is None else read_noise(noise, measurement, self.model.packed)
+        start, start_covariance = state_from_measurement(self.model, z, self.hidden_deviation, excess)
         new = self._empty(batch, capacity)
         extraction = empty_extraction(batch, capacity, n)
         for b in range(batch):
-            self._assign(state, predicted, z[b, : number[b]], b, start[b], start_covariance[b], new)
+            self._assign(state, predicted, z[b, : number[b]], excess[b], b, start[b], start_covariance[b], new)
             count = new.tracks.number[b]
             confirmed = new.tracks.weight[b, :count] > 0.0
             extraction.number[b] = count
@@ -150,6 +154,7 @@ class GlobalNearestNeighbor:
         state: GNNState,
         predicted: Mixture,
         z: Array,
+        excess: Array,
         b: int,
         start: Array,
         start_covariance: Array,
@@ -159,17 +164,15 @@ class GlobalNearestNeighbor:
         model = self.model.packed
         n = model.observation.shape[1]
         T, Z = int(predicted.number[b]), len(z)
-        track, measurement, likelihood, gain, posterior, positive_definite = weigh_pairs(
-            model, T, predicted.mean[b], predicted.covariance[b], z, Z, self._gate
+        track, measurement, likelihood, part, gain, posterior, positive_definite = weigh_pairs(
+            model, T, predicted.mean[b], predicted.covariance[b], z, excess, Z, self._gate
         )
         check_positive_definite(positive_definite)
-        cost = np.full((T, Z), FORBIDDEN_COST)
-        cost[track, measurement] = -np.log(likelihood)
-        rows, columns = linear_sum_assignment(cost)
-        inside = cost[rows, columns] < FORBIDDEN_COST
-        partner = np.full(T, -1)
-        partner[rows[inside]] = columns[inside]
-        _correct(model, partner, gain, posterior, z, b, predicted)
+        partner = most_likely_pairs(track, measurement, likelihood, T, Z)
+        row = np.zeros((T, Z), np.int64)
+        row[track, measurement] = part
+        chosen = np.where(partner >= 0, row[np.arange(T), partner], -1) if Z else partner
+        _correct(model, partner, chosen, gain, posterior, z, b, predicted)
 
         wanted, window = self.confirm
         hits = (state.hits[b, :T] << 1 | (partner >= 0)) & ((1 << max(window, self.misses)) - 1)
@@ -216,8 +219,11 @@ def _predict(model, tracks, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _correct(model, partner, gain, posterior, z, b, tracks):  # type: ignore[no-untyped-def]
-    """Correct the tracks of run b with their assigned measurement; tracks without one keep their prediction."""
+def _correct(model, partner, row, gain, posterior, z, b, tracks):  # type: ignore[no-untyped-def]
+    """Correct the tracks of run b with their assigned measurement; tracks without one keep their prediction.
+
+    `row` is the row of each pair in the gains and posteriors, shape (T,).
+    """
     m, n = model.observation.shape
     innovation = np.empty(m)
     corrected = np.empty(n + m)
@@ -225,7 +231,7 @@ def _correct(model, partner, gain, posterior, z, b, tracks):  # type: ignore[no-
         tracks.detected[b, i] = partner[i] >= 0
         if partner[i] < 0:
             continue
-        detected_mean(model, tracks.mean[b, i], gain[i], z[partner[i]], innovation, corrected)
+        detected_mean(model, tracks.mean[b, i], gain[row[i]], z[partner[i]], innovation, corrected)
         tracks.mean[b, i] = corrected
         tracks.covariance[b, i] = 0.0
-        tracks.covariance[b, i, :n, :n] = posterior[i]
+        tracks.covariance[b, i, :n, :n] = posterior[row[i]]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.compilation import njit
-from servotrack.estimators.rfs.gaussians import LINEAR, cholesky_inverse, innovate
+from servotrack.estimators.rfs.gaussians import LINEAR, add_noise, cholesky_inverse, innovate
 from servotrack.estimators.types import Array
 
 
@@ -116,7 +116,7 @@ def predict_histories(model, mixture, history, predicted, shift, first, out):  #
 
 
 @njit(cache=True, nogil=True)
-def update_histories(model, b, history, mixture, z, candidates, row, size, out):  # type: ignore[no-untyped-def]
+def update_histories(model, b, history, mixture, scan, candidates, component, row, size, out):  # type: ignore[no-untyped-def]
     """Histories of run b after an update and a reduction: hypotheses that were merged have their moments merged.
 
     Args:
@@ -124,8 +124,9 @@ def update_histories(model, b, history, mixture, z, candidates, row, size, out):
         b: Index of the run.
         history: `History` of the predicted components.
         mixture: `Mixture` of the predicted components.
-        z: Measurements. Shape (B, Z, m).
-        candidates: `Candidates` of the reduction; `source` is the predicted component of each.
+        scan: A `Scan`.
+        candidates: `Candidates` of the reduction.
+        component: Predicted component of each candidate. Shape (C,).
         row: Row that each candidate was merged into, -1 for a dropped one. Shape (C,).
         size: Number of rows.
         out: Output: `History` of the rows, zero on entry. Rows without a candidate are unchanged.
@@ -136,10 +137,16 @@ def update_histories(model, b, history, mixture, z, candidates, row, size, out):
     before, past_mean, past_cov, past_cross = history.begun[b], history.mean[b], history.covariance[b], history.cross[b]
     out_begun, out_mean, out_cov, out_cross = out.begun[b], out.mean[b], out.covariance[b], out.cross[b]
     count, lag = before.shape
-    found = np.zeros(count, np.bool_)
-    gain = np.empty((count, lag, n, m))
-    later_cov = np.empty((count, lag, n, n))
-    later_cross = np.empty((count, lag, n, n))
+    z, excess = scan.measurements, scan.excess
+    # Candidates with the same covariance after a detection share what follows from it.
+    kinds = count
+    for h in range(weight.shape[0]):
+        kinds = max(kinds, source[h] + 1)
+    found = np.zeros(kinds, np.bool_)
+    gain = np.empty((kinds, lag, n, m))
+    later_cov = np.empty((kinds, lag, n, n))
+    later_cross = np.empty((kinds, lag, n, n))
+    noisy = np.empty((n + m, n + m))
     root, half, innovation = np.empty((m, m)), np.empty((n, m)), np.empty(m)
     total = np.zeros(size)
     newest = np.zeros((size, n + m))
@@ -148,10 +155,14 @@ def update_histories(model, b, history, mixture, z, candidates, row, size, out):
         if row[h] < 0:
             continue
         total[row[h]] += weight[h]
-        i = source[h]
-        if group[h] >= 0 and not found[i]:
-            found[i] = True
-            cholesky_inverse(cov[i], m, n, root)
+        i, kind = component[h], source[h]
+        if group[h] >= 0 and not found[kind]:
+            found[kind] = True
+            if excess.shape[1] > 0:
+                add_noise(model, cov[i], excess[b, group[h]], noisy)
+                cholesky_inverse(noisy, m, n, root)
+            else:
+                cholesky_inverse(cov[i], m, n, root)
             for past in range(lag):
                 if before[i, past] <= 0.0:
                     break
@@ -166,20 +177,20 @@ def update_histories(model, b, history, mixture, z, candidates, row, size, out):
                         value = 0.0
                         for k in range(c, m):
                             value += half[r, k] * root[k, c]
-                        gain[i, past, r, c] = value
+                        gain[kind, past, r, c] = value
                 for r in range(n):
                     for c in range(n):
                         value, other = past_cov[i, past, r, c], cross[r, c]
                         for k in range(m):
                             value -= half[r, k] * half[c, k]
-                            other -= gain[i, past, r, k] * cov[i, n + k, c]
-                        later_cov[i, past, r, c] = value
-                        later_cross[i, past, r, c] = other
+                            other -= gain[kind, past, r, k] * cov[i, n + k, c]
+                        later_cov[kind, past, r, c] = value
+                        later_cross[kind, past, r, c] = other
     smoothed = np.zeros((candidates, lag, n))
     for h in range(candidates):
         if row[h] < 0:
             continue
-        i, into = source[h], row[h]
+        i, kind, into = component[h], source[h], row[h]
         for c in range(n + m):
             newest[into, c] += weight[h] / total[into] * hypothesis_mean[h, c]
         if group[h] >= 0:
@@ -192,7 +203,7 @@ def update_histories(model, b, history, mixture, z, candidates, row, size, out):
                 value = past_mean[i, past, r]
                 if group[h] >= 0:
                     for k in range(m):
-                        value += gain[i, past, r, k] * innovation[k]
+                        value += gain[kind, past, r, k] * innovation[k]
                 smoothed[h, past, r] = value
                 out_mean[into, past, r] += share * value
             out_begun[into, past] += share
@@ -204,7 +215,7 @@ def update_histories(model, b, history, mixture, z, candidates, row, size, out):
     for h in range(candidates):
         if row[h] < 0:
             continue
-        i, into = source[h], row[h]
+        i, kind, into = component[h], source[h], row[h]
         joint = model.pairwise and group[h] < 0
         for past in range(lag):
             if weight[h] * before[i, past] <= 0.0:
@@ -216,11 +227,11 @@ def update_histories(model, b, history, mixture, z, candidates, row, size, out):
             for r in range(n):
                 spread = smoothed[h, past, r] - out_mean[into, past, r]
                 for c in range(n):
-                    part = later_cov[i, past, r, c] if group[h] >= 0 else past_cov[i, past, r, c]
+                    part = later_cov[kind, past, r, c] if group[h] >= 0 else past_cov[i, past, r, c]
                     out_cov[into, past, r, c] += share * (
                         part + spread * (smoothed[h, past, c] - out_mean[into, past, c])
                     )
-                    part = later_cross[i, past, r, c] if group[h] >= 0 else past_cross[i, past, r, c]
+                    part = later_cross[kind, past, r, c] if group[h] >= 0 else past_cross[i, past, r, c]
                     out_cross[into, past, r, c] += linked * (part + spread * (hypothesis_mean[h, c] - newest[into, c]))
                 if joint:
                     for c in range(n, n + m):

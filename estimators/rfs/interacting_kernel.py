@@ -131,36 +131,37 @@ def start_modes(modes, count, out, start):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _blocks(S, candidates, members, measurements):  # type: ignore[no-untyped-def]
+def _blocks(S, candidates, component, members):  # type: ignore[no-untyped-def]
     """Candidates of each component and measurement, one per mode or -1, and their joint weight: (H, S), (H,)."""
-    weight, _, source, group, _ = candidates
+    weight, group = candidates.weight, candidates.group
     k = members.shape[0]
     rows = np.full((k, S), -1, np.int64)
     total = np.zeros(k)
     if k == 0:
         return rows, total
-    lowest = source[members[0]] // S
-    highest = lowest
+    lowest = component[members[0]] // S
+    highest, columns = lowest, 1
     for i in range(k):
-        highest = max(highest, source[members[i]] // S)
-    slot = np.full((highest - lowest + 1, measurements + 1), -1, np.int64)
+        highest = max(highest, component[members[i]] // S)
+        columns = max(columns, group[members[i]] + 2)
+    slot = np.full((highest - lowest + 1, columns), -1, np.int64)
     number = 0
     for i in range(k):
         member = members[i]
-        block, column = source[member] // S - lowest, group[member] + 1
+        block, column = component[member] // S - lowest, group[member] + 1
         h = slot[block, column]
         if h < 0:
             h = number
             slot[block, column] = h
             number += 1
-        rows[h, source[member] % S] = member
+        rows[h, component[member] % S] = member
         total[h] += weight[member]
     return rows[:number], total[:number]
 
 
 @njit(cache=True, nogil=True)
 def reduce_modes(  # type: ignore[no-untyped-def]
-    pairwise, n, S, measurements, candidates, members, missed_cov, detected_cov, limits, cap, out, start
+    pairwise, n, S, candidates, component, members, missed_cov, detected_cov, limits, cap, out, start
 ):
     """Prune, merge and cap blocks of S modes; arguments as in `reduce_mixture`.
 
@@ -170,9 +171,9 @@ def reduce_modes(  # type: ignore[no-untyped-def]
         pairwise: True if missed and detected components differ in kind.
         n: State size.
         S: Number of modes.
-        measurements: Number of measurements of the scan.
-        candidates: A `Candidates` whose `source` numbers the rows of blocks.
-        members: Rows of the candidates of one track, in the order of their sources. Shape (k,).
+        candidates: A `Candidates`.
+        component: Predicted component of each candidate; S successive ones are a block. Shape (C,).
+        members: Rows of the candidates of one track, in the order of their components. Shape (k,).
         missed_cov: Covariances of missed components. Shape (J, N, N).
         detected_cov: Covariances after a detection. Shape (J, n, n).
         limits: A `Limits`.
@@ -184,7 +185,7 @@ def reduce_modes(  # type: ignore[no-untyped-def]
         Number of rows written, S for each block.
     """
     weight, mean, source, group, _ = candidates
-    rows, total = _blocks(S, candidates, members, measurements)
+    rows, total = _blocks(S, candidates, component, members)
     N = mean.shape[1]
     heavy = np.flatnonzero(total > limits.prune)
     order = heavy[np.argsort(-total[heavy], kind="mergesort")][: limits.candidates * cap]

@@ -113,13 +113,13 @@ def _update_intensity(  # type: ignore[no-untyped-def]
     `expected` receives the expected number of targets before the reduction, shape (B,).
     """
     m, n = model.observation.shape
-    z, number, clutter = scan
+    z, number, clutter, excess = scan
     innovation = np.empty(m)
     positive_definite = True
     for b in range(predicted.weight.shape[0]):
         count = predicted.number[b]
-        component, measurement, likelihood, gain, posterior, definite = weigh_pairs(
-            model, count, predicted.mean[b], predicted.covariance[b], z[b], number[b], gate
+        component, measurement, likelihood, part, gain, posterior, definite = weigh_pairs(
+            model, count, predicted.mean[b], predicted.covariance[b], z[b], excess[b], number[b], gate
         )
         positive_definite = positive_definite and definite
         pairs = component.shape[0]
@@ -145,9 +145,9 @@ def _update_intensity(  # type: ignore[no-untyped-def]
         for p in range(pairs):
             i, j = component[p], measurement[p]
             if likelihood[p] > limits.prune * evidence[j]:
-                weight[total], source[total], group[total] = likelihood[p] / evidence[j], i, j
+                weight[total], source[total], group[total] = likelihood[p] / evidence[j], part[p], j
                 label[total] = predicted.label[b, i] if predicted.label[b, i] > 0 else next_label[b] + j
-                detected_mean(model, predicted.mean[b, i], gain[i], z[b, j], innovation, mean[total])
+                detected_mean(model, predicted.mean[b, i], gain[part[p]], z[b, j], innovation, mean[total])
                 total += 1
         next_label[b] += number[b]
         expected[b] = weight[:total].sum()

@@ -177,18 +177,18 @@ def update_pmb(  # type: ignore[no-untyped-def]
     """
     m, n = model.observation.shape
     tracks, pool, hidden, detection, hidden_detection = prediction
-    z, number, clutter = scan
+    z, number, clutter, excess = scan
     cap, least, S = limits.components, limits.existence, modes.shape[0]
     innovation = np.empty(m)
     positive_definite = True
     for b in range(tracks.existence.shape[0]):
         T, Z, count, unseen = tracks.number[b], number[b], pool.number[b], hidden.number[b]
-        component, measurement, likelihood, gain, posterior, definite = weigh_pairs(
-            model, count, pool.mean[b], pool.covariance[b], z[b], Z, gate
+        component, measurement, likelihood, part, gain, posterior, definite = weigh_pairs(
+            model, count, pool.mean[b], pool.covariance[b], z[b], excess[b], Z, gate
         )
-        hidden_component, hidden_measurement, hidden_likelihood, hidden_gain, hidden_posterior, hidden_definite = (
-            weigh_pairs(model, unseen, hidden.mean[b], hidden.covariance[b], z[b], Z, gate)
-        )
+        hidden_pairs = weigh_pairs(model, unseen, hidden.mean[b], hidden.covariance[b], z[b], excess[b], Z, gate)
+        hidden_component, hidden_measurement, hidden_likelihood, hidden_part = hidden_pairs[:4]
+        hidden_gain, hidden_posterior, hidden_definite = hidden_pairs[4:]
         positive_definite = positive_definite and definite and hidden_definite
         pairs, fresh_pairs = component.shape[0], hidden_component.shape[0]
         owner, detectable = owners_and_detection(tracks, pool, detection, b)
@@ -213,13 +213,15 @@ def update_pmb(  # type: ignore[no-untyped-def]
         mean = np.empty((count + pairs, n + m))
         source = np.empty(count + pairs, np.int64)
         group = np.empty(count + pairs, np.int64)
+        # The predicted component of each candidate; `source` is the row of its covariance.
+        origin = np.empty(count + pairs, np.int64)
         for i in range(T):
             r = tracks.existence[b, i]
             existence[i] = missed[i] * r * (1.0 - detectable[i]) / max(1.0 - r * detectable[i], SMALLEST_ABSENCE)
         for c in range(count):
             unlikely = 1.0 - detectable[owner[c]]
             share = pool.weight[b, c] * (1.0 - detection[b, c]) / unlikely if unlikely > 0.0 else 0.0
-            weight[c], source[c], group[c] = existence[owner[c]] * share, c, -1
+            weight[c], source[c], group[c], origin[c] = existence[owner[c]] * share, c, -1, c
             mean[c] = pool.mean[b, c]
         for p in range(track.shape[0]):
             existence[track[p]] += assigned[p]
@@ -229,8 +231,8 @@ def update_pmb(  # type: ignore[no-untyped-def]
         for p in range(pairs):
             c, j = component[p], measurement[p]
             weight[count + p] = assigned[row[p]] * likelihood[p] / detected[row[p]] if detected[row[p]] > 0.0 else 0.0
-            source[count + p], group[count + p] = c, j
-            detected_mean(model, pool.mean[b, c], gain[c], z[b, j], innovation, mean[count + p])
+            source[count + p], group[count + p], origin[count + p] = part[p], j, c
+            detected_mean(model, pool.mean[b, c], gain[part[p]], z[b, j], innovation, mean[count + p])
         for c in range(count):
             weight[c] /= max(existence[owner[c]], least)
         for p in range(pairs):
@@ -239,7 +241,7 @@ def update_pmb(  # type: ignore[no-untyped-def]
         fresh_mean = np.empty((fresh_pairs, n + m))
         for p in range(fresh_pairs):
             i, j = hidden_component[p], hidden_measurement[p]
-            detected_mean(model, hidden.mean[b, i], hidden_gain[i], z[b, j], innovation, fresh_mean[p])
+            detected_mean(model, hidden.mean[b, i], hidden_gain[hidden_part[p]], z[b, j], innovation, fresh_mean[p])
         for j in range(Z):
             evidence = clutter[b, j] + first_seen[j]
             real = first_seen[j] / evidence if evidence > 0.0 else 0.0
@@ -261,7 +263,7 @@ def update_pmb(  # type: ignore[no-untyped-def]
         arrivals = Candidates(
             hidden_likelihood,
             fresh_mean,
-            hidden_component.astype(np.int64),
+            hidden_part.astype(np.int64),
             hidden_measurement.astype(np.int64),
             np.zeros(fresh_pairs, np.int64),
         )
@@ -295,8 +297,8 @@ def update_pmb(  # type: ignore[no-untyped-def]
                         model.pairwise,
                         n,
                         S,
-                        Z,
                         candidates,
+                        origin,
                         members,
                         pool.covariance[b],
                         posterior,
@@ -354,9 +356,21 @@ def update_pmb(  # type: ignore[no-untyped-def]
         if lineage is not None:
             for i in range(T):
                 lineage.absent[b, i] = missed[i] / max(1.0 - tracks.existence[b, i] * detectable[i], SMALLEST_ABSENCE)
-            update_histories(model, b, lineage.pool, pool, z, candidates, row_of, filled, lineage.new_pool)
-            update_histories(model, b, lineage.hidden, hidden, z, arrivals, fresh_row_of, filled, lineage.new_pool)
+            update_histories(model, b, lineage.pool, pool, scan, candidates, origin, row_of, filled, lineage.new_pool)
+            first = hidden_component.astype(np.int64)
             update_histories(
-                model, b, lineage.hidden, hidden, z, remaining, left_row_of, rest.number[b], lineage.new_hidden
+                model, b, lineage.hidden, hidden, scan, arrivals, first, fresh_row_of, filled, lineage.new_pool
+            )
+            update_histories(
+                model,
+                b,
+                lineage.hidden,
+                hidden,
+                scan,
+                remaining,
+                indices,
+                left_row_of,
+                rest.number[b],
+                lineage.new_hidden,
             )
     return positive_definite

@@ -23,12 +23,14 @@ class Pairs(NamedTuple):
         component: Index of the component. Shape (P,).
         measurement: Index of the measurement. Shape (P,).
         likelihood: Likelihood, times p_D and the component's weight. Shape (P,).
-        gain: Gain of each component. Shape (J, n, m).
+        part: Row of each pair in `gain` and in the posterior covariances. Shape (P,).
+        gain: Gains. Shape (parts, n, m).
     """
 
     component: Labels
     measurement: Labels
     likelihood: Array
+    part: Labels
     gain: Array
 
 
@@ -144,14 +146,14 @@ def _parts(model, pool, detection, hidden, z, b, seen, first, shares, keys):  # 
         c, j, k = seen.component[p], seen.measurement[p], count + p
         if shares[1][p] > 0.0:
             weight[k] = seen.likelihood[p] / shares[1][p]
-        source[k], kind[k], key[k] = c, j, keys[1][p]
-        detected_mean(model, pool.mean[b, c], seen.gain[c], z[b, j], innovation, mean[k])
+        source[k], kind[k], key[k] = seen.part[p], j, keys[1][p]
+        detected_mean(model, pool.mean[b, c], seen.gain[seen.part[p]], z[b, j], innovation, mean[k])
     for p in range(fresh):
         c, j, k = first.component[p], first.measurement[p], count + pairs + p
         if shares[2][p] > 0.0:
             weight[k] = first.likelihood[p] / shares[2][p]
-        source[k], kind[k], key[k] = c, j, keys[2][p]
-        detected_mean(model, hidden.mean[b, c], first.gain[c], z[b, j], innovation, mean[k])
+        source[k], kind[k], key[k] = first.part[p], j, keys[2][p]
+        detected_mean(model, hidden.mean[b, c], first.gain[first.part[p]], z[b, j], innovation, mean[k])
     return Candidates(weight, mean, source, kind, np.zeros(total, np.int64)), key
 
 
@@ -296,18 +298,18 @@ def update_pmbm(model, prediction, state, scan, gate, limits, ranking, out, unex
         True if the covariance of every predicted measurement is positive definite.
     """
     tracks, pool, hidden, detection, hidden_detection = prediction
-    z, number, clutter = scan
+    z, number, clutter, excess = scan
     positive_definite = True
     for b in range(tracks.existence.shape[0]):
         T, Z, count = tracks.number[b], number[b], pool.number[b]
-        component, measurement, likelihood, gain, posterior, definite = weigh_pairs(
-            model, count, pool.mean[b], pool.covariance[b], z[b], Z, gate
+        component, measurement, likelihood, part, gain, posterior, definite = weigh_pairs(
+            model, count, pool.mean[b], pool.covariance[b], z[b], excess[b], Z, gate
         )
-        seen = Pairs(component, measurement, likelihood, gain)
-        component, measurement, likelihood, gain, hidden_posterior, hidden_definite = weigh_pairs(
-            model, hidden.number[b], hidden.mean[b], hidden.covariance[b], z[b], Z, gate
+        seen = Pairs(component, measurement, likelihood, part, gain)
+        component, measurement, likelihood, part, gain, hidden_posterior, hidden_definite = weigh_pairs(
+            model, hidden.number[b], hidden.mean[b], hidden.covariance[b], z[b], excess[b], Z, gate
         )
-        first = Pairs(component, measurement, likelihood, gain)
+        first = Pairs(component, measurement, likelihood, part, gain)
         positive_definite = positive_definite and definite and hidden_definite
         owner, _ = owners_and_detection(tracks, pool, detection, b)
         # The sum itself, not one minus the sum for p_D: it is exactly zero where p_D is one.

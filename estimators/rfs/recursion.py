@@ -25,6 +25,7 @@ from servotrack.estimators.rfs.mixed_births import Births, join_births
 from servotrack.estimators.rfs.mixture import Mixture
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.reduction import Reduction
+from servotrack.estimators.rfs.scan_noise import no_excess, read_noise
 from servotrack.estimators.rfs.sensors import Intensity, Probability, SensedModel, Sensor, model_at
 from servotrack.estimators.rfs.sets import (
     Extraction,
@@ -140,7 +141,12 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         return first_row(state) if single else state
 
     def step(
-        self, state: StateT, measurement: ArrayLike, dt: float | None = None, sensor: Sensor | None = None
+        self,
+        state: StateT,
+        measurement: ArrayLike,
+        dt: float | None = None,
+        sensor: Sensor | None = None,
+        noise: ArrayLike | None = None,
     ) -> tuple[StateT, SetEstimate]:
         """Predict to the next instant and update with its measurements.
 
@@ -150,13 +156,15 @@ class GaussianSetFilter(ABC, Generic[StateT]):
             dt: Time since the last step, s. None: the model's period. Survival and expected births, which are for one
                 period, follow. 0: another scan of the same instant, before which nothing moves, appears or vanishes.
             sensor: Sensor of this scan; None: the measurement of the filter's model.
+            noise: Covariance of each measurement's noise, where they differ; None: that of the sensor. Shape (Z, m, m),
+                for a batch (B, n_max, m, m).
 
         Returns:
             The new state and the estimate, n the state's size and m the measurement's.
 
         Raises:
-            ValueError: Measurements have a wrong shape or are not finite, dt is negative, the model has no motion for
-                dt, or a covariance is not positive definite.
+            ValueError: Measurements or noise have a wrong shape or are not finite, dt is negative, the model has no
+                motion for dt, or a covariance is not positive definite.
         """
         now = self.at(dt, sensor)
         z, number, single = read_measurements(measurement, now._sizes[1])
@@ -166,10 +174,12 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         state = resized(state, sum(now._sizes))  # type: ignore[type-var]
         share = now.model.period / self.model.period
         births = now._coming_births(state)
-        scan = Scan(z, number, now._clutter(z, number))
+        packed = now.model.packed
+        excess = no_excess(z.shape[0], z.shape[2]) if noise is None else read_noise(noise, measurement, packed)
+        scan = Scan(z, number, now._clutter(z, number), excess)
         new, extraction, unexplained = now._advance(state, births, scan)
         if self._anywhere is not None:
-            born = self._anywhere.born(now.model, z, unexplained, share if share > 0.0 else 1.0)
+            born = self._anywhere.born(now.model, z, unexplained, share if share > 0.0 else 1.0, excess)
             if share == 0.0:
                 born = state.births if born is None else joined_births(state.births, born)
             elif born is None:

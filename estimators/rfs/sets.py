@@ -29,11 +29,14 @@ class Scan(NamedTuple):
         measurements: Measurements, used rows first. Shape (B, Z, m).
         number: Number of used rows. Shape (B,).
         clutter: Clutter intensity kappa at each measurement, 0 in unused rows. Shape (B, Z).
+        excess: Covariance of each measurement's noise less that of the model; no rows if all have the model's noise.
+            Shape (B, Z or 0, m, m).
     """
 
     measurements: Array
     number: Labels
     clutter: Array
+    excess: Array
 
 
 class Extraction(NamedTuple):

@@ -12,6 +12,7 @@ from servotrack.estimators.rfs.birth import Birth, BirthMixture, MeasurementBirt
 from servotrack.estimators.rfs.mixed_births import join_births
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.phd import GMPHD, PHDState
+from servotrack.estimators.rfs.scan_noise import no_excess
 from servotrack.estimators.rfs.sets import Scan, SetEstimate, check_runs, estimate_from_extraction, read_measurements
 from servotrack.estimators.stateful import add_axis, first_row
 from servotrack.estimators.types import Array
@@ -119,7 +120,7 @@ class SteeredPHD:
         clutter = phd._clutter(z, number) * steering.clutter[:, None]
         survival = phd._evaluate("survival", phd.survival, state.phd.intensity)
         predicted = (survival * state.phd.intensity.weight).sum(axis=1) + births.weight.sum(axis=1)
-        scan = Scan(z, number, clutter)
+        scan = Scan(z, number, clutter, no_excess(len(z), z.shape[2]))
         new, extraction, unexplained = phd._advance_detecting(state.phd, births, scan, steering.detection)
         used = np.arange(z.shape[1]) < number[:, None]
         left = np.where(used, unexplained, 0.0)

@@ -14,7 +14,7 @@ import datetime
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from stonesoup.base import Property
@@ -23,9 +23,12 @@ from stonesoup.tracker import Tracker
 from stonesoup.types.angle import Angle
 from stonesoup.types.array import StateVector, StateVectors
 from stonesoup.types.detection import Detection
+from stonesoup.types.hypothesis import SingleHypothesis
 from stonesoup.types.state import GaussianState, State
 from stonesoup.types.track import Track
+from stonesoup.types.update import GaussianStateUpdate
 
+from servotrack.estimators.rfs.matching import match_measurements
 from servotrack.estimators.rfs.models import HiddenMarkovModel, TargetModel
 from servotrack.estimators.rfs.sensors import (
     FunctionSensor,
@@ -109,8 +112,9 @@ def sensor_of(
 class SetFilterTracker(Tracker):  # type: ignore[misc]
     """A set filter as a tracker of Stone Soup.
 
-    Detections of one time that have different measurement models are scans of different sensors, as are detections
-    that arrive later with an earlier time stamp.
+    Detections of one time that have different measurement models are scans of different sensors, but linear models that
+    differ in their noise only are one sensor with a noise for each detection. Detections may arrive late. A track takes
+    the metadata of the detection that is most probably its own (`match_measurements`).
 
     Args:
         detector: Iterable of times and sets of detections, or None to call `update_tracker`.
@@ -135,6 +139,7 @@ class SetFilterTracker(Tracker):  # type: ignore[misc]
         # The models stay referenced here, so that the address of one cannot become that of another.
         given = self.sensors or ()
         self._sensors: dict[int, tuple[Any, Sensor]] = {id(model): (model, sensor) for model, sensor in given}
+        self._linear: dict[Any, Sensor] = {}
         self._iterator: Iterator[Any] | None = None
 
     @property
@@ -159,31 +164,72 @@ class SetFilterTracker(Tracker):  # type: ignore[misc]
         if self._start is None:
             self._start = time
         seconds = (time - self._start).total_seconds()
-        for model, rows in self._scans(detections):
-            estimate = self._tracker.update(rows, seconds, self._sensor(model))
+        scans = self._scans(detections)
+        for scan in scans:
+            estimate = self._tracker.update(scan.rows, seconds, scan.sensor, scan.noise)
+        found: list[Detection | None] = [None] * len(estimate.labels)
+        # A late scan is older than the estimate.
+        for scan in scans if self._tracker.time == seconds else []:
+            matched = match_measurements(estimate, scan.rows, self.filter.model, sensor=scan.sensor, noise=scan.noise)
+            found = [scan.detections[row] if row >= 0 else one for one, row in zip(found, matched, strict=True)]
         held = {int(label) for label in (*estimate.labels, *estimate.held_labels) if label > 0}
         self._tracks = {label: track for label, track in self._tracks.items() if label in held}
-        for label, mean, covariance in zip(estimate.labels, estimate.states, estimate.covariances, strict=True):
-            state = GaussianState(StateVector(mean), covariance, timestamp=time)
+        for label, mean, covariance, detection in zip(
+            estimate.labels, estimate.states, estimate.covariances, found, strict=True
+        ):
+            if detection is None:
+                state = GaussianState(StateVector(mean), covariance, timestamp=time)
+            else:
+                hypothesis = SingleHypothesis(None, detection)
+                state = GaussianStateUpdate(StateVector(mean), covariance, hypothesis=hypothesis, timestamp=time)
             self._tracks.setdefault(int(label), Track(id=str(label))).append(state)
         return time, self.tracks
 
-    def _scans(self, detections: set[Detection]) -> list[tuple[Any, Array]]:
-        """Detections by measurement model, in an order that does not depend on that of the set."""
-        scans: dict[int, tuple[Any, list[tuple[float, ...]]]] = {}
+    def _scans(self, detections: set[Detection]) -> list[_Scan]:
+        """Detections by sensor, in an order that does not depend on that of the set."""
+        groups: dict[Any, list[tuple[list[float], list[float], Any, Detection]]] = {}
         for detection in detections:
             model = detection.measurement_model or self.measurement_model
-            row = tuple(float(entry) for entry in np.ravel(detection.state_vector))
-            scans.setdefault(id(model), (model, []))[1].append(row)
-        found = [(model, np.array(sorted(rows))) for model, rows in scans.values()]
-        found.sort(key=lambda scan: (scan[1].shape[1], scan[1].tolist()))
-        return found or [(self.measurement_model, np.zeros((0, self.measurement_model.ndim_meas)))]
+            row = np.ravel(np.asarray(detection.state_vector, dtype=np.float64)).tolist()
+            own = np.ravel(np.asarray(model.covar(), dtype=np.float64)).tolist()
+            groups.setdefault(self._kind(model), []).append((row, own, model, detection))
+        found = []
+        for kind, members in groups.items():
+            members.sort(key=lambda member: member[:2])
+            rows, noises, models, seen = zip(*members, strict=True)
+            sensor, m = self._sensor(kind, models[0]), len(rows[0])
+            noise: Array | None = None
+            if any(one != np.ravel(sensor.noise).tolist() for one in noises):
+                noise = np.array(noises).reshape(-1, m, m)
+            found.append(_Scan(sensor, np.array(rows), noise, list(seen)))
+        found.sort(key=lambda scan: (scan.rows.shape[1], scan.rows.tolist()))
+        if not found:
+            model = self.measurement_model
+            found.append(_Scan(self._sensor(self._kind(model), model), np.zeros((0, model.ndim_meas)), None, []))
+        return found
 
-    def _sensor(self, model: Any) -> Sensor:
-        known = self._sensors.get(id(model))
-        if known is None:
-            known = self._sensors[id(model)] = (model, sensor_of(model))
-        return known[1]
+    def _kind(self, model: Any) -> Any:
+        """Key of the scan that a detection belongs to: the matrix of a linear model, else the model."""
+        if id(model) in self._sensors or not isinstance(model, LinearModel):
+            return id(model)
+        H = np.asarray(model.matrix(), dtype=np.float64)
+        return H.shape, H.tobytes()
+
+    def _sensor(self, kind: Any, model: Any) -> Sensor:
+        if isinstance(kind, int):
+            return self._sensors.setdefault(kind, (model, sensor_of(model)))[1]
+        if kind not in self._linear:
+            self._linear[kind] = sensor_of(model)
+        return self._linear[kind]
+
+
+class _Scan(NamedTuple):
+    """Detections of one sensor at one time; the noise of each if they differ."""
+
+    sensor: Sensor
+    rows: Array
+    noise: Array | None
+    detections: list[Detection]
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,12 @@ class TimedFilter(Protocol[StateT]):
         """State before the first scan."""
 
     def step(
-        self, state: StateT, measurement: ArrayLike, dt: float | None = None, sensor: Sensor | None = None
+        self,
+        state: StateT,
+        measurement: ArrayLike,
+        dt: float | None = None,
+        sensor: Sensor | None = None,
+        noise: ArrayLike | None = None,
     ) -> tuple[StateT, SetEstimate]:
         """Predict over an interval and update with a scan of a sensor."""
 
@@ -35,6 +40,7 @@ class _Scan:
     time: float
     measurements: Array
     sensor: Sensor | None
+    noise: Array | None
     state: Any
 
 
@@ -66,13 +72,16 @@ class TimedTracker(Generic[StateT]):
         self._scans: list[_Scan] = []
         self._forgotten = False
 
-    def update(self, measurements: ArrayLike, time: float, sensor: Sensor | None = None) -> SetEstimate:
+    def update(
+        self, measurements: ArrayLike, time: float, sensor: Sensor | None = None, noise: ArrayLike | None = None
+    ) -> SetEstimate:
         """Take a scan and return the estimate at the time of the newest one.
 
         Args:
             measurements: Shape (Z, m); Z may be 0.
             time: Time of the scan, s, from any origin. Scans of one time are updates of one instant.
             sensor: Sensor of the scan; None: the measurement of the filter's model.
+            noise: Covariance of each measurement's noise, where they differ; None: that of the sensor. Shape (Z, m, m).
 
         Raises:
             ValueError: The time is not finite, or before all scans in memory; measurements are refused by the filter.
@@ -88,18 +97,19 @@ class TimedTracker(Generic[StateT]):
                 f"time must be at least {self._scans[0].time!r}, the oldest scan in memory, got {time!r}; raise memory "
                 f"above {self.memory:g} s to take scans that are later"
             )
-        waiting = [(time, as_numbers("measurements", measurements).copy(), sensor)]
-        waiting += [(scan.time, scan.measurements, scan.sensor) for scan in self._scans[place:]]
+        own = None if noise is None else as_numbers("noise", noise).copy()
+        waiting = [(time, as_numbers("measurements", measurements).copy(), sensor, own)]
+        waiting += [(scan.time, scan.measurements, scan.sensor, scan.noise) for scan in self._scans[place:]]
         replayed: list[_Scan] = []
         last = self._scans[place - 1] if place > 0 else None
-        for then, z, seen_by in waiting:
+        for then, z, seen_by, spread in waiting:
             if last is None:
                 # The first scan comes a period after nothing.
                 state, dt = self.filter.initial(z, seen_by), None
             else:
                 state, dt = last.state, then - last.time
-            state, estimate = self.filter.step(state, z, dt, seen_by)
-            last = _Scan(then, z, seen_by, state)
+            state, estimate = self.filter.step(state, z, dt, seen_by, spread)
+            last = _Scan(then, z, seen_by, spread, state)
             replayed.append(last)
         self._scans[place:] = replayed
         self.time, self.estimate = replayed[-1].time, estimate

@@ -88,6 +88,7 @@ def track_scans(
     scans: Iterable[ArrayLike],
     times: ArrayLike,
     sensors: Sequence[Sensor | None] | None = None,
+    noises: Sequence[ArrayLike | None] | None = None,
 ) -> list[Trajectory]:
     """Filter recorded scans and return the trajectories; a smoother's last scans are flushed.
 
@@ -96,6 +97,7 @@ def track_scans(
         scans: Measurements of each scan. Shape (Z, m), Z may be 0.
         times: Time of each scan, increasing, s. Shape (K,).
         sensors: Sensor of each scan; None: the measurement of the filter's model.
+        noises: Covariances (Z, m, m) of the noise of each scan's measurements; None: those of the sensor.
 
     Raises:
         ValueError: Times do not increase, are not finite or not as many as scans, or the filter refuses a scan.
@@ -112,7 +114,8 @@ def track_scans(
         sensor = None if sensors is None else sensors[k]
         if state is None:
             state = tracker.initial(scan, sensor)
-        state, estimate = tracker.step(state, scan, None if k == 0 else float(clock[k] - clock[k - 1]), sensor)
+        dt = None if k == 0 else float(clock[k] - clock[k - 1])
+        state, estimate = tracker.step(state, scan, dt, sensor, None if noises is None else noises[k])
         estimates.append(estimate)
     if smoother is not None and state is not None:
         estimates = [*estimates[smoother.lag :], *smoother.flush(state)[-len(given) :]]

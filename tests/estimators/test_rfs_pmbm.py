@@ -74,7 +74,8 @@ class TooManyHistoriesError(Exception):
 class Scene:
     """A model with constant probabilities, births at places, and measured scans."""
 
-    def __init__(self, model, birth, scans, p_s, p_d, kappa):
+    def __init__(self, model, birth, scans, p_s, p_d, kappa, noises=None):
+        self.noises = noises
         self.birth, self.scans, self.p_s, self.p_d, self.kappa = birth, scans, p_s, p_d, kappa
         packed = model.packed
         self.model, self.B, self.Sigma = model, packed.transition, packed.noise
@@ -129,6 +130,8 @@ def lives(scene, detections):
                     mean, cov = scene.B @ mean, scene.B @ cov @ scene.B.T + scene.Sigma
                 if t in detections:
                     S, d = cov[n:, n:], scene.scans[t][detections[t]] - mean[n:]
+                    if scene.noises is not None:
+                        S = S - scene.R + scene.noises[t][detections[t]]
                     density = math.exp(-0.5 * d @ np.linalg.solve(S, d)) / math.sqrt(np.linalg.det(2.0 * math.pi * S))
                     K = cov[:, n:] @ np.linalg.inv(S)
                     mean, cov = mean + K @ d, cov - K @ cov[n:]
@@ -231,14 +234,13 @@ def draw_scene(rng, targets, most_measurements, scans):
 
 def check_against_enumeration(scene, most):
     weights, living, number = histories(scene, most)
-    tracker = Stateful(unpruned(scene, len(weights)))
+    pmbm, state = unpruned(scene, len(weights)), None
     with warnings.catch_warnings():
         # A cap that cuts is an error here.
         warnings.simplefilter("error")
-        for z in scene.scans:
-            estimate = tracker.step(z)
-            assert float(tracker.state.cut) < 1e-12 and float(tracker.state.cut_undetected) < 1e-12
-    state = tracker.state
+        for z, noise in zip(scene.scans, scene.noises or [None] * len(scene.scans), strict=True):
+            state, estimate = pmbm.step(pmbm.initial(z) if state is None else state, z, noise=noise)
+            assert float(state.cut) < 1e-12 and float(state.cut_undetected) < 1e-12
     got = np.sort(state.hypotheses.weight[: int(state.hypotheses.number)])[::-1]
     assert got.sum() == pytest.approx(1.0, abs=1e-12)
     # Divisions of no weight may be missing on either side.
@@ -247,7 +249,7 @@ def check_against_enumeration(scene, most):
     np.testing.assert_allclose(both[0], both[1], atol=1e-9)
     assert float(estimate.expected_number) == pytest.approx(number, abs=1e-9)
     base = np.concatenate([[0], np.cumsum([len(z) for z in scene.scans])])
-    tracks = tracks_of(*tracker.estimator.project(state))
+    tracks = tracks_of(*pmbm.project(state))
     for (t, j), (existence, mean, cov) in living.items():
         label = int(1 + base[t] + j)
         if label not in tracks:
@@ -265,6 +267,26 @@ def test_without_pruning_it_is_bayes_rule_over_all_histories(seed):
     rng = np.random.default_rng(seed)
     while True:
         scene = draw_scene(rng, int(rng.integers(1, 4)), int(rng.integers(1, 4)), int(rng.integers(1, 5)))
+        try:
+            check_against_enumeration(scene, 1500)
+        except TooManyHistoriesError:
+            continue
+        return
+
+
+def draw_noises(rng, scans):
+    roots = [rng.normal(0.0, 2.0, (len(z), 2, 2)) for z in scans]
+    return [root @ np.swapaxes(root, 1, 2) + 0.2 * np.eye(2) for root in roots]
+
+
+@pytest.mark.parametrize("seed", range(200, 212))
+def test_with_a_noise_for_each_measurement_it_is_bayes_rule_over_all_histories(seed):
+    rng = np.random.default_rng(seed)
+    while True:
+        scene = draw_scene(rng, int(rng.integers(1, 4)), int(rng.integers(1, 4)), int(rng.integers(1, 5)))
+        if scene.model is not HMM:
+            continue
+        scene.noises = draw_noises(rng, scene.scans)
         try:
             check_against_enumeration(scene, 1500)
         except TooManyHistoriesError:

@@ -22,7 +22,14 @@ from stonesoup.types.array import StateVector
 from stonesoup.types.detection import Detection
 from stonesoup.types.groundtruth import GroundTruthPath, GroundTruthState
 
-from servotrack.estimators.rfs import PMB, MeasurementBirth, constant_velocity, range_bearing_sensor, spherical_sensor
+from servotrack.estimators.rfs import (
+    PMB,
+    MeasurementBirth,
+    TimedTracker,
+    constant_velocity,
+    range_bearing_sensor,
+    spherical_sensor,
+)
 from servotrack.estimators.rfs.stone_soup import SetFilterTracker, sensor_of, target_model
 
 START = datetime.datetime(2026, 1, 1)
@@ -123,3 +130,39 @@ def test_late_detections_are_put_in_their_place():
         late.update_tracker(*scans[k])
     (expected,), (found,) = ordered.tracks, late.tracks
     np.testing.assert_array_equal(found.state_vector, expected.state_vector)
+
+
+def test_each_detection_has_its_own_noise_and_gives_its_metadata_to_its_track():
+    model = LinearGaussian(4, (0, 2), np.eye(2))
+    filter = PMB(target_model(steady(2), model), MeasurementBirth(0.1, 10.0), clutter_intensity=1e-7)
+    tracker = SetFilterTracker(None, filter, model)
+    plain = TimedTracker(filter)
+    rng = np.random.default_rng(5)
+    for k in range(10):
+        where = np.array([[5.0 * k, 0.0], [0.0, 300.0 - 4.0 * k]])
+        noise = np.stack([np.diag(rng.uniform(0.5, 9.0, 2)) for _ in range(2)])
+        detections = {
+            Detection(
+                StateVector(z), timestamp=at(k), measurement_model=LinearGaussian(4, (0, 2), R), metadata={"ship": name}
+            )
+            for z, R, name in zip(where, noise, ("Ada", "Bea"), strict=True)
+        }
+        _, tracks = tracker.update_tracker(at(k), detections)
+        order = [1, 0] if where[0, 0] > where[1, 0] else [0, 1]
+        expected = plain.update(where[order], float(k), noise=noise[order])
+    assert {track.metadata["ship"] for track in tracks} == {"Ada", "Bea"}
+    (ada,) = (track for track in tracks if track.metadata["ship"] == "Ada")
+    assert float(ada.state_vector[0]) == pytest.approx(45.0, abs=5.0)
+    found = np.array(sorted(np.ravel(np.asarray(track.state_vector, dtype=float)).tolist() for track in tracks))
+    np.testing.assert_allclose(found, sorted(expected.states.tolist()), rtol=1e-9, atol=1e-9)
+
+
+def test_a_model_for_every_detection_does_not_fill_the_memory():
+    model = LinearGaussian(4, (0, 2), np.eye(2))
+    filter = PMB(target_model(steady(2), model), MeasurementBirth(0.1, 10.0), clutter_intensity=1e-7)
+    tracker = SetFilterTracker(None, filter, model)
+    for k in range(100):
+        own = LinearGaussian(4, (0, 2), (1.0 + 0.01 * k) * np.eye(2))
+        detection = Detection(StateVector([5.0 * k, 0.0]), timestamp=at(k), measurement_model=own)
+        tracker.update_tracker(at(k), {detection})
+    assert len(tracker._sensors) + len(tracker._linear) == 1

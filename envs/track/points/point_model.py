@@ -19,7 +19,6 @@ from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs import (
     Birth,
     HiddenMarkovModel,
-    LinearSensor,
     Reduction,
     Trajectory,
     TrajectoryPMB,
@@ -94,7 +93,7 @@ def scores_cutoff(low: Array, high: Array) -> float:
 
 def track_points(points: PointScans, model: PointModel) -> list[Trajectory]:
     """Track points with the parameters of a model; smoothed over `smoothing_lag` scans."""
-    return track_scans(_tracker(points, model), points.scans, points.times, _sensors(points))
+    return track_scans(_tracker(points, model), points.scans, points.times, noises=points.covariances)
 
 
 def measured_model(points: PointScans) -> tuple[PointModel, list[str]]:
@@ -235,21 +234,6 @@ def _position_noise(points: PointScans, model: PointModel) -> float:
     return float(np.sqrt(np.mean([np.trace(R) / len(R) for scan in points.covariances or [] for R in scan])))
 
 
-def _sensors(points: PointScans) -> list[LinearSensor] | None:
-    """Sensor of each scan, with the mean covariance of its measurements; scans of equal ones share a sensor."""
-    if points.covariances is None:
-        return None
-    d = points.dimensions
-    H = np.kron(np.eye(d), np.array([[1.0, 0.0]]))
-    whole = np.concatenate([scan for scan in points.covariances if len(scan)]).mean(axis=0)
-    known: dict[bytes, LinearSensor] = {}
-    found = []
-    for scan in points.covariances:
-        R = scan.mean(axis=0) if len(scan) else whole
-        found.append(known.setdefault(R.tobytes(), LinearSensor(H, R)))
-    return found
-
-
 def _counted(points: PointScans, model: PointModel) -> PointModel | None:
     """Parameters from the tracks that a model finds; None without tracks of four measurements."""
     trajectories = track_points(points, model)
@@ -266,11 +250,11 @@ def _counted(points: PointScans, model: PointModel) -> PointModel | None:
     for k, scan in enumerate(points.scans):
         if not len(scan) or not present[k]:
             continue
-        noise = points.covariances[k].mean(axis=0) if points.covariances is not None else R
+        noise = points.covariances[k] if points.covariances is not None else np.broadcast_to(R, (len(scan), d, d))
         cost = np.empty((len(present[k]), len(scan)))
         for i, (_, mean, P) in enumerate(present[k]):
             error = scan - mean
-            cost[i] = np.einsum("zr,zr->z", error, np.linalg.solve(P + noise, error.T).T)
+            cost[i] = np.einsum("zr,zr->z", error, np.linalg.solve(P + noise, error[:, :, None])[:, :, 0])
         rows, columns = linear_sum_assignment(np.minimum(cost, 2.0 * limit))
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
             if cost[row, column] <= limit:
