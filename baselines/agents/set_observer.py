@@ -9,9 +9,10 @@ import numpy as np
 
 from servotrack.baselines.agents.memory import remembered
 from servotrack.baselines.agents.row_reservation import ReservedRows, allocate_rows, no_rows
-from servotrack.envs.wrappers import INTERVAL_KEY, OBSERVATION_KEY
-from servotrack.estimators.rfs import RawMeasurements, RowAllocation, SetEstimate
+from servotrack.envs.wrappers import INTERVAL_KEY, NOISE_KEY, OBSERVATION_KEY
+from servotrack.estimators.rfs import GlobalNearestNeighbor, RawMeasurements, RowAllocation, SetEstimate
 from servotrack.estimators.rfs.models import TargetModel
+from servotrack.estimators.rfs.recursion import GaussianSetFilter
 from servotrack.estimators.stateful import select_rows
 from servotrack.estimators.types import Array, Mask
 
@@ -78,7 +79,7 @@ class SetObserver:
         Args:
             observation: Scan of shape (M, 1 + m), or (N, M, 1 + m) for N scenes; or a dictionary with that under
                 `observation` and beside it the truth, or under `interval` the time since the scan before, s, (1,) or
-                (N, 1).
+                (N, 1), and under `noise` the covariances of the measurements' noise, (M, m, m) or (N, M, m, m).
             state: Result of the last call; None starts every scene anew.
             episode_start: Scenes that start anew. Shape (N,), or a scalar for a single observation.
             deterministic: Ignored: the answer is always deterministic.
@@ -92,23 +93,30 @@ class SetObserver:
         scan, single = batched_scan(observation)
         count = len(scan[OBSERVATION_KEY])
         intervals = scan.pop(INTERVAL_KEY, None)
+        noise = scan.pop(NOISE_KEY, None)
         measurement = scan if len(scan) > 1 else scan[OBSERVATION_KEY]
         state = remembered(state, episode_start, (count,), lambda: self._initial(measurement, count))
         if intervals is None:
-            following, answer = self._stepped(state, measurement, None)
+            following, answer = self._stepped(state, measurement, None, noise)
         else:
             # Scenes whose scans follow after the same time are stepped together.
             dt, *others = np.unique(intervals).tolist()
-            following, answer = self._stepped(state, measurement, dt)
+            following, answer = self._stepped(state, measurement, dt, noise)
             for dt in others:
                 following, answer = select_rows(
-                    intervals[:, 0] == dt, self._stepped(state, measurement, dt), (following, answer)
+                    intervals[:, 0] == dt, self._stepped(state, measurement, dt, noise), (following, answer)
                 )
         answer = np.clip(answer, self._low, self._high)
         return (answer[0] if single else answer), following
 
-    def _stepped(self, state: ObserverState, measurement: Any, dt: float | None) -> tuple[ObserverState, Array]:
-        belief, estimate = self.estimator.step(state.belief, measurement, dt)
+    def _stepped(
+        self, state: ObserverState, measurement: Any, dt: float | None, noise: Array | None
+    ) -> tuple[ObserverState, Array]:
+        if noise is not None and isinstance(self.estimator, (GaussianSetFilter, GlobalNearestNeighbor)):
+            belief, estimate = self.estimator.step(state.belief, measurement, dt, noise=noise)
+        else:
+            # Particles and oracles take the mean noise, that of their model.
+            belief, estimate = self.estimator.step(state.belief, measurement, dt)
         rows, answer = allocate_rows(self._allocation, state.rows, estimate)
         return ObserverState(belief, rows), answer
 

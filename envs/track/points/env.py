@@ -16,7 +16,7 @@ from servotrack.envs.track.env import METADATA, TrackEnv, TrackVectorEnv, set_sp
 from servotrack.envs.track.points.recording import PointsConfig
 from servotrack.envs.track.points.scene_model import scene_model_of
 from servotrack.envs.track.points.world import PointsWorld
-from servotrack.envs.wrappers import INTERVAL_KEY, OBSERVATION_KEY
+from servotrack.envs.wrappers import INTERVAL_KEY, NOISE_KEY, OBSERVATION_KEY
 
 _METADATA = METADATA | {"servotrack_kind": "clutter"}
 
@@ -36,8 +36,7 @@ class RecordedPointsEnv(TrackEnv):
     The attribute `scene_model`, a `servotrack.envs.track.clutter.scene_model.SceneModel`, holds the parameters that
     agents may use: motion, position noise, detection probability, clutter, births and survival. They are measured from
     the first 300 scans of the file, without the truth, as `servotrack track` measures them; this takes some seconds
-    when an agent first reads the attribute. What is per scan is per median interval. Covariances in the file enter by
-    their mean.
+    when an agent first reads the attribute. What is per scan is per median interval.
 
     ## Action Space
 
@@ -53,7 +52,8 @@ class RecordedPointsEnv(TrackEnv):
     * `observation`: `Box((M, 1 + d), float64)`, the scan, one row per point: 1, then x, y[, z] in m, in the order of
       the file. M is the number of points of the fullest scan; unused rows at the end are zeros. Latitudes and
       longitudes become m in a plane about the first position, with x to the east and y to the north;
-    * `interval`: `Box((1,), float64)`, the time since the scan before, s; at the first scan the median interval.
+    * `interval`: `Box((1,), float64)`, the time since the scan before, s; at the first scan the median interval;
+    * `noise`, if the file has covariances: `Box((M, d, d), float64)`, that of each point, m^2; zeros in unused rows.
 
     ## Rewards
 
@@ -181,4 +181,7 @@ def _spaces(world: PointsWorld) -> tuple[gym.spaces.Dict, gym.spaces.Box]:
         OBSERVATION_KEY: set_space(recording.measurements.shape[1], low, high),
         INTERVAL_KEY: gym.spaces.Box(0.0, longest, (1,), np.float64),
     }
+    if recording.noises is not None:
+        largest = float(np.abs(recording.noises).max())
+        seen[NOISE_KEY] = gym.spaces.Box(-largest, largest, recording.noises.shape[1:], np.float64)
     return gym.spaces.Dict(seen), set_space(recording.estimate_rows, low, high)

@@ -146,6 +146,17 @@ class PointRecording:
         return sets
 
     @cached_property
+    def noises(self) -> Array | None:
+        """Covariances of the points' noise, zeros in unused rows, shape (K, M, d, d), m^2; None without any."""
+        if self.points.covariances is None:
+            return None
+        scans, rows, size = self.measurements.shape
+        sets = np.zeros((scans, rows, size - 1, size - 1))
+        for one, scan in zip(sets, self.points.covariances, strict=True):
+            one[: len(scan)] = scan
+        return sets
+
+    @cached_property
     def intervals(self) -> Array:
         """Time since the scan before, s, shape (K,); before the first scan the median of the others."""
         between = np.diff(self.points.times)

@@ -8,7 +8,7 @@ import numpy as np
 
 from servotrack.envs.track.points.recording import PointsConfig, load_points
 from servotrack.envs.track.set_world import SetWorld
-from servotrack.envs.wrappers import INTERVAL_KEY, OBSERVATION_KEY
+from servotrack.envs.wrappers import INTERVAL_KEY, NOISE_KEY, OBSERVATION_KEY
 from servotrack.estimators.types import Array, Labels, Mask
 
 
@@ -23,7 +23,8 @@ class PointsWorld(SetWorld):
 
     Attributes:
         recording: Scans and truth.
-        observations: The newest scans (N, M, 1 + d) and the intervals before them (N, 1), s.
+        observations: The newest scans (N, M, 1 + d), the intervals before them (N, 1), s, and covariances of their
+            points (N, M, d, d), m^2, if the file has them.
 
     Raises:
         SequenceError: A file cannot be used.
@@ -50,6 +51,8 @@ class PointsWorld(SetWorld):
             OBSERVATION_KEY: self.recording.measurements[at],
             INTERVAL_KEY: self.recording.intervals[at][:, None],
         }
+        if self.recording.noises is not None:
+            self.observations[NOISE_KEY] = self.recording.noises[at]
 
     def _is_scored(self, at: Labels) -> Mask:
         inside = super()._is_scored(at)
