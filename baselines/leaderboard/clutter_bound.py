@@ -44,14 +44,20 @@ def ospa_bound(config: ClutterConfig, seed: int, lag: int = 0) -> float:
         lag: Number of later scans that an answer may use.
 
     Raises:
-        ValueError: The targets' posteriors are not Gaussian: maneuvers, or a range-bearing sensor.
+        ValueError: The targets' posteriors are not Gaussian or not those of the scene model: maneuvers, a range-bearing
+            sensor, or paths that are drawn in another way.
     """
     if config.sensor != "position" or (config.maneuver_rate > 0.0 and config.max_turn_rate > 0.0):
         raise ValueError("the bound needs linear Gaussian targets: sensor='position' and no maneuvers")
+    if config.published.middle is not None or not config.published.wanders:
+        raise ValueError(
+            f"the bound needs paths that the scene model's motion draws from a birth on; those of the scenario "
+            f"{config.scenario!r} are not"
+        )
     # The episode that `env.reset(seed=seed)` plays.
     episode = draw_episode(config, episode_seed(seeding.np_random(seed)[0]))
     birth = scene_model_of(config).birth_covariance.copy()
-    if config.scenario == "random" and config.births == "anywhere":
+    if config.draws_lives and config.births == "anywhere":
         birth[[0, 2], [0, 2]] = config.half_width**2 / 3.0
     total, number = np.zeros(config.horizon + 1), episode.exists.sum(axis=1)
     for target in np.flatnonzero(episode.exists.any(axis=0)):

@@ -112,6 +112,7 @@ def _gaussian(
             survival=scene.survival_probability,
             detection=scene.detection_probability,
             extraction=settings.extraction,
+            spawn=scene.spawn,
             reduction=replace(reduction(settings.capacity), existence=scene.least_existence),
         )
 
@@ -137,6 +138,7 @@ def _robust(scene: SceneModel, settings: FilterSettings) -> RobustPMB:
         survival=RegionSurvival(model, scene.survival_probability, scene.region_low, scene.region_high),
         detection=scene.detection_probability,
         # The ready modes are those of the plane.
+        spawn=scene.spawn,
         modes=maneuvers(model, turn_rate=min(TURN_RATE, MOST_TURN / model.period))
         if len(scene.region_low) == 2
         else None,
