@@ -96,7 +96,7 @@ def test_the_task_of_mt3_has_its_rates() -> None:
     many = [draw_episode(config, seed) for seed in range(400)]
     first = np.array([episode.exists[0].sum() for episode in many])
     assert first.mean() == pytest.approx(6.0, abs=0.4)
-    # In the code of MT3 no target appears in the last two scans; its configuration gives the mean number in the last one.
+    # In MT3 no target appears in the last two scans; its configuration gives the mean number in the last one.
     old = np.array([(episode.exists[19] & episode.exists[:18].any(axis=0)).sum() for episode in many])
     assert old.mean() == pytest.approx(5.335, abs=0.35)
     assert config.motion.packed.noise[1, 1] == pytest.approx(0.9 * 0.1)

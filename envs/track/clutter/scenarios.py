@@ -89,7 +89,7 @@ SCENARIOS: Mapping[str, Scenario] = {
     "vo-ma-2006": Scenario(
         "Vo and Ma, IEEE Transactions on Signal Processing 54(11), 2006, example 1: two targets that cross, and a "
         "third that splits off at scan 66",
-        "initial states are those that B. Clarke's `GM_PHD_Filter` 1.10 read off a figure; process noise of continuous "
+        "initial states are those that B. Clarke's GM-PHD filter 1.10 read off a figure; process noise of continuous "
         "time, T^3/3 instead of T^4/4",
         {
             "half_width": 1000.0,
