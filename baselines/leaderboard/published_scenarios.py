@@ -47,7 +47,7 @@ class PublishedMetric:
         title: Name, with unit and parameters.
         of_episode: Function that returns its value in one episode.
         squared: True if `of_episode` returns a mean of squares, of which the root over all episodes is shown.
-        published: Where the publication shows it.
+        published: Figure of the publication, or the reason why there is none.
     """
 
     title: str
@@ -147,7 +147,7 @@ def _shown(interval: Interval) -> str:
 
 
 def sources() -> Grid:
-    """Return where each scenario is from, and where the publication shows the metric."""
+    """Return the source of each scenario and the figure that it publishes."""
     rows = [
         [name, SCENARIOS[name].source, SCENARIOS[name].differences or "none known", metric.published]
         for name, metric in METRICS.items()

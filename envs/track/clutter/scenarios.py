@@ -24,8 +24,8 @@ class Scenario:
     """A published scenario.
 
     Attributes:
-        source: Where its parameters are published.
-        differences: What is different here; empty if nothing is known to be.
+        source: Publication of its parameters.
+        differences: Known differences from it; empty for none.
         settings: Fields of `ClutterConfig` that differ from their defaults.
         targets: Targets with given lives; empty if births and deaths are drawn.
         wanders: True if the motion of the targets has process noise.
