@@ -66,7 +66,7 @@ def _squared_gospa(sets: Sets) -> float:
 
 
 def _last_gospa(sets: Sets) -> float:
-    return gospa(sets[0][-1], sets[1][-1], 2.0, order=1.0).total
+    return float(gospa(sets[0][-1], sets[1][-1], 2.0, order=1.0).total)
 
 
 def circular_error_probability(sets: Sets, radius: float = 20.0) -> float:

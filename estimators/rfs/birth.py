@@ -154,20 +154,10 @@ class MeasurementBirth:
             births: Result of `born`.
         """
         packed = model.packed
-        n = packed.observation.shape[1]
-        active = births.weight > 0.0
-        covariance = births.covariance
-        mean = np.zeros((*active.shape, n))
-        _move_means(births.mean, active, packed.transition, mean)
-        if not active.any():
-            return BirthMixture(births.weight, mean, np.zeros(covariance.shape))
-        # Under a linear sensor all covariances are the same.
-        own = covariance[active]
-        if np.array_equal(own, np.broadcast_to(own[0], own.shape)):
-            moved = np.where(active[:, :, None, None], _next_covariance(model, own[None, :1]), 0.0)
-        else:
-            moved = np.where(active[:, :, None, None], _next_covariance(model, covariance), 0.0)
-        return BirthMixture(births.weight, mean, moved)
+        mean = np.zeros((*births.weight.shape, packed.observation.shape[1]))
+        covariance = np.zeros(births.covariance.shape)
+        _move(births, packed.transition, packed.noise, mean, covariance)
+        return BirthMixture(births.weight, mean, covariance)
 
     def _starts(self, model: TargetModel, z: Array, excess: Array | None) -> tuple[Array, Array] | None:
         """Means (batch, Z, c, n) at measurements, and covariances, (1, 1, 1, n, n) if all are the same."""
@@ -178,12 +168,17 @@ class MeasurementBirth:
             return mean[:, :, None], covariance[:, :, None]
         H, R = model.packed.observation, model.packed.measurement_noise
         kept: _LinearBirth | None = self.__dict__.get("_kept")
-        if kept is None or not (np.array_equal(kept.observation, H) and np.array_equal(kept.noise, R)):
+        if kept is None or not (_equal(kept.observation, H) and _equal(kept.noise, R)):
             # Under a linear model the covariance is the same at every step.
             _, covariance = state_from_measurement(model, np.zeros((1, 1, z.shape[-1])), self.hidden_deviation)
             kept = _LinearBirth(H, R, _inverse(model), covariance[:, :, None])
             object.__setattr__(self, "_kept", kept)
         return np.einsum("rk,...k->...r", kept.inverse, z)[:, :, None], kept.covariance
+
+
+def _equal(first: Array, second: Array) -> bool:
+    """Return True if two arrays are equal; they are the same object where a filter only changes its interval."""
+    return first is second or np.array_equal(first, second)
 
 
 class _LinearBirth(NamedTuple):
@@ -252,20 +247,47 @@ def _share(births, z, chance, mean, covariance, expected, largest):  # type: ign
 
 
 @njit(cache=True, nogil=True)
-def _move_means(joint, active, transition, out):  # type: ignore[no-untyped-def]
-    """Predict the means of active births.
+def _move(births, transition, noise, out_mean, out_covariance):  # type: ignore[no-untyped-def]
+    """Predict the births with a weight.
 
     The first measurement of a target is known, so under a pairwise model it influences the next state.
     """
-    batch, rows, n = out.shape
+    weight, joint, covariance = births
+    batch, rows, n = out_mean.shape
+    work = np.empty((n, n))
     for b in range(batch):
+        before = -1
         for k in range(rows):
-            if active[b, k]:
+            if not weight[b, k] > 0.0:
+                continue
+            for r in range(n):
+                value = 0.0
+                for c in range(joint.shape[2]):
+                    value += transition[r, c] * joint[b, k, c]
+                out_mean[b, k, r] = value
+            # Under a linear sensor all covariances are the same.
+            same = before >= 0
+            if same:
                 for r in range(n):
+                    for c in range(n):
+                        same = same and covariance[b, k, r, c] == covariance[b, before, r, c]
+            if same:
+                out_covariance[b, k] = out_covariance[b, before]
+                continue
+            before = k
+            for r in range(n):
+                for c in range(n):
                     value = 0.0
-                    for c in range(joint.shape[2]):
-                        value += transition[r, c] * joint[b, k, c]
-                    out[b, k, r] = value
+                    for j in range(n):
+                        value += transition[r, j] * covariance[b, k, j, c]
+                    work[r, c] = value
+            for r in range(n):
+                for c in range(r + 1):
+                    value = noise[r, c]
+                    for j in range(n):
+                        value += work[r, j] * transition[c, j]
+                    out_covariance[b, k, r, c] = value
+                    out_covariance[b, k, c, r] = value
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,14 +431,6 @@ def _hidden(inverse: Array, observation: Array, deviation: ArrayLike) -> Array:
     blind = np.eye(n) - inverse @ observation
     spread = np.broadcast_to(np.asarray(deviation, dtype=np.float64), (n,))
     return blind @ np.diag(spread**2) @ blind.T
-
-
-def _next_covariance(model: TargetModel, covariance: Array) -> Array:
-    """Covariances (batch, Z, n, n) one step later."""
-    n = covariance.shape[-1]
-    B, sigma = model.packed.transition[:n], model.packed.noise[:n, :n]
-    moved = np.einsum("rk,bzkl,cl->bzrc", B[:, :n], covariance, B[:, :n]) + sigma
-    return 0.5 * (moved + np.swapaxes(moved, -1, -2))
 
 
 def _inverse(model: TargetModel) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -239,7 +240,8 @@ def clutter_config(level: int = 0, **axes: Any) -> ClutterConfig:
     """
     level = check_level(level, len(_LEVELS))
     check_keywords(axes, AXES)
-    settings, scenario = _LEVELS[level], axes.get("scenario")
+    settings: Mapping[str, Any] = _LEVELS[level]
+    scenario = axes.get("scenario")
     if scenario == "random" and "scenario" not in settings:
         settings = _RANDOM
     if isinstance(scenario, str) and scenario in SCENARIOS and SCENARIOS[scenario].settings:
