@@ -51,7 +51,7 @@ def first_row(tree: State) -> State:
     if isinstance(tree, tuple):
         return type(tree)(*[first_row(leaf) for leaf in tree])
     row = tree[0]  # type: ignore[index]
-    return row if isinstance(row, np.ndarray) else np.asarray(row)
+    return row if isinstance(row, np.ndarray) else np.asarray(row)  # type: ignore[return-value]
 
 
 def copied(tree: State) -> State:

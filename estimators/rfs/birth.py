@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.rfs.capacity import warn_of_cap
 from servotrack.estimators.rfs.models import RangeBearingModel, TargetModel, checked_covariance
 from servotrack.estimators.rfs.sensors import SensedModel
+from servotrack.estimators.rfs.sets import REPORTED
 from servotrack.estimators.types import Array
 
 
@@ -78,7 +80,12 @@ class MeasurementBirth:
         hidden_deviation: Standard deviation of unmeasured state entries (velocities), > 0, in the state's unit. A
             number, or shape (n,), whose entries of measured coordinates are ignored.
         largest: Upper limit of the weight of one measurement, in (0, 1].
-        places: Largest number of measurements with a birth; the least explained are taken.
+        places: Largest number of measurements with a birth; the least explained are taken, and a step that leaves out
+            one that is probably new or clutter warns. None: no limit; arrays have room for 100 and double when there
+            are more measurements.
+
+    Warns:
+        UserWarning: `places` leaves out a measurement that no target explains.
 
     Raises:
         ValueError: An argument is out of range.
@@ -87,7 +94,7 @@ class MeasurementBirth:
     expected: float = 0.1
     hidden_deviation: ArrayLike = 10.0
     largest: float = 0.1
-    places: int = 100
+    places: int | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.expected) and self.expected > 0.0):
@@ -97,17 +104,24 @@ class MeasurementBirth:
             raise ValueError(f"hidden_deviation must be finite and > 0, got {self.hidden_deviation!r}")
         if not 0.0 < self.largest <= 1.0:
             raise ValueError(f"largest must be in (0, 1], got {self.largest!r}")
-        if self.places < 1:
-            raise ValueError(f"places must be at least 1, got {self.places!r}")
+        if self.places is not None and self.places < 1:
+            raise ValueError(f"places must be at least 1 or None, got {self.places!r}")
 
-    def empty(self, batch: int, model: TargetModel) -> BirthMixture:
-        """Births of weight 0 for `batch` runs."""
+    def empty(self, batch: int, model: TargetModel, measurements: int = 0) -> BirthMixture:
+        """Births of weight 0 for `batch` runs, with room for those at so many measurements."""
         packed = model.packed
         m, n = packed.observation.shape
-        width = n + m if packed.pairwise else n
-        return BirthMixture(
-            np.zeros((batch, self.places)), np.zeros((batch, self.places, width)), np.zeros((batch, self.places, n, n))
-        )
+        width, rows = n + m if packed.pairwise else n, self._rows(measurements)
+        return BirthMixture(np.zeros((batch, rows)), np.zeros((batch, rows, width)), np.zeros((batch, rows, n, n)))
+
+    def _rows(self, measurements: int) -> int:
+        """Rows of the arrays of births."""
+        if self.places is not None:
+            return self.places
+        rows = 100
+        while rows < measurements:
+            rows *= 2
+        return rows
 
     def born(
         self,
@@ -130,17 +144,20 @@ class MeasurementBirth:
         Returns:
             The births; None if the sensor does not say where a target with a measurement may be.
         """
-        batch, kept = measurements.shape[0], min(self.places, measurements.shape[1])
+        batch, number = measurements.shape[:2]
+        kept = min(self._rows(number), number)
         if kept == 0:
             return None if isinstance(model, SensedModel) and model.sensor.places is None else self.empty(batch, model)
         z, chance, order = _least_explained(np.ascontiguousarray(measurements), unexplained, kept)
+        if kept < number and np.any(np.sort(unexplained, axis=1)[:, number - kept - 1] >= REPORTED):
+            warn_of_cap("places of births", "births")
         if excess is not None and excess.shape[1] > 0:
             excess = np.take_along_axis(excess, order[:, :, None, None], axis=1)
         found = self._starts(model, z, excess)
         if found is None:
             return None
         mean, covariance = found
-        births, pieces = self.empty(batch, model), mean.shape[2]
+        births, pieces = self.empty(batch, model, number), mean.shape[2]
         if pieces > 1:
             births = BirthMixture(*(np.repeat(field, pieces, axis=1) for field in births))
         _share(births, z, chance, mean, covariance, share * self.expected, self.largest)
