@@ -79,12 +79,14 @@ class EpisodeBound:
     """A number of every episode that no agent without the truth can go below on average.
 
     Attributes:
+        env_id: Id of its environment.
         column: Column in the rows of results that it bounds.
         values: "module:callable" called with the environment's arguments and seeds; returns a list of floats.
         meaning: Knowledge of the agent of the bound, for captions.
         episodes: Largest number of an agent's episodes that the column "x bound" is taken over. Raising it takes time.
     """
 
+    env_id: str
     column: str
     values: str
     meaning: str
@@ -162,14 +164,15 @@ WORLDS: Mapping[str, World] = {
         ),
         World(
             "clutter",
-            "points in clutter",
-            ("ClutterTracking-v0",),
+            "points in clutter, drawn or recorded",
+            ("ClutterTracking-v0", "RecordedPoints-v0"),
             RankingMetric("ospa2", "OSPA(2)", "m"),
             "gm-phd",
             f"{_RECORDERS}.set_scores:SetScoreRecorder",
             f"{_AGENTS}.clutter.cards:CARDS",
             (RankingMetric("ospa", "OSPA", "m"),),
             bound=EpisodeBound(
+                "ClutterTracking-v0",
                 "ospa",
                 "servotrack.baselines.leaderboard.clutter_bound:episode_bounds",
                 "who knows the motion, who exists and which measurement is whose",

@@ -99,6 +99,7 @@ ANIMATIONS = {
     "UncalibServo3D-v0": Animation({"level": 3, "arm": "so101"}, "any-arm", frames=60),
     "PedestrianServo-v0": Animation({"level": 2}, "phd-servo", frames=50),
     "ClutterTracking-v0": Animation({}, "pmb", first=20, frames=60, every=1, duration=120),
+    "RecordedPoints-v0": Animation({"lag": 8}, "trajectory-pmb", frames=50, every=1, duration=150),
     "PedestrianTracking-v0": Animation({"level": 1}, "pmb", first=40, frames=40, every=5, duration=160),
     "ColorTracking-v0": Animation({"level": 2}, "monte-carlo-color-plus", frames=60, every=3, duration=120),
     "SonarTracking-v0": Animation({"level": 1}, "hmm-row", frames=58, every=1, duration=150),

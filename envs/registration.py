@@ -31,6 +31,10 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
         "entry_point": "servotrack.envs.track.clutter.env:ClutterTrackingEnv",
         "vector_entry_point": "servotrack.envs.track.clutter.env:ClutterTrackingVectorEnv",
     },
+    "RecordedPoints-v0": {
+        "entry_point": "servotrack.envs.track.points.env:RecordedPointsEnv",
+        "vector_entry_point": "servotrack.envs.track.points.env:RecordedPointsVectorEnv",
+    },
     "PedestrianTracking-v0": {
         "entry_point": "servotrack.envs.track.pedestrians.env:PedestrianTrackingEnv",
         "vector_entry_point": "servotrack.envs.track.pedestrians.env:PedestrianTrackingVectorEnv",

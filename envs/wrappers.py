@@ -13,6 +13,10 @@ Observation = dict[str, NDArray[Any]]
 
 OBSERVATION_KEY = "observation"
 """Key of an observation that is not a dictionary, next to the entries of the truth."""
+NOISE_KEY = "noise"
+"""Key of the covariances of the measurements' noise, in the observations of worlds whose sensors report them."""
+INTERVAL_KEY = "interval"
+"""Key of the time between the last two scans, s, in the observations of worlds whose intervals vary."""
 
 
 def _widened(space: gym.Space[Any], extra: Observation) -> gym.spaces.Dict:

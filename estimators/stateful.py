@@ -41,6 +41,8 @@ def add_axis(tree: State) -> State:
     """Return the nested NamedTuples with a leading batch axis of length 1 in every array; None stays."""
     if isinstance(tree, tuple):
         return type(tree)(*[leaf if leaf is None else add_axis(leaf) for leaf in tree])  # type: ignore[arg-type]
+    if isinstance(tree, np.ndarray) and tree.flags.c_contiguous:
+        return tree[None]  # type: ignore[return-value]
     return np.ascontiguousarray(np.asarray(tree)[None])  # type: ignore[return-value]
 
 
@@ -48,7 +50,8 @@ def first_row(tree: State) -> State:
     """Return the first row of every array in nested NamedTuples, without the batch axis."""
     if isinstance(tree, tuple):
         return type(tree)(*[first_row(leaf) for leaf in tree])
-    return np.asarray(tree[0])  # type: ignore[index,return-value]
+    row = tree[0]  # type: ignore[index]
+    return row if isinstance(row, np.ndarray) else np.asarray(row)  # type: ignore[return-value]
 
 
 def copied(tree: State) -> State:

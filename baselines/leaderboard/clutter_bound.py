@@ -45,12 +45,20 @@ def ospa_bound(config: ClutterConfig, seed: int, lag: int = 0) -> float:
         config: Parameters of the environment.
         seed: Seed of the episode, as passed to the environment's `reset`.
         lag: Number of later scans that an answer may use.
+
+    Raises:
+        ValueError: The paths are not drawn by the scene model's motion.
     """
+    if not has_bound(config):
+        raise ValueError(
+            f"the bound needs paths that the scene model's motion draws from a birth on; those of the scenario "
+            f"{config.scenario!r} are not"
+        )
     # The episode that `env.reset(seed=seed)` plays.
     drawn = episode_seed(seeding.np_random(seed)[0])
     episode, turns = draw_episode(config, drawn), turn_angles(config, drawn)
     birth = scene_model_of(config).birth_covariance.copy()
-    if config.scenario == "random" and config.births == "anywhere":
+    if config.draws_lives and config.births == "anywhere":
         birth[[0, 2], [0, 2]] = config.half_width**2 / 3.0
     total, number = np.zeros(len(episode.exists)), episode.exists.sum(axis=1)
     for target in np.flatnonzero(episode.exists.any(axis=0)):
@@ -60,6 +68,11 @@ def ospa_bound(config: ClutterConfig, seed: int, lag: int = 0) -> float:
         covariance = _covariances(config, path, turns[life, target], detected, birth, lag)
         total[life] += expected_distance(covariance[:, [0, 2]][:, :, [0, 2]], config.cutoff)
     return float((total / np.maximum(number, 1))[: config.horizon].mean())
+
+
+def has_bound(config: ClutterConfig) -> bool:
+    """Return True if the paths of targets are drawn by the scene model's motion, from a birth on."""
+    return config.published.middle is None and config.published.wanders
 
 
 def _covariances(config: ClutterConfig, path: Array, turns: Array, detected: Mask, birth: Array, lag: int) -> Array:
@@ -84,8 +97,8 @@ def _covariances(config: ClutterConfig, path: Array, turns: Array, detected: Mas
     return known_covariances(config.motion, birth, detected, lag, packed.transition @ turned)
 
 
-def episode_bounds(env_kwargs: Mapping[str, Any], seeds: Sequence[int]) -> list[float]:
-    """`ospa_bound` of episodes of `ClutterTracking-v0` with these arguments, m.
+def episode_bounds(env_kwargs: Mapping[str, Any], seeds: Sequence[int]) -> list[float] | None:
+    """`ospa_bound` of episodes of `ClutterTracking-v0` with these arguments, m; None if they have none.
 
     Args:
         env_kwargs: Arguments of the environment.
@@ -93,7 +106,7 @@ def episode_bounds(env_kwargs: Mapping[str, Any], seeds: Sequence[int]) -> list[
     """
     axes = {name: value for name, value in env_kwargs.items() if name not in ("level", "render_mode")}
     config = clutter_config(env_kwargs.get("level", 0), **axes)
-    return [ospa_bound(config, seed, config.lag) for seed in seeds]
+    return [ospa_bound(config, seed, config.lag) for seed in seeds] if has_bound(config) else None
 
 
 def rows(level: int, agents: Sequence[str], seeds: Sequence[int]) -> tuple[Mapping[str, Any], Any]:

@@ -280,17 +280,19 @@ def _summarize_cell(
 
 def _over_bound(cell: CellResults, bound: EpisodeBound | None) -> float | None:
     """Mean of the bounded column over the mean bound of the same episodes."""
-    if bound is None or (values := column_of(cell, bound.column)) is None:
+    if bound is None or cell.env_id != bound.env_id or (values := column_of(cell, bound.column)) is None:
         return None
     seeds = cell.seeds[: bound.episodes]
     least = _bounds(bound.values, json.dumps(cell.env_kwargs, sort_keys=True), tuple(seeds))
+    if least is None:
+        return None
     return float(np.mean(values[: len(seeds)]) / np.mean(least))
 
 
 @lru_cache(maxsize=256)
-def _bounds(values: str, env_kwargs: str, seeds: tuple[int, ...]) -> list[float]:
-    """Bounds of episodes, which are the same for all agents."""
-    found: list[float] = load(values)(json.loads(env_kwargs), seeds)
+def _bounds(values: str, env_kwargs: str, seeds: tuple[int, ...]) -> list[float] | None:
+    """Bounds of episodes, which are the same for all agents; None if the environment has none."""
+    found: list[float] | None = load(values)(json.loads(env_kwargs), seeds)
     return found
 
 

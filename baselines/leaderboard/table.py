@@ -35,7 +35,8 @@ def note_of(tasks: Sequence[TaskSummary]) -> str:
     """Explain the columns of the tables of these tasks."""
     anchors = next((task.world.anchors for task in tasks if task.world.anchors is not None), None)
     if anchors is None:
-        bounds = {task.world.bound for task in tasks if task.world.bound is not None}
+        shown = [task for task in tasks if any(row.over_bound is not None for row in task.rows)]
+        bounds = {task.world.bound for task in shown if task.world.bound is not None}
         return "".join(f"{_bound_note(bound)} " for bound in bounds) + _COMMON_NOTE
     low, high = anchors.lower, anchors.upper
     return (

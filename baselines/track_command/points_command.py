@@ -20,8 +20,14 @@ from servotrack.baselines.reporting.trajectory_figure import draw_trajectories
 from servotrack.baselines.reporting.trajectory_files import write_geojson, write_trajectories
 from servotrack.baselines.running.stopping import undisturbed
 from servotrack.baselines.track_command.claim import claim_folder
-from servotrack.baselines.track_command.point_model import PointModel, measured_model, smoothing_lag, track_points
 from servotrack.envs.track.files.points import MOST_TRUE_PLACES, PointScans, PointTruth, read_point_truth, read_points
+from servotrack.envs.track.points.point_model import (
+    PointModel,
+    measured_model,
+    scores_cutoff,
+    smoothing_lag,
+    track_points,
+)
 from servotrack.estimators.metrics import gospa, ospa, ospa2
 from servotrack.estimators.rfs import Trajectory
 from servotrack.estimators.types import Array
@@ -30,8 +36,6 @@ TRACKS, MAP, FIGURE, SCORES = "tracks.csv", "tracks.geojson", "tracks.png", "sco
 """Names of the files written; the scores are a .json and a .md."""
 OUTPUTS = (TRACKS, MAP, FIGURE, SCORES + ".json", SCORES + ".md")
 """Names of all files that a run may write."""
-_CUTOFF_SHARE = 0.025
-"""Cut-off of the scores as a share of the region's longest side."""
 _PROJECTION_ERROR = 0.05
 """Largest error of distances in the plane of geographic positions that needs no note, as a share."""
 _FORMAT, _FORMAT_VERSION = "servotrack-point-scores", 1
@@ -157,7 +161,7 @@ def _score(
             f"note: {len(trajectories)} tracks at {len(points.times)} scans are too many to score", style="cyan"
         )
         return
-    cutoff = _CUTOFF_SHARE * float((model.high - model.low).max())
+    cutoff = scores_cutoff(model.low, model.high)
     estimate = _stacked(points, trajectories)[:, truth.known]
     true = truth.tracks[:, truth.known]
     sets = [(_present(true[:, k]), _present(estimate[:, k])) for k in range(true.shape[1])]

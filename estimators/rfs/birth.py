@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.rfs.capacity import warn_of_cap
 from servotrack.estimators.rfs.models import RangeBearingModel, TargetModel, checked_covariance
 from servotrack.estimators.rfs.sensors import SensedModel
+from servotrack.estimators.rfs.sets import REPORTED
 from servotrack.estimators.types import Array
 
 
@@ -78,7 +80,12 @@ class MeasurementBirth:
         hidden_deviation: Standard deviation of unmeasured state entries (velocities), > 0, in the state's unit. A
             number, or shape (n,), whose entries of measured coordinates are ignored.
         largest: Upper limit of the weight of one measurement, in (0, 1].
-        places: Largest number of measurements with a birth; the least explained are taken.
+        places: Largest number of measurements with a birth; the least explained are taken, and a step that leaves out
+            one that is probably new or clutter warns. None: no limit; arrays have room for 100 and double when there
+            are more measurements.
+
+    Warns:
+        UserWarning: `places` leaves out a measurement that no target explains.
 
     Raises:
         ValueError: An argument is out of range.
@@ -87,7 +94,7 @@ class MeasurementBirth:
     expected: float = 0.1
     hidden_deviation: ArrayLike = 10.0
     largest: float = 0.1
-    places: int = 100
+    places: int | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.expected) and self.expected > 0.0):
@@ -97,17 +104,24 @@ class MeasurementBirth:
             raise ValueError(f"hidden_deviation must be finite and > 0, got {self.hidden_deviation!r}")
         if not 0.0 < self.largest <= 1.0:
             raise ValueError(f"largest must be in (0, 1], got {self.largest!r}")
-        if self.places < 1:
-            raise ValueError(f"places must be at least 1, got {self.places!r}")
+        if self.places is not None and self.places < 1:
+            raise ValueError(f"places must be at least 1 or None, got {self.places!r}")
 
-    def empty(self, batch: int, model: TargetModel) -> BirthMixture:
-        """Births of weight 0 for `batch` runs."""
+    def empty(self, batch: int, model: TargetModel, measurements: int = 0) -> BirthMixture:
+        """Births of weight 0 for `batch` runs, with room for those at so many measurements."""
         packed = model.packed
         m, n = packed.observation.shape
-        width = n + m if packed.pairwise else n
-        return BirthMixture(
-            np.zeros((batch, self.places)), np.zeros((batch, self.places, width)), np.zeros((batch, self.places, n, n))
-        )
+        width, rows = n + m if packed.pairwise else n, self._rows(measurements)
+        return BirthMixture(np.zeros((batch, rows)), np.zeros((batch, rows, width)), np.zeros((batch, rows, n, n)))
+
+    def _rows(self, measurements: int) -> int:
+        """Rows of the arrays of births."""
+        if self.places is not None:
+            return self.places
+        rows = 100
+        while rows < measurements:
+            rows *= 2
+        return rows
 
     def born(
         self,
@@ -130,17 +144,20 @@ class MeasurementBirth:
         Returns:
             The births; None if the sensor does not say where a target with a measurement may be.
         """
-        batch, kept = measurements.shape[0], min(self.places, measurements.shape[1])
+        batch, number = measurements.shape[:2]
+        kept = min(self._rows(number), number)
         if kept == 0:
             return None if isinstance(model, SensedModel) and model.sensor.places is None else self.empty(batch, model)
         z, chance, order = _least_explained(np.ascontiguousarray(measurements), unexplained, kept)
+        if kept < number and np.any(np.sort(unexplained, axis=1)[:, number - kept - 1] >= REPORTED):
+            warn_of_cap("places of births", "births")
         if excess is not None and excess.shape[1] > 0:
             excess = np.take_along_axis(excess, order[:, :, None, None], axis=1)
         found = self._starts(model, z, excess)
         if found is None:
             return None
         mean, covariance = found
-        births, pieces = self.empty(batch, model), mean.shape[2]
+        births, pieces = self.empty(batch, model, number), mean.shape[2]
         if pieces > 1:
             births = BirthMixture(*(np.repeat(field, pieces, axis=1) for field in births))
         _share(births, z, chance, mean, covariance, share * self.expected, self.largest)
@@ -154,20 +171,10 @@ class MeasurementBirth:
             births: Result of `born`.
         """
         packed = model.packed
-        n = packed.observation.shape[1]
-        active = births.weight > 0.0
-        covariance = births.covariance
-        mean = np.zeros((*active.shape, n))
-        _move_means(births.mean, active, packed.transition, mean)
-        if not active.any():
-            return BirthMixture(births.weight, mean, np.zeros(covariance.shape))
-        # Under a linear sensor all covariances are the same.
-        own = covariance[active]
-        if np.array_equal(own, np.broadcast_to(own[0], own.shape)):
-            moved = np.where(active[:, :, None, None], _next_covariance(model, own[None, :1]), 0.0)
-        else:
-            moved = np.where(active[:, :, None, None], _next_covariance(model, covariance), 0.0)
-        return BirthMixture(births.weight, mean, moved)
+        mean = np.zeros((*births.weight.shape, packed.observation.shape[1]))
+        covariance = np.zeros(births.covariance.shape)
+        _move(births, packed.transition, packed.noise, mean, covariance)
+        return BirthMixture(births.weight, mean, covariance)
 
     def _starts(self, model: TargetModel, z: Array, excess: Array | None) -> tuple[Array, Array] | None:
         """Means (batch, Z, c, n) at measurements, and covariances, (1, 1, 1, n, n) if all are the same."""
@@ -178,12 +185,17 @@ class MeasurementBirth:
             return mean[:, :, None], covariance[:, :, None]
         H, R = model.packed.observation, model.packed.measurement_noise
         kept: _LinearBirth | None = self.__dict__.get("_kept")
-        if kept is None or not (np.array_equal(kept.observation, H) and np.array_equal(kept.noise, R)):
+        if kept is None or not (_equal(kept.observation, H) and _equal(kept.noise, R)):
             # Under a linear model the covariance is the same at every step.
             _, covariance = state_from_measurement(model, np.zeros((1, 1, z.shape[-1])), self.hidden_deviation)
             kept = _LinearBirth(H, R, _inverse(model), covariance[:, :, None])
             object.__setattr__(self, "_kept", kept)
         return np.einsum("rk,...k->...r", kept.inverse, z)[:, :, None], kept.covariance
+
+
+def _equal(first: Array, second: Array) -> bool:
+    """Return True if two arrays are equal; they are the same object where a filter only changes its interval."""
+    return first is second or np.array_equal(first, second)
 
 
 class _LinearBirth(NamedTuple):
@@ -252,20 +264,47 @@ def _share(births, z, chance, mean, covariance, expected, largest):  # type: ign
 
 
 @njit(cache=True, nogil=True)
-def _move_means(joint, active, transition, out):  # type: ignore[no-untyped-def]
-    """Predict the means of active births.
+def _move(births, transition, noise, out_mean, out_covariance):  # type: ignore[no-untyped-def]
+    """Predict the births with a weight.
 
     The first measurement of a target is known, so under a pairwise model it influences the next state.
     """
-    batch, rows, n = out.shape
+    weight, joint, covariance = births
+    batch, rows, n = out_mean.shape
+    work = np.empty((n, n))
     for b in range(batch):
+        before = -1
         for k in range(rows):
-            if active[b, k]:
+            if not weight[b, k] > 0.0:
+                continue
+            for r in range(n):
+                value = 0.0
+                for c in range(joint.shape[2]):
+                    value += transition[r, c] * joint[b, k, c]
+                out_mean[b, k, r] = value
+            # Under a linear sensor all covariances are the same.
+            same = before >= 0
+            if same:
                 for r in range(n):
+                    for c in range(n):
+                        same = same and covariance[b, k, r, c] == covariance[b, before, r, c]
+            if same:
+                out_covariance[b, k] = out_covariance[b, before]
+                continue
+            before = k
+            for r in range(n):
+                for c in range(n):
                     value = 0.0
-                    for c in range(joint.shape[2]):
-                        value += transition[r, c] * joint[b, k, c]
-                    out[b, k, r] = value
+                    for j in range(n):
+                        value += transition[r, j] * covariance[b, k, j, c]
+                    work[r, c] = value
+            for r in range(n):
+                for c in range(r + 1):
+                    value = noise[r, c]
+                    for j in range(n):
+                        value += work[r, j] * transition[c, j]
+                    out_covariance[b, k, r, c] = value
+                    out_covariance[b, k, c, r] = value
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,14 +448,6 @@ def _hidden(inverse: Array, observation: Array, deviation: ArrayLike) -> Array:
     blind = np.eye(n) - inverse @ observation
     spread = np.broadcast_to(np.asarray(deviation, dtype=np.float64), (n,))
     return blind @ np.diag(spread**2) @ blind.T
-
-
-def _next_covariance(model: TargetModel, covariance: Array) -> Array:
-    """Covariances (batch, Z, n, n) one step later."""
-    n = covariance.shape[-1]
-    B, sigma = model.packed.transition[:n], model.packed.noise[:n, :n]
-    moved = np.einsum("rk,bzkl,cl->bzrc", B[:, :n], covariance, B[:, :n]) + sigma
-    return 0.5 * (moved + np.swapaxes(moved, -1, -2))
 
 
 def _inverse(model: TargetModel) -> Array:

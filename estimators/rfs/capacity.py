@@ -56,6 +56,36 @@ def intensity_outgrew(rules: Reduction, intensity: Mixture, missed: Array) -> bo
     return False
 
 
+def undetected_outgrew(
+    cap: int | None, rules: Reduction, predicted: Mixture, detection: Array, undetected: Mixture
+) -> bool:
+    """Return True if a step has to be repeated because the cap on undetected targets removed some.
+
+    Args:
+        cap: Cap that the caller set on the components; None for none.
+        rules: Caps and thresholds of the filter.
+        predicted: Undetected targets before the step.
+        detection: Detection probability of each of their components. Shape (B, K).
+        undetected: Undetected targets after the step.
+
+    Warns:
+        UserWarning: The cap removed them, and the caller's cap keeps the arrays from growing.
+    """
+    full = undetected.number >= undetected.weight.shape[1]
+    if not full.any():
+        return False
+    used = np.arange(predicted.weight.shape[1]) < predicted.number[:, None]
+    left = np.where(used, predicted.weight, 0.0) * (1.0 - detection)
+    kept = np.arange(undetected.weight.shape[1]) < undetected.number[:, None]
+    removed = np.where(left > rules.prune, left, 0.0).sum(axis=1) - np.where(kept, undetected.weight, 0.0).sum(axis=1)
+    if not np.any(full & (removed >= HELD)):
+        return False
+    if cap is None:
+        return True
+    warn_of_cap("undetected", "components")
+    return False
+
+
 def warn_of_cap(name: str, cut: str) -> None:
     """Warn that a cap removes something, in words that are the same every time so that Python shows them once."""
     warnings.warn(

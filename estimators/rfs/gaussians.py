@@ -186,6 +186,14 @@ def condition_gaussian(model, cov, root, gain, posterior):  # type: ignore[no-un
     """
     m, n = model.observation.shape
     log_diagonal = cholesky_inverse(cov, m, n, root)
+    _fill_gain(model, cov, root, gain, posterior)
+    return -log_diagonal - 0.5 * m * math.log(2.0 * math.pi)
+
+
+@njit(cache=True, nogil=True)
+def _fill_gain(model, cov, root, gain, posterior):  # type: ignore[no-untyped-def]
+    """Gain and posterior covariance from the inverse Cholesky factor of P_yy; arguments as above."""
+    m, n = model.observation.shape
     whitened = np.empty((n, m))
     for r in range(n):
         for c in range(m):
@@ -206,7 +214,6 @@ def condition_gaussian(model, cov, root, gain, posterior):  # type: ignore[no-un
             posterior[c, r] = value
     if model.kind != LINEAR:
         _keep_posterior(posterior, cov)
-    return -log_diagonal - 0.5 * m * math.log(2.0 * math.pi)
 
 
 @njit(cache=True, nogil=True)
@@ -247,7 +254,8 @@ def weigh_pairs(model, count, mean, cov, measurements, excess, number, gate):  #
     Returns:
         component (pairs,), measurement (pairs,), likelihood (pairs,): pairs in order of components, then of
         measurements; part (pairs,), the row of each pair in gain (parts, n, m) and posterior (parts, n, n), which is
-        its component if all measurements have the same noise; True if every P_yy is positive definite.
+        its component if all measurements have the same noise; True if every P_yy is positive definite. Rows of
+        components without a pair hold arbitrary values.
     """
     if excess.shape[0] > 0:
         return _weigh_each_pair(model, count, mean, cov, measurements, excess, number, gate)
@@ -262,10 +270,11 @@ def weigh_pairs(model, count, mean, cov, measurements, excess, number, gate):  #
     pairs = 0
     positive_definite = True
     for i in range(count):
-        log_norm = condition_gaussian(model, cov[i], root, gain[i], posterior[i])
-        if math.isnan(log_norm):
+        log_diagonal = cholesky_inverse(cov[i], m, n, root)
+        if math.isnan(log_diagonal):
             positive_definite = False
             continue
+        log_norm, before = -log_diagonal - 0.5 * m * math.log(2.0 * math.pi), pairs
         reach = gate * cov[i, n, n]
         wraps = model.angular[0]
         for j in range(number):
@@ -287,6 +296,9 @@ def weigh_pairs(model, count, mean, cov, measurements, excess, number, gate):  #
                     measurement[pairs] = j
                     likelihood[pairs] = q
                     pairs += 1
+        if pairs > before:
+            # Most components are far from every measurement, and need no gain.
+            _fill_gain(model, cov[i], root, gain[i], posterior[i])
     component = component[:pairs]
     return component, measurement[:pairs], likelihood[:pairs], component, gain, posterior, positive_definite
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.estimators.rfs.gaussians import EXTENDED, LINEAR, UNSCENTED, PackedModel, pack_model
-from servotrack.estimators.rfs.motion import ConstantVelocity, Motion
+from servotrack.estimators.rfs.motion import AxisMotion, ConstantVelocity, Motion
 from servotrack.estimators.types import Array
 
 Structure = Literal["S1", "S2", "S3", "S4", "S5", "S6"]
@@ -187,9 +187,15 @@ class HiddenMarkovModel:
         """
         n = model.transition.shape[0]
         F, Q = moved(model, dt)
+        if isinstance(model.motion, AxisMotion) and F.shape == (n, n) and np.isfinite(Q[0, 0]):
+            # Positive semidefinite by its formula.
+            F.setflags(write=False)
+            Q.setflags(write=False)
+        else:
+            F, Q = checked_matrix("transition", F, (n, n)), checked_covariance("process_noise", Q, n, definite=False)
         fields = {
-            "transition": checked_matrix("transition", F, (n, n)),
-            "process_noise": checked_covariance("process_noise", Q, n, definite=False),
+            "transition": F,
+            "process_noise": Q,
             "observation": H if H.shape[1] == n else checked_matrix("observation", H, (None, n)),
             "measurement_noise": R,
             "motion": model.motion,

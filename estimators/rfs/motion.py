@@ -25,7 +25,7 @@ class Motion(Protocol):
 
 
 @dataclass(frozen=True)
-class _AxisMotion(ABC):
+class AxisMotion(ABC):
     """A motion that is the same along each axis and independent between them."""
 
     process_noise: float
@@ -45,7 +45,7 @@ class _AxisMotion(ABC):
 
 
 @dataclass(frozen=True)
-class ConstantVelocity(_AxisMotion):
+class ConstantVelocity(AxisMotion):
     """Nearly constant velocity along each axis; the state is [x, vx, y, vy, ...].
 
     Args:
@@ -64,7 +64,7 @@ class ConstantVelocity(_AxisMotion):
 
 
 @dataclass(frozen=True)
-class ConstantAcceleration(_AxisMotion):
+class ConstantAcceleration(AxisMotion):
     """Nearly constant acceleration along each axis; the state is [x, vx, ax, y, vy, ay, ...].
 
     Args:
@@ -88,7 +88,7 @@ class ConstantAcceleration(_AxisMotion):
 
 
 @dataclass(frozen=True)
-class WhiteAcceleration(_AxisMotion):
+class WhiteAcceleration(AxisMotion):
     """`ConstantVelocity` with the state of `ConstantAcceleration`, to stand beside it among motion modes.
 
     The acceleration of the state has no influence on the motion; it is drawn anew at every scan, with the variance of

@@ -13,7 +13,6 @@ import numpy as np
 
 from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
 from servotrack.estimators.rfs.birth import BirthMixture
-from servotrack.estimators.rfs.capacity import tracks_outgrew
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
 from servotrack.estimators.rfs.interacting_kernel import ONE_MODE
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture
@@ -48,38 +47,41 @@ class PMB(PoissonTrackFilter[PMBState]):
     """Poisson multi-Bernoulli filter; further arguments as in `GaussianSetFilter`.
 
     Args:
-        undetected: Largest number of components of the intensity of undetected targets. Raising it costs time.
+        undetected: Largest number of components of the intensity of undetected targets; a step in which it removes
+            targets warns. None: no limit; arrays have room for 100 and double when targets would be lost.
     """
 
     reduction: Reduction = field(default_factory=lambda: Reduction(components=5))
 
-    def _empty(self, batch: int, capacity: int | None = None) -> PMBState:
+    def _empty(self, batch: int, capacity: int | None = None, hidden: int | None = None) -> PMBState:
         rules, N = self.reduction, sum(self._sizes)
         capacity = capacity or rules.first_tracks
         return PMBState(
             empty_tracks(batch, capacity),
             empty_mixture(batch, rules.pool_rows(capacity), N),
-            empty_mixture(batch, self.undetected, N),
+            empty_mixture(batch, hidden or self._first_undetected, N),
             self._no_births(batch),
             np.ones(batch, np.int64),
         )
 
     def _advance(self, state: PMBState, births: BirthMixture, scan: Scan) -> tuple[PMBState, Extraction, Array]:
-        batch, capacity = state.tracks.existence.shape
         prediction = self._predict(state, state.tracks.existence, births)
-        new, tally = self._updated(state, prediction, scan, capacity)
-        while tracks_outgrew(self.reduction, new.tracks, new.pool):
-            capacity *= 2
-            new, tally = self._updated(state, prediction, scan, capacity)
+        new, tally = self._fitted(
+            lambda capacity, hidden: self._updated(state, prediction, scan, capacity, hidden), state, prediction
+        )
+        batch, capacity = new.tracks.existence.shape
         extraction = empty_extraction(batch, capacity, self._sizes[0])
         rule = RULES[self.extraction]
         extract_tracks(self._sizes[0], new.tracks, new.pool, new.next_label, rule, self.threshold, extraction)
         expected = extraction.expected + new.undetected.weight.sum(axis=1)
         return new, extraction._replace(expected=expected), tally.unexplained
 
-    def _updated(self, state: PMBState, prediction: Prediction, scan: Scan, capacity: int) -> tuple[PMBState, Tally]:
-        """Update into arrays with room for `capacity` tracks."""
-        new = self._empty(len(scan.number), capacity)._replace(births=state.births, next_label=state.next_label.copy())
+    def _updated(
+        self, state: PMBState, prediction: Prediction, scan: Scan, capacity: int, hidden: int
+    ) -> tuple[PMBState, Tally]:
+        """Update into arrays with room for `capacity` tracks and `hidden` components of undetected targets."""
+        empty = self._empty(len(scan.number), capacity, hidden)
+        new = empty._replace(births=state.births, next_label=state.next_label.copy())
         tally = empty_tally(scan, state.tracks, new.tracks)
         limits = self.reduction.limits
         check_positive_definite(

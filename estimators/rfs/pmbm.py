@@ -97,6 +97,7 @@ class PMBM(PoissonTrackFilter[PMBMState]):
         UserWarning: The caps removed more than `tolerated_cut`; the state says how much.
     """
 
+    undetected: int = 100
     reduction: Reduction = field(default_factory=lambda: Reduction(components=5, tracks=1000))
     assignments: int = 500
     hypotheses: int = 500

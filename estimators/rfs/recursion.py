@@ -227,7 +227,11 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         """The same filter for another interval."""
         made = object.__new__(type(self))
         # `replace` would check all arguments again, which takes longer than a scan with a few targets.
-        made.__dict__.update({one.name: getattr(self, one.name) for one in fields(self)}, **self._interval_changes(dt))
+        made.__dict__.update({name: getattr(self, name) for name in self._names}, **self._interval_changes(dt))
+        # What does not depend on the interval is computed once.
+        made.__dict__.update(_names=self._names, _sizes=self._sizes, _gate=self._gate, _anywhere=self._anywhere)
+        if not self.spawn:
+            made.__dict__["_spawns"] = self._spawns
         return made
 
     def _sensor_changes(self, sensor: Sensor) -> dict[str, Any]:
@@ -268,6 +272,11 @@ class GaussianSetFilter(ABC, Generic[StateT]):
     @abstractmethod
     def _advance(self, state: StateT, births: BirthMixture, scan: Scan) -> tuple[StateT, Extraction, Array]:
         """Advance all runs by one step: new state, extraction, probability of each measurement to be clutter (B, Z)."""
+
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
+        """Names of the arguments."""
+        return tuple(one.name for one in fields(self))
 
     @cached_property
     def _sizes(self) -> tuple[int, int]:

@@ -17,7 +17,6 @@ import numpy as np
 from servotrack.estimators.rfs.adaptation import SensorAdaptation, SensorState
 from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
 from servotrack.estimators.rfs.birth import BirthMixture
-from servotrack.estimators.rfs.capacity import tracks_outgrew
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
 from servotrack.estimators.rfs.interacting import InteractingModels
 from servotrack.estimators.rfs.interacting_kernel import PackedModes, collapse_modes
@@ -64,7 +63,7 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
     two must be numbers; `state.sensor` has the current ones.
 
     Args:
-        undetected: Largest number of components of the intensity of undetected targets. Raising it costs time.
+        undetected: Largest number of components of the intensity of undetected targets; see `PMB`.
         volume: Volume of the sensor's field of view in measurement space, over which clutter is uniform, so that
             `clutter_intensity * volume` is the expected number of false measurements of a scan.
         modes: Motion modes of detected targets; None: `model` alone.
@@ -128,14 +127,14 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
         modes = InteractingModels((self.model,), np.ones((1, 1))) if self.modes is None else self.modes
         return modes.packed
 
-    def _empty(self, batch: int, capacity: int | None = None) -> RobustPMBState:
+    def _empty(self, batch: int, capacity: int | None = None, hidden: int | None = None) -> RobustPMBState:
         rules, N = self.reduction, sum(self._sizes)
         capacity = capacity or rules.first_tracks
         adaptation = self.adaptation or SensorAdaptation()
         return RobustPMBState(
             empty_tracks(batch, capacity),
             empty_mixture(batch, rules.pool_rows(capacity) * len(self._modes.initial), N),
-            empty_mixture(batch, self.undetected, N),
+            empty_mixture(batch, hidden or self._first_undetected, N),
             self._no_births(batch),
             np.ones(batch, np.int64),
             adaptation.initial(batch, capacity, self._stated_detection, self._stated_clutter, self._stated_births),
@@ -144,7 +143,7 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
     def _advance(
         self, state: RobustPMBState, births: BirthMixture, scan: Scan
     ) -> tuple[RobustPMBState, Extraction, Array]:
-        (batch, capacity), n = state.tracks.existence.shape, self._sizes[0]
+        batch, n = len(scan.number), self._sizes[0]
         detection = np.full(batch, self._stated_detection)
         if self.adaptation is not None and self.learning:
             detection = self.adaptation.detection(state.sensor)
@@ -152,11 +151,10 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
             scan = scan._replace(clutter=np.repeat(intensity[:, None], scan.clutter.shape[1], axis=1))
         births = self._adapted(births, state)
         prediction = self._predict_modes(state, births, detection)
-        new, tally = self._updated(state, prediction, scan, capacity)
-        while tracks_outgrew(self.reduction, new.tracks, new.pool):
-            capacity *= 2
-            new, tally = self._updated(state, prediction, scan, capacity)
-        extraction = empty_extraction(batch, capacity, n)
+        new, tally = self._fitted(
+            lambda capacity, hidden: self._updated(state, prediction, scan, capacity, hidden), state, prediction
+        )
+        extraction = empty_extraction(batch, new.tracks.existence.shape[1], n)
         tracks, pool = self._collapsed(new)
         extract_tracks(n, tracks, pool, new.next_label, RULES[self.extraction], self.threshold, extraction)
         if self.adaptation is not None:
@@ -183,10 +181,11 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
         return rows if self._anywhere is None else min(rows, 0 if self._sites is None else len(self._sites.weights))
 
     def _updated(
-        self, state: RobustPMBState, prediction: Prediction, scan: Scan, capacity: int
+        self, state: RobustPMBState, prediction: Prediction, scan: Scan, capacity: int, hidden: int
     ) -> tuple[RobustPMBState, Tally]:
-        """Update into arrays with room for `capacity` tracks."""
-        new = self._empty(len(scan.number), capacity)._replace(births=state.births, next_label=state.next_label.copy())
+        """Update into arrays with room for `capacity` tracks and `hidden` components of undetected targets."""
+        empty = self._empty(len(scan.number), capacity, hidden)
+        new = empty._replace(births=state.births, next_label=state.next_label.copy())
         tally = empty_tally(scan, state.tracks, new.tracks)
         limits, initial, target = self.reduction.limits, self._modes.initial, PMBState(*new[:5])
         check_positive_definite(
@@ -199,7 +198,7 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
         batch, capacity = state.tracks.existence.shape
         components, N = state.pool.weight.shape[1], sum(self._sizes)
         tracks, pool = empty_tracks(batch, capacity), scratch_mixture(batch, components, N)
-        hidden = scratch_mixture(batch, self._hidden_room(components, births), N)
+        hidden = scratch_mixture(batch, self._hidden_room(state, births), N)
         survival = self._evaluate("survival", self.survival, state.pool)
         hidden_survival = self._evaluate("survival", self.survival, state.undetected)
         predict_adaptive(

@@ -105,11 +105,10 @@ class SetEstimate:
 
 def estimate_from_extraction(extraction: Extraction, single: bool) -> SetEstimate:
     """Split an extraction into reported and held rows and trim them; drop the batch axis of a single run."""
-    used = np.arange(extraction.label.shape[1]) < extraction.number[:, None]
-    reported, held = used & extraction.reported, used & ~extraction.reported
     if single:
         # One run needs no padding.
-        (shown,), (kept,) = reported, held
+        reported = extraction.reported[0, : int(extraction.number[0])]
+        shown, kept = np.flatnonzero(reported), np.flatnonzero(~reported)
         return SetEstimate(
             extraction.state[0][shown],
             extraction.label[0][shown],
@@ -120,7 +119,8 @@ def estimate_from_extraction(extraction: Extraction, single: bool) -> SetEstimat
             extraction.state[0][kept],
             extraction.existence[0][kept],
         )
-    show, keep = _front(reported), _front(held)
+    used = np.arange(extraction.label.shape[1]) < extraction.number[:, None]
+    show, keep = _front(used & extraction.reported), _front(used & ~extraction.reported)
     return SetEstimate(
         _take(extraction.state, *show),
         _take(extraction.label, *show),

@@ -6,7 +6,7 @@ unreliably.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -122,8 +122,12 @@ class ParticlePHD:
         )
         return first_row(state) if single else state
 
-    def step(self, state: ParticlePHDState, measurement: ArrayLike) -> tuple[ParticlePHDState, SetEstimate]:
-        """Predict, weigh, extract and resample; shapes and errors as in `GaussianSetFilter.step`."""
+    def step(
+        self, state: ParticlePHDState, measurement: ArrayLike, dt: float | None = None
+    ) -> tuple[ParticlePHDState, SetEstimate]:
+        """Predict, weigh, extract and resample; arguments, shapes and errors as in `GaussianSetFilter.step`."""
+        if dt is not None and dt != self.model.period:
+            return self._over(dt).step(state, measurement)
         m, n = self.model.packed.observation.shape
         z, number, single = read_measurements(measurement, m)
         check_runs(state.next_label, z.shape[0], single)
@@ -138,6 +142,16 @@ class ParticlePHD:
             self._advance(new, b, z[b, : number[b]], rng, extraction)
         new.time[...] += 1
         return (first_row(new) if single else new), estimate_from_extraction(extraction, single)
+
+    def _over(self, dt: float) -> ParticlePHD:
+        """The same filter for another interval, over which survival and births are in proportion."""
+        share = dt / self.model.period
+        return replace(
+            self,
+            model=self.model.at(dt),
+            survival=self.survival**share,
+            birth=replace(self.birth, weights=np.minimum(share * self.birth.weights, 1.0)),
+        )
 
     def _advance(
         self, new: ParticlePHDState, b: int, z: Array, rng: np.random.Generator, extraction: Extraction

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -129,6 +129,10 @@ class SteeredPHD:
         following = SteeredState(new, self.anywhere.empty(len(z), phd.model) if born is None else born, account)
         return (first_row(following) if single else following), estimate_from_extraction(extraction, single)
 
+    def at(self, dt: float) -> SteeredPHD:
+        """The same filter for an interval of `dt` seconds; steering is still given per step."""
+        return replace(self, filter=self.filter.at(dt))
+
     def _births(self, anywhere: BirthMixture, expected: Array) -> BirthMixture:
         """Births at known places and at unexplained measurements."""
         moved = self.anywhere.predicted(self.filter.model, anywhere)
@@ -183,8 +187,14 @@ class SteadyPHD:
         """State before the first scan, of which only the batch axis is read."""
         return self.steered.initial(measurement)
 
-    def step(self, state: SteeredState, measurement: ArrayLike) -> tuple[SteeredState, SetEstimate]:
+    def step(
+        self, state: SteeredState, measurement: ArrayLike, dt: float | None = None
+    ) -> tuple[SteeredState, SetEstimate]:
         """Predict and update; arguments, results and errors as in `GMPHD.step`."""
+        if dt is not None and dt != self.model.period:
+            return replace(self, steered=self.steered.at(dt), births=self.births * dt / self.model.period).step(
+                state, measurement
+            )
         one = np.ones_like(state.account.number)
         return self.steered.step(
             state, measurement, Steering(constant_detection(self.steered) * one, one, self.births * one)
@@ -268,8 +278,14 @@ class CountingPHD:
         none = np.zeros_like(steered.account.number)
         return CountingState(steered, none, none, none, none)
 
-    def step(self, state: CountingState, measurement: ArrayLike) -> tuple[CountingState, SetEstimate]:
-        """Predict and update; arguments, results and errors as in `GMPHD.step`."""
+    def step(
+        self, state: CountingState, measurement: ArrayLike, dt: float | None = None
+    ) -> tuple[CountingState, SetEstimate]:
+        """Predict and update; arguments, results and errors as in `GMPHD.step`. Counts are of scans."""
+        if dt is not None and dt != self.model.period:
+            return replace(self, steered=self.steered.at(dt), births=self.births * dt / self.model.period).step(
+                state, measurement
+            )
         detection = (self.trust * constant_detection(self.steered) + state.explained) / (self.trust + state.predicted)
         clutter = (self.trust * self.clutter_rate + state.unexplained) / (self.trust + state.scans)
         steering = Steering(

@@ -9,7 +9,6 @@ import numpy as np
 
 from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
 from servotrack.estimators.rfs.birth import BirthMixture
-from servotrack.estimators.rfs.capacity import tracks_outgrew
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
 from servotrack.estimators.rfs.histories import History, Lineage, empty_history, predict_histories
 from servotrack.estimators.rfs.interacting_kernel import ONE_MODE
@@ -97,25 +96,25 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
         whole: TrajectoryPMBState = add_axis(state) if single else state
         return [estimate_from_extraction(self._smoothed(whole, past), single) for past in range(self.lag - 1, -1, -1)]
 
-    def _empty(self, batch: int, capacity: int | None = None) -> TrajectoryPMBState:
+    def _empty(self, batch: int, capacity: int | None = None, hidden: int | None = None) -> TrajectoryPMBState:
         rules, (n, m) = self.reduction, self._sizes
-        capacity = capacity or rules.first_tracks
+        capacity, hidden = capacity or rules.first_tracks, hidden or self._first_undetected
         rows = rules.pool_rows(capacity)
         return TrajectoryPMBState(
             empty_tracks(batch, capacity),
             empty_mixture(batch, rows, n + m),
-            empty_mixture(batch, self.undetected, n + m),
+            empty_mixture(batch, hidden, n + m),
             self._no_births(batch),
             np.ones(batch, np.int64),
             empty_history(batch, rows, self.lag, n, n + m),
-            empty_history(batch, self.undetected, self.lag, n, n + m),
+            empty_history(batch, hidden, self.lag, n, n + m),
             empty_trajectories(batch, 2 * capacity, self.lag, n),
         )
 
     def _advance(
         self, state: TrajectoryPMBState, births: BirthMixture, scan: Scan
     ) -> tuple[TrajectoryPMBState, Extraction, Array]:
-        model, (batch, capacity) = self.model.packed, state.tracks.existence.shape
+        model, batch = self.model.packed, len(scan.number)
         n, m = self._sizes
         prediction = self._predict(state, state.tracks.existence, births)
         past = empty_history(batch, prediction.pool.weight.shape[1], self.lag, n, n + m)
@@ -130,10 +129,12 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
             start = prediction.hidden.number - born.number
             predict_histories(model, born, fresh, prediction.hidden, shift, start, hidden_past)
         absent = np.zeros(state.tracks.existence.shape)
-        new, tally = self._updated(state, prediction, scan, capacity, past, hidden_past, absent)
-        while tracks_outgrew(self.reduction, new.tracks, new.pool):
-            capacity *= 2
-            new, tally = self._updated(state, prediction, scan, capacity, past, hidden_past, absent)
+        histories = past, hidden_past, absent
+        new, tally = self._fitted(
+            lambda tracks, hidden: self._updated(state, prediction, scan, (tracks, hidden), *histories),
+            state,
+            prediction,
+        )
         survival = self._evaluate("survival", self.survival, state.pool)
         hidden_survival = self._evaluate("survival", self.survival, state.undetected)
         advance_trajectories(state, survival, hidden_survival, absent, self.threshold, shift, new)
@@ -144,13 +145,14 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
         state: TrajectoryPMBState,
         prediction: Prediction,
         scan: Scan,
-        capacity: int,
+        room: tuple[int, int],
         past: History,
         hidden_past: History,
         absent: Array,
     ) -> tuple[TrajectoryPMBState, Tally]:
-        """Update into arrays with room for `capacity` tracks; `absent` is written."""
-        new = self._empty(len(scan.number), capacity)._replace(births=state.births, next_label=state.next_label.copy())
+        """Update into arrays with `room` for tracks and components of undetected targets; `absent` is written."""
+        empty = self._empty(len(scan.number), *room)
+        new = empty._replace(births=state.births, next_label=state.next_label.copy())
         tally = empty_tally(scan, state.tracks, new.tracks)
         lineage = Lineage(past, hidden_past, new.past, new.hidden_past, absent)
         limits, target = self.reduction.limits, PMBState(*new[:5])

@@ -19,6 +19,8 @@ import servotrack  # noqa: F401
 STORED = Path(__file__).with_name("clutter_rollouts.npz")
 ENV_ID = "ClutterTracking-v0"
 LEVELS = (0, 1, 3, 4, 7)
+SCENARIOS = ("vo-ma-2006", "williams-2015", "garcia-fernandez-2018", "pinto-2021")
+CASES: tuple[int | str, ...] = (*LEVELS, *SCENARIOS)
 SEED, STEPS = 11, 12
 
 
@@ -31,9 +33,10 @@ def answer_to(scan: Any, env: Any) -> Any:
     return answer
 
 
-def rollout(level: int) -> dict[str, Any]:
-    """Return the whole rollout, one array for each quantity."""
-    env = gym.make(ENV_ID, level=level, horizon=STEPS)
+def rollout(case: int | str) -> dict[str, Any]:
+    """Return the whole rollout of a level or a scenario, one array for each quantity."""
+    own = {"level": case} if isinstance(case, int) else {"scenario": case}
+    env = gym.make(ENV_ID, **own, horizon=STEPS)
     scan, info = env.reset(seed=SEED)
     rows = []
     for _ in range(STEPS):
@@ -44,14 +47,14 @@ def rollout(level: int) -> dict[str, Any]:
     return arrays | {"ospa2": np.array(info["ospa2"])}
 
 
-@pytest.mark.parametrize("level", LEVELS)
-def test_the_stored_rollout_comes_out_again(level: int) -> None:
-    assert_as_stored(STORED, level, rollout(level))
+@pytest.mark.parametrize("case", CASES)
+def test_the_stored_rollout_comes_out_again(case: int | str) -> None:
+    assert_as_stored(STORED, case, rollout(case))
 
 
 def test_another_process_gets_the_same_bits() -> None:
-    assert digests_elsewhere(__file__) == digests(rollout, LEVELS)
+    assert digests_elsewhere(__file__) == digests(rollout, CASES)
 
 
 if __name__ == "__main__":
-    print_or_store(STORED, rollout, LEVELS)
+    print_or_store(STORED, rollout, CASES)

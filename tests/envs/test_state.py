@@ -26,6 +26,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "UncalibServo3D-v0": {"level": 5, "horizon": 30},
     "PedestrianServo-v0": {"level": 6, "horizon": 30},
     "ClutterTracking-v0": {"level": 1, "horizon": 30},
+    "RecordedPoints-v0": {"horizon": 30, "lag": 2},
     "PedestrianTracking-v0": {"horizon": 30, "observation": "blobs", "width": 192, "height": 144},
     "ColorTracking-v0": {"horizon": 30},
     "SonarTracking-v0": {"level": 1, "horizon": 30},

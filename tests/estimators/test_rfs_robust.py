@@ -25,6 +25,7 @@ from servotrack.estimators.rfs import (
     RegionSurvival,
     RobustPMB,
     SensorAdaptation,
+    TrajectoryPMB,
     constant_acceleration,
     constant_velocity,
     coordinated_turn,
@@ -431,6 +432,71 @@ def test_a_cap_of_the_caller_warns(filter_):
         for z in crowd(60, 8):
             estimate = tracker.step(z)
     assert len(estimate.states) <= 20
+
+
+def poisson_filters(**options):
+    """Filters with an intensity of undetected targets that does not warn by itself."""
+    yield PMB(HMM, **options)
+    yield TrajectoryPMB(HMM, lag=2, **options)
+    yield RobustPMB(HMM, volume=1e10, adaptation=None, **options)
+
+
+def far_births(number, weight):
+    """Births of targets at places, and with a speed, that are too far apart to merge, also with earlier ones."""
+    places = np.zeros((number, 4))
+    places[:, 0], places[:, 3] = 1000.0 * np.arange(number), 200.0
+    return Birth(np.full(number, weight), places, np.diag([10.0, 1.0, 10.0, 1.0]))
+
+
+def test_undetected_targets_are_never_cut_in_silence():
+    options = {"birth": far_births(60, 0.01), "clutter_intensity": 1e-9, "detection": 0.1}
+    for grown, given in zip(poisson_filters(**options), poisson_filters(undetected=1000, **options), strict=True):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            a, b = Stateful(grown), Stateful(given)
+            for _ in range(6):
+                one, two = a.step(np.zeros((0, 2))), b.step(np.zeros((0, 2)))
+                assert one.expected_number == pytest.approx(two.expected_number, rel=1e-12)
+        assert a.state.undetected.number > 100 and a.state.undetected.weight.shape in ((200,), (400,))
+    for capped in poisson_filters(undetected=50, **options):
+        with pytest.warns(UserWarning, match="the cap on undetected removes components .* raise it"):
+            Stateful(capped).step(np.zeros((0, 2)))
+    few = {**options, "birth": far_births(60, 1e-4)}
+    for capped in poisson_filters(undetected=50, **few):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            Stateful(capped).step(np.zeros((0, 2)))
+
+
+def test_a_grown_intensity_of_undetected_targets_mixes_with_a_new_one():
+    filter_ = PMB(HMM, far_births(60, 0.01), clutter_intensity=1e-9, detection=0.1)
+    rows = np.zeros((2, 1, 3))
+    state = filter_.initial(rows)
+    for _ in range(4):
+        state, _ = filter_.step(state, rows)
+    mixed = select_rows(np.array([True, False]), filter_.initial(rows), state)
+    after, _ = filter_.step(mixed, rows)
+    alone, _ = filter_.step(filter_.initial(rows), rows)
+    assert after.undetected.number[0] == alone.undetected.number[0] < after.undetected.number[1]
+
+
+@pytest.mark.parametrize("kind", [PMB, GMCBMeMBer, GMPHD, PMBM, RobustPMB])
+def test_every_unexplained_measurement_has_a_birth(kind):
+    options = {"clutter_intensity": 1e-9, "detection": 0.98}
+    if kind is RobustPMB:
+        options |= {"volume": 1.6e9}
+    first = next(crowd(250, 1))
+    # A share of the expected births is left for each of them.
+    born = kind(HMM, MeasurementBirth(25.0, 10.0), **options)
+    state, _ = born.step(born.initial(first), first)
+    assert (state.births.weight > 0.0).sum() == 250
+    capped = kind(HMM, MeasurementBirth(25.0, 10.0, places=100), **options)
+    with pytest.warns(UserWarning, match="the cap on places of births removes births"):
+        state, _ = capped.step(capped.initial(first), first)
+    assert (state.births.weight > 0.0).sum() == 100
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        capped.step(capped.initial(first), first[:100])
 
 
 def test_growth_changes_no_result_and_grown_states_mix_with_new_ones():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,14 +55,19 @@ class AssociationOracle:
             np.zeros((scenes, targets), np.int64),
         )
 
-    def step(self, state: OracleState, measurement: Mapping[str, Array]) -> tuple[OracleState, SetEstimate]:
+    def step(
+        self, state: OracleState, measurement: Mapping[str, Array], dt: float | None = None
+    ) -> tuple[OracleState, SetEstimate]:
         """Process a scan.
 
         Args:
             state: Result of `initial` or of the last `step`.
             measurement: Entries `observation` (N, M, 1 + m), `true_source` (N, M) and `true_existence` (N, T) of a
                 `PrivilegedObservation`.
+            dt: Time since the last step, s; None: the model's period.
         """
+        if dt is not None:
+            return replace(self, model=self.model.at(dt)).step(state, measurement)
         scan = np.ascontiguousarray(measurement[OBSERVATION_KEY][..., 1:])
         source = measurement["true_source"].astype(np.int64)
         exists = measurement["true_existence"] > 0.5

@@ -52,6 +52,9 @@ SMALLEST_CAPACITY = 100
 """Capacity of a filter (see `FilterSettings`) if three times the rows of an answer are fewer."""
 
 
+TURN_RATE, MOST_TURN = 0.15, 0.5
+"""Rate of the turns of `robust-pmb`, rad/s, and the largest turn within one period, rad."""
+
 ELSEWHERE = 0.35
 """Births of `robust-pmb` at unexplained measurements, as a share of those that the scene model expects at its sites."""
 
@@ -109,7 +112,8 @@ def _gaussian(
             survival=scene.survival_probability,
             detection=scene.detection_probability,
             extraction=settings.extraction,
-            reduction=reduction(settings.capacity),
+            spawn=scene.spawn,
+            reduction=replace(reduction(settings.capacity), existence=scene.least_existence),
         )
 
     return make
@@ -126,15 +130,18 @@ def _robust(scene: SceneModel, settings: FilterSettings) -> RobustPMB:
     if isinstance(birth, Birth):
         expected = ELSEWHERE * float(birth.weights.sum())
         birth = Births(birth, MeasurementBirth(expected, np.sqrt(np.diag(scene.birth_covariance)), largest=expected))
-    edge = np.full(2, scene.half_width)
     return RobustPMB(
         model,
         birth,
         clutter_intensity=scene.clutter_intensity,
         volume=float(np.prod(scene.seen_high - scene.seen_low)),
-        survival=RegionSurvival(model, scene.survival_probability, -edge, edge),
+        survival=RegionSurvival(model, scene.survival_probability, scene.region_low, scene.region_high),
         detection=scene.detection_probability,
-        modes=maneuvers(model),
+        # The ready modes are those of the plane.
+        spawn=scene.spawn,
+        modes=maneuvers(model, turn_rate=min(TURN_RATE, MOST_TURN / model.period))
+        if len(scene.region_low) == 2
+        else None,
         extraction=settings.extraction,
     )
 
@@ -163,9 +170,11 @@ def _particle(scene: SceneModel, settings: FilterSettings) -> ParticlePHD:
     birth = _birth(scene)
     if isinstance(birth, MeasurementBirth):
         # Birth particles are drawn from one Gaussian with the variance of the uniform region.
-        covariance = scene.birth_covariance.copy()
-        covariance[[0, 2], [0, 2]] = scene.half_width**2 / 3.0
-        birth = Birth(scene.birth_weights, np.zeros((1, 4)), covariance)
+        covariance, mean = scene.birth_covariance.copy(), np.zeros((1, len(scene.birth_covariance)))
+        position = np.arange(0, len(covariance), 2)
+        covariance[position, position] = (0.5 * (scene.region_high - scene.region_low)) ** 2 / 3.0
+        mean[0, position] = 0.5 * (scene.region_low + scene.region_high)
+        birth = Birth(scene.birth_weights, mean, covariance)
     return ParticlePHD(
         scene.hidden_markov,
         birth,

@@ -110,7 +110,7 @@ def phd_as_printed(spawn: bool = True) -> GMPHD:
     model = centroid_model(process_noise=4.0, measurement_noise=2.0)
     return GMPHD(
         model,
-        MeasurementBirth(expected=0.05, hidden_deviation=2.0, largest=0.05, places=20),
+        MeasurementBirth(expected=0.05, hidden_deviation=2.0, largest=0.05),
         clutter_intensity=0.01 / REFERENCE_AREA,
         survival=0.9,
         detection=0.99,
@@ -138,7 +138,7 @@ def _centroid_setting(size: Size | None, rate: float) -> dict[str, Any]:
     pace = scale * REFERENCE_RATE / rate
     return {
         "model": centroid_model(process_noise=2.0 * pace, measurement_noise=4.0 * scale),
-        "birth": MeasurementBirth(expected=0.05, hidden_deviation=4.0 * pace, largest=0.05, places=20),
+        "birth": MeasurementBirth(expected=0.05, hidden_deviation=4.0 * pace, largest=0.05),
         "clutter_intensity": 0.05 / (REFERENCE_AREA * scale**2),
         "survival": 0.99,
         "detection": 0.9,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from servotrack.envs.arguments import check_fields, check_keywords, check_level
+from servotrack.envs.track.clutter.scenarios import SCENARIOS, Scenario
 from servotrack.envs.track.counts import poisson_quantile
 from servotrack.estimators.rfs.models import (
     STRUCTURES,
@@ -20,16 +22,12 @@ from servotrack.estimators.rfs.models import (
 )
 from servotrack.estimators.types import Array
 
-SCENARIOS = ("paper", "random")
 SENSORS = ("position", "range-bearing")
 BIRTHS = ("sites", "anywhere")
 NOISE_STRUCTURES = ("HMM", *STRUCTURES)
 
-PAPER_COUNT = 12
-"""Targets of the paper's scenario."""
-BIRTH_SITES = np.array([(0.0, 0.0), (400.0, -600.0), (-800.0, -200.0), (-200.0, 800.0)])
-"""Birth sites, m, at the default half width of 2000 m. They scale with the half width."""
 _SITES_HALF_WIDTH = 2000.0
+"""Half width at which birth sites have the places of the scenario `paper`, m. They scale with the half width."""
 _SENSOR_DISTANCE = 1.5
 """Distance of the range-bearing sensor from the middle of the region, half widths. It stands on the negative x axis, so
 that all bearings of the region stay far from pi."""
@@ -42,8 +40,9 @@ class ClutterConfig:
     """Parameters of a clutter environment.
 
     Attributes:
-        scenario: `paper` (twelve targets with the birth and death times of Zhang et al. 2017) or `random` (births and
-            deaths drawn in every episode).
+        scenario: `paper` (twelve targets with the birth and death times of Zhang et al. 2017), `random` (births and
+            deaths drawn in every episode), or another published scenario with parameters of its own: `vo-ma-2006`,
+            `williams-2015`, `garcia-fernandez-2018`, `pinto-2021`; see `servotrack.envs.track.clutter.scenarios`.
         horizon: Scored scans of an episode.
         lag: Delay of answers, scans: the answer to scan k is for scan k - lag. Larger values give smoothers more scans
             to work with. An episode has `horizon` + `lag` answers.
@@ -115,10 +114,15 @@ class ClutterConfig:
             if value not in options and not (name == "told_births" and value is None):
                 raise ValueError(f"{name} must be one of {', '.join(options)}, got {value!r}")
         check_fields(self, _BOUNDS, _WHOLE, _OPTIONAL)
-        if self.scenario == "paper" and self.max_targets < PAPER_COUNT:
+        if self.max_targets < len(self.published.targets):
             raise ValueError(
-                f"max_targets must be at least {PAPER_COUNT} in the paper's scenario, got {self.max_targets}; "
-                "choose scenario='random'"
+                f"max_targets must be at least {len(self.published.targets)} in the scenario {self.scenario!r}, got "
+                f"{self.max_targets}; choose scenario='random'"
+            )
+        if self.published.middle is not None and (self.structure != "HMM" or self.maneuver_rate > 0.0):
+            raise ValueError(
+                f"structure must be 'HMM' and maneuver_rate 0 in the scenario {self.scenario!r}, whose paths are drawn "
+                f"backward too, got {self.structure!r} and {self.maneuver_rate}"
             )
         if self.sensor == "range-bearing" and self.structure != "HMM":
             raise ValueError(f"structure must be 'HMM' with a range-bearing sensor, got {self.structure!r}")
@@ -127,6 +131,16 @@ class ClutterConfig:
                 f"max_measurements must be at least max_targets = {self.max_targets}, got {self.max_measurements}"
             )
         self.motion  # noqa: B018 - raises if the noise levels violate a condition of the structure
+
+    @property
+    def published(self) -> Scenario:
+        """Source, targets and births of the scenario."""
+        return SCENARIOS[self.scenario]
+
+    @property
+    def draws_lives(self) -> bool:
+        """True if births and deaths are drawn in every episode."""
+        return not self.published.targets
 
     @cached_property
     def motion(self) -> HiddenMarkovModel | PairwiseMarkovModel:
@@ -141,15 +155,18 @@ class ClutterConfig:
 
     @property
     def sites(self) -> Array:
-        """Birth sites, shape (4, 2), m."""
-        return BIRTH_SITES * (self.half_width / _SITES_HALF_WIDTH)
+        """Birth sites, shape (b, 2), m. Those of the scenarios `paper` and `random` scale with the half width."""
+        if self.scenario in ("paper", "random"):
+            return np.array(SCENARIOS["paper"].birth_places) * (self.half_width / _SITES_HALF_WIDTH)
+        return np.array(self.published.birth_places or SCENARIOS["paper"].birth_places)
 
     @property
     def seen(self) -> tuple[Array, Array]:
         """Field of view of the sensor: lowest and highest false measurement, each of shape (2,)."""
         h = self.half_width
         if self.sensor == "position":
-            return np.array([-h, -h]), np.array([h, h])
+            seen = h if self.published.clutter_half_width is None else min(h, self.published.clutter_half_width)
+            return np.array([-seen, -seen]), np.array([seen, seen])
         near, far = (_SENSOR_DISTANCE - 1.0) * h, (_SENSOR_DISTANCE + 1.0) * h
         edge = math.atan2(h, near)
         return np.array([near, -edge]), np.array([math.hypot(far, h), edge])
@@ -159,6 +176,7 @@ class ClutterConfig:
         """Lowest and highest measurement, each of shape (2,): the field of view with a margin for noise."""
         low, high = self.seen
         if self.sensor == "position":
+            low, high = np.full(2, -self.half_width), np.full(2, self.half_width)
             room = np.full(2, _MARGIN_DEVIATIONS * self.position_noise)
         else:
             room = _MARGIN_DEVIATIONS * np.array([self.range_noise, self.bearing_noise])
@@ -216,19 +234,27 @@ def clutter_config(level: int = 0, **axes: Any) -> ClutterConfig:
         **axes: Fields of `ClutterConfig` with the values to use.
 
     Raises:
-        ValueError: If the level does not exist or a value is outside its bounds.
+        ValueError: If the level does not exist, a value is outside its bounds, or a published scenario is combined
+            with a level.
         TypeError: If a keyword is unknown; the message suggests the nearest known one.
     """
     level = check_level(level, len(_LEVELS))
     check_keywords(axes, AXES)
-    settings = _LEVELS[level]
-    if axes.get("scenario") == "random" and "scenario" not in settings:
+    settings: Mapping[str, Any] = _LEVELS[level]
+    scenario = axes.get("scenario")
+    if scenario == "random" and "scenario" not in settings:
         settings = _RANDOM
+    if isinstance(scenario, str) and scenario in SCENARIOS and SCENARIOS[scenario].settings:
+        if level != 0:
+            raise ValueError(
+                f"level must be 0 with scenario={scenario!r}, which has parameters of its own, got {level}"
+            )
+        settings = SCENARIOS[scenario].settings
     return replace(ClutterConfig(), **{**settings, **axes})
 
 
 _CHOICES: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("scenario", SCENARIOS),
+    ("scenario", tuple(SCENARIOS)),
     ("structure", NOISE_STRUCTURES),
     ("sensor", SENSORS),
     ("births", BIRTHS),

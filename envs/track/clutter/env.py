@@ -38,6 +38,16 @@ class ClutterTrackingEnv(TrackEnv):
     | 6 `wrong clutter` | the scene model gives 5 false measurements per scan; the true mean is 40 |
     | 7 `wrong births` | the scene model gives four birth sites; targets appear anywhere |
 
+    `scenario` chooses other published scenarios, each with parameters, targets and births of its own, which keywords
+    override as they do those of a level:
+
+    | scenario | world |
+    |---|---|
+    | `vo-ma-2006` | Vo and Ma 2006, example 1: two targets that cross, a third that splits off, 50 false measurements |
+    | `williams-2015` | six targets that meet at one point in the middle of 201 scans, detection probability 0.5 |
+    | `garcia-fernandez-2018` | four targets that come together in the middle of 81 scans, where one dies |
+    | `pinto-2021` | MT3's task 2: 20 scans in which targets appear anywhere among 30 false measurements |
+
     The attribute `scene_model`, a `servotrack.envs.track.clutter.scene_model.SceneModel`, holds the parameters that
     agents may use: motion and measurement model, detection probability, clutter and births. On levels 5 to 7 one of
     them is wrong on purpose.
@@ -72,7 +82,8 @@ class ClutterTrackingEnv(TrackEnv):
 
     The first scan. Motion, births, deaths, detections, noise, clutter and order are drawn from the seed, each from its
     own random stream, so that all agents get the same scans for the same seed, with any lag. On level 0 a path that
-    leaves the region is drawn again; on the other levels the target disappears.
+    leaves the region is drawn again; on the other levels the target disappears. Targets that meet in the middle are
+    drawn forward and backward from there, and may leave the region.
 
     ## Episode End
 
@@ -89,7 +100,12 @@ class ClutterTrackingEnv(TrackEnv):
 
     Zhang, Han, Lian and Zeng, "Cardinality balanced multi-target multi-Bernoulli filter for pairwise Markov model",
     Acta Automatica Sinica 43(12), 2017, pp. 2100-2108, section 3.2. Rahmathullah, Garcia-Fernandez and Svensson,
-    "Generalized optimal sub-pattern assignment metric", FUSION 2017.
+    "Generalized optimal sub-pattern assignment metric", FUSION 2017. Published scenarios: Vo and Ma, "The Gaussian
+    mixture probability hypothesis density filter", IEEE Transactions on Signal Processing 54(11), 2006; Williams,
+    "Marginal multi-Bernoulli filters: RFS derivation of MHT, JIPDA, and association-based MeMBer", IEEE Transactions on
+    Aerospace and Electronic Systems 51(3), 2015; Garcia-Fernandez, Williams, Granstrom and Svensson, "Poisson
+    multi-Bernoulli mixture filter: direct derivation and implementation", the same 54(4), 2018; Pinto et al., "Next
+    generation multitarget trackers: random finite set methods vs transformer-based deep learning", FUSION 2021.
 
     ## Version History
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from servotrack.estimators.elementary import direction
 from servotrack.estimators.types import Array, Labels, Mask
 
 _MAX_DRAWS = 4096
-"""Number of paths drawn for one target in the scenario `paper` before `draw_episode` fails."""
+"""Number of paths drawn for one target with a given lifetime before `draw_episode` fails."""
 
 
 class Stream(IntEnum):
@@ -32,30 +32,6 @@ class Stream(IntEnum):
     CLUTTER = 7
     SHUFFLE = 8
     AFTER = 9
-
-
-class PaperTarget(NamedTuple):
-    """A target of the scenario `paper`: first and last scan (counted from 1), and initial state (x, vx, y, vy)."""
-
-    first: int
-    last: int | None
-    state: tuple[float, float, float, float]
-
-
-PAPER_TARGETS = (
-    PaperTarget(1, 70, (0.0, 0.0, 0.0, -10.0)),
-    PaperTarget(1, 70, (400.0, -10.0, -600.0, 5.0)),
-    PaperTarget(1, None, (-800.0, 20.0, -200.0, -5.0)),
-    PaperTarget(20, None, (400.0, -7.0, -600.0, -4.0)),
-    PaperTarget(20, None, (400.0, -2.5, -600.0, 10.0)),
-    PaperTarget(20, None, (0.0, 7.5, 0.0, -5.0)),
-    PaperTarget(40, None, (-800.0, 12.0, -200.0, 7.0)),
-    PaperTarget(40, None, (-200.0, 15.0, 800.0, -10.0)),
-    PaperTarget(60, None, (-800.0, 3.0, -200.0, 15.0)),
-    PaperTarget(60, None, (-200.0, -3.0, 800.0, -15.0)),
-    PaperTarget(80, None, (0.0, -20.0, 0.0, -15.0)),
-    PaperTarget(80, None, (-200.0, 15.0, 800.0, -5.0)),
-)
 
 
 @dataclass(frozen=True)
@@ -85,16 +61,21 @@ def draw_episode(config: ClutterConfig, seed: int) -> ClutterEpisode:
         seed: Seed of the episode, a non-negative integer.
 
     Raises:
-        ValueError: If no path of a target of the scenario `paper` stays inside the region.
+        ValueError: If no path of a target with a given lifetime stays inside the region.
     """
     streams = Streams(seed)
     scans, n = config.horizon + 1, config.max_targets
     first, last, starts = _births(config, streams)
     states, exists, positions = np.zeros((scans, n, 4)), np.zeros((scans, n), np.bool_), np.zeros((scans, n, 2))
     root = np.asarray(np.linalg.cholesky(config.motion.packed.noise), np.float64)
+    if not config.published.wanders:
+        root[:4] = 0.0
     for target in range(len(first)):
         life = slice(first[target], last[target] + 1)
-        path = _draw_path(config, streams, target, starts[target], root, life)
+        if config.published.middle is None:
+            path = _draw_path(config, streams, target, starts[target], root, life)
+        else:
+            path = _path_through_middle(config, streams, target, root)[life]
         life = slice(life.start, life.start + len(path))
         exists[life, target] = True
         states[life, target], positions[life, target] = path[:, :4], path[:, 4:]
@@ -113,7 +94,7 @@ def _continued(
     extra, n = config.lag, config.max_targets
     rng = streams[Stream.AFTER]
     noise = rng.standard_normal((n, extra + 1, 6))
-    survives = rng.random((n, extra)) < (1.0 if config.scenario == "paper" else config.survival_probability)
+    survives = rng.random((n, extra)) < (config.survival_probability if config.draws_lives else 1.0)
     lifetime = np.where(survives.all(axis=1), extra, survives.argmin(axis=1))
     more = [np.concatenate([a, np.zeros((extra, *a.shape[1:]), a.dtype)]) for a in (states, exists, positions)]
     now = len(states) - 1
@@ -144,9 +125,9 @@ def _continued(
 def _births(config: ClutterConfig, streams: Streams) -> tuple[Labels, Labels, Array]:
     """First and last scan (counted from 0) of each target, and its first state."""
     scans = config.horizon + 1
-    if config.scenario == "paper":
-        scale = config.half_width / 2000.0
-        present = [target for target in PAPER_TARGETS if target.first <= scans]
+    if not config.draws_lives:
+        scale = config.half_width / 2000.0 if config.scenario == "paper" else 1.0
+        present = [target for target in config.published.targets if target.first <= scans]
         first = np.array([target.first - 1 for target in present], dtype=np.int64)
         last = np.array([min(target.last or scans, scans) - 1 for target in present], dtype=np.int64)
         starts = np.array([target.state for target in present])
@@ -171,8 +152,8 @@ def _births(config: ClutterConfig, streams: Streams) -> tuple[Labels, Labels, Ar
 def _draw_path(config: ClutterConfig, streams: Streams, target: int, start: Array, root: Array, life: slice) -> Array:
     """Return state and measured position of a target at every scan of its life, shape (scans alive, 6).
 
-    In the scenario `paper`, where lifetimes are given, the first path that stays inside the region is used. In `random`
-    the target disappears when it leaves the region.
+    In scenarios with given lifetimes the first path that stays inside the region is used. In others the target
+    disappears when it leaves the region.
     """
     steps, total = life.stop - life.start, config.horizon + 1
     transition, rng = config.motion.packed.transition, streams[Stream.MOTION, target]
@@ -180,7 +161,7 @@ def _draw_path(config: ClutterConfig, streams: Streams, target: int, start: Arra
     for _ in range(_MAX_DRAWS):
         noise = rng.standard_normal((steps, 6))
         length = _simulate(transition, root, config.position_noise, start, noise, turns, config.half_width, path)
-        if length == steps or config.scenario == "random":
+        if length == steps or config.draws_lives:
             return path[:length]
         # Each path takes the noise of a whole episode, so that a change of the lifetime changes no other draw.
         rng.standard_normal((total - steps, 6))
@@ -195,6 +176,27 @@ def turn_angles(config: ClutterConfig, seed: int) -> Array:
     streams = Streams(seed)
     turns = np.stack([_turn_rates(config, streams, target) for target in range(config.max_targets)], axis=1)
     return np.concatenate([turns, np.repeat(turns[-1:], config.lag, axis=0)])
+
+
+def _path_through_middle(config: ClutterConfig, streams: Streams, target: int, root: Array) -> Array:
+    """Return state and measured position of a target at every scan, shape (K, 6), drawn from the middle scan on.
+
+    The state at the middle of the horizon is drawn first, then the path forward, and backward with the inverse motion
+    and the same noise (Williams 2015, section V).
+    """
+    scans, middle = config.horizon + 1, (config.horizon - 1) // 2
+    forward = config.motion.packed.transition[:4, :4]
+    backward = np.asarray(np.linalg.inv(forward), np.float64)
+    noise = streams[Stream.MOTION, target].standard_normal((scans + 1, 6))
+    pushes = np.einsum("rj,kj->kr", root[:4, :4], noise[:, :4])
+    path = np.empty((scans, 6))
+    path[middle, :4] = math.sqrt(config.published.middle or 0.0) * noise[-1, :4]
+    for k in range(middle + 1, scans):
+        path[k, :4] = np.einsum("rj,j->r", forward, path[k - 1, :4]) + pushes[k]
+    for k in range(middle - 1, -1, -1):
+        path[k, :4] = np.einsum("rj,j->r", backward, path[k + 1, :4] + pushes[k])
+    path[:, 4:] = path[:, [0, 2]] + config.position_noise * noise[:scans, 4:]
+    return path
 
 
 def _turn_rates(config: ClutterConfig, streams: Streams, target: int) -> Array:

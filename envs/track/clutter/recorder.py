@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 
 from servotrack.envs.drawing.plots import TRAIL_LENGTH
 from servotrack.envs.track.clutter.render import TrackScene, Trail, draw
 from servotrack.envs.track.clutter.world import ClutterWorld
+from servotrack.envs.track.set_world import SetWorld
 from servotrack.estimators.types import Array, Image, Labels, Mask
 
 
-class Recorder:
+class SetRecorder(ABC):
     """Recorder of one scene. Call `record` after every reset and step; `frame` draws the last answered scan.
 
     Args:
@@ -18,7 +21,7 @@ class Recorder:
         row: Index of the scene.
     """
 
-    def __init__(self, world: ClutterWorld, row: int = 0) -> None:
+    def __init__(self, world: SetWorld, row: int = 0) -> None:
         self._world, self._row = world, row
         self._labels: list[Labels] = []
         self._reported: list[Mask] = []
@@ -31,12 +34,13 @@ class Recorder:
         if world.steps[row] == 0:
             self._labels, self._reported, self._estimates, self._errors = [], [], [], []
             return
-        if not world.scored[row]:
+        if not self._answered():
             return
         self._labels.append(world.scorer.labels[row].copy())
         self._reported.append(world.scorer.reported[row].copy())
         self._estimates.append(world.scorer.estimates[row].copy())
-        self._errors.append(float(world.ospa[row]))
+        if world.scored[row]:
+            self._errors.append(float(world.ospa[row]))
 
     def frame(self) -> Image:
         """Draw the last answered scan, or the first scan before any answer.
@@ -44,35 +48,17 @@ class Recorder:
         Returns:
             A new RGB image, shape (544, 800, 3), uint8.
         """
-        world, row, config = self._world, self._row, self._world.config
+        world = self._world
         # The answer was for this scan; with a lag it is not the newest one.
-        step = max(min(int(world.steps[row]) - config.lag, config.horizon) - 1, 0)
-        scan, _, states, exists = world.scan(row, step)
-        seen = scan[scan[:, 0] > 0.5, 1:]
-        lines = np.empty((0, 2, 2))
-        if config.sensor == "range-bearing":
-            sensor = np.array(config.sensor_position)
-            seen = sensor + seen[:, :1] * np.stack([np.cos(seen[:, 1]), np.sin(seen[:, 1])], axis=1)
-            lines = np.stack([np.broadcast_to(sensor, seen.shape), seen], axis=1)
-        tracks = world.true_tracks(row)[:, max(step + 1 - TRAIL_LENGTH, 0) : step + 1]
-        reported, held = self._trails()
-        numbers = [int(world.scan(row, k)[3].sum()) for k in range(step + 1)]
-        return draw(
-            TrackScene(
-                half_width=config.half_width,
-                measurements=seen,
-                truth=states[exists][:, [0, 2]],
-                true_trails=[track[~np.isnan(track[:, 0])] for track in tracks[exists]],
-                reported=reported,
-                held=held,
-                true_numbers=np.array(numbers, dtype=np.float64),
-                reported_numbers=np.array([int(r.sum()) for r in self._reported], dtype=np.float64),
-                errors=np.array(self._errors),
-                cutoff=config.cutoff,
-                horizon=config.horizon,
-                sensor_lines=lines,
-            )
-        )
+        return draw(self._scene(max(min(int(world.steps[self._row]) - world.lag, world.horizon) - 1, 0)))
+
+    def _answered(self) -> bool:
+        """Return True if the last answer was for a scan of the episode."""
+        return bool(self._world.scored[self._row])
+
+    @abstractmethod
+    def _scene(self, step: int) -> TrackScene:
+        """Return the content of the picture of a scan."""
 
     def _trails(self) -> tuple[list[Trail], list[Trail]]:
         """Return the trails of reported identities, and of those that are held without being reported."""
@@ -89,3 +75,36 @@ class Recorder:
             trail = Trail(label, np.array(past[::-1]))
             (reported if self._reported[-1][number] else held).append(trail)
         return reported, held
+
+
+class Recorder(SetRecorder):
+    """Recorder of one scene of a clutter world."""
+
+    _world: ClutterWorld
+
+    def _scene(self, step: int) -> TrackScene:
+        world, row, config = self._world, self._row, self._world.config
+        scan, _, states, exists = world.scan(row, step)
+        seen = scan[scan[:, 0] > 0.5, 1:]
+        lines = np.empty((0, 2, 2))
+        if config.sensor == "range-bearing":
+            sensor = np.array(config.sensor_position)
+            seen = sensor + seen[:, :1] * np.stack([np.cos(seen[:, 1]), np.sin(seen[:, 1])], axis=1)
+            lines = np.stack([np.broadcast_to(sensor, seen.shape), seen], axis=1)
+        tracks = world.true_tracks(row)[:, max(step + 1 - TRAIL_LENGTH, 0) : step + 1]
+        reported, held = self._trails()
+        numbers = [int(world.scan(row, k)[3].sum()) for k in range(step + 1)]
+        return TrackScene(
+            half_width=config.half_width,
+            measurements=seen,
+            truth=states[exists][:, [0, 2]],
+            true_trails=[track[~np.isnan(track[:, 0])] for track in tracks[exists]],
+            reported=reported,
+            held=held,
+            true_numbers=np.array(numbers, dtype=np.float64),
+            reported_numbers=np.array([int(r.sum()) for r in self._reported], dtype=np.float64),
+            errors=np.array(self._errors),
+            cutoff=config.cutoff,
+            horizon=config.horizon,
+            sensor_lines=lines,
+        )

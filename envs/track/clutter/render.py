@@ -57,7 +57,7 @@ class TrackScene:
         true_trails: Past positions of the true targets that exist now, (k, 2) each, m.
         reported: Trails of the reported identities, current estimate last.
         held: Trails of identities that are held without being reported.
-        true_numbers: Number of targets at each scan so far, shape (k,).
+        true_numbers: Number of targets at each scan so far, shape (k,); empty without truth.
         reported_numbers: Number of reported targets at each answered scan, shape (k,).
         errors: OSPA of each answer so far, shape (k,), m.
         cutoff: Largest OSPA, m.
@@ -93,8 +93,10 @@ def draw(scene: TrackScene) -> Image:
     draw_curve(numbers, scene.reported_numbers, most * 1.1, scene.horizon, INK, 1)
     errors = _ERROR_PANEL.of(image)
     draw_curve(errors, scene.errors, scene.cutoff * 1.05, scene.horizon, _ERROR_COLOR, 1)
-    if len(scene.reported_numbers) and len(scene.errors):
-        write_value(numbers, f"{scene.reported_numbers[-1]:.0f} of {scene.true_numbers[-1]:.0f}")
+    if len(scene.reported_numbers):
+        of = f" of {scene.true_numbers[-1]:.0f}" if len(scene.true_numbers) else ""
+        write_value(numbers, f"{scene.reported_numbers[-1]:.0f}{of}")
+    if len(scene.errors):
         write_value(errors, f"{scene.errors[-1]:.1f} m")
     return image
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.envs.track.clutter.config import ClutterConfig
+from servotrack.estimators.rfs.birth import Spawn
 from servotrack.estimators.rfs.models import (
     HiddenMarkovModel,
     PairwiseMarkovModel,
@@ -22,19 +23,22 @@ class SceneModel(NamedTuple):
     """Model of the scene that agents get. On mismatched levels some of its parameters are wrong on purpose.
 
     Attributes:
-        model: Motion and measurement model of a target.
+        model: Motion and measurement model of a target in d dimensions, state [x, vx, y, vy, ...] of n = 2 d entries.
         hidden_markov: The same model with independent noises, for filters that cannot use a pairwise Markov model.
         survival_probability: Probability that a target survives from one scan to the next.
         detection_probability: Probability that a scan contains a measurement of a target.
         clutter_rate: Mean number of false measurements in a scan.
-        seen_low, seen_high: Bounds of the uniformly distributed false measurements, shape (2,).
-        birth_means: Mean states of new targets, shape (b, 4); None if targets appear anywhere.
-        birth_covariance: Covariance of the states of new targets, shape (4, 4).
+        seen_low, seen_high: Bounds of the uniformly distributed false measurements, shape (d,).
+        birth_means: Mean states of new targets, shape (b, n); None if targets appear anywhere.
+        birth_covariance: Covariance of the states of new targets, shape (n, n).
         birth_weights: Expected number of new targets per scan at each mean, shape (b,). Shape (1,) if targets appear
             anywhere.
-        half_width: Half the side of the square region, m.
+        region_low, region_high: Corners of the region of the targets, shape (d,), m.
         cutoff: Cut-off c of the scores, m.
         lag: Delay of the answers, scans: the answer to scan k is for scan k - lag.
+        least_existence: Existence below which a filter may drop a track. It must be below that of a target's first
+            detection, which is small where new targets may appear anywhere.
+        spawn: Targets that split off others.
     """
 
     model: Model
@@ -47,18 +51,17 @@ class SceneModel(NamedTuple):
     birth_means: Array | None
     birth_covariance: Array
     birth_weights: Array
-    half_width: float
+    region_low: Array
+    region_high: Array
     cutoff: float
     lag: int = 0
+    least_existence: float = 1e-3
+    spawn: tuple[Spawn, ...] = ()
 
     @property
     def clutter_intensity(self) -> float:
         """Expected number of false measurements in a scan per unit of measurement space."""
         return self.clutter_rate / float(np.prod(self.seen_high - self.seen_low))
-
-
-_PAPER_BIRTH_WEIGHT = 0.03
-"""Expected number of new targets per scan at each site in the scenario `paper`."""
 
 
 def scene_model_of(config: ClutterConfig) -> SceneModel:
@@ -72,16 +75,16 @@ def scene_model_of(config: ClutterConfig) -> SceneModel:
             linear.transition, linear.process_noise, linear.observation, noise, config.sensor_position
         )
     low, high = config.seen
-    births = config.told_births or ("sites" if config.scenario == "paper" else config.births)
+    births = config.told_births or (config.births if config.draws_lives else "sites")
     sites = config.sites
     means = np.zeros((len(sites), 4))
     means[:, [0, 2]] = sites
     if births == "anywhere":
         weights = np.array([config.birth_rate])
-    elif config.scenario == "paper":
-        weights = np.full(len(sites), _PAPER_BIRTH_WEIGHT)
-    else:
+    elif config.draws_lives:
         weights = np.full(len(sites), config.birth_rate / len(sites))
+    else:
+        weights = np.full(len(sites), config.published.birth_weight)
     spread = np.array([config.birth_spread, config.birth_speed] * 2)
     detection, clutter = config.told_detection_probability, config.told_clutter_rate
     return SceneModel(
@@ -95,7 +98,17 @@ def scene_model_of(config: ClutterConfig) -> SceneModel:
         birth_means=None if births == "anywhere" else means,
         birth_covariance=np.diag(spread**2),
         birth_weights=weights,
-        half_width=config.half_width,
+        region_low=np.full(2, -config.half_width),
+        region_high=np.full(2, config.half_width),
         cutoff=config.cutoff,
         lag=config.lag,
+        least_existence=config.published.least_existence,
+        spawn=_spawn(config),
     )
+
+
+def _spawn(config: ClutterConfig) -> tuple[Spawn, ...]:
+    if config.published.spawn is None:
+        return ()
+    weight, spread, speed = config.published.spawn
+    return (Spawn(weight, np.diag(np.array([spread, speed] * 2) ** 2)),)

@@ -17,7 +17,7 @@ import numpy as np
 
 from servotrack.envs.track.files.bounded import parse_number, read_bounded
 from servotrack.envs.track.files.recorded import SequenceError
-from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.types import Array, Labels, Mask
 from servotrack.estimators.validation import LIMITS
 
 POINT_SUFFIXES = (".csv", ".csv.gz")
@@ -108,12 +108,14 @@ class PointTruth(NamedTuple):
     """True tracks at the times of scans.
 
     Attributes:
+        names: Identity of each target, as in the file.
         tracks: Positions, NaN while a target does not exist. Shape (n, K, d), m.
         known: Scans at which the truth says which targets exist. Shape (K,), bool.
     """
 
+    names: list[str]
     tracks: Array
-    known: Labels
+    known: Mask
 
 
 def is_points_file(source: str) -> bool:
@@ -279,7 +281,8 @@ def _covariances(path: Path, upper: Array, rows: Labels, d: int) -> Array:
 def read_point_truth(path: Path, points: PointScans) -> PointTruth:
     """Read true tracks, a file of points with an identity column, at the times of scans.
 
-    Between two of its rows a target moves on a straight line.
+    Between two of its rows a target moves on a straight line. Rows without an identity belong to no target, so that the
+    file of the scans can be the truth too, if its identities are those of targets.
 
     Args:
         path: The file; columns as in `read_points`.
@@ -297,9 +300,13 @@ def read_point_truth(path: Path, points: PointScans) -> PointTruth:
     found: dict[str, list[tuple[float, Array]]] = {}
     for time, scan, names in zip(truth.times, truth.scans, truth.identities, strict=True):
         for name, place in zip(names, scan, strict=True):
+            if not name:
+                continue
             if name in found and found[name][-1][0] == time:
                 raise SequenceError(f"{path} must have one row of target {_short(name)} at time {time:g}, got two")
             found.setdefault(name, []).append((float(time), place))
+    if not found:
+        raise SequenceError(f"{path} must have identities in its column, got empty cells only")
     known = (points.times >= truth.times[0]) & (points.times <= truth.times[-1])
     if not known.any():
         raise SequenceError(
@@ -317,7 +324,7 @@ def read_point_truth(path: Path, points: PointScans) -> PointTruth:
         inside = (points.times >= own[0]) & (points.times <= own[-1])
         for axis in range(d):
             track[inside, axis] = np.interp(points.times[inside], own, [place[axis] for _, place in rows])
-    return PointTruth(tracks, known)
+    return PointTruth(list(found), tracks, known)
 
 
 def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:

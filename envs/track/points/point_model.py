@@ -21,6 +21,7 @@ from servotrack.envs.track.files.recorded import SequenceError
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs import (
     Birth,
+    HiddenMarkovModel,
     Reduction,
     Trajectory,
     TrajectoryPMB,
@@ -40,9 +41,10 @@ _CHANCE = 0.05
 """Largest probability that a neighbor so close is there by chance."""
 _GATE = 1e-3
 """Share of a track's own measurements that its gate excludes when measurements are counted."""
-_LEAST_EXISTENCE = 1e-5
+LEAST_EXISTENCE = 1e-5
 """Tracks of less probability are dropped. A first detection in much clutter is less than 0.001 probable."""
 _MARGIN = 0.02
+_CUTOFF_SHARE = 0.025
 _WINDOWS = (1, 2, 4, 8, 16, 30)
 """Numbers of scans in which the next measurement of a target is searched."""
 _LEAST_NOISE = 1e-7
@@ -143,6 +145,11 @@ class _Units(NamedTuple):
         )
 
 
+def scores_cutoff(low: Array, high: Array) -> float:
+    """Cut-off of scores in a region, m: a fortieth of its longest side."""
+    return _CUTOFF_SHARE * float((high - low).max())
+
+
 def track_points(points: PointScans, model: PointModel) -> list[Trajectory]:
     """Track points with the parameters of a model; smoothed over `smoothing_lag` scans."""
     units = _Units.of(points)
@@ -181,7 +188,7 @@ def measured_model(points: PointScans) -> tuple[PointModel, list[str]]:
         model = found
     notes += _outliers(points)
     # The tracker's region holds the points outside of the measured part, too.
-    low, high = _region(scaled)
+    low, high = region_of(scaled)
     return units.model(model._replace(low=low, high=high), back=True), notes
 
 
@@ -236,7 +243,7 @@ def _bounds(points: PointScans) -> tuple[Array, Array]:
     return everything.min(axis=0), everything.max(axis=0)
 
 
-def _region(points: PointScans) -> tuple[Array, Array]:
+def region_of(points: PointScans) -> tuple[Array, Array]:
     """Corners of the bounds of all points with a margin. Shapes (d,)."""
     low, high = _bounds(points)
     # A region without extent along an axis would have no volume.
@@ -246,7 +253,7 @@ def _region(points: PointScans) -> tuple[Array, Array]:
 
 def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
     """Parameters from chains of nearest neighbors."""
-    (low, high), side, period = _region(points), _side(points), _period(points)
+    (low, high), side, period = region_of(points), _side(points), _period(points)
     count = sum(map(len, points.scans)) / len(points.scans)
     # Where each scan holds few of the targets, such as that of one ship, chains span several scans.
     searched = {window: _chains(points, low, high, window) for window in _WINDOWS if window < len(points.scans)}
@@ -321,20 +328,32 @@ def _tracked(points: PointScans, model: PointModel) -> list[Trajectory]:
 
 
 def _tracker(points: PointScans, model: PointModel) -> TrajectoryPMB:
-    d = points.dimensions
-    motion = constant_velocity(model.process_noise, _position_noise(points, model), period=model.period, dimensions=d)
-    deviation = np.stack([(model.high - model.low) / math.sqrt(12.0), np.full(d, model.speed)], axis=1)
-    center = np.stack([0.5 * (model.low + model.high), np.zeros(d)], axis=1)
+    center, covariance = birth_place(model)
     return TrajectoryPMB(
-        motion,
-        # One Gaussian as wide as the region: births at measurements would also take place where targets already are.
-        Birth(np.array([min(model.births, 1.0)]), center.reshape(1, -1), np.diag(deviation.reshape(-1) ** 2)),
+        motion_of(points, model),
+        Birth(np.array([min(model.births, 1.0)]), center[None], covariance),
         clutter_intensity=model.clutter_rate / float(np.prod(model.high - model.low)),
         survival=model.survival,
         detection=model.detection,
-        reduction=Reduction(components=5, existence=_LEAST_EXISTENCE),
+        reduction=Reduction(components=5, existence=LEAST_EXISTENCE),
         lag=smoothing_lag(points, model),
     )
+
+
+def motion_of(points: PointScans, model: PointModel) -> HiddenMarkovModel:
+    """Motion and measurement of one target with measured parameters."""
+    noise = _position_noise(points, model)
+    return constant_velocity(model.process_noise, noise, period=model.period, dimensions=points.dimensions)
+
+
+def birth_place(model: PointModel) -> tuple[Array, Array]:
+    """Mean (n,) and covariance (n, n) of the states of new targets: one Gaussian as wide as the region.
+
+    Births at measurements would also take place where targets already are.
+    """
+    deviation = np.stack([(model.high - model.low) / math.sqrt(12.0), np.full(len(model.low), model.speed)], axis=1)
+    center = np.stack([0.5 * (model.low + model.high), np.zeros(len(model.low))], axis=1)
+    return center.reshape(-1), np.diag(deviation.reshape(-1) ** 2)
 
 
 def smoothing_lag(points: PointScans, model: PointModel) -> int:
@@ -359,6 +378,13 @@ def _noises(points: PointScans, usual: float) -> list[Array] | None:
         return None
     found = []
     for scan in points.covariances:
+        # Beyond many times the region a covariance says nothing, however large.
+        scan = (
+            scan
+            * np.minimum(1.0, (1e4 * _side(points)) ** 2 / np.maximum(np.trace(scan, axis1=1, axis2=2), 1e-300))[
+                :, None, None
+            ]
+        )
         largest = np.abs(scan).max(axis=(1, 2), initial=0.0)
         least = np.maximum((_LEAST_NOISE * _side(points)) ** 2, 1e-8 * np.maximum(largest, usual**2))
         values = np.linalg.eigvalsh(scan)[:, 0] if len(scan) else largest

@@ -1,0 +1,1 @@
+"""Tracking of recorded points, such as radar measurements or messages of ships: `RecordedPoints-v0`."""
