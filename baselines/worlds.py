@@ -219,6 +219,12 @@ WORLDS: Mapping[str, World] = {
             f"{_RECORDERS}.set_scores:SetScoreRecorder",
             f"{_AGENTS}.sonar.cards:CARDS",
             (_RIGHT_COUNT, RankingMetric("ospa", "OSPA", "deg")),
+            bound=EpisodeBound(
+                "SonarTracking-v0",
+                "ospa",
+                "servotrack.baselines.leaderboard.sonar_bound:episode_bounds",
+                "who knows who exists and what each target sounds like",
+            ),
             ranges=_SET_RANGES,
         ),
         World(
