@@ -60,6 +60,7 @@ def _filters() -> dict[str, Kind]:
         polar = name in ("ekf", "ukf")
         for label, kind in {"phd": rfs.GMPHD, "cbmember": rfs.GMCBMeMBer, "pmb": rfs.PMB, "pmbm": rfs.PMBM}.items():
             found[f"{label}-{name}"] = _scans(kind(model, ANYWHERE, clutter_intensity=1e-4), polar=polar)
+        found[f"cphd-{name}"] = _scans(rfs.GMCPHD(model, ANYWHERE, clutter_intensity=1e-4), polar=polar)
         smoother = rfs.TrajectoryPMB(model, ANYWHERE, clutter_intensity=1e-4, lag=2)
         found[f"trajectory-pmb-{name}"] = _scans(smoother, polar=polar)
         robust = rfs.RobustPMB(
