@@ -75,6 +75,25 @@ class ScoreAnchors:
 
 
 @dataclass(frozen=True)
+class EpisodeBound:
+    """A number of every episode that no agent without the truth can go below on average.
+
+    Attributes:
+        env_id: Id of its environment.
+        column: Column in the rows of results that it bounds.
+        values: "module:callable" called with the environment's arguments and seeds; returns a list of floats.
+        meaning: Knowledge of the agent of the bound, for captions.
+        episodes: Largest number of an agent's episodes that the column "x bound" is taken over. Raising it takes time.
+    """
+
+    env_id: str
+    column: str
+    values: str
+    meaning: str
+    episodes: int = 100
+
+
+@dataclass(frozen=True)
 class World:
     """Everything that follows from a kind of world.
 
@@ -88,6 +107,7 @@ class World:
         cards: "module:attribute" of the kind's agent cards.
         metrics: Metrics shown before the headline.
         anchors: Agents that scale errors to scores; None where the world has no score.
+        bound: Bound of the column "x bound" where the world has no anchors; None without one.
         ranges: Lowest and highest possible value of columns in the rows of results; results outside are refused.
     """
 
@@ -100,6 +120,7 @@ class World:
     cards: str | None = None
     metrics: tuple[RankingMetric, ...] = ()
     anchors: ScoreAnchors | None = None
+    bound: EpisodeBound | None = None
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
@@ -150,6 +171,12 @@ WORLDS: Mapping[str, World] = {
             f"{_RECORDERS}.set_scores:SetScoreRecorder",
             f"{_AGENTS}.clutter.cards:CARDS",
             (RankingMetric("ospa", "OSPA", "m"),),
+            bound=EpisodeBound(
+                "ClutterTracking-v0",
+                "ospa",
+                "servotrack.baselines.leaderboard.clutter_bound:episode_bounds",
+                "who knows the motion, who exists and which measurement is whose",
+            ),
             ranges=_SET_RANGES,
         ),
         World(

@@ -41,6 +41,9 @@ class Limits(NamedTuple):
     powers: float = 1e30
 
 
+SMALLEST_NUMBER, LARGEST_NUMBER = float(np.finfo(np.float64).smallest_subnormal), float(np.finfo(np.float64).max)
+"""Ends of the finite positive numbers."""
+
 LIMITS = Limits()
 """Limits that all estimators share."""
 
@@ -157,6 +160,27 @@ def _shortened(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
+def checked_number(name: str, value: Any, least: float, most: float, rule: str) -> float:
+    """Return one real number, which may be an array without axes.
+
+    Args:
+        name: Name of the argument, with which the error message begins.
+        value: The number.
+        least: Smallest accepted value.
+        most: Largest accepted value.
+        rule: Rule for the error message, after "must be", with a remedy at its end.
+
+    Raises:
+        ValueError: The value is no real number, or out of range.
+    """
+    array = as_array(name, value)
+    if array.shape != () or array.dtype.kind not in "fiub" or not least <= array <= most:
+        described = f"{value!r}" if np.isscalar(value) or value is None else _shortened(value)
+        wanted, _, remedy = rule.partition("; ")
+        raise ValueError(f"{name} must be {wanted}, got {described}" + (f"; {remedy}" if remedy else ""))
+    return float(array)
+
+
 def checked_period(dt: float | None, frame_rate: float) -> float:
     """Return the time since the last frame, s.
 
@@ -169,6 +193,5 @@ def checked_period(dt: float | None, frame_rate: float) -> float:
     """
     if dt is None:
         return 1.0 / frame_rate
-    if not (np.isfinite(dt) and dt > 0.0):
-        raise ValueError(f"dt must be finite and > 0, got {dt!r}; pass the time since the last frame in s, or None")
-    return float(dt)
+    rule = "finite and > 0; pass the time since the last frame in s, or None"
+    return checked_number("dt", dt, SMALLEST_NUMBER, LARGEST_NUMBER, rule)

@@ -81,6 +81,9 @@ def _run() -> None:
         raise _ended(error, 1) from error
     except (ResultsError, ValueError, TypeError, gym.error.Error, ImportError) as error:
         raise _ended(error, 2) from error
+    except MemoryError as error:
+        text = f"memory is full{f' ({error})' if str(error) else ''}; free some, or give less at once"
+        raise _ended(MemoryError(text), 1) from error
     except OSError as error:
         if not is_machine_trouble(error):
             raise

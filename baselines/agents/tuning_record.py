@@ -20,11 +20,15 @@ from servotrack.baselines.reporting.files import ResultsError, atomic_path, lock
 FORMAT = "servotrack-tuning"
 FORMAT_VERSION = 1
 SHIPPED = Path(__file__).with_name("tuning.json")
+"""Record behind the servo agents' defaults, of levels 0 to 5."""
+SHIPPED_UNSTAMPED = SHIPPED.with_name("tuning-unstamped.json")
+"""The same of agents that are searched at level 6."""
 
 Values = dict[str, float]
 
 _GRIDS = (
     servo_grid.GRIDS,
+    servo_grid.UNSTAMPED_GRIDS,
     clutter_grid.GRIDS,
     color_grid.GRIDS,
     sonar_grid.GRIDS,
@@ -187,7 +191,8 @@ def resume_record(path: Path, protocol: dict[str, Any]) -> TuningRecord:
 
 @lru_cache(maxsize=1)
 def _shipped() -> TuningRecord:
-    return read_record(SHIPPED) if SHIPPED.exists() else TuningRecord({})
+    records = [read_record(path) for path in (SHIPPED, SHIPPED_UNSTAMPED) if path.exists()]
+    return TuningRecord({}, {name: tuned for record in records for name, tuned in record.agents.items()})
 
 
 def shipped_tuning_steps(name: str) -> int | None:

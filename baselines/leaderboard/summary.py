@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from servotrack.baselines.evaluation import statistics
 from servotrack.baselines.evaluation.results import CellResults
 from servotrack.baselines.evaluation.statistics import Interval, PairedDifference
 from servotrack.baselines.leaderboard.anchoring import Anchoring, column_of, find_anchors
-from servotrack.baselines.worlds import RANDOM_AGENT, WORLDS, World
+from servotrack.baselines.worlds import RANDOM_AGENT, WORLDS, EpisodeBound, World, load
 from servotrack.estimators.types import Array
 
 EQUAL_SCORE = 0.02
@@ -38,6 +39,7 @@ class AgentSummary:
         worst_score: Mean of the worst tenth of the scores.
         scores: Scores of all episodes, in the order of `seeds`.
         seeds: Seeds of the episodes.
+        over_bound: Mean of the world's bounded column over the mean bound of the same episodes.
         measures: Means over episodes of the world's measures, by column, in the rows' units.
         difference: The world's headline measure minus the reference's, paired by seed.
         adjusted_p: P-value of the difference after Holm's correction over the task's table.
@@ -57,6 +59,7 @@ class AgentSummary:
     worst_score: float | None
     scores: Array | None
     seeds: tuple[int, ...]
+    over_bound: float | None
     measures: Mapping[str, Interval]
     difference: PairedDifference | None
     adjusted_p: float | None
@@ -266,12 +269,31 @@ def _summarize_cell(
         worst_score=None if scores is None else statistics.worst_tenth(scores, high_is_bad=False),
         scores=scores,
         seeds=tuple(cell.seeds),
+        over_bound=_over_bound(cell, world.bound),
         measures={column: mean for column, mean in measured.items() if mean is not None},
         difference=_difference(cell, by_agent.get(world.reference), world.headline.column),
         adjusted_p=None,
         step_seconds=step_seconds.get((cell.env_id, cell.agent)),
         tuning_steps=cell.card["tuning_steps"],
     )
+
+
+def _over_bound(cell: CellResults, bound: EpisodeBound | None) -> float | None:
+    """Mean of the bounded column over the mean bound of the same episodes."""
+    if bound is None or cell.env_id != bound.env_id or (values := column_of(cell, bound.column)) is None:
+        return None
+    seeds = cell.seeds[: bound.episodes]
+    least = _bounds(bound.values, json.dumps(cell.env_kwargs, sort_keys=True), tuple(seeds))
+    if least is None:
+        return None
+    return float(np.mean(values[: len(seeds)]) / np.mean(least))
+
+
+@lru_cache(maxsize=256)
+def _bounds(values: str, env_kwargs: str, seeds: tuple[int, ...]) -> list[float] | None:
+    """Bounds of episodes, which are the same for all agents; None if the environment has none."""
+    found: list[float] | None = load(values)(json.loads(env_kwargs), seeds)
+    return found
 
 
 def _mean_of(cell: CellResults, name: str) -> Interval | None:

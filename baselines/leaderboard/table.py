@@ -15,7 +15,7 @@ from servotrack.baselines.leaderboard.summary import (
 )
 from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.reporting.plain_text import markdown_code, markdown_text
-from servotrack.baselines.worlds import RankingMetric
+from servotrack.baselines.worlds import EpisodeBound, RankingMetric
 
 SIGNIFICANCE = 0.05
 PRIVILEGED_MARK = "†"
@@ -35,12 +35,21 @@ def note_of(tasks: Sequence[TaskSummary]) -> str:
     """Explain the columns of the tables of these tasks."""
     anchors = next((task.world.anchors for task in tasks if task.world.anchors is not None), None)
     if anchors is None:
-        return _COMMON_NOTE
+        shown = [task for task in tasks if any(row.over_bound is not None for row in task.rows)]
+        bounds = {task.world.bound for task in shown if task.world.bound is not None}
+        return "".join(f"{_bound_note(bound)} " for bound in bounds) + _COMMON_NOTE
     low, high = anchors.lower, anchors.upper
     return (
         f"Score: ln(e_{low}/e) / ln(e_{low}/e_{high}), with e the mean steady error: 0 is {low}, 1 is {high} (the "
         f"{anchors.upper_knows}), more is possible. Worst tenth: mean score of the worst tenth of the episodes. "
         f"{BOUND_MARK}: mean steady error over that of {anchors.bound}. {_COMMON_NOTE}"
+    )
+
+
+def _bound_note(bound: EpisodeBound) -> str:
+    return (
+        f"{BOUND_MARK}: mean {bound.column.upper()} over the least that is possible for one {bound.meaning}; up to "
+        f"{bound.episodes} episodes."
     )
 
 
@@ -124,6 +133,8 @@ def task_grid(task: TaskSummary) -> Grid:
     headings = ["agent", "information", "n", *(["success %"] if succeeds else [])]
     headings += ["score", "worst tenth", "steady mm", against, BOUND_MARK] if servo else ["return"]
     headings += [*(measure.title for measure in shown), against] if shown else []
+    bounded = any(row.over_bound is not None for row in task.rows)
+    headings += [BOUND_MARK] if bounded else []
     headings += ["µs/step", "tuning steps"]
     rows = []
     for row in task.rows:
@@ -145,6 +156,8 @@ def task_grid(task: TaskSummary) -> Grid:
                 _interval(row.measures[m.column], m.digits, m.factor) if m.column in row.measures else "" for m in shown
             ]
             cells.append(_difference(row, world.headline))
+        if bounded:
+            cells.append("" if row.over_bound is None else f"{row.over_bound:.2f}")
         cells.append("" if row.step_seconds is None else f"{row.step_seconds * 1e6:.0f}")
         cells.append("?" if row.tuning_steps is None else f"{row.tuning_steps:,}")
         rows.append(cells)

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +16,10 @@ from servotrack.baselines.reporting.files import ResultsError, atomic_path, read
 from servotrack.estimators.rfs.trajectory import Trajectory
 from servotrack.estimators.types import Array
 
-LARGEST_FILE = 1 << 30
+LARGEST_FILE = 1 << 28
 """Largest accepted size of a file of trajectories, bytes."""
+MOST_ENTRIES = 100
+"""Largest accepted number of entries of a state."""
 PLANAR = ("x", "vx", "y", "vy")
 """Names of the entries of a state in the plane."""
 _FIRST = ("label", "time", "existence")
@@ -58,33 +60,36 @@ def read_trajectories(path: Path) -> list[Trajectory]:
     """Read trajectories that `write_trajectories` wrote.
 
     Raises:
-        ResultsError: The file cannot be read, has other columns, or a row with other than finite numbers. The message
-            names path and row.
+        ResultsError: The file cannot be read, has other columns, or a row with other than finite numbers, a probability
+            beyond 0 to 1 or a negative variance. The message names path and row.
     """
-    content = read_bounded(path, LARGEST_FILE)
-    try:
-        lines = list(csv.reader(io.StringIO(content.decode("utf-8")), strict=True))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ResultsError(f"{path} is no table of text ({error})") from error
-    head = lines[0] if lines else []
+    rows_of_text = _rows(path)
+    head = next(rows_of_text, [])
     names = [name for name in head[len(_FIRST) :] if not name.startswith("cov_")]
     n = len(names)
-    if tuple(head[: len(_FIRST)]) != _FIRST or not names or len(head) != len(_FIRST) + n + n * (n + 1) // 2:
+    fits = 0 < n <= MOST_ENTRIES and len(head) == len(_FIRST) + n + n * (n + 1) // 2
+    if not fits or tuple(head[: len(_FIRST)]) != _FIRST:
         raise ResultsError(
-            f"{path} must begin with the columns label, time, existence, the state and its covariance, got "
-            f"{','.join(head) or 'nothing'}"
+            f"{path} must begin with the columns label, time, existence, a state of up to {MOST_ENTRIES} entries and "
+            f"its covariance, got {','.join(head)[:80]!r}"
         )
     found: dict[int, list[tuple[float, float, Array, Array]]] = {}
     rows, columns = np.triu_indices(n)
-    for number, line in enumerate(lines[1:], start=2):
+    for number, line in enumerate(rows_of_text, start=2):
         try:
             label, values = int(line[0]), np.array([float(cell) for cell in line[1:]])
         except (ValueError, IndexError) as error:
             raise ResultsError(f"{path} row {number} must hold numbers, got {','.join(line)[:80]!r}") from error
         if len(values) != len(head) - 1 or not np.all(np.isfinite(values)):
             raise ResultsError(f"{path} row {number} must hold {len(head)} finite numbers, got {','.join(line)[:80]!r}")
+        if not 0.0 <= values[1] <= 1.0:
+            raise ResultsError(f"{path} row {number} must have an existence in [0, 1], got {line[2]!r}")
         covariance = np.zeros((n, n))
         covariance[rows, columns] = covariance[columns, rows] = values[2 + n :]
+        if (np.diag(covariance) < 0.0).any():
+            raise ResultsError(
+                f"{path} row {number} must have variances of at least 0, got {np.diag(covariance).min():g}"
+            )
         found.setdefault(label, []).append((values[0], values[1], values[2 : 2 + n], covariance))
     trajectories = []
     for label, parts in found.items():
@@ -94,6 +99,16 @@ def read_trajectories(path: Path) -> list[Trajectory]:
         except ValueError as error:
             raise ResultsError(f"{path}: {error}") from error
     return trajectories
+
+
+def _rows(path: Path) -> Iterator[list[str]]:
+    """Rows of a table of bounded size."""
+    content = read_bounded(path, LARGEST_FILE)
+    reader = csv.reader(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8", newline=""), strict=True)
+    try:
+        yield from reader
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ResultsError(f"{path} row {reader.line_num + 1} is no row of a table of text ({error})") from error
 
 
 def write_geojson(

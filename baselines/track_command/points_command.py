@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -12,13 +13,14 @@ from rich.console import Console
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.figure import save_figure
-from servotrack.baselines.reporting.files import atomic_path
+from servotrack.baselines.reporting.files import ResultsError, storage_error, temporary_folder_in
 from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.reporting.terminal import print_tables
 from servotrack.baselines.reporting.trajectory_figure import draw_trajectories
 from servotrack.baselines.reporting.trajectory_files import write_geojson, write_trajectories
+from servotrack.baselines.running.stopping import undisturbed
 from servotrack.baselines.track_command.claim import claim_folder
-from servotrack.envs.track.files.points import PointScans, PointTruth, read_point_truth, read_points
+from servotrack.envs.track.files.points import MOST_TRUE_PLACES, PointScans, PointTruth, read_point_truth, read_points
 from servotrack.envs.track.points.point_model import (
     PointModel,
     measured_model,
@@ -34,6 +36,8 @@ TRACKS, MAP, FIGURE, SCORES = "tracks.csv", "tracks.geojson", "tracks.png", "sco
 """Names of the files written; the scores are a .json and a .md."""
 OUTPUTS = (TRACKS, MAP, FIGURE, SCORES + ".json", SCORES + ".md")
 """Names of all files that a run may write."""
+_PROJECTION_ERROR = 0.05
+"""Largest error of distances in the plane of geographic positions that needs no note, as a share."""
 _FORMAT, _FORMAT_VERSION = "servotrack-point-scores", 1
 
 
@@ -48,8 +52,12 @@ def run_points(source: Path, out: Path, truth_file: Path | None, console: Consol
 
     Raises:
         SequenceError: A file cannot be used.
-        ResultsError: The folder cannot be written, or holds files of these names that are not of an earlier run.
+        ResultsError: The folder cannot be written, holds files of these names that are not of an earlier run, or an
+            input would be replaced.
     """
+    inputs = [source] if truth_file is None else [source, truth_file]
+    if own := [one for one in inputs for name in OUTPUTS if _is_same_file(one, out / name)]:
+        raise ResultsError(f"{own[0]} would be replaced by this run's output; choose another --out, or copy the file")
     points = read_points(source)
     truth = None if truth_file is None else read_point_truth(truth_file, points)
     ResultsFolder(out).check_writable()
@@ -57,33 +65,62 @@ def run_points(source: Path, out: Path, truth_file: Path | None, console: Consol
     model, notes = measured_model(points)
     trajectories = track_points(points, model)
     print_tables(console, {f"{source.name}: measured from {len(points.times)} scans": _model_grid(points, model)})
-    d = points.dimensions
-    position = range(0, 2 * d, 2)
-    names = [name for axis in "xyz"[:d] for name in (axis, f"v{axis}")]
-    write_trajectories(out / TRACKS, trajectories, names)
-    origin = points.origin
-    write_geojson(
-        out / MAP,
-        trajectories,
-        position,
-        None if origin is None else origin.to_map,
-        _date if points.dated else None,
-    )
-    everything = np.concatenate(points.scans)[:, :2]
-    axes = ("x, m", "y, m") if origin is None else ("east, m", "north, m")
-    save_figure(draw_trajectories(trajectories, position, everything, axes), out / FIGURE)
-    written = [TRACKS, MAP, FIGURE]
-    if truth is not None:
-        written += _score(source, points, model, trajectories, truth, out, console)
-    for name in OUTPUTS:
-        # Files of an earlier run would be mistaken for this one's.
-        if name not in written:
-            (out / name).unlink(missing_ok=True)
+    with temporary_folder_in(out) as folder:
+        _write_tracks(points, trajectories, folder)
+        if truth is not None:
+            _score(source, points, model, trajectories, truth, folder, console)
+        written = [name for name in OUTPUTS if (folder / name).exists()]
+        # Files of two runs must not stand side by side.
+        with undisturbed():
+            try:
+                for name in OUTPUTS:
+                    if name in written:
+                        (folder / name).replace(out / name)
+                    else:
+                        (out / name).unlink(missing_ok=True)
+            except OSError as error:
+                raise storage_error(out / name, error) from error
     for name in written:
         console.print(str(out / name), soft_wrap=True)
-    for note in notes:
+    for note in [*notes, *_projection_notes(points)]:
         console.print(f"note: {note}", style="cyan", soft_wrap=True)
-    console.print(f"{len(points.times)} scans, {len(everything)} points, {len(trajectories)} tracks")
+    count = sum(map(len, points.scans))
+    console.print(f"{len(points.times)} scans, {count} points, {len(trajectories)} tracks")
+
+
+def _is_same_file(one: Path, other: Path) -> bool:
+    try:
+        return other.exists() and other.samefile(one)
+    except OSError:
+        return False
+
+
+def _write_tracks(points: PointScans, trajectories: list[Trajectory], folder: Path) -> None:
+    """Write the tracks, the map and the figure."""
+    d, origin = points.dimensions, points.origin
+    position = range(0, 2 * d, 2)
+    names = [name for axis in "xyz"[:d] for name in (axis, f"v{axis}")]
+    write_trajectories(folder / TRACKS, trajectories, names)
+    transform = None if origin is None else origin.to_map
+    write_geojson(folder / MAP, trajectories, position, transform, _date if points.dated else None)
+    everything = np.concatenate(points.scans)[:, :2]
+    axes = ("x, m", "y, m") if origin is None else ("east, m", "north, m")
+    save_figure(draw_trajectories(trajectories, position, everything, axes), folder / FIGURE)
+
+
+def _projection_notes(points: PointScans) -> list[str]:
+    """Return a note where the plane of geographic positions is too large for its distances."""
+    if points.origin is None:
+        return []
+    latitudes = points.origin.to_map(np.concatenate(points.scans))[:, 1]
+    scale = np.cos(np.radians(latitudes)) / math.cos(math.radians(points.origin.latitude))
+    worst = float(np.abs(scale - 1.0).max())
+    if worst <= _PROJECTION_ERROR:
+        return []
+    return [
+        f"the points reach over {latitudes.max() - latitudes.min():.1f} deg of latitude, and distances to the east are "
+        f"off by up to {100.0 * worst:.0f} %; split the file by region"
+    ]
 
 
 def _model_grid(points: PointScans, model: PointModel) -> Grid:
@@ -115,10 +152,15 @@ def _score(
     model: PointModel,
     trajectories: list[Trajectory],
     truth: PointTruth,
-    out: Path,
+    folder: Path,
     console: Console,
-) -> list[str]:
-    """Score the tracks, print the table and write it; return the names of the files."""
+) -> None:
+    """Score the tracks, print the table and write it."""
+    if len(trajectories) * len(points.times) > MOST_TRUE_PLACES:
+        console.print(
+            f"note: {len(trajectories)} tracks at {len(points.times)} scans are too many to score", style="cyan"
+        )
+        return
     cutoff = scores_cutoff(model.low, model.high)
     estimate = _stacked(points, trajectories)[:, truth.known]
     true = truth.tracks[:, truth.known]
@@ -145,9 +187,7 @@ def _score(
     }
     files = {SCORES + ".json": json.dumps(record, indent=1) + "\n", SCORES + ".md": f"{as_markdown(grid)}\n{note}\n"}
     for name, text in files.items():
-        with atomic_path(out / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    return list(files)
+        (folder / name).write_text(text, encoding="utf-8")
 
 
 def _stacked(points: PointScans, trajectories: list[Trajectory]) -> Array:

@@ -20,7 +20,7 @@ from servotrack.baselines.agents.people.catalog import create_tracker
 from servotrack.baselines.agents.protocol import AgentCard
 from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.agents.servo import tuning_grid as servo_grid
-from servotrack.baselines.agents.servo.catalog import ESTIMATORS
+from servotrack.baselines.agents.servo.catalog import controller_path, servo_controller
 from servotrack.baselines.agents.sonar import tuning_grid as sonar_grid
 from servotrack.baselines.agents.sonar.catalog import sonar_tracker
 from servotrack.baselines.agents.tuning_record import Values
@@ -29,6 +29,7 @@ from servotrack.envs.track.clutter.scene_model import scene_model_of
 from servotrack.envs.track.sonar import array_model
 from servotrack.envs.track.sonar.config import sonar_config
 from servotrack.estimators.follow import PersonFollower
+from servotrack.estimators.jacobian import ServoController
 
 Grid = Mapping[str, Sequence[Any]]
 
@@ -45,6 +46,7 @@ class TuningFamily:
         insert: Returns a card whose agent is created with other values.
         borrowed: Agents that use the values of another agent.
         untuned: Agents that have nothing to tune.
+        path: Path into what `create` returns, of a path in the grids.
     """
 
     env_id: str
@@ -54,11 +56,12 @@ class TuningFamily:
     insert: Callable[[AgentCard, Values], AgentCard]
     borrowed: Mapping[str, str] = field(default_factory=dict)
     untuned: frozenset[str] = frozenset()
+    path: Callable[[str], str] = str
 
     def default_values(self, agent: str) -> Values:
         """Return the default of each hyper-parameter in an agent's grid."""
         estimator = self.create(agent)
-        return {path: value_at(estimator, path) for path in self.grids[agent]}
+        return {path: value_at(estimator, self.path(path)) for path in self.grids[agent]}
 
 
 def _as_mapping(card: AgentCard, values: Values) -> AgentCard:
@@ -69,16 +72,22 @@ def _as_keywords(card: AgentCard, values: Values) -> AgentCard:
     return replace(card, parameters={**card.parameters, **values})
 
 
+def _controller(agent: str) -> ServoController:
+    return servo_controller(agent, agent_card(agent).parameters["law"], 1.0)
+
+
 FAMILIES = (
     TuningFamily(
         "UncalibServo-v0",
         (0, 1, 2, 3, 4, 5),
         servo_grid.GRIDS,
-        lambda agent: ESTIMATORS[agent](),
+        _controller,
         _as_mapping,
         servo_grid.BORROWED,
         servo_grid.UNTUNED,
+        controller_path,
     ),
+    TuningFamily("UncalibServo-v0", (6,), servo_grid.UNSTAMPED_GRIDS, _controller, _as_mapping, path=controller_path),
     TuningFamily(
         "ClutterTracking-v0",
         (0, 1, 2, 3, 4, 5, 6, 7),

@@ -30,6 +30,8 @@ def tuning_grid(record: TuningRecord) -> Grid:
 def steps_grid(record: TuningRecord) -> Grid:
     """Return a table of the environment steps behind every agent's values, borrowed ones included."""
     families = [family for family in FAMILIES if family.env_id == record.protocol["env_id"]]
+    # Two families may share an environment, at other levels.
+    families = [family for family in families if family.grids.keys() & record.agents.keys()] or families
     names = {name for family in families for name in (*family.grids, *family.borrowed, *family.untuned)}
     steps = {name: record.tuning_steps(name) for name in AGENTS if name in names}
     return Grid(["agent", "tuning steps"], [[n, "?" if s is None else f"{s:,}"] for n, s in steps.items()], 1)

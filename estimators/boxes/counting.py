@@ -93,6 +93,8 @@ def add_chances(number: NumberDistribution, chances: ArrayLike) -> NumberDistrib
         ValueError: A probability is not in [0, 1].
     """
     p = as_numbers("chances", chances).reshape(-1)
+    if not len(p):
+        return number
     _check_chances("chances", p)
     return _trimmed(number.first, _convolved(np.ascontiguousarray(number.probability), p))
 
@@ -179,23 +181,6 @@ class ZoneCount:
         return _with_undetected(chances[inside], self.undetected).interval(self.level)
 
 
-class LineState(NamedTuple):
-    """State of a `LineCount`.
-
-    Attributes:
-        labels: Identities reported before. Shape (k,).
-        feet: Last reported feet of each that were clear of the line, or the first ones. Shape (k, 2), px.
-        absent: Time since the last report, s. Shape (k,).
-        forward, backward: Distributions of the numbers of crossings seen so far.
-    """
-
-    labels: Labels
-    feet: Array
-    absent: Array
-    forward: NumberDistribution
-    backward: NumberDistribution
-
-
 class Crossings(NamedTuple):
     """People who crossed a line so far.
 
@@ -206,6 +191,25 @@ class Crossings(NamedTuple):
 
     forward: Count
     backward: Count
+
+
+class LineState(NamedTuple):
+    """State of a `LineCount`.
+
+    Attributes:
+        labels: Identities reported before. Shape (k,).
+        feet: Last reported feet of each that were clear of the line, or the first ones. Shape (k, 2), px.
+        absent: Time since the last report, s. Shape (k,).
+        forward, backward: Distributions of the numbers of crossings seen so far.
+        crossings: Numbers of all crossings so far, from these distributions.
+    """
+
+    labels: Labels
+    feet: Array
+    absent: Array
+    forward: NumberDistribution
+    backward: NumberDistribution
+    crossings: Crossings
 
 
 @dataclass(frozen=True)
@@ -254,7 +258,8 @@ class LineCount:
     def initial(self) -> LineState:
         """State before the first frame."""
         none = np.zeros(0, np.int64)
-        return LineState(none, np.zeros((0, 2)), np.zeros(0), NOBODY, NOBODY)
+        nobody = self._count(NOBODY)
+        return LineState(none, np.zeros((0, 2)), np.zeros(0), NOBODY, NOBODY, Crossings(nobody, nobody))
 
     def step(self, state: LineState, estimate: SetEstimate, dt: float | None = None) -> tuple[LineState, Crossings]:
         """Count the crossings between the last reports and this frame.
@@ -277,9 +282,9 @@ class LineCount:
             known = state.labels[order][at] == estimate.labels
             before[known] = order[at[known]]
         old = before >= 0
-        clear = self._distance(feet) >= self.margin * estimate.states[:, 3]
-        side = np.zeros(len(feet))
-        side[old] = np.where(clear[old], self._crossed(state.feet[before[old]], feet[old]), 0.0)
+        margins = self.margin * estimate.states[:, 3]
+        ends = np.array([self.start, self.end], dtype=np.float64)
+        side, clear = _crossed(ends, state.feet, before, feet, margins)
         forward = add_chances(state.forward, estimate.existence[side > 0.0])
         backward = add_chances(state.backward, estimate.existence[side < 0.0])
         waiting = old & ~clear
@@ -294,29 +299,17 @@ class LineCount:
             np.concatenate([np.zeros(len(feet)), absent[gone]]),
             forward,
             backward,
+            # Most frames see no crossing.
+            Crossings(
+                state.crossings.forward if forward is state.forward else self._count(forward),
+                state.crossings.backward if backward is state.backward else self._count(backward),
+            ),
         )
-        return after, Crossings(
-            *(add_missed(number, self.missed).interval(self.level) for number in (forward, backward))
-        )
+        return after, after.crossings
 
-    def _distance(self, points: Array) -> Array:
-        """Distance of each point from the line through both ends. Shape (k,), px."""
-        start, end = np.asarray(self.start, dtype=np.float64), np.asarray(self.end, dtype=np.float64)
-        return np.asarray(np.abs(_side(start, end, points)) / np.hypot(*(end - start)))
-
-    def _crossed(self, a: Array, b: Array) -> Array:
-        """1, -1 or 0 for each move from a to b, shape (k, 2) each: across the segment forward, backward, or not."""
-        start, end = np.asarray(self.start, dtype=np.float64), np.asarray(self.end, dtype=np.float64)
-        # A point on the line counts as on its right side, so that nobody crosses twice by stopping there.
-        from_side, to_side = _side(start, end, a) >= 0.0, _side(start, end, b) >= 0.0
-        within = (_side(a, b, start) >= 0.0) != (_side(a, b, end) >= 0.0)
-        return np.where(within, to_side.astype(np.float64) - from_side, 0.0)
-
-
-def _side(start: Array, end: Array, point: Array) -> Array:
-    """Positive for points to the right of the line in the image, whose rows grow downward."""
-    line, to = end - start, point - start
-    return np.asarray(line[..., 0] * to[..., 1] - line[..., 1] * to[..., 0])
+    def _count(self, number: NumberDistribution) -> Count:
+        """Number of crossings, seen and missed."""
+        return add_missed(number, self.missed).interval(self.level)
 
 
 def _feet(boxes: Array) -> Array:
@@ -398,3 +391,41 @@ def _convolved(probability, chances):  # type: ignore[no-untyped-def]
         out[0] *= 1.0 - chance
         size += 1
     return out
+
+
+@njit(cache=True, nogil=True)
+def _crossed(ends, points, before, feet, margins):  # type: ignore[no-untyped-def]
+    """Crossings of a line segment.
+
+    Args:
+        ends: Ends of the segment. Shape (2, 2), px.
+        points: Feet of known people when they were last clear of the line. Shape (n, 2).
+        before: Index of each person in `points`; -1: not known. Shape (k,).
+        feet: Feet now. Shape (k, 2).
+        margins: Distance from which each person is clear of the line, px. Shape (k,).
+
+    Returns:
+        1, -1 or 0 for each person: crossed forward, backward, or not; and a mask of those who are clear of the line.
+    """
+    crossed, clear = np.zeros(len(feet)), np.zeros(len(feet), np.bool_)
+    (x0, y0), (x1, y1) = ends[0], ends[1]
+    length = np.hypot(x1 - x0, y1 - y0)
+    for k in range(len(feet)):
+        x, y = feet[k]
+        side = _side(x0, y0, x1, y1, x, y)
+        clear[k] = np.abs(side) / length >= margins[k]
+        if before[k] < 0 or not clear[k]:
+            continue
+        a, b = points[before[k]]
+        # A point on the line counts as on its right side, so that nobody crosses twice by stopping there.
+        right, was_right = side >= 0.0, _side(x0, y0, x1, y1, a, b) >= 0.0
+        within = (_side(a, b, x, y, x0, y0) >= 0.0) != (_side(a, b, x, y, x1, y1) >= 0.0)
+        if within and right != was_right:
+            crossed[k] = 1.0 if right else -1.0
+    return crossed, clear
+
+
+@njit(cache=True, nogil=True)
+def _side(x0, y0, x1, y1, x, y):  # type: ignore[no-untyped-def]
+    """Positive for a point (x, y) to the right of a line in the image, whose rows grow downward."""
+    return (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)

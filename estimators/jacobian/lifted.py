@@ -119,6 +119,8 @@ ACCELERATING_MODELS = (TargetModel(jerk=60.0), TargetModel(jerk=200.0, jump=200.
 """Constant acceleration with small and with large process noise; no periodic motion is assumed."""
 OCTAVE_MODELS = (*ACCELERATING_MODELS, *(TargetModel(jerk=15.0, recall=rate**2) for rate in (0.35, 0.7, 1.4, 2.8, 5.6)))
 """Constant acceleration, or an oscillation of unknown rate: one model per octave, 0.35 to 5.6 rad/s."""
+AGILE_MODELS = tuple(TargetModel(jerk=10.0, jump=jump, damping=10.0) for jump in (20.0, 100.0, 600.0))
+"""Constant velocity that changes slowly, fast, and abruptly; no periodic motion is assumed."""
 SWINGING_MODELS = (
     TargetModel(jerk=8.0, recall=0.3),
     TargetModel(jerk=8.0, recall=1.0),

@@ -8,11 +8,11 @@
 
 Start with `PMB`, or with `RobustPMB` where sensor and motion are not known well; `PMBM` is the exact posterior up to
 pruning and takes longer. `TrajectoryPMB` reports smoothed targets some scans late. `GMPHD` is the cheapest and the
-simplest filter; `GMCBMeMBer` is the filter of Zhang et al. 2017. Each is a frozen dataclass with `initial(measurement)
--> state` and `step(state, measurement) -> (state, estimate)`, whose state is a NamedTuple of arrays. Measurements of
-shape (B, rows, 1 + m), existence in column 0, run B independent filters at once. `step(..., dt=, sensor=, noise=)`
-takes scans at varying intervals, of other sensors, and with a noise for each measurement; `TimedTracker` takes them by
-their time stamps, late ones too.
+simplest filter; `GMCBMeMBer` is the filter of Zhang et al. 2017, and `LMB` names targets at their birth. Each is a
+frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state, estimate)`, whose state
+is a NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B independent filters at
+once. `step(..., dt=, sensor=, noise=)` takes scans at varying intervals, of other sensors, and with a noise for each
+measurement; `TimedTracker` takes them by their time stamps, late ones too.
 """
 
 from servotrack.estimators.rfs.adaptation import SensorAdaptation
@@ -28,6 +28,7 @@ from servotrack.estimators.rfs.interacting import (
     maneuvers,
     white_acceleration,
 )
+from servotrack.estimators.rfs.lmb import LMB
 from servotrack.estimators.rfs.matching import match_measurements
 from servotrack.estimators.rfs.mixed_births import Births
 from servotrack.estimators.rfs.models import (
@@ -59,6 +60,7 @@ from servotrack.estimators.rfs.trajectory_pmb import TrajectoryPMB
 __all__ = [
     "GMCPHD",
     "GMPHD",
+    "LMB",
     "PMB",
     "PMBM",
     "STRUCTURES",

@@ -155,7 +155,9 @@ class SensorAdaptation:
         """Clutter rate of the next scan, shape (B,)."""
         return np.maximum(state.clutter_rate, self.least_clutter)
 
-    def step(self, state: SensorState, before: Array, predicted: Array, after: Array, tally: Tally) -> SensorState:
+    def step(
+        self, state: SensorState, before: Array, predicted: Array, after: Array, tally: Tally, own: bool = True
+    ) -> SensorState:
         """Count one scan.
 
         Args:
@@ -164,13 +166,24 @@ class SensorAdaptation:
             predicted: Existence of the same tracks predicted to this scan. Shape (B, T).
             after: Existence of the new tracks. Shape (B, T').
             tally: Association probabilities of the scan.
+            own: False for a scan of another sensor, which is not counted but says who is alive.
         """
         batch, capacity = after.shape
         pending = np.zeros((batch, capacity, self.lag, 2, 2))
         found, missed, false, born = np.zeros(batch), np.zeros(batch), np.zeros(batch), np.zeros(batch)
-        _count(state.pending, before, predicted, after, tally, pending, found, missed, false)
+        _count(state.pending, before, predicted, after, tally, own, pending, found, missed, false)
         elsewhere, age = np.zeros((batch, capacity)), np.zeros((batch, capacity), np.int64)
-        _count_births(state, after, tally, self.lag, elsewhere, age, born)
+        _count_births(state, after, tally, own, self.lag, elsewhere, age, born)
+        if not own:
+            # Events of tracks that ended now are counted; nothing is forgotten.
+            return state._replace(
+                found=state.found + found,
+                missed=state.missed + missed,
+                born=state.born + born,
+                pending=pending,
+                elsewhere=elsewhere,
+                age=age,
+            )
         # Early scans were weighed by poor estimates, so the memory starts short and grows by a scan per scan.
         kept = np.exp(-1.0 / np.minimum(self.memory, 2.0 * state.scans))
         lasting = np.exp(-1.0 / self.memory)
@@ -191,12 +204,14 @@ class SensorAdaptation:
 
 
 @njit(cache=True, nogil=True)
-def _count(old, before, predicted, after, tally, new, found, missed, false):  # type: ignore[no-untyped-def]
+def _count(old, before, predicted, after, tally, own, new, found, missed, false):  # type: ignore[no-untyped-def]
     """Pass on the pending events, add those of this scan, and count those that leave the lag or lose their track."""
     lag = old.shape[2]
+    # Events of a sensor grow older by its own scans only.
+    older = 1 if own else 0
     for b in range(before.shape[0]):
         # One by one: a sum over rows of another length would be rounded in another way.
-        for j in range(tally.unexplained.shape[1]):
+        for j in range(tally.unexplained.shape[1] if own else 0):
             false[b] += tally.unexplained[b, j]
         heir = np.full(before.shape[1], -1, np.int64)
         for t in range(after.shape[1]):
@@ -216,13 +231,13 @@ def _count(old, before, predicted, after, tally, new, found, missed, false):  # 
                     lasting = survived * old[b, i, k, kind, 0]
                     gone = (old[b, i, k, kind, 0] - lasting + old[b, i, k, kind, 1]) * ended
                     lasting *= alive
-                    if t >= 0 and k + 1 < lag:
-                        new[b, t, k + 1, kind, 0], new[b, t, k + 1, kind, 1] = lasting, gone
+                    if t >= 0 and k + older < lag:
+                        new[b, t, k + older, kind, 0], new[b, t, k + older, kind, 1] = lasting, gone
                     elif kind == 0:
                         missed[b] += lasting + gone
                     else:
                         found[b] += lasting + gone
-            if r > 0.5:
+            if own and r > 0.5:
                 detected = min(tally.detected[b, i], 1.0)
                 if t >= 0:
                     new[b, t, 0, 0, 0], new[b, t, 0, 1, 0] = max(updated - detected, 0.0), min(detected, updated)
@@ -231,7 +246,7 @@ def _count(old, before, predicted, after, tally, new, found, missed, false):  # 
 
 
 @njit(cache=True, nogil=True)
-def _count_births(state, after, tally, lag, elsewhere, age, born):  # type: ignore[no-untyped-def]
+def _count_births(state, after, tally, own, lag, elsewhere, age, born):  # type: ignore[no-untyped-def]
     """Pass on where the tracks were born, and count the targets born at measurements once they are `lag` scans old."""
     for b in range(after.shape[0]):
         for t in range(after.shape[1]):
@@ -241,9 +256,9 @@ def _count_births(state, after, tally, lag, elsewhere, age, born):  # type: igno
             if i < 0:
                 elsewhere[b, t] = tally.elsewhere[b, -1 - i]
                 continue
-            age[b, t] = state.age[b, i] + 1
+            age[b, t] = state.age[b, i] + (1 if own else 0)
             elsewhere[b, t] = state.elsewhere[b, i]
-            if age[b, t] == lag:
+            if own and age[b, t] == lag:
                 if after[b, t] > 0.5:
                     born[b] += after[b, t] * elsewhere[b, t]
                 elsewhere[b, t] = 0.0

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.compilation import njit
-from servotrack.estimators.rfs.mixture import predict_components
+from servotrack.estimators.rfs.mixture import append_births, append_spawn, predict_components
 from servotrack.estimators.types import Array, Labels
 
 
@@ -94,3 +94,34 @@ def normalize(weight, start, count):  # type: ignore[no-untyped-def]
         total += weight[c]
     for c in range(start, start + count):
         weight[c] /= total
+
+
+@njit(cache=True, nogil=True)
+def predict_with_births(  # type: ignore[no-untyped-def]
+    model, tracks, pool, births, spawns, survival, out_tracks, out_pool
+):
+    """Predicted tracks of every run: surviving tracks, split-off tracks, and one track per birth."""
+    m, n = model.observation.shape
+    work = np.empty((n + m, n + m))
+    for b in range(tracks.existence.shape[0]):
+        predict_tracks(model, tracks, pool, survival, work, b, out_tracks, out_pool)
+        row = pool.number[b]
+        track = tracks.number[b]
+        for term in range(spawns[0].shape[0]):
+            c = 0
+            for i in range(tracks.number[b]):
+                out_tracks.existence[b, track] = spawns[0][term] * tracks.existence[b, i]
+                out_tracks.size[b, track] = tracks.size[b, i]
+                track += 1
+                for _ in range(tracks.size[b, i]):
+                    append_spawn(model, spawns, term, pool.mean[b, c], pool.covariance[b, c], b, row, out_pool)
+                    out_pool.weight[b, row] = pool.weight[b, c]
+                    c += 1
+                    row += 1
+        out_pool.number[b] = append_births(model, births, b, row, out_pool)
+        for c in range(row, out_pool.number[b]):
+            out_tracks.existence[b, track] = out_pool.weight[b, c]
+            out_tracks.size[b, track] = 1
+            out_pool.weight[b, c] = 1.0
+            track += 1
+        out_tracks.number[b] = track

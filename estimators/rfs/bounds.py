@@ -50,7 +50,9 @@ def expected_distance(covariance: Array, cutoff: float) -> Array:
     return np.asarray(reached.mean(axis=-1))
 
 
-def known_covariances(model: Linear, birth_covariance: Array, detected: Mask, lag: int = 0) -> Array:
+def known_covariances(
+    model: Linear, birth_covariance: Array, detected: Mask, lag: int = 0, transitions: Array | None = None
+) -> Array:
     """Covariances of the state of a target whose detections are known, at each scan of its life.
 
     Args:
@@ -58,12 +60,14 @@ def known_covariances(model: Linear, birth_covariance: Array, detected: Mask, la
         birth_covariance: Covariance of its first state. Shape (n, n).
         detected: Scans with its measurement, from its first to its last. Shape (S,), bool.
         lag: Number of later scans that the estimate may use (Rauch, Tung and Striebel 1965).
+        transitions: Transition of the pair of state and measurement into each scan, of which the first is not used;
+            None: that of the model. Shape (S, n + m, n + m).
 
     Returns:
         Shape (S, n, n).
 
     Raises:
-        ValueError: The model is not linear, or the lag is negative.
+        ValueError: The model is not linear, the lag is negative, or transitions have another shape.
     """
     packed = model.packed
     if packed.kind != LINEAR:
@@ -71,7 +75,11 @@ def known_covariances(model: Linear, birth_covariance: Array, detected: Mask, la
     if lag < 0:
         raise ValueError(f"lag must be at least 0, got {lag!r}")
     m, n = packed.observation.shape
-    B, sigma, scans = packed.transition, packed.noise, len(detected)
+    sigma, scans = packed.noise, len(detected)
+    given, shape = packed.transition if transitions is None else np.asarray(transitions), (scans, n + m, n + m)
+    if transitions is not None and given.shape != shape:
+        raise ValueError(f"transitions must have shape {shape}, one per scan, got {given.shape}")
+    moves = np.broadcast_to(given, shape)
     predicted, filtered = np.empty((scans, n + m, n + m)), np.empty((scans, n + m, n + m))
     H = packed.observation
     P = np.zeros((n + m, n + m))
@@ -83,9 +91,10 @@ def known_covariances(model: Linear, birth_covariance: Array, detected: Mask, la
             gain = np.linalg.solve(P[n:, n:], P[n:, :n]).T
             filtered[k] = 0.0
             filtered[k, :n, :n] = P[:n, :n] - gain @ P[n:, :n]
-        P = B @ filtered[k] @ B.T + sigma
+        if k + 1 < scans:
+            P = moves[k + 1] @ filtered[k] @ moves[k + 1].T + sigma
     smoothed = filtered.copy()
-    back = [filtered[k] @ np.linalg.solve(predicted[k + 1], B).T for k in range(scans - 1)]
+    back = [filtered[k] @ np.linalg.solve(predicted[k + 1], moves[k + 1]).T for k in range(scans - 1)]
     for k in range(scans):
         last = min(k + lag, scans - 1)
         P = filtered[last]

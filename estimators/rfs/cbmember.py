@@ -13,14 +13,14 @@ from servotrack.estimators.rfs.bernoulli import (
     empty_tracks,
     normalize,
     owners_and_detection,
-    predict_tracks,
+    predict_with_births,
     rows_by_key,
 )
 from servotrack.estimators.rfs.birth import BirthMixture
 from servotrack.estimators.rfs.capacity import tracks_outgrew
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
-from servotrack.estimators.rfs.mixture import Mixture, append_births, append_spawn, empty_mixture, scratch_mixture
+from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, scratch_mixture
 from servotrack.estimators.rfs.recursion import GaussianSetFilter, check_positive_definite
 from servotrack.estimators.rfs.reduction import Candidates, Components, Reduction, reduce_mixture
 from servotrack.estimators.rfs.sets import Extraction, Scan, empty_extraction
@@ -79,7 +79,7 @@ class GMCBMeMBer(GaussianSetFilter[CBMeMBerState]):
         predicted = empty_tracks(batch, capacity * copies + arrivals)
         components = scratch_mixture(batch, state.pool.weight.shape[1] * copies + arrivals, n + m)
         survival = self._evaluate("survival", self.survival, state.pool)
-        _predict(model, state.tracks, state.pool, births, self._spawns, survival, predicted, components)
+        predict_with_births(model, state.tracks, state.pool, births, self._spawns, survival, predicted, components)
         self._attach(components)
         new, unexplained = self._updated(state, predicted, components, scan, capacity)
         while tracks_outgrew(self.reduction, new.tracks, new.pool):
@@ -111,35 +111,6 @@ class GMCBMeMBer(GaussianSetFilter[CBMeMBerState]):
         )
         check_positive_definite(positive_definite)
         return new, unexplained
-
-
-@njit(cache=True, nogil=True)
-def _predict(model, tracks, pool, births, spawns, survival, out_tracks, out_pool):  # type: ignore[no-untyped-def]
-    """Predicted tracks of every run: surviving tracks, split-off tracks, and one track per birth."""
-    m, n = model.observation.shape
-    work = np.empty((n + m, n + m))
-    for b in range(tracks.existence.shape[0]):
-        predict_tracks(model, tracks, pool, survival, work, b, out_tracks, out_pool)
-        row = pool.number[b]
-        track = tracks.number[b]
-        for term in range(spawns[0].shape[0]):
-            c = 0
-            for i in range(tracks.number[b]):
-                out_tracks.existence[b, track] = spawns[0][term] * tracks.existence[b, i]
-                out_tracks.size[b, track] = tracks.size[b, i]
-                track += 1
-                for _ in range(tracks.size[b, i]):
-                    append_spawn(model, spawns, term, pool.mean[b, c], pool.covariance[b, c], b, row, out_pool)
-                    out_pool.weight[b, row] = pool.weight[b, c]
-                    c += 1
-                    row += 1
-        out_pool.number[b] = append_births(model, births, b, row, out_pool)
-        for c in range(row, out_pool.number[b]):
-            out_tracks.existence[b, track] = out_pool.weight[b, c]
-            out_tracks.size[b, track] = 1
-            out_pool.weight[b, c] = 1.0
-            track += 1
-        out_tracks.number[b] = track
 
 
 @njit(cache=True, nogil=True)

@@ -85,7 +85,11 @@ class InteractingModels:
         periods = models[0].period / self.models[0].period
         whole = int(periods)
         rest = (1.0 - (periods - whole)) * np.eye(len(models)) + (periods - whole) * self.switching
-        return InteractingModels(models, np.linalg.matrix_power(self.switching, whole) @ rest, self.initial)
+        power = np.linalg.matrix_power(self.switching, whole)
+        if whole > 1:
+            # Every squaring doubles what rounding took from the sums.
+            power = power / power.sum(axis=1, keepdims=True)
+        return InteractingModels(models, power @ rest, self.initial)
 
     @cached_property
     def packed(self) -> PackedModes:

@@ -26,7 +26,7 @@ from servotrack.estimators.rfs.mixture import Mixture
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.scan_noise import no_excess, read_noise
-from servotrack.estimators.rfs.sensors import Intensity, Probability, SensedModel, Sensor, model_at
+from servotrack.estimators.rfs.sensors import Intensity, Probability, SensedModel, Sensor, checked_interval, model_at
 from servotrack.estimators.rfs.sets import (
     Extraction,
     Scan,
@@ -37,6 +37,7 @@ from servotrack.estimators.rfs.sets import (
 )
 from servotrack.estimators.stateful import add_axis, first_row
 from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.validation import as_numbers
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -202,9 +203,10 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         """
         if sensor is not None:
             return self._sensing(sensor).at(dt)
-        if dt is None or dt == self.model.period:
+        if dt is None or (type(dt) is float and dt == self.model.period):
             return self
-        return self._variant(float(dt), lambda: self._over(float(dt)))
+        interval = checked_interval(dt)
+        return self._variant(interval, lambda: self._over(interval))
 
     def _sensing(self, sensor: Sensor) -> Self:
         """The same filter with another sensor."""
@@ -385,12 +387,12 @@ class _Power:
     share: float
 
     def __call__(self, states: Array) -> Array:
-        return np.asarray(self.probability(states), dtype=np.float64) ** self.share
+        return as_numbers("what the function survival returns", self.probability(states)) ** self.share
 
 
 def checked_values(name: str, values: ArrayLike, number: int, top: float) -> Array:
     """Check that a caller's function returned `number` finite values from 0 to `top`; raise ValueError otherwise."""
-    array = np.asarray(values, dtype=np.float64)
+    array = as_numbers(f"what the function {name} returns", values)
     if array.shape != (number,):
         raise ValueError(f"{name} must return shape ({number},), got {array.shape}")
     if not np.all(np.isfinite(array) & (array >= 0.0) & (array <= top)):

@@ -69,6 +69,8 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
         modes: Motion modes of detected targets; None: `model` alone.
         adaptation: Parameters of the online estimate; None keeps `detection`, `clutter_intensity` and births as
             they are.
+        learning: False uses the stated `detection` and `clutter_intensity` and holds the estimates, as for the scans of
+            another sensor.
 
     Raises:
         ValueError: An argument is out of range, or the modes do not fit the model.
@@ -77,6 +79,7 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
     volume: float = field(kw_only=True)
     modes: InteractingModels | None = field(default=None, kw_only=True)
     adaptation: SensorAdaptation | None = field(default_factory=SensorAdaptation, kw_only=True)
+    learning: bool = field(default=True, kw_only=True)
     reduction: Reduction = field(default_factory=lambda: Reduction(components=5))
 
     def __post_init__(self) -> None:
@@ -92,11 +95,15 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
                     raise ValueError(f"modes must have the measurement of model, they differ in {name}")
 
     def _sensor_changes(self, sensor: Sensor) -> dict[str, Any]:
-        if self.adaptation is not None:
-            raise ValueError(
-                "sensor must be None in a filter that estimates its own sensor; pass adaptation=None, or use PMB"
-            )
         changes = super()._sensor_changes(sensor)
+        if self.adaptation is not None:
+            missing = [name for name in ("detection", "clutter_intensity") if getattr(sensor, name) is None]
+            if missing:
+                raise ValueError(
+                    f"sensor must state its {' and '.join(missing)} in a filter that estimates those of its own "
+                    "sensor, got None"
+                )
+            changes["learning"] = False
         return changes if self.modes is None else {**changes, "modes": self.modes.at(None, sensor)}
 
     def _interval_changes(self, dt: float) -> dict[str, Any]:
@@ -138,11 +145,11 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
     ) -> tuple[RobustPMBState, Extraction, Array]:
         batch, n = len(scan.number), self._sizes[0]
         detection = np.full(batch, self._stated_detection)
-        if self.adaptation is not None:
+        if self.adaptation is not None and self.learning:
             detection = self.adaptation.detection(state.sensor)
             intensity = self.adaptation.clutter_rate(state.sensor) / self.volume
             scan = scan._replace(clutter=np.repeat(intensity[:, None], scan.clutter.shape[1], axis=1))
-            births = self._adapted(births, state)
+        births = self._adapted(births, state)
         prediction = self._predict_modes(state, births, detection)
         new, tally = self._fitted(
             lambda capacity, hidden: self._updated(state, prediction, scan, capacity, hidden), state, prediction
@@ -152,7 +159,8 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
         extract_tracks(n, tracks, pool, new.next_label, RULES[self.extraction], self.threshold, extraction)
         if self.adaptation is not None:
             before, predicted = state.tracks.existence, prediction.tracks.existence
-            sensor = self.adaptation.step(state.sensor, before, predicted, new.tracks.existence, tally)
+            after = new.tracks.existence
+            sensor = self.adaptation.step(state.sensor, before, predicted, after, tally, self.learning)
             new = new._replace(sensor=sensor)
         expected = extraction.expected + new.undetected.weight.sum(axis=1)
         return new, extraction._replace(expected=expected), tally.unexplained

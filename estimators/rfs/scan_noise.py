@@ -57,7 +57,7 @@ def _check_covariances(covariances: Array, usual: float) -> None:
     """Raise ValueError unless all are symmetric and definite, and not negligible beside the usual variance."""
     if len(covariances) == 0:
         return
-    check_within("noise", covariances, LIMITS.coordinates, "leave such measurements out")
+    check_within("noise", covariances, LIMITS.coordinates**2, "leave such measurements out")
     scale = np.abs(covariances).max(axis=(1, 2))
     apart = np.abs(covariances - np.swapaxes(covariances, 1, 2)).max(axis=(1, 2))
     if np.any(apart > 1e-9 * scale):

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.definite import LEAST_SHARE
 from servotrack.estimators.rfs.gaussians import FUNCTION, PackedModel, pack_model
 from servotrack.estimators.rfs.mixture import Mixture
 from servotrack.estimators.rfs.models import (
@@ -30,12 +31,17 @@ from servotrack.estimators.rfs.models import (
 )
 from servotrack.estimators.rfs.motion import Motion
 from servotrack.estimators.types import Array
+from servotrack.estimators.validation import LIMITS, as_numbers, check_within, checked_number
 
 Probability = float | Callable[[Array], Array]
 """A constant in [0, 1], or a function of states (k, n) that returns (k,)."""
 
 Intensity = float | Callable[[Array], Array]
 """A constant, or a function of measurements (Z, m) that returns (Z,)."""
+
+
+_LARGEST = LIMITS.coordinates**2
+"""Largest magnitude of what a caller's function returns; the square of a measurement's limit."""
 
 
 class Places(NamedTuple):
@@ -184,9 +190,10 @@ class SensedModel:
         n, m, sensor = self.transition.shape[0], self.sensor.size, self.sensor
         angular = np.asarray(sensor.angular)
         if sensor.jacobian is not None:
+            # A caller's function may write into its argument.
             x = mean[:, :n]
-            y = _checked("function", sensor.function(x), (len(x), m))
-            H = _checked("jacobian", sensor.jacobian(x), (len(x), m, n))
+            y = _checked("function", sensor.function(x.copy()), (len(x), m))
+            H = _checked("jacobian", sensor.jacobian(x.copy()), (len(x), m, n))
             cross = np.einsum("krj,kjc->krc", H, covariance[:, :n, :n])
             mean[:, n:] = y
             covariance[:, n:, :n] = cross
@@ -206,15 +213,23 @@ class SensedModel:
             z: Measurements. Shape (k, m).
 
         Raises:
-            ValueError: The sensor's `places` returns wrong shapes, NaN or infinity.
+            ValueError: The sensor's `places` returns wrong shapes, NaN, infinity or indefinite covariances.
         """
         if self.sensor.places is None:
             return None
-        mean, covariance = self.sensor.places(z)
-        d, c = len(self.sensor.position), np.shape(mean)[1] if np.ndim(mean) == 3 else 1
-        return Places(
-            _checked("places", mean, (len(z), c, d)), _checked("covariance of places", covariance, (len(z), c, d, d))
-        )
+        found = self.sensor.places(z.copy())
+        if not (isinstance(found, tuple) and len(found) == 2):
+            raise ValueError(f"sensor places must return `Places`, means and covariances, got {type(found).__name__}")
+        mean, covariance = (as_numbers("what the sensor's places returns", one) for one in found)
+        d, c = len(self.sensor.position), mean.shape[1] if mean.ndim == 3 else 1
+        places = _checked("places", mean, (len(z), c, d))
+        spread = _checked("covariance of places", covariance, (len(z), c, d, d))
+        scale = np.abs(spread).max(axis=(-1, -2), initial=0.0)
+        skew = np.abs(spread - np.swapaxes(spread, -1, -2)).max(axis=(-1, -2), initial=0.0)
+        rounding = LEAST_SHARE * scale
+        if (skew > rounding).any() or (np.linalg.eigvalsh(spread)[..., 0] < -rounding).any():
+            raise ValueError("sensor places must return symmetric positive semidefinite covariances")
+        return Places(places, spread)
 
 
 def model_at(model: TargetModel, dt: float | None, sensor: Sensor | None) -> TargetModel:
@@ -228,13 +243,16 @@ def model_at(model: TargetModel, dt: float | None, sensor: Sensor | None) -> Tar
     Raises:
         ValueError: dt is negative or not finite, or the model cannot serve it or the sensor.
     """
-    if dt is not None and not (np.isfinite(dt) and dt >= 0.0):
-        raise ValueError(
-            f"dt must be finite and >= 0, got {dt!r}; for scans that arrive out of order use `TimedTracker`"
-        )
+    interval = None if dt is None else checked_interval(dt)
     if sensor is not None:
-        return sensed(model, sensor, dt)
-    return model if dt is None else model.at(float(dt))
+        return sensed(model, sensor, interval)
+    return model if interval is None else model.at(interval)
+
+
+def checked_interval(dt: float) -> float:
+    """Return an interval between scans, s, or raise ValueError if it is no number from 0 to the limit of clocks."""
+    rule = f"finite and >= 0, at most {LIMITS.times:g} s; for scans that arrive out of order use `TimedTracker`"
+    return checked_number("dt", dt, 0.0, LIMITS.times, rule)
 
 
 def sensed(model: TargetModel, sensor: Sensor, dt: float | None = None) -> TargetModel:
@@ -265,11 +283,12 @@ def sensed(model: TargetModel, sensor: Sensor, dt: float | None = None) -> Targe
 
 def _checked(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Check what a caller's function returned."""
-    array = np.ascontiguousarray(values, dtype=np.float64)
+    array = as_numbers(f"what the sensor's {name} returns", values)
     if array.shape != shape:
         raise ValueError(f"sensor {name} must return shape {shape}, got {array.shape}")
     if not np.all(np.isfinite(array)):
         raise ValueError(f"sensor {name} must return finite values, got NaN or infinity; guard it near its singularity")
+    check_within(f"what the sensor's {name} returns", array, _LARGEST, "guard it near its singularity")
     return array
 
 

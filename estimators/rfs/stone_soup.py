@@ -41,6 +41,7 @@ from servotrack.estimators.rfs.sensors import (
 )
 from servotrack.estimators.rfs.timed import TimedFilter, TimedTracker
 from servotrack.estimators.types import Array, Mask
+from servotrack.estimators.validation import as_numbers
 
 
 @dataclass(frozen=True)
@@ -160,10 +161,17 @@ class SetFilterTracker(Tracker):  # type: ignore[misc]
     def update_tracker(
         self, time: datetime.datetime, detections: set[Detection]
     ) -> tuple[datetime.datetime, set[Track]]:
-        """Take the detections of one time and return the tracks after it."""
-        if self._start is None:
-            self._start = time
-        seconds = (time - self._start).total_seconds()
+        """Take the detections of one time and return the tracks after it.
+
+        Raises:
+            ValueError: The time is no datetime, or has a time zone unlike the first one; a detection has no measurement
+                model, or is refused by the filter.
+        """
+        start = self._start or time
+        if not isinstance(time, datetime.datetime) or (time.tzinfo is None) != (start.tzinfo is None):
+            raise ValueError(f"time must be a datetime, all with a time zone or all without, got {time!r}")
+        seconds = (time - start).total_seconds()
+        self._start = start
         scans = self._scans(detections)
         for scan in scans:
             estimate = self._tracker.update(scan.rows, seconds, scan.sensor, scan.noise)
@@ -190,6 +198,8 @@ class SetFilterTracker(Tracker):  # type: ignore[misc]
         groups: dict[Any, list[tuple[list[float], list[float], Any, Detection]]] = {}
         for detection in detections:
             model = detection.measurement_model or self.measurement_model
+            if model is None:
+                raise ValueError("measurement_model must be given to the tracker, since a detection has none")
             row = np.ravel(np.asarray(detection.state_vector, dtype=np.float64)).tolist()
             own = np.ravel(np.asarray(model.covar(), dtype=np.float64)).tolist()
             groups.setdefault(self._kind(model), []).append((row, own, model, detection))
@@ -201,7 +211,7 @@ class SetFilterTracker(Tracker):  # type: ignore[misc]
             noise: Array | None = None
             if any(one != np.ravel(sensor.noise).tolist() for one in noises):
                 noise = np.array(noises).reshape(-1, m, m)
-            found.append(_Scan(sensor, np.array(rows), noise, list(seen)))
+            found.append(_Scan(sensor, as_numbers("detections of one model", list(rows)), noise, list(seen)))
         found.sort(key=lambda scan: (scan.rows.shape[1], scan.rows.tolist()))
         if not found:
             model = self.measurement_model

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from servotrack.estimators.rfs.sensors import Sensor
 from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.types import Array
-from servotrack.estimators.validation import as_numbers
+from servotrack.estimators.validation import LARGEST_NUMBER, LIMITS, as_numbers, checked_number
 
 StateT = TypeVar("StateT")
 
@@ -63,10 +63,8 @@ class TimedTracker(Generic[StateT]):
     """
 
     def __init__(self, filter: TimedFilter[StateT], memory: float = 10.0) -> None:
-        if not (np.isfinite(memory) and memory >= 0.0):
-            raise ValueError(f"memory must be finite and >= 0, got {memory!r}")
         self.filter = filter
-        self.memory = memory
+        self.memory = checked_number("memory", memory, 0.0, LARGEST_NUMBER, "finite and >= 0")
         self.time: float | None = None
         self.estimate: SetEstimate | None = None
         self._scans: list[_Scan] = []
@@ -87,8 +85,7 @@ class TimedTracker(Generic[StateT]):
             ValueError: The time is not finite, or before all scans in memory; measurements are refused by the filter.
                 Such a scan changes nothing.
         """
-        if not np.isfinite(time):
-            raise ValueError(f"time must be finite, got {time!r}")
+        time = checked_number("time", time, -LIMITS.times, LIMITS.times, f"finite, at most {LIMITS.times:g} s from 0")
         place = len(self._scans)
         while place > 0 and self._scans[place - 1].time > time:
             place -= 1

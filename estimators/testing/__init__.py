@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from servotrack.estimators.testing.checks import CHECKS, Subject
+from servotrack.estimators.testing.checks import CHECKS, Case, Subject
 from servotrack.estimators.testing.choice import inputs_for
 from servotrack.estimators.testing.image_inputs import FrameInputs, ImageInputs, ObjectInputs
 from servotrack.estimators.testing.inputs import AnyEstimator, Bad, Inputs
@@ -94,20 +94,20 @@ def check_estimator(
             raise ValueError(f"{name} must be at least {least}, got {count}")
     subject = Subject(estimator, inputs_for(estimator) if inputs is None else inputs, steps, seed)
     faults: dict[str, str] = {}
-    for name, check in CHECKS.items():
-        for number in range(sequences) if name not in skip else ():
-            message = _fault(check, subject, number)
+    for number in range(sequences):
+        case = Case(subject, number)
+        for name, check in CHECKS.items():
+            message = None if name in skip or name in faults else _fault(check, case)
             if message is not None:
                 faults[name] = f"sequence {number} of seed {seed}: {message}"
-                break
     if faults:
-        raise EstimatorFaults(faults)
+        raise EstimatorFaults({name: faults[name] for name in CHECKS if name in faults})
 
 
-def _fault(check: Callable[[Subject, int], None], subject: Subject, number: int) -> str | None:
+def _fault(check: Callable[[Case], None], case: Case) -> str | None:
     """Message of a failed check, or None. An exception raised by the estimator is a fault too."""
     try:
-        check(subject, number)
+        check(case)
     except AssertionError as fault:
         return str(fault) or "the estimator raised an AssertionError without a message"
     except Exception as error:

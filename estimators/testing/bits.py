@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,6 +20,8 @@ def first_difference(ours: Any, theirs: Any, where: str) -> str | None:
     Returns:
         A sentence about the first difference, or None if all bits are equal. NaN equals itself, 0.0 differs from -0.0.
     """
+    if isinstance(ours, np.ndarray) and isinstance(theirs, np.ndarray):
+        return _array_difference(ours, theirs, where)
     if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
         if ours.keys() != theirs.keys():
             return f"{where} has keys {sorted(map(str, ours))} here and {sorted(map(str, theirs))} there"
@@ -43,10 +46,22 @@ def _array_difference(ours: np.ndarray, theirs: np.ndarray, where: str) -> str |
                 None if ours.item() == theirs.item() else f"{where} is {ours.item()!r} here and {theirs.item()!r} there"
             )
         return first_difference(ours.tolist(), theirs.tolist(), where)
-    if ours.tobytes() == theirs.tobytes():
+    if have_same_bits(ours, theirs):
         return None
     size = ours.dtype.itemsize
     bytes_differ = np.frombuffer(ours.tobytes(), np.uint8) != np.frombuffer(theirs.tobytes(), np.uint8)
     at = np.unravel_index(int(bytes_differ.argmax()) // size, ours.shape)
     place = f"{where}[{', '.join(str(int(i)) for i in at)}]" if ours.shape else where
     return f"{place} is {ours[at].item()!r} here and {theirs[at].item()!r} there"
+
+
+def have_same_bits(ours: np.ndarray, theirs: np.ndarray) -> bool:
+    """Compare the types, shapes and bits of two arrays that hold no objects."""
+    if ours.dtype != theirs.dtype or ours.shape != theirs.shape:
+        return False
+    size = ours.dtype.itemsize
+    plain = size <= 8 and ours.dtype.kind in "fiub" and ours.flags.c_contiguous and theirs.flags.c_contiguous
+    # Two copies of a page are faster than a comparison word by word.
+    if plain and ours.nbytes > mmap.PAGESIZE:
+        return bool((ours.view(f"u{size}") == theirs.view(f"u{size}")).all())
+    return ours.tobytes() == theirs.tobytes()

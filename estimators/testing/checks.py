@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NoReturn
 
 import numpy as np
 
-from servotrack.estimators.testing.bits import first_difference
+from servotrack.estimators.testing.bits import first_difference, have_same_bits
 from servotrack.estimators.testing.inputs import AnyEstimator, Arguments, Inputs, Sequence, bad_arguments
-from servotrack.estimators.testing.values import flat, mapped, numbers_in, replaced
+from servotrack.estimators.testing.values import flat, mapped, numbers_in, replaced, views
 
 
 @dataclass(frozen=True)
@@ -30,11 +31,6 @@ class Subject:
     steps: int
     seed: int
 
-    def draw(self, number: int, *, extreme: bool = False) -> tuple[np.random.Generator, Sequence]:
-        """Draw sequence `number`, and return the generator for further draws."""
-        rng = np.random.default_rng([self.seed, number])
-        return rng, self.inputs.draw(rng, self.steps, extreme=extreme)
-
     def run(self, sequence: Sequence) -> Iterator[tuple[Any, Any]]:
         """Yield the state and the estimate of every step; the first item is the initial state."""
         self.inputs.prepare()
@@ -44,27 +40,51 @@ class Subject:
             state, estimate = self.inputs.step(self.estimator, state, arguments)
             yield state, estimate
 
-    def trace(self, sequence: Sequence) -> list[dict[str, np.ndarray]]:
-        """All numbers of the states and estimates of a run."""
-        return [flat({"state": state, "estimate": self.results(estimate)}) for state, estimate in self.run(sequence)]
+    def trace(self, sequence: Sequence) -> Iterator[dict[str, np.ndarray]]:
+        """Yield all numbers of the state and the estimate of every step; copy those that are kept."""
+        for state, estimate in self.run(sequence):
+            yield views({"state": state, "estimate": self.results(estimate)})
 
     def results(self, estimate: Any) -> Any:
         """Values of an estimate that are checked; none for the initial state."""
         return None if estimate is None else self.inputs.results(estimate)
 
 
-def check_finite(subject: Subject, number: int) -> None:
+class Case:
+    """One drawn sequence of a subject.
+
+    Args:
+        subject: The estimator under test.
+        number: Number of the sequence.
+    """
+
+    def __init__(self, subject: Subject, number: int) -> None:
+        self.subject = subject
+        self._seed = [subject.seed, number]
+
+    def draw(self, *, extreme: bool = False) -> tuple[np.random.Generator, Sequence]:
+        """Draw the sequence anew, since a faulty estimator may change it, and the generator for further draws."""
+        rng = np.random.default_rng(self._seed)
+        return rng, self.subject.inputs.draw(rng, self.subject.steps, extreme=extreme)
+
+    @cached_property
+    def plain(self) -> list[dict[str, np.ndarray]]:
+        """Trace of the sequence as it is, which most checks compare with."""
+        return _copied(self.subject.trace(self.draw()[1]))
+
+
+def check_finite(case: Case) -> None:
     """Check that measurements as in practice are accepted and give finite values and valid covariances."""
-    _, sequence = subject.draw(number)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        for step, values in enumerate(subject.trace(sequence)):
-            _check_values(subject, values, f"step {step}")
+        for step, values in enumerate(case.plain):
+            _check_values(case.subject, values, f"step {step}")
 
 
-def check_extreme(subject: Subject, number: int) -> None:
+def check_extreme(case: Case) -> None:
     """Check that any finite measurement gives finite values and covariances, or a refusal that changes nothing."""
-    _, sequence = subject.draw(number, extreme=True)
+    subject = case.subject
+    _, sequence = case.draw(extreme=True)
     try:
         state = subject.inputs.initial(subject.estimator, sequence.start)
     except ValueError as error:
@@ -76,61 +96,68 @@ def check_extreme(subject: Subject, number: int) -> None:
             state, estimate = subject.inputs.step(subject.estimator, state, arguments)
         except ValueError as error:
             _check_message(error, _names(arguments), f"step {step}")
-            _check_same(flat(state), before, f"step {step}: a refused measurement changed the state")
+            _check_same(views(state), before, f"step {step}: a refused measurement changed the state")
             continue
-        _check_values(subject, flat({"state": state, "estimate": subject.results(estimate)}), f"step {step}")
+        _check_values(subject, views({"state": state, "estimate": subject.results(estimate)}), f"step {step}")
 
 
-def check_values(subject: Subject, number: int) -> None:
+def check_values(case: Case) -> None:
     """Check that a step changes neither the state nor the measurement it is given, and can be repeated."""
-    _, sequence = subject.draw(number)
+    subject = case.subject
+    _, sequence = case.draw()
     state = subject.inputs.initial(subject.estimator, sequence.start)
     for step, arguments in enumerate(sequence.steps, 1):
         before, given = flat(state), flat(arguments)
         new, estimate = subject.inputs.step(subject.estimator, state, arguments)
-        _check_same(flat(state), before, f"step {step} changed the state that it was given; copy arrays before writing")
-        _check_same(flat(arguments), given, f"step {step} changed its measurement; copy arrays before writing")
+        _check_same(
+            views(state), before, f"step {step} changed the state that it was given; copy arrays before writing"
+        )
+        _check_same(views(arguments), given, f"step {step} changed its measurement; copy arrays before writing")
         if subject.inputs.replays:
             result = flat((new, estimate))
-            again = flat(subject.inputs.step(subject.estimator, state, arguments))
+            again = views(subject.inputs.step(subject.estimator, state, arguments))
             _check_same(
                 again, result, f"step {step} from the same state gave another result; keep all memory in the state"
             )
         state = new
 
 
-def check_repeat(subject: Subject, number: int) -> None:
+def check_repeat(case: Case) -> None:
     """Check that the same sequence gives the same bits when it is run again."""
-    _, sequence = subject.draw(number)
+    subject = case.subject
+    _, sequence = case.draw()
     _check_traces(
-        subject.trace(sequence),
+        case.plain,
         subject.trace(sequence),
         "the second run of a sequence (there) differs from the first; draw from generators with a fixed seed, and keep "
         "all memory in the state",
     )
 
 
-def check_arrays(subject: Subject, number: int) -> None:
+def check_arrays(case: Case) -> None:
     """Check that other types and memory layouts of the same values give the same bits."""
-    _, sequence = subject.draw(number)
-    plain = subject.trace(sequence)
+    subject = case.subject
+    _, sequence = case.draw()
     for name, change in LAYOUTS.items():
-        changed = subject.trace(_changed(sequence, change))
-        _check_traces(plain, changed, f"{name} (there) give other bits than plain ones; convert inputs with as_numbers")
+        changed = _changed(sequence, change)
+        if _differ_in_form(sequence, changed):
+            rule = f"{name} (there) give other bits than plain ones; convert inputs with as_numbers"
+            _check_traces(case.plain, subject.trace(changed), rule)
     for name, rounded, typed in TYPES:
         kept = subject.inputs.not_rounded
         coarse = _changed(sequence, rounded, kept)
-        _check_traces(
-            subject.trace(coarse),
-            subject.trace(_changed(coarse, typed, kept)),
-            f"arrays of {name} (there) give other bits than float64 of the same values; convert inputs with as_numbers",
-        )
+        changed = _changed(coarse, typed, kept)
+        if _differ_in_form(coarse, changed):
+            rule = f"arrays of {name} (there) give other bits than float64 of the same values; use as_numbers"
+            _check_traces(_copied(subject.trace(coarse)), subject.trace(changed), rule)
 
 
-def check_unseen(subject: Subject, number: int) -> None:
+def check_unseen(case: Case) -> None:
     """Check that entries which count as unseen have no effect, whatever they hold."""
-    sequence = subject.draw(number)[1]
-    plain = subject.trace(sequence)
+    subject = case.subject
+    _, sequence = case.draw()
+    if not any(map(subject.inputs.unread, (sequence.start, *sequence.steps))):
+        return
     for value in (np.nan, np.inf):
 
         def hidden(arguments: Arguments, value: float = value) -> Arguments:
@@ -140,12 +167,14 @@ def check_unseen(subject: Subject, number: int) -> None:
             return arguments
 
         other = Sequence(hidden(sequence.start), tuple(hidden(each) for each in sequence.steps))
-        _check_traces(plain, subject.trace(other), f"{value} in unseen entries (there) has an effect; do not read them")
+        rule = f"{value} in unseen entries (there) has an effect; do not read them"
+        _check_traces(case.plain, subject.trace(other), rule)
 
 
-def check_refusals(subject: Subject, number: int) -> None:
+def check_refusals(case: Case) -> None:
     """Check that bad measurements are refused by a ValueError that names the argument, and that nothing changes."""
-    rng, sequence = subject.draw(number)
+    subject = case.subject
+    rng, sequence = case.draw()
     state = subject.inputs.initial(subject.estimator, sequence.start)
     same_form = sequence.start.keys() == sequence.steps[0].keys()
     for bad in bad_arguments(subject.inputs, rng, sequence.start, True):
@@ -157,7 +186,7 @@ def check_refusals(subject: Subject, number: int) -> None:
         _check_message(refused, bad.names, f"initial with {bad.fault}")
     # The first step has no clock before it that could run back.
     attacked = int(rng.integers(1, len(sequence.steps)))
-    plain = subject.trace(sequence)
+    plain = case.plain
     subject.inputs.prepare()
     state = subject.inputs.initial(subject.estimator, sequence.start)
     for step, arguments in enumerate(sequence.steps):
@@ -168,17 +197,17 @@ def check_refusals(subject: Subject, number: int) -> None:
                 assert refused is not None, f"step accepted {bad.fault}; refuse it with a ValueError"
                 _check_message(refused, bad.names, f"step with {bad.fault}")
                 _check_same(
-                    flat(state), before, f"the refusal of {bad.fault} changed the state; check before computing"
+                    views(state), before, f"the refusal of {bad.fault} changed the state; check before computing"
                 )
         state, estimate = subject.inputs.step(subject.estimator, state, arguments)
         _check_same(
-            flat({"state": state, "estimate": subject.results(estimate)}),
+            views({"state": state, "estimate": subject.results(estimate)}),
             plain[step + 1],
             f"step {step + 1}: refused measurements at step {attacked + 1} have an effect; check before computing",
         )
 
 
-CHECKS: dict[str, Callable[[Subject, int], None]] = {
+CHECKS: dict[str, Callable[[Case], None]] = {
     "finite": check_finite,
     "extreme": check_extreme,
     "values": check_values,
@@ -236,6 +265,20 @@ def _changed(
     return Sequence(mapped(sequence.start, change, kept), tuple(mapped(each, change, kept) for each in sequence.steps))
 
 
+def _differ_in_form(ours: Sequence, theirs: Sequence) -> bool:
+    """Return whether some array has another type, layout or permission, so that a run is not the same run again."""
+
+    def forms(sequence: Sequence) -> list[Any]:
+        return [(each.dtype, each.strides, each.flags.writeable) for _, each in numbers_in(sequence)]
+
+    return forms(ours) != forms(theirs)
+
+
+def _copied(trace: Iterable[dict[str, np.ndarray]]) -> list[dict[str, np.ndarray]]:
+    """Keep a trace, whose arrays an estimator might write into in its next step."""
+    return [flat(values) for values in trace]
+
+
 def _names(arguments: Arguments) -> tuple[str, ...]:
     return tuple({key for path, _ in numbers_in(arguments) for key in path})
 
@@ -260,14 +303,19 @@ def _check_message(error: ValueError, names: tuple[str, ...], where: str) -> Non
     )
 
 
-def _check_traces(plain: list[dict[str, np.ndarray]], other: list[dict[str, np.ndarray]], rule: str) -> None:
+def _check_traces(plain: Iterable[dict[str, np.ndarray]], other: Iterable[dict[str, np.ndarray]], rule: str) -> None:
     for step, (ours, theirs) in enumerate(zip(plain, other, strict=True)):
         _check_same(ours, theirs, f"step {step}: {rule}")
 
 
 def _check_same(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray], rule: str) -> None:
-    found = first_difference(ours, theirs, "result")
-    assert found is None, f"{rule}: {found}"
+    if ours.keys() != theirs.keys() or not all(map(_same, ours.values(), map(theirs.__getitem__, ours))):
+        found = first_difference(ours, theirs, "result")
+        assert found is None, f"{rule}: {found}"
+
+
+def _same(ours: np.ndarray, theirs: np.ndarray) -> bool:
+    return ours.dtype.kind != "O" and have_same_bits(ours, theirs)
 
 
 def _check_values(subject: Subject, values: dict[str, np.ndarray], where: str) -> None:
@@ -289,31 +337,34 @@ def _check_covariances(matrices: np.ndarray, where: str) -> None:
 
     The eigenvalues are those of the correlations, so that a small variance counts as much as a large one.
     """
+    # Free rows of a table are zeros, and most rows are free.
+    used = (matrices != 0.0).any(axis=(-1, -2))
+    rows, matrices = np.argwhere(used), matrices[used]
     variances = np.einsum("...ii->...i", matrices)
     if not (variances.real >= 0.0).all():
-        _fail_at(variances.real < 0.0, variances, f"{where} has a negative variance")
+        _fail_at(variances.real < 0.0, variances, f"{where} has a negative variance", rows)
     deviations = np.sqrt(variances.real)
     scale = deviations[..., :, None] * deviations[..., None, :]
     # Exactly known entries have zeros in their rows and columns.
     correlations = np.divide(matrices, scale, out=np.zeros_like(matrices), where=scale > 0.0)
     skew = np.abs(matrices - np.conj(np.swapaxes(matrices, -1, -2))) > 1e-12 * scale
     if skew.any():
-        _fail_at(skew, matrices, f"{where} is not symmetric")
-    if (np.abs(matrices) > 0.0)[scale == 0.0].any():
-        _fail_at(
-            (np.abs(matrices) > 0.0) & (scale == 0.0), matrices, f"{where} has a covariance beside a variance of 0"
-        )
+        _fail_at(skew, matrices, f"{where} is not symmetric", rows)
+    beside = (scale == 0.0) & (matrices != 0.0)
+    if beside.any():
+        _fail_at(beside, matrices, f"{where} has a covariance beside a variance of 0", rows)
     smallest = np.linalg.eigvalsh(correlations).min(axis=-1)
-    if (smallest < -SMALLEST_EIGENVALUE).any():
-        _fail_at(
-            smallest < -SMALLEST_EIGENVALUE, smallest, f"{where} is indefinite, smallest eigenvalue of correlations"
-        )
+    indefinite = smallest < -SMALLEST_EIGENVALUE
+    if indefinite.any():
+        _fail_at(indefinite, smallest, f"{where} is indefinite, smallest eigenvalue of correlations", rows)
 
 
 SMALLEST_EIGENVALUE = 1e-12
 """Magnitude of a negative eigenvalue of a correlation matrix that rounding of its entries can explain."""
 
 
-def _fail_at(bad: np.ndarray, values: np.ndarray, what: str) -> NoReturn:
+def _fail_at(bad: np.ndarray, values: np.ndarray, what: str, rows: np.ndarray | None = None) -> NoReturn:
+    """Raise an AssertionError about the first bad value; `rows` has the places that the first axis was taken from."""
     place = tuple(int(i) for i in np.argwhere(bad)[0])
-    raise AssertionError(f"{what}, got {values[place]} at index {list(place)}")
+    index = place if rows is None else (*rows[place[0]].tolist(), *place[1:])
+    raise AssertionError(f"{what}, got {values[place]} at index {list(index)}")

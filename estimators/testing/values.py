@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any, TypeAlias
 
@@ -12,23 +12,26 @@ Path: TypeAlias = tuple[str, ...]
 """Keys, fields and indices that lead to an array in a nested value."""
 
 
-def numbers_in(value: Any, path: Path = ()) -> Iterator[tuple[Path, np.ndarray]]:
-    """Yield the arrays and numbers of a nested value with their paths; other objects are left out.
+def numbers_in(value: Any, path: Path = ()) -> list[tuple[Path, np.ndarray]]:
+    """Return the arrays and numbers of a nested value with their paths; other objects are left out.
 
     Args:
         value: Mappings, tuples, lists, NamedTuples and dataclasses of arrays and numbers.
         path: Path of the value itself.
     """
-    if isinstance(value, (np.ndarray, np.generic, bool, int, float, complex)):
-        yield path, np.asarray(value)
-        return
-    for key, item in _parts(value):
-        yield from numbers_in(item, (*path, key))
+    found: list[tuple[Path, np.ndarray]] = []
+    _collect(value, path, found)
+    return found
+
+
+def views(value: Any) -> dict[str, np.ndarray]:
+    """The arrays in a nested value by their dotted paths."""
+    return {".".join(path): array for path, array in numbers_in(value)}
 
 
 def flat(value: Any) -> dict[str, np.ndarray]:
     """Copies of the arrays in a nested value by their dotted paths."""
-    return {".".join(path): np.array(array) for path, array in numbers_in(value)}
+    return {path: array.copy() for path, array in views(value).items()}
 
 
 def replaced(value: Any, path: Path, new: Any) -> Any:
@@ -53,21 +56,29 @@ def mapped(value: Any, change: Callable[[np.ndarray], np.ndarray], kept: Contain
         change: Function of an array.
         kept: Keys and fields whose arrays stay as they are.
     """
-    for path, array in list(numbers_in(value)):
+    for path, array in numbers_in(value):
         if not any(key in kept for key in path):
             value = replaced(value, path, change(array))
     return value
 
 
-def _parts(value: Any) -> Iterator[tuple[str, Any]]:
+def _collect(value: Any, path: Path, found: list[tuple[Path, np.ndarray]]) -> None:
+    if isinstance(value, np.ndarray):
+        found.append((path, value))
+    elif isinstance(value, (np.generic, bool, int, float, complex)):
+        found.append((path, np.asarray(value)))
+    else:
+        for key, item in _parts(value):
+            _collect(item, (*path, key), found)
+
+
+def _parts(value: Any) -> Iterable[tuple[str, Any]]:
+    if isinstance(value, (tuple, list)):
+        return zip(value._fields if hasattr(value, "_fields") else map(str, range(len(value))), value, strict=True)
+    if value is None or isinstance(value, str):
+        return ()
     if isinstance(value, Mapping):
-        for key, item in value.items():
-            yield str(key), item
-    elif hasattr(value, "_fields"):
-        yield from zip(value._fields, value, strict=True)
-    elif isinstance(value, (tuple, list)):
-        for index, item in enumerate(value):
-            yield str(index), item
-    elif is_dataclass(value) and not isinstance(value, type):
-        for field in fields(value):
-            yield field.name, getattr(value, field.name)
+        return ((str(key), item) for key, item in value.items())
+    if is_dataclass(value) and not isinstance(value, type):
+        return ((field.name, getattr(value, field.name)) for field in fields(value))
+    return ()

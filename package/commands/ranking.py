@@ -178,7 +178,9 @@ def tune(
     episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Tune seeds per level.")] = 16,
     into: Annotated[
         Path | None,
-        typer.Option(help="Document to update between <!-- tuning:begin --> and <!-- tuning:end -->."),
+        typer.Option(
+            help="Document to update between <!-- tuning:begin --> and <!-- tuning:end -->, or the name of --output."
+        ),
     ] = None,
     table_format: TableFormat = "table",
 ) -> None:
@@ -206,7 +208,8 @@ def tune(
             record = run(names, output, protocol, on_agent=on_agent, on_candidate=lambda: progress.advance(bars[-1]))
     print_tables(screen, {str(output): tuning_grid(record)})
     if into is not None:
-        embed(markdown_tuning(record), into, "tuning")
+        own = f"<!-- {output.stem}:begin -->" in into.read_text(encoding="utf-8")
+        embed(markdown_tuning(record), into, output.stem if own else "tuning")
 
 
 def _show(

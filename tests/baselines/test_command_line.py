@@ -172,3 +172,21 @@ def test_settings_take_true_and_false_as_a_shell_writes_them() -> None:
         "latency": 2,
         "target": "point",
     }
+
+
+def test_full_memory_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from servotrack.__main__ import main
+
+    def fail(*_: object) -> None:
+        raise MemoryError("Unable to allocate 8.00 TiB")
+
+    monkeypatch.setattr("servotrack.baselines.track_command.points_command.read_points", fail)
+    monkeypatch.setattr("sys.argv", ["servotrack", "track", "points.csv"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    text = capsys.readouterr().err
+    assert (
+        text.startswith("servotrack: memory is full (Unable to allocate 8.00 TiB); free some")
+        and "Traceback" not in text
+    )

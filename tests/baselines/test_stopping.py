@@ -1,6 +1,8 @@
 """Signals at random times: a command ends within 5 s, leaves valid files and nothing hidden, and goes on later.
 
-The resumed command ends with the result of a run that was not stopped.
+The resumed command ends with the result of a run that was not stopped. The slow sweep takes some minutes for each
+command and signal, `reproduce in workers` up to ten; `-s` shows how far it is. Do not edit the package meanwhile:
+results of another version of the code are computed anew.
 """
 
 from __future__ import annotations
@@ -57,11 +59,14 @@ class Command:
         arguments: Arguments of the program.
         content: Returns the results in the working directory; all files that it reads must be valid.
         before: Commands that prepare the working directory.
+        longest_wait: Longest time before a signal, s. A command that is resumed does not start from zero, so that
+            shorter times reach all of its parts too.
     """
 
     arguments: tuple[str, ...]
     content: Callable[[Path], Any]
     before: tuple[tuple[str, ...], ...] = ()
+    longest_wait: float = LONGEST_WAIT
 
 
 def rows(folder: Path) -> Any:
@@ -137,6 +142,14 @@ def counted(folder: Path) -> Any:
     return tracks(folder), rows, digests(out, "tracks.csv", "tracks.json", "tracks_offline.txt")
 
 
+def points(folder: Path) -> Any:
+    """Tracks of points; the files of a run appear together."""
+    found = digests(folder / "out", "tracks.csv", "tracks.geojson")
+    assert len(found) in (0, 2)
+    assert (folder / "out" / "tracks.png").exists() == bool(found)
+    return found
+
+
 COMMANDS = {
     "evaluate": Command(("evaluate", "UncalibServo-v0", "kf", "-n", "300", *SHORT, "-o", "out"), rows),
     "bench": Command(
@@ -170,6 +183,7 @@ COMMANDS = {
         ),
         counted,
     ),
+    "track points": Command(("track", "points.csv", "--out", "out"), points),
     "render": Command(("render", "scene", "--set", "horizon=150"), lambda folder: digests(folder, "scene/**/*")),
     "play": Command(("play", "--agent", "kf", "--seed", "3", "--video", "film.webm"), frames),
     "tune": Command(("tune", "kf", "broyden", "-n", "1", "-o", "tuning.json"), tuned),
@@ -181,7 +195,7 @@ COMMANDS = {
         ((*TRAIN, "--seeds", "0-1", "--steps", "256"),),
     ),
     "reproduce": Command(("reproduce", "unscented_jacobian", "--runs", "1", "-o", "out"), parts),
-    "reproduce in workers": Command(("reproduce", "hmm_sonar", "--runs", "2", "-o", "out"), parts),
+    "reproduce in workers": Command(("reproduce", "hmm_sonar", "--runs", "2", "-o", "out"), parts, longest_wait=12.0),
 }
 
 
@@ -196,6 +210,9 @@ def prepared(name: str, folder: Path) -> Path:
         frame[24:64, 16 + k % 90 : 32 + k % 90] = 255
         writer.write(frame)
     writer.release()
+    places = noise.uniform(-500.0, 500.0, (4, 2)) + np.arange(150)[:, None, None] * noise.normal(0.0, 5.0, (4, 2))
+    rows = [f"{k},{x},{y}" for k, scan in enumerate(places + noise.normal(0.0, 2.0, places.shape)) for x, y in scan]
+    (folder / "points.csv").write_text("\n".join(["time,x,y", *rows]) + "\n")
     for arguments in COMMANDS[name].before:
         finish(arguments, folder)
     return folder
@@ -357,10 +374,14 @@ def test_signals_at_random_times(
     chance = random.Random(f"{name} {number}")
     attempt = 0
     folder = prepared(name, tmp_path / "0")
-    for _ in range(TIMES):
+    begin = time.monotonic()
+    for turn in range(TIMES):
         process = started(command.arguments, folder)
-        time.sleep(chance.uniform(0.0, min(0.9 * duration, LONGEST_WAIT)))
+        time.sleep(chance.uniform(0.0, min(0.9 * duration, command.longest_wait)))
         end(process, number)
+        print(
+            f"{name}, {signal.Signals(number).name} {turn + 1} of {TIMES}: {time.monotonic() - begin:.0f} s", flush=True
+        )
         assert not leftovers(folder)
         found = command.content(folder)
         if process.returncode in (0, -number):

@@ -199,7 +199,10 @@ def test_every_command_that_writes_reports_a_full_disk(tmp_path: Path) -> None:
         f"play UncalibServo-v0 --agent kf --level 0 --video {folder}/film.mp4",
         f"render {folder}/walk -s horizon=20",
         f"train UncalibServo-v0 --steps 2000 -o {folder}/train -l 0",
+        f"track {notes}/points.csv -o {folder}/points",
     ]
+    rows = [f"{t},{3 * t},{k * 100 + t % 3}" for t in range(100) for k in range(5)]
+    (notes / "points.csv").write_text("\n".join(["time,x,y", *rows]))
     (notes / "commands").write_text("\n".join(commands) + "\n")
     script = FULL_DISK.format(
         folder=folder, notes=notes, servotrack=f"{sys.executable} -m servotrack", cell=" ".join(CELL)

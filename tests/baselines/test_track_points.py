@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -68,11 +69,20 @@ def test_dates_and_degrees(tmp_path: Path) -> None:
         ("time,x,y\ninf,1,2\n1,1,2\n", "row 2: time must be finite"),
         ("time,x,y\nnoon,1,2\n1,1,2\n", "row 2: time must be seconds or a date"),
         ("time,x,y\n0,1,2\n2024-05-01,1,2\n", "row 3 must have a time of the kind of the first row"),
-        ("time,x,y\n3,1,2\n\n1,1,2\n", "row 4: time 1 is before that of the row above"),
+        ("time,x,y\n3,1,2\n\n1,1,2\n", "row 4: time '1' is before that of the row above"),
         ("time,x,y\n0,1,2\n1,1\n", "row 3 must have 3 columns"),
         ("time,x,y,cov_xx\n0,1,2,1\n1,1,2,1\n", "all of cov_xx, cov_xy, cov_yy or none, got cov_xx"),
         ("time,x,y,cov_xx,cov_xy,cov_yy\n0,1,2,1,2,1\n1,1,2,1,0,1\n", "row 2 must have a positive definite"),
+        ("time,x,y,cov_xx,cov_xy,cov_yy\n0,1,2,1e-9,0,1e9\n1,1,2,1,0,1\n", "row 2 .* not nearly singular"),
         ("time,lat,lon\n0,91,0\n1,1,1\n", "row 2 must have a latitude"),
+        ("time,lat,lon\n0,89,0\n1,1,1\n", "row 2: latitude must be at most 85 in magnitude, got 89"),
+        ("time,x,y\n0,1e10,2\n1,1,2\n", "row 2: x must be at most 1e.09 in magnitude, got '1e10'"),
+        ("time,x,y\n1e12,1,2\n", "row 2: time must be at most 1e.10 s from 0 or from 1970"),
+        ("time,x,y\n9999-12-31,1,2\n", "row 2: time must be at most 1e.10 s"),
+        ("time,x,y\n" + "0,1,2\n" * 5001, "row 5002 must have at most 5000 points of one time"),
+        ("time,x,y\n0,1,2\n" + "\n" * 1001, "more than 1000 blank rows"),
+        ("time,x,y" + ",c" * 600_000 + "\n", "row 1 has more than 1048576 characters"),
+        ('time,x,y\n0,1,"' + "2\n" * 101 + '"\n', "at most 100 lines; is a quotation mark missing"),
         ('time,x,y\n0,"1,2\n', "is no row of a CSV file"),
     ],
 )
@@ -134,6 +144,170 @@ def test_parameters_are_measured(noise: float, detection: float, clutter: float)
     assert len(trajectories) == 6
     last = np.array([one.states[-1, [0, 2]] for one in trajectories])
     assert all(np.linalg.norm(last - end, axis=1).min() < 5.0 * noise for end in truth[:, -1])
+
+
+@pytest.mark.parametrize(("length", "time"), [(1e-9, 1e-6), (1.0, 1e-9), (1e5, 1e4), (2.0**-20, 2.0**10)])
+def test_parameters_do_not_depend_on_units(length: float, time: float) -> None:
+    points, _ = scene(2.0, 0.95, 3.0, steps=40)
+    model, _ = measured_model(points)
+    other = points._replace(times=points.times * time, scans=[scan * length + 3.0 * length for scan in points.scans])
+    scaled, _ = measured_model(other)
+    assert scaled.measurement_noise == pytest.approx(model.measurement_noise * length, rel=1e-6)  # type: ignore[operator]
+    assert scaled.speed == pytest.approx(model.speed * length / time, rel=1e-6)
+    assert scaled.process_noise == pytest.approx(model.process_noise * length / time**1.5, rel=1e-6)
+    ours, theirs = track_points(points, model), track_points(other, scaled)
+    assert len(ours) == len(theirs) == 6
+    for one, two in zip(ours, theirs, strict=True):
+        np.testing.assert_array_equal(two.times, other.times[np.isin(points.times, one.times)])
+        np.testing.assert_allclose(two.states[:, ::2], one.states[:, ::2] * length + 3.0 * length, rtol=1e-4)
+
+
+def plain(times: np.ndarray, places: np.ndarray) -> PointScans:
+    return PointScans(times, [place[None] for place in places], None, None, None, False)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (5.0, 5.0), (1e9, -1e9)])
+def test_points_at_one_place_are_a_track(place: tuple[float, float]) -> None:
+    points = plain(np.arange(30.0), np.tile(place, (30, 1)))
+    model, _ = measured_model(points)
+    trajectories = track_points(points, model)
+    assert len(trajectories) == 1 and np.isfinite(trajectories[0].covariances).all()
+    np.testing.assert_allclose(trajectories[0].states[:, ::2], np.tile(place, (len(trajectories[0]), 1)), atol=1e-3)
+
+
+def test_measuring_begins_at_the_first_point_and_far_points_are_noted() -> None:
+    points, _ = scene(2.0, 0.95, 3.0, steps=40)
+    before = np.arange(400.0) - 500.0
+    late = points._replace(
+        times=np.concatenate([before, points.times]), scans=[np.zeros((0, 2))] * len(before) + points.scans
+    )
+    assert len(track_points(late, measured_model(late)[0])) == 6
+    far = points._replace(scans=[*points.scans[:-1], np.array([[1e7, 0.0]])])
+    assert any("1 points are more than 30 times as far out" in note for note in measured_model(far)[1])
+
+
+def any_points(seed: int) -> PointScans:
+    """Points of any scale: at random, in lines, at few places, with outliers, gaps and covariances."""
+    rng = np.random.default_rng(seed)
+    scans, d = int(rng.integers(2, 25)), int(rng.integers(2, 4))
+    steps = np.exp(rng.normal(0.0, rng.choice([0.0, 0.5, 4.0]), scans)) * 10.0 ** rng.uniform(-12, 6)
+    times = np.cumsum(np.maximum(steps, 1e-14)) + rng.choice([0.0, 0.0, 1.7e9, -1e9])
+    kinds = {
+        "random": lambda n, k: rng.uniform(-1.0, 1.0, (n, d)),
+        "line": lambda n, k: np.full((n, d), k / scans) + np.arange(n)[:, None],
+        "places": lambda n, k: rng.integers(-1, 2, (n, d)).astype(np.float64),
+        "one": lambda n, k: np.ones((n, d)),
+        "wide": lambda n, k: rng.uniform(-1.0, 1.0, (n, d)) * 10.0 ** rng.uniform(-8.0, 0.0, (n, d)),
+        "flat": lambda n, k: rng.uniform(-1.0, 1.0, (n, d)) * (np.arange(d) == 0),
+    }
+    draw = kinds[str(rng.choice(list(kinds)))]
+    scale, most = 10.0 ** rng.uniform(-14, 8), int(rng.integers(1, 12))
+    found = [scale * draw(int(rng.integers(0, most + 1)), k) for k in range(scans)]
+    found[int(rng.integers(scans))] = scale * draw(1, 0) * rng.choice([1.0, 1.0, 10.0])
+    covariances = None
+    if rng.random() < 0.3:
+        covariances = [
+            np.array([np.diag(10.0 ** rng.uniform(-20, 10, 1) * 10.0 ** rng.uniform(-5, 5, d)) for _ in scan]).reshape(
+                -1, d, d
+            )
+            for scan in found
+        ]
+    _, kept = np.unique(times, return_index=True)
+    return PointScans(
+        times[kept],
+        [found[k] for k in kept],
+        None if covariances is None else [covariances[k] for k in kept],
+        None,
+        None,
+        False,
+    )
+
+
+def check_any_points(seed: int) -> bool:
+    """Return True if the points were tracked, False if they were refused; anything else fails."""
+    points = any_points(seed)
+    if len(points.times) < 2 or not any(map(len, points.scans)):
+        return False
+    try:
+        model, _ = measured_model(points)
+        trajectories = track_points(points, model)
+    except SequenceError:
+        return False
+    except Exception as error:
+        raise AssertionError(f"points of seed {seed}") from error
+    for name, value in model._asdict().items():
+        assert value is None or (np.isfinite(value).all() and (name in ("low", "high") or value > 0.0)), (
+            seed,
+            name,
+            value,
+        )
+    for one in trajectories:
+        assert np.isfinite(one.states).all() and np.isfinite(one.covariances).all(), seed
+        assert (np.einsum("kii->ki", one.covariances) >= 0.0).all(), seed
+        assert np.isin(one.times, points.times).all(), seed
+    return True
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_any_points_are_tracked_or_refused() -> None:
+    assert sum(map(check_any_points, range(30))) > 10
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_many_points_are_tracked_or_refused() -> None:
+    count = int(os.environ.get("SERVOTRACK_FUZZED_POINTS", "3000"))
+    print(f"{sum(map(check_any_points, range(count)))} of {count} tracked")
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        ([0.0, 1.0, 1.0 + 1e-9, 2.0, 3.0], "1e-06 of the median step"),
+        ([0.0, 1e-9, 2e-9, 3e-9, 1e9], "at most 1e.09 median steps"),
+        ([0.0, 1e-20, 2e-20, 3e-20, 4e-20], "must be at least 1e-15"),
+    ],
+)
+def test_time_steps_that_rounding_would_decide_are_refused(times: list[float], message: str) -> None:
+    points = plain(np.array(times), np.arange(2.0 * len(times)).reshape(-1, 2))
+    with pytest.raises(SequenceError, match=message):
+        measured_model(points)
+
+
+def test_tiny_covariances_are_raised_to_what_rounding_allows() -> None:
+    points, _ = scene(3.0, 0.95, 3.0, steps=30)
+    given = points._replace(covariances=[np.tile(1e-30 * np.eye(2), (len(scan), 1, 1)) for scan in points.scans])
+    for one in track_points(given, measured_model(given)[0]):
+        assert np.isfinite(one.states).all() and np.isfinite(one.covariances).all()
+
+
+def test_inputs_are_not_replaced_and_a_failed_run_leaves_the_earlier_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points, _ = scene(2.0, 0.95, 3.0, steps=20)
+    rows = [f"{t},{x},{y}" for t, scan in zip(points.times, points.scans, strict=True) for x, y in scan]
+    source = written(tmp_path, "\n".join(["time,x,y", *rows]))
+    out = tmp_path / "out"
+    arguments = ["track", str(source), "--out", str(out)]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    own = CliRunner().invoke(app, ["track", str(out / "tracks.csv"), "--out", str(out)])
+    assert "would be replaced by this run's output" in str(own.exception)
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    source.write_text("\n".join(["time,x,y", *rows[:-5]]))
+
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("servotrack.baselines.track_command.points_command.save_figure", fail)
+    assert CliRunner().invoke(app, arguments).exit_code != 0
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_a_plane_that_is_too_large_is_noted(tmp_path: Path) -> None:
+    rows = [f"{k},{40 + k / 2},{k / 4}" for k in range(40)]
+    source = written(tmp_path, "\n".join(["time,lat,lon", *rows]))
+    result = CliRunner().invoke(app, ["track", str(source), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0 and "distances to the east are off by up to 34 %" in " ".join(result.output.split())
 
 
 def test_command_writes_tracks_map_figure_and_scores(tmp_path: Path) -> None:

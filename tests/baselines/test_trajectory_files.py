@@ -45,6 +45,13 @@ def test_csv_keeps_every_bit(tmp_path: Path, names: tuple[str, ...]) -> None:
         (lambda text: text[:-20] + "\n", "finite numbers|must hold"),
         (lambda text: text + text.splitlines()[1] + "\n", "times must increase"),
         (lambda text: text.replace(text.splitlines()[1].split(",")[2], "nan", 1), "row 2 must hold 17 finite numbers"),
+        (
+            lambda text: text.replace(text.splitlines()[1].split(",")[2], "1.5", 1),
+            r"row 2 must have an existence in \[0, 1\]",
+        ),
+        (lambda text: text.replace(text.splitlines()[1].split(",")[7], "-4.0", 1), "row 2 must have variances"),
+        (lambda text: text + '4,"', "is no row of a table"),
+        (lambda text: "label,time,existence" + ",x" * 101 + ",cov" * 5151 + "\n", "a state of up to 100 entries"),
     ],
 )
 def test_a_damaged_csv_is_refused(tmp_path: Path, damage: object, message: str) -> None:

@@ -15,8 +15,8 @@ import pytest
 from servotrack.baselines.agents.hyper_parameters import value_at, with_values
 from servotrack.baselines.agents.registry import AGENTS, agent_card
 from servotrack.baselines.agents.servo.catalog import ESTIMATORS
-from servotrack.baselines.agents.servo.tuning_grid import BORROWED, GRIDS, UNTUNED
-from servotrack.baselines.agents.tuning_record import SHIPPED, TunedAgent, TuningRecord, read_record
+from servotrack.baselines.agents.servo.tuning_grid import BORROWED, GRIDS, UNSTAMPED_GRIDS, UNTUNED
+from servotrack.baselines.agents.tuning_record import SHIPPED, SHIPPED_UNSTAMPED, TunedAgent, TuningRecord, read_record
 from servotrack.baselines.evaluation.evaluate import run_episodes
 from servotrack.baselines.evaluation.seeds import TUNE
 from servotrack.baselines.reporting.files import ResultsError
@@ -275,7 +275,8 @@ def test_grids_of_other_worlds_hold_the_defaults_and_reach_the_estimator(family:
         choices = family.grids[agent][path]
         assert default in choices and len(choices) == len(set(choices)) > 1
         for choice in choices:
-            assert value_at(with_values(family.create(agent), {path: choice}), path) == choice
+            into = family.path(path)
+            assert value_at(with_values(family.create(agent), {into: choice}), into) == choice
 
 
 def test_every_kind_of_world_has_a_family_with_all_its_levels() -> None:
@@ -358,9 +359,12 @@ def test_the_shipped_record_is_of_this_protocol_and_covers_every_agent() -> None
     assert record.protocol == TuningProtocol().as_record()
     assert set(record.agents) == set(GRIDS)
     servos = {name: card for name, card in AGENTS.items() if "servo" in card.worlds and card.trained_in is None}
-    assert set(GRIDS) | set(BORROWED) | UNTUNED == set(servos)
+    unstamped = read_record(SHIPPED_UNSTAMPED)
+    assert set(unstamped.agents) == set(UNSTAMPED_GRIDS)
+    assert (unstamped.protocol["levels"], len(unstamped.protocol["seeds"])) == ([6], 300)
+    assert set(GRIDS) | set(UNSTAMPED_GRIDS) | set(BORROWED) | UNTUNED == set(servos)
     for name, card in servos.items():
-        assert card.tuning_steps == record.tuning_steps(name)
+        assert card.tuning_steps == (unstamped if name in UNSTAMPED_GRIDS else record).tuning_steps(name)
         assert card.tuning_steps is not None and (card.tuning_steps == 0) == (name in UNTUNED)
 
 
@@ -368,6 +372,13 @@ def test_the_shipped_record_is_of_this_protocol_and_covers_every_agent() -> None
 def test_what_the_shipped_record_chose_is_the_default(agent: str) -> None:
     tuned: TunedAgent = read_record(SHIPPED).agents[agent]
     assert tuned.grid == {path: list(choices) for path, choices in GRIDS[agent].items()}
+    assert tuned.chosen == default_values(agent)
+
+
+@pytest.mark.parametrize("agent", UNSTAMPED_GRIDS)
+def test_what_the_search_at_level_6_chose_is_the_default(agent: str) -> None:
+    tuned: TunedAgent = read_record(SHIPPED_UNSTAMPED).agents[agent]
+    assert tuned.grid == {path: list(choices) for path, choices in UNSTAMPED_GRIDS[agent].items()}
     assert tuned.chosen == default_values(agent)
 
 
@@ -403,3 +414,4 @@ def test_the_page_shows_the_shipped_record() -> None:
     page = (Path(__file__).parents[2] / "docs" / "tuning.md").read_text(encoding="utf-8")
     remedy = "run `servotrack tune --output baselines/agents/tuning.json --into docs/tuning.md`"
     assert markdown_tuning(read_record(SHIPPED)).strip() in page, remedy
+    assert markdown_tuning(read_record(SHIPPED_UNSTAMPED)).strip() in page

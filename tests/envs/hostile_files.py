@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import random
 import re
 import struct
@@ -16,6 +18,7 @@ import numpy as np
 from servotrack.envs.track.files.caviar import read_caviar
 from servotrack.envs.track.files.labeled import LabeledTruth, read_labeled
 from servotrack.envs.track.files.mot_files import read_mot_detections, read_mot_tracks, read_seqinfo
+from servotrack.envs.track.files.points import PointScans, read_points
 from servotrack.envs.track.files.recorded import RecordedTracks
 from servotrack.estimators.metrics.benchmarks import LabeledBoxes
 
@@ -34,6 +37,13 @@ CVML = b"""<?xml version="1.0" encoding="UTF-8"?>
    <object id="4"><box h="8" w="3" xc="12" yc="20"/></object><object id="0"><box xc="5" yc="5" w="2" h="2"/></object>
  </objectlist><grouplist></grouplist></frame>
 </dataset>
+"""
+POINTS = b"""time,x,y,cov_xx,cov_xy,cov_yy,id
+0,1.5,2,4,1,5,a
+0,-30,4e1,4,0,4,b
+1.5,2,2.5,4,1,5,a
+2,,,,,,
+3.25,3,3,4,0.5,5,"a b"
 """
 SEQINFO = b"[Sequence]\nname=Toy\nimDir=img1\nframeRate=25\nseqLength=3\nimWidth=64\nimHeight=48\nimExt=.jpg\n"
 
@@ -262,6 +272,32 @@ def check_seqinfo(content: bytes, found: Any) -> None:
             assert any(_plain(one) == value for one in spelled if _NUMBER.fullmatch(one))
 
 
+def check_points(content: bytes, found: PointScans) -> None:
+    """Check that every row is in the scan of its time, and that covariances and identities are those of the file."""
+    rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig"), newline=""), strict=True))
+    rows = [row for row in rows if any(cell.strip(" \t") for cell in row)]
+    head = [cell.strip(" \t").lower() for cell in rows[0]]
+    at = {name: head.index(name) for name in head}
+    time = next(at[name] for name in ("time", "timestamp", "basedatetime", "t") if name in at)
+    axes = [at[name] for name in ("x", "y", "z") if name in at]
+    placed = [row for row in rows[1:] if any(row[k].strip(" \t") for k in axes)]
+    assert sorted({float(row[time]) for row in rows[1:]}) == found.times.tolist()
+    seen = np.repeat(found.times, [len(scan) for scan in found.scans]).tolist()
+    places = np.concatenate(found.scans).tolist()
+    assert [[float(row[time]), *(float(row[k]) for k in axes)] for row in placed] == [
+        [t, *place] for t, place in zip(seen, places, strict=True)
+    ]
+    assert np.abs(places).max() <= 1e9
+    if "cov_xx" in at:
+        assert found.covariances is not None
+        upper = np.concatenate(found.covariances)
+        assert [float(row[at["cov_xy"]]) for row in placed] == upper[:, 0, 1].tolist()
+        assert (np.linalg.eigvalsh(upper) > 0.0).all()
+    if found.identities is not None:
+        names = [at[name] for name in ("id", "label", "track", "target", "mmsi") if name in at]
+        assert [row[names[0]].strip(" \t") for row in placed] == [name for scan in found.identities for name in scan]
+
+
 READERS: dict[str, tuple[Callable[[Path], Any], bytes, Callable[[bytes, Any], None]]] = {
     "gt.txt": (read_mot_tracks, GT, check_tracks),
     "det.txt": (read_mot_detections, DETECTIONS, check_detections),
@@ -269,6 +305,7 @@ READERS: dict[str, tuple[Callable[[Path], Any], bytes, Callable[[bytes, Any], No
     "labels.txt": (read_labeled, KITTI, check_labels),
     "flags.txt": (read_labeled, GT, check_labels),
     "seqinfo.ini": (read_seqinfo, SEQINFO, check_seqinfo),
+    "points.csv": (read_points, POINTS, check_points),
 }
 
 _USED = (0, 2, 3, 4, 5, 6)

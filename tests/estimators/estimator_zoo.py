@@ -19,6 +19,12 @@ EKF = rfs.RangeBearingModel(HMM.transition, HMM.process_noise, HMM.observation, 
 UKF = rfs.RangeBearingModel(HMM.transition, HMM.process_noise, HMM.observation, NOISE, transform="ukf")
 PLACES = rfs.Birth([0.1, 0.1], np.array([[0.0, 0.0, 0.0, 0.0], [50.0, 0.0, 0.0, 0.0]]), 100.0 * np.eye(4))
 ANYWHERE = rfs.MeasurementBirth()
+CAPS: dict[str, Any] = {
+    "hypotheses": 50,
+    "assignments": 50,
+    "targets": 20,
+    "reduction": rfs.Reduction(components=5, tracks=100),
+}
 COARSE: dict[str, Any] = {"beams": 91, "rates": (-8.0, -4.0, 0.0, 4.0, 8.0), "window": 6, "lag": 2}
 
 
@@ -56,15 +62,24 @@ def _scans(estimator: Any, *, polar: bool = False, steered: bool = False) -> Kin
 
 def _filters() -> dict[str, Kind]:
     found = {}
+    kinds = {"phd": rfs.GMPHD, "cbmember": rfs.GMCBMeMBer, "lmb": rfs.LMB, "pmb": rfs.PMB}
     for name, model in {"hmm": HMM, "pmm": PMM, "ekf": EKF, "ukf": UKF}.items():
         polar = name in ("ekf", "ukf")
-        for label, kind in {"phd": rfs.GMPHD, "cbmember": rfs.GMCBMeMBer, "pmb": rfs.PMB, "pmbm": rfs.PMBM}.items():
+        for label, kind in kinds.items():
             found[f"{label}-{name}"] = _scans(kind(model, ANYWHERE, clutter_intensity=1e-4), polar=polar)
         found[f"cphd-{name}"] = _scans(rfs.GMCPHD(model, ANYWHERE, clutter_intensity=1e-4), polar=polar)
-        smoother = rfs.TrajectoryPMB(model, ANYWHERE, clutter_intensity=1e-4, lag=2)
+        found[f"pmbm-{name}"] = _scans(rfs.PMBM(model, ANYWHERE, clutter_intensity=1e-4, **CAPS), polar=polar)
+        # One of each has tables that grow, the others small ones with fewer rows than some scenes have tracks.
+        tables = {} if name == "hmm" else {"reduction": rfs.Reduction(tracks=24)}
+        smoother = rfs.TrajectoryPMB(model, ANYWHERE, clutter_intensity=1e-4, lag=2, **tables)
         found[f"trajectory-pmb-{name}"] = _scans(smoother, polar=polar)
         robust = rfs.RobustPMB(
-            model, rfs.Births(PLACES, ANYWHERE), clutter_intensity=1e-4, volume=4e4, modes=rfs.maneuvers(model)
+            model,
+            rfs.Births(PLACES, ANYWHERE),
+            clutter_intensity=1e-4,
+            volume=4e4,
+            modes=rfs.maneuvers(model),
+            **tables,
         )
         found[f"robust-pmb-{name}"] = _scans(robust, polar=polar)
         found[f"gnn-{name}"] = _scans(rfs.GlobalNearestNeighbor(model), polar=polar)
@@ -73,6 +88,7 @@ def _filters() -> dict[str, Kind]:
     steered = rfs.SteeredPHD(rfs.GMPHD(HMM, PLACES, clutter_intensity=1e-4))
     return found | {
         "phd-spawn": _scans(rfs.GMPHD(HMM, PLACES, spawn=(rfs.Spawn(0.05, np.eye(4)),), clutter_intensity=1e-4)),
+        "pmbm-large": _scans(rfs.PMBM(HMM, ANYWHERE, clutter_intensity=1e-4)),
         "smc-phd": _scans(rfs.ParticlePHD(HMM, PLACES, clutter_intensity=1e-4, **few)),
         "smc-phd-range": _scans(rfs.ParticlePHD(EKF, PLACES, clutter_intensity=1e-4, **few), polar=True),
         "steered": _scans(steered, steered=True),

@@ -9,6 +9,7 @@ import pytest
 
 from servotrack.estimators.rfs import (
     GMPHD,
+    LMB,
     PMB,
     PMBM,
     Birth,
@@ -33,7 +34,7 @@ PLANE = constant_velocity(5.0, 1.5)
 KAPPA = 20.0 / 4000.0**2
 UNMERGED = Reduction(components=5, merge=0.0)
 OTHER = np.array([[9.0, 2.0], [2.0, 4.0]])
-GAUSSIAN = [GMPHD, GMCBMeMBer, PMB, PMBM, TrajectoryPMB, RobustPMB, GlobalNearestNeighbor]
+GAUSSIAN = [GMPHD, GMCBMeMBer, LMB, PMB, PMBM, TrajectoryPMB, RobustPMB, GlobalNearestNeighbor]
 
 
 def make(kind, model=PLANE, birth=None):

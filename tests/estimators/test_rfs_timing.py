@@ -11,6 +11,7 @@ from scipy.integrate import quad_vec
 
 from servotrack.estimators.rfs import (
     GMPHD,
+    LMB,
     PMB,
     PMBM,
     Birth,
@@ -24,15 +25,19 @@ from servotrack.estimators.rfs import (
     LinearSensor,
     MeasurementBirth,
     RangeBearingModel,
+    RobustPMB,
     TimedTracker,
     bearing_sensor,
     constant_velocity,
+    maneuvers,
     pairwise_structure,
     range_bearing_sensor,
     spherical_sensor,
 )
+from servotrack.estimators.testing.bits import first_difference
+from servotrack.estimators.testing.values import flat
 
-FILTERS = [GMPHD, GMCBMeMBer, PMB, PMBM]
+FILTERS = [GMPHD, GMCBMeMBer, LMB, PMB, PMBM]
 KAPPA = 20.0 / 4000.0**2
 PLANE = constant_velocity(5.0, 1.5)
 
@@ -305,8 +310,9 @@ def test_scan_before_the_memory_is_refused_and_changes_nothing():
         tracker.update(scans[0][1], 2.5)
     with pytest.raises(ValueError, match="measurements must have shape"):
         tracker.update(np.zeros((1, 3)), 9.0)
-    with pytest.raises(ValueError, match="time must be finite"):
-        tracker.update(scans[0][1], np.nan)
+    for time in (np.nan, 1e300, None, "9", np.ones(2)):
+        with pytest.raises(ValueError, match="time must be finite"):
+            tracker.update(scans[0][1], time)
     assert tracker.estimate is before
     assert tracker.time == 8.0
     tracker.update(scans[4][1], 4.5)
@@ -314,11 +320,95 @@ def test_scan_before_the_memory_is_refused_and_changes_nothing():
     tracker.update(scans[0][1], 0.0)
 
 
+RETURNED = {
+    "text": (lambda x: np.full((len(x), 1), "1"), "must be real numbers, got text"),
+    "complex": (lambda x: np.ones((len(x), 1)) * 1j, "must be real numbers, got complex"),
+    "objects": (lambda x: np.full((len(x), 1), None), "must be real numbers, got objects"),
+    "masked": (lambda x: np.ma.masked_array(np.ones((len(x), 1)), True), "must not have masked entries"),
+    "ragged": (lambda x: [*[[1.0]] * (len(x) - 1), [1.0, 2.0]], "must be an array of numbers|must return shape"),
+    "NaN": (lambda x: np.full((len(x), 1), np.nan), "must return finite values"),
+    "shape": (lambda x: np.zeros((len(x), 3)), r"must return shape \(\d+,"),
+}
+
+
+def distance(x):
+    return np.hypot(x[:, 0], x[:, 2])[:, None]
+
+
+@pytest.mark.parametrize("argument", ["function", "jacobian", "places", "detection", "clutter_intensity"])
+@pytest.mark.parametrize("kind", RETURNED)
+def test_what_functions_of_a_sensor_return_is_checked(kind, argument):
+    function, message = RETURNED[kind]
+
+    def given(x):
+        values = function(x)
+        if kind not in ("ragged", "shape"):
+            wide = np.ma.repeat(values[:, None], 2 if argument == "places" else 4, axis=2)
+            values = {"function": values, "jacobian": wide, "places": wide}.get(argument, values[:, 0])
+        return (values, np.ones((len(x), 1, 2, 2))) if argument == "places" else values
+
+    sensor = FunctionSensor(**({"function": distance, "noise": np.eye(1)} | {argument: given}))
+    filter = GMPHD(PLANE, births() if argument == "places" else births(Birth), clutter_intensity=KAPPA)
+    z = np.full((2, 1), 5.0)
+    with pytest.raises(ValueError, match=message):
+        filter.step(filter.initial(z, sensor), z, 1.0, sensor)
+
+
+@pytest.mark.parametrize("kind", [GMPHD, PMB])
+def test_functions_of_a_sensor_may_write_into_their_arguments(kind):
+    def spoiling(function):
+        def call(x):
+            found = function(x)
+            x[...] = 0.0
+            return found
+
+        return call
+
+    def slope(x):
+        H = np.zeros((len(x), 1, 4))
+        H[:, 0, [0, 2]] = x[:, [0, 2]] / np.maximum(distance(x), 1.0)
+        return H
+
+    def places(z):
+        return np.repeat(z[:, None], 2, axis=2), np.tile(100.0 * np.eye(2), (len(z), 1, 1, 1))
+
+    results = []
+    for change in (lambda one: one, spoiling):
+        sensor = FunctionSensor(change(distance), np.eye(1), jacobian=change(slope), places=change(places))
+        filter = kind(PLANE, births(), clutter_intensity=KAPPA)
+        scans = [np.array([[50.0], [80.0]]) + k for k in range(4)]
+        state = filter.initial(scans[0], sensor)
+        for z in scans:
+            state, estimate = filter.step(state, z, 1.0, sensor)
+        results.append((state, estimate, scans))
+    assert first_difference(*map(flat, results), "result") is None
+
+
+def test_places_of_a_sensor_need_covariances():
+    for covariance in (np.diag([1.0, -1.0]), np.array([[1.0, 0.5], [0.0, 1.0]])):
+        sensor = FunctionSensor(
+            distance,
+            np.eye(1),
+            places=lambda z, P=covariance: (np.zeros((len(z), 1, 2)), np.tile(P, (len(z), 1, 1, 1))),
+        )
+        filter = PMB(PLANE, births(), clutter_intensity=KAPPA)
+        with pytest.raises(ValueError, match="places must return symmetric positive semidefinite covariances"):
+            filter.step(filter.initial(np.ones((1, 1)), sensor), np.ones((1, 1)), 1.0, sensor)
+
+
+def test_modes_stay_probabilities_over_long_intervals():
+    filter = RobustPMB(PLANE, births(), clutter_intensity=KAPPA, volume=1.0 / KAPPA, modes=maneuvers(PLANE))
+    state = filter.initial(np.zeros((1, 2)))
+    for dt in (1e10, 1.0, 1e9):
+        state, estimate = filter.step(state, np.zeros((1, 2)), dt)
+        assert np.isfinite(estimate.expected_number)
+
+
 def test_bad_intervals_and_sensors_are_refused_by_name():
     filter = PMB(PLANE, births(), clutter_intensity=KAPPA)
     state, z = filter.initial(np.zeros((0, 2))), np.zeros((1, 2))
-    for dt in (-1.0, np.nan, np.inf):
-        with pytest.raises(ValueError, match=r"dt must be finite and >= 0, got .*TimedTracker"):
+    for dt in (-1.0, np.nan, np.inf, 1e300, "1", np.ones(2), 1j):
+        with pytest.raises(ValueError, match=r"dt must be finite and >= 0, .*, got .*TimedTracker"):
             filter.step(state, z, dt)
     fixed = HiddenMarkovModel(PLANE.transition, PLANE.process_noise, PLANE.observation, PLANE.measurement_noise)
     with pytest.raises(ValueError, match=r"dt must be the model's period, 1 s, or 0, got 2\.0: .* motion="):

@@ -166,3 +166,26 @@ def test_a_model_for_every_detection_does_not_fill_the_memory():
         detection = Detection(StateVector([5.0 * k, 0.0]), timestamp=at(k), measurement_model=own)
         tracker.update_tracker(at(k), {detection})
     assert len(tracker._sensors) + len(tracker._linear) == 1
+
+
+@pytest.mark.parametrize(
+    ("time", "rows", "message"),
+    [
+        (at(1).replace(tzinfo=datetime.timezone.utc), [[0.0, 0.0]], "all with a time zone or all without"),
+        ("noon", [[0.0, 0.0]], "time must be a datetime"),
+        (at(1), [[np.nan, 0.0]], "measurements must be finite"),
+        (at(1), [[0.0, 0.0, 0.0]], "measurements must have shape"),
+        (at(1), [[0.0, 0.0], [0.0, 0.0, 0.0]], "detections of one model must be an array of numbers"),
+    ],
+)
+def test_bad_times_and_detections_are_refused_by_name(time, rows, message):
+    position = LinearGaussian(4, (0, 2), np.eye(2))
+    filter = PMB(target_model(steady(2), position), MeasurementBirth(0.1, 20.0), clutter_intensity=1e-6)
+    tracker = SetFilterTracker(None, filter, position)
+    tracker.update_tracker(START, {Detection(StateVector([0.0, 0.0]), timestamp=START)})
+    with pytest.raises(ValueError, match=message):
+        tracker.update_tracker(time, {Detection(StateVector(row), timestamp=START) for row in rows})
+    with pytest.raises(ValueError, match="measurement_model must be given"):
+        SetFilterTracker(None, filter, None).update_tracker(
+            START, {Detection(StateVector([0.0, 0.0]), timestamp=START)}
+        )

@@ -46,6 +46,12 @@ CARDS = (
         "lifted Kalman filters, one per hypothesis on the unstamped latency",
         law="one-step",
     ),
+    _servo(
+        "latency-bank-agile-kf",
+        "structure",
+        "the same with targets of constant velocity that jumps; searched at level 6 with its law and probing",
+        law="one-step",
+    ),
     _servo("oracle", "privileged", "the analytic Jacobian: the upper anchor of every score", requires=TRUTH),
     _servo(
         "informed-bound",

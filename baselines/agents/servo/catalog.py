@@ -33,7 +33,7 @@ from servotrack.estimators.jacobian.bank import HypothesisBank, Latencies, Mount
 from servotrack.estimators.jacobian.contract import JacobianEstimator
 from servotrack.estimators.jacobian.informed import InformedKalman
 from servotrack.estimators.jacobian.laws import ControlLaw
-from servotrack.estimators.jacobian.lifted import SWINGING_MODELS, LiftedKalman
+from servotrack.estimators.jacobian.lifted import AGILE_MODELS, SWINGING_MODELS, LiftedKalman
 from servotrack.estimators.jacobian.parametric import ParametricKalman
 
 
@@ -60,6 +60,7 @@ ESTIMATORS: Mapping[str, Callable[[], JacobianEstimator]] = {
     "lifted-kf-swinging": lambda: LiftedKalman(models=SWINGING_MODELS),
     "latency-bank-kf": lambda: HypothesisBank(KalmanJacobian(), Latencies()),
     "latency-bank-lifted-kf": lambda: HypothesisBank(LiftedKalman(), Latencies()),
+    "latency-bank-agile-kf": lambda: HypothesisBank(LiftedKalman(models=AGILE_MODELS), Latencies((0.01, 0.06, 0.11))),
     "oracle": OracleJacobian,
     # Its measurements carry the truth, which only privileged environments give.
     "informed-bound": lambda: cast("JacobianEstimator", InformedKalman()),
@@ -72,10 +73,25 @@ LAWS: Mapping[str, Callable[[], ControlLaw]] = {
     "one-step": OneStepExact,
 }
 
+DEFAULTS: Mapping[str, Mapping[str, float]] = {
+    "latency-bank-agile-kf": {
+        "estimator.model_stay": 0.95,
+        "law.gain": 0.8,
+        "law.max_step": 0.15,
+        "excitation.steps": 4,
+    }
+}
+"""Numbers of agents that were searched together with law and exploratory moves, by path; see `controller_path`."""
+
 _NO_PROBING = frozenset({"oracle", "informed-bound"})
 """Agents that need no probing because they receive the true Jacobian or camera."""
 _NO_SUPERVISOR = frozenset({"fixed-jacobian"})
 """Agents that must not restart learning."""
+
+
+def controller_path(path: str) -> str:
+    """Path into a `ServoController` of a path into its estimator, or into its "law" or "excitation"."""
+    return path if path.startswith(("law.", "excitation.")) else f"estimator.{path}"
 
 
 def servo_controller(
@@ -87,18 +103,21 @@ def servo_controller(
         estimator: A key of `ESTIMATORS`.
         law: A key of `LAWS`.
         max_joint_rate: Joint rate limit, rad/s.
-        values: Numbers of the estimator that differ from its defaults, by path; see `with_values`.
+        values: Numbers that differ from the agent's defaults, by path into the estimator, or into the parts "law" and
+            "excitation" of the controller; see `with_values`.
 
     Raises:
         ValueError: `values` that do not fit the estimator.
     """
-    return ServoController(
-        estimator=with_values(ESTIMATORS[estimator](), values or {}),
+    made = ServoController(
+        estimator=ESTIMATORS[estimator](),
         law=LAWS[law](),
         excitation=Excitation(steps=0) if estimator in _NO_PROBING else Excitation(),
         supervisor=None if estimator in _NO_SUPERVISOR else Supervisor(),
         max_joint_rate=max_joint_rate,
     )
+    given = {**DEFAULTS.get(estimator, {}), **(values or {})}
+    return with_values(made, {controller_path(path): value for path, value in given.items()})
 
 
 def create_servo_agent(
@@ -112,7 +131,7 @@ def create_servo_agent(
         env: A servo environment or vector environment.
         estimator: A key of `ESTIMATORS`.
         law: A key of `LAWS`.
-        values: Numbers of the estimator that differ from its defaults, by path; see `with_values`.
+        values: Numbers that differ from the agent's defaults, by path; see `servo_controller`.
 
     Raises:
         ValueError: An environment that is not a servo, or `values` that do not fit the estimator.

@@ -74,6 +74,32 @@ GRIDS: Mapping[str, Grid] = {
 }
 """Values tried, by agent and path into its estimator."""
 
+UNSTAMPED_GRIDS: Mapping[str, Grid] = {
+    "latency-bank-agile-kf": {
+        "estimator.models.0.jump": (5.0, 10.0, 20.0, 40.0),
+        "estimator.models.0.jerk": (2.5, 10.0, 40.0),
+        "estimator.models.1.jump": (50.0, 100.0, 200.0),
+        "estimator.models.1.jerk": (2.5, 10.0, 40.0),
+        "estimator.models.2.jump": (300.0, 600.0, 1200.0),
+        "estimator.models.2.jerk": (2.5, 10.0, 40.0),
+        "estimator.models.0.damping": (2.5, 10.0, 40.0),
+        "estimator.model_stay": (0.85, 0.9, 0.95, 0.98, 0.99),
+        "hypotheses.ages.0": (0.0, 0.01, 0.02),
+        "hypotheses.ages.1": (0.05, 0.06, 0.07),
+        "hypotheses.ages.2": (0.1, 0.11, 0.12),
+        "estimator.drift": (0.075, 0.15, 0.3, 0.6),
+        "estimator.optics_error": (0.00625, 0.0125, 0.025, 0.05),
+        "estimator.encoder_noise": (0.0004, 0.0008, 0.0016),
+        "estimator.outlier_rate": (0.0075, 0.015, 0.03),
+        "estimator.noise_stay": (0.97, 0.985, 0.9925),
+        "law.gain": (0.6, 0.7, 0.8, 0.9, 1.0),
+        "law.max_step": (0.1, 0.15, 0.2, 0.3),
+        "excitation.steps": (2, 4, 6),
+        "excitation.amplitude": (0.02, 0.03, 0.04, 0.06),
+    },
+}
+"""Values tried at level 6, where frames are late and unstamped; law and exploratory moves are searched, too."""
+
 BORROWED: Mapping[str, str] = {
     "fixed-jacobian": "kf",
     "ukf": "kf",

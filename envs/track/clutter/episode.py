@@ -171,6 +171,13 @@ def _draw_path(config: ClutterConfig, streams: Streams, target: int, start: Arra
     )
 
 
+def turn_angles(config: ClutterConfig, seed: int) -> Array:
+    """Angle by which the velocity of each target turns before each scan of an episode. Shape (K, n), rad."""
+    streams = Streams(seed)
+    turns = np.stack([_turn_rates(config, streams, target) for target in range(config.max_targets)], axis=1)
+    return np.concatenate([turns, np.repeat(turns[-1:], config.lag, axis=0)])
+
+
 def _path_through_middle(config: ClutterConfig, streams: Streams, target: int, root: Array) -> Array:
     """Return state and measured position of a target at every scan, shape (K, 6), drawn from the middle scan on.
 

@@ -7,6 +7,8 @@ import gzip
 import io
 import math
 import zlib
+from array import array
+from collections.abc import Iterator
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import NamedTuple
@@ -15,19 +17,38 @@ import numpy as np
 
 from servotrack.envs.track.files.bounded import parse_number, read_bounded
 from servotrack.envs.track.files.recorded import SequenceError
-from servotrack.estimators.types import Array, Mask
+from servotrack.estimators.types import Array, Labels, Mask
+from servotrack.estimators.validation import LIMITS
 
 POINT_SUFFIXES = (".csv", ".csv.gz")
 """Endings of files of points."""
 EARTH_RADIUS = 6_371_008.8
 """Mean radius of the earth (IUGG), m."""
-MOST_BYTES = 1 << 30
-"""Largest accepted size of a file of points, unpacked, bytes."""
+MOST_BYTES = 1 << 28
+"""Largest accepted size of a file of points, packed or unpacked, bytes: some ten million points."""
+MOST_IN_SCAN = 5000
+"""Largest accepted number of points of one time. The tracker compares all of them with all tracks."""
+MOST_TRUE_PLACES = 20_000_000
+"""Largest accepted number of true targets times scans."""
+_LONGEST_LINE = 1 << 20
+"""Largest accepted length of a line, characters."""
+_MOST_LINES_OF_ROW = 100
+"""Largest accepted number of lines of a row, whose quoted cells may hold line ends."""
+_MOST_BLANK = 1000
+"""Largest accepted number of blank rows."""
+_LARGEST_CONDITION = 1e12
+"""Ratio of the eigenvalues of a covariance above which rounding decides whether it is definite."""
+_HIGHEST_LATITUDE = 85.0
+"""Latitude beyond which a plane with an axis to the east is of no use, deg."""
 _TIMES = ("time", "timestamp", "basedatetime", "t")
 _LATITUDES, _LONGITUDES = ("lat", "latitude"), ("lon", "longitude", "lng")
 _IDENTITIES = ("id", "label", "track", "target", "mmsi")
 _AXES = ("x", "y", "z")
 _REMEDY = "split the file"
+_BLANKS = " \t"
+"""Characters that count as nothing around a cell. Python's own list has control characters, too."""
+_QUOTED = 80
+"""Number of characters of a cell that a message quotes."""
 
 
 class GeographicOrigin(NamedTuple):
@@ -115,90 +136,146 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
         origin: Origin of the plane of geographic positions; None: the first one.
 
     Raises:
-        SequenceError: The file cannot be read, has wrong columns, or no two scans; a number is missing or not finite; a
+        SequenceError: The file cannot be read or is too large, has wrong columns, no two scans, or more than
+            `MOST_IN_SCAN` points of one time; a number is missing, not finite or beyond the limits of all estimators; a
             latitude or longitude is out of range; a covariance is not positive definite; times run backward. The
             message names path and row.
     """
-    lines = _lines(path)
-    if not lines:
+    rows = _rows(path)
+    first = next(rows, None)
+    if first is None:
         raise SequenceError(f"{path} is empty; it must begin with a header such as time,x,y")
-    head = [cell.strip().lower() for cell in lines[0][1]]
-    columns = {name: at for at, name in enumerate(head)}
-    if len(columns) < len(head):
-        raise SequenceError(f"{path} row 1 must name each column once, got {','.join(head)}")
-    time_at = _first(columns, _TIMES)
-    latitude, longitude = _first(columns, _LATITUDES), _first(columns, _LONGITUDES)
-    places = [columns[name] for name in _AXES if name in columns] if "x" in columns and "y" in columns else []
-    geographic = not places and latitude is not None and longitude is not None
-    if latitude is not None and longitude is not None and geographic:
-        places = [latitude, longitude]
-    if time_at is None or not places:
-        raise SequenceError(
-            f"{path} row 1 must name the columns time, x, y[, z], or time, lat, lon, got {','.join(head)}"
-        )
-    d = len(places)
-    names = [f"cov_{_AXES[r]}{_AXES[c]}" for r in range(d) for c in range(r, d)]
-    given = [name for name in names if name in columns]
-    if given and len(given) < len(names):
-        raise SequenceError(f"{path} row 1 must name all of {', '.join(names)} or none, got {', '.join(given)}")
-    identity = _first(columns, _IDENTITIES)
-    times: list[float] = []
-    scans: list[list[Array]] = []
-    covariances: list[list[Array]] = []
+    head = [cell.strip(_BLANKS).lower() for cell in first[1]]
+    columns = _Columns.of(path, head)
+    d, names = len(columns.places), columns.covariance_names
+    times, sizes = array("d"), array("q")
+    places, covariances, numbers = array("d"), array("d"), array("q")
     identities: list[list[str]] = []
+    texts: dict[str, str] = {}
     dated: bool | None = None
-    for number, row in lines[1:]:
+    for number, row in rows:
         where = f"{path} row {number}"
         if len(row) != len(head):
             raise SequenceError(f"{where} must have {len(head)} columns as the header, got {len(row)}")
-        time, is_date = _time(row[time_at], where)
+        time, is_date = _time(row[columns.time], where)
         if dated is not None and is_date != dated:
-            raise SequenceError(f"{where} must have a time of the kind of the first row, got {row[time_at]!r}")
+            raise SequenceError(
+                f"{where} must have a time of the kind of the first row, got {_short(row[columns.time])}"
+            )
         dated = is_date
         if times and time < times[-1]:
             raise SequenceError(
-                f"{where}: time {row[time_at].strip()} is before that of the row above; sort the rows by time"
+                f"{where}: time {_short(row[columns.time])} is before that of the row above; sort the rows by time"
             )
         if not times or time > times[-1]:
             times.append(time)
-            scans.append([])
-            covariances.append([])
-            identities.append([])
-        cells = [row[at].strip() for at in places]
+            sizes.append(0)
+            if columns.identity is not None:
+                identities.append([])
+        cells = [row[at].strip(_BLANKS) for at in columns.places]
         if not any(cells):
             continue
-        place = np.array([_number(cell, head[at], where) for cell, at in zip(cells, places, strict=True)])
-        if geographic:
+        place = [_number(cell, head[at], where) for cell, at in zip(cells, columns.places, strict=True)]
+        if columns.geographic:
             if not (abs(place[0]) <= 90.0 and -180.0 <= place[1] <= 360.0):
                 raise SequenceError(
                     f"{where} must have a latitude in [-90, 90] and a longitude in [-180, 360], got {', '.join(cells)}"
                 )
-            origin = origin or GeographicOrigin(float(place[0]), float(place[1]))
-        scans[-1].append(place)
-        identities[-1].append(row[identity].strip() if identity is not None else "")
-        if given:
-            covariance = np.zeros((d, d))
-            upper = np.triu_indices(d)
-            covariance[upper] = [_number(row[columns[name]], name, where) for name in names]
-            covariance = covariance + np.triu(covariance, 1).T
-            if np.linalg.eigvalsh(covariance).min() <= 0.0:
-                raise SequenceError(f"{where} must have a positive definite covariance, got {covariance.tolist()}")
-            covariances[-1].append(covariance)
+            if abs(place[0]) > _HIGHEST_LATITUDE:
+                raise SequenceError(
+                    f"{where}: latitude must be at most {_HIGHEST_LATITUDE:g} in magnitude, got {cells[0]}; near a "
+                    "pole give x and y in a plane of your own"
+                )
+            origin = origin or GeographicOrigin(place[0], place[1])
+        sizes[-1] += 1
+        if sizes[-1] > MOST_IN_SCAN:
+            raise SequenceError(
+                f"{where} must have at most {MOST_IN_SCAN} points of one time, got more at "
+                f"{_short(row[columns.time])}; give each scan its own time, or leave out weak points"
+            )
+        places.extend(place)
+        if columns.identity is not None:
+            text = row[columns.identity].strip(_BLANKS)
+            identities[-1].append(texts.setdefault(text, text))
+        if names:
+            covariances.extend(_number(row[at], head[at], where, LIMITS.coordinates**2) for at in columns.covariance)
+            numbers.append(number)
     if len(times) < 2:
         raise SequenceError(f"{path} must have scans at two times or more, got {len(times)}; tracks need motion")
-    if not any(scans):
+    if not places:
         raise SequenceError(f"{path} has no row with a position")
-    arrays = [np.array(scan, dtype=np.float64).reshape(-1, d) for scan in scans]
-    if geographic and origin is not None:
-        arrays = [origin.to_plane(scan) for scan in arrays]
+    positions = np.array(places).reshape(-1, d)
+    if columns.geographic and origin is not None:
+        positions = origin.to_plane(positions)
+    ends = np.cumsum(sizes)[:-1]
+    matrices = _covariances(path, np.array(covariances), np.array(numbers), d) if names else None
     return PointScans(
         np.array(times),
-        arrays,
-        [np.array(scan).reshape(-1, d, d) for scan in covariances] if given else None,
-        identities if identity is not None else None,
-        origin if geographic else None,
+        np.split(positions, ends),
+        None if matrices is None else np.split(matrices, ends),
+        identities if columns.identity is not None else None,
+        origin if columns.geographic else None,
         bool(dated),
     )
+
+
+class _Columns(NamedTuple):
+    """Places of the columns in a row.
+
+    Attributes:
+        time, identity: Places of these columns; no identity: None.
+        places: Places of x, y[, z], or of latitude and longitude.
+        geographic: True for latitude and longitude.
+        covariance: Places of the upper triangle of the covariance, row by row; empty without one.
+        covariance_names: Names of these columns.
+    """
+
+    time: int
+    identity: int | None
+    places: list[int]
+    geographic: bool
+    covariance: list[int]
+    covariance_names: list[str]
+
+    @classmethod
+    def of(cls, path: Path, head: list[str]) -> _Columns:
+        """Find the columns by their names in lower case."""
+        columns = {name: at for at, name in enumerate(head)}
+        if len(columns) < len(head):
+            twice = next(name for at, name in enumerate(head) if columns[name] != at)
+            raise SequenceError(f"{path} row 1 must name each column once, got {_short(twice)} twice")
+        time = _first(columns, _TIMES)
+        latitude, longitude = _first(columns, _LATITUDES), _first(columns, _LONGITUDES)
+        places = [columns[name] for name in _AXES if name in columns] if "x" in columns and "y" in columns else []
+        geographic = not places and latitude is not None and longitude is not None
+        if latitude is not None and longitude is not None and geographic:
+            places = [latitude, longitude]
+        if time is None or not places:
+            raise SequenceError(
+                f"{path} row 1 must name the columns time, x, y[, z], or time, lat, lon, got {_short(','.join(head))}"
+            )
+        d = len(places)
+        names = [f"cov_{_AXES[r]}{_AXES[c]}" for r in range(d) for c in range(r, d)]
+        given = [name for name in names if name in columns]
+        if given and len(given) < len(names):
+            raise SequenceError(f"{path} row 1 must name all of {', '.join(names)} or none, got {', '.join(given)}")
+        return cls(time, _first(columns, _IDENTITIES), places, geographic, [columns[name] for name in given], given)
+
+
+def _covariances(path: Path, upper: Array, rows: Labels, d: int) -> Array:
+    """Covariances of all points, checked. Shape (Z, d, d)."""
+    above = np.triu_indices(d)
+    matrices = np.zeros((len(rows), d, d))
+    matrices[:, above[0], above[1]] = matrices[:, above[1], above[0]] = upper.reshape(len(rows), -1)
+    values = np.linalg.eigvalsh(matrices)
+    bad = ~(values[:, 0] * _LARGEST_CONDITION > values[:, -1])
+    if bad.any():
+        at = int(bad.argmax())
+        raise SequenceError(
+            f"{path} row {rows[at]} must have a positive definite covariance, not nearly singular, got "
+            f"{matrices[at].tolist()}; its eigenvalues may differ by a factor of {_LARGEST_CONDITION:g}"
+        )
+    return matrices
 
 
 def read_point_truth(path: Path, points: PointScans) -> PointTruth:
@@ -226,7 +303,7 @@ def read_point_truth(path: Path, points: PointScans) -> PointTruth:
             if not name:
                 continue
             if name in found and found[name][-1][0] == time:
-                raise SequenceError(f"{path} must have one row of target {name!r} at time {time:g}, got two")
+                raise SequenceError(f"{path} must have one row of target {_short(name)} at time {time:g}, got two")
             found.setdefault(name, []).append((float(time), place))
     if not found:
         raise SequenceError(f"{path} must have identities in its column, got empty cells only")
@@ -235,6 +312,11 @@ def read_point_truth(path: Path, points: PointScans) -> PointTruth:
         raise SequenceError(
             f"{path} must overlap the points in time, got {truth.times[0]:g} to {truth.times[-1]:g} s of "
             f"{points.times[0]:g} to {points.times[-1]:g} s"
+        )
+    if len(found) * len(points.times) > MOST_TRUE_PLACES:
+        raise SequenceError(
+            f"{path} must have at most {MOST_TRUE_PLACES} true targets times scans, got {len(found)} targets at "
+            f"{len(points.times)} scans; {_REMEDY}s of points and truth"
         )
     tracks = np.full((len(found), len(points.times), d), np.nan)
     for track, rows in zip(tracks, found.values(), strict=True):
@@ -245,57 +327,108 @@ def read_point_truth(path: Path, points: PointScans) -> PointTruth:
     return PointTruth(list(found), tracks, known)
 
 
-def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Rows that are not blank, with their numbers from 1."""
+def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows that are not blank, with the numbers of their last lines from 1."""
     content = read_bounded(path, MOST_BYTES, _REMEDY)
-    if content[:2] == b"\x1f\x8b":
-        try:
-            with gzip.GzipFile(fileobj=io.BytesIO(content)) as stream:
-                content = stream.read(MOST_BYTES + 1)
-        except (OSError, EOFError, zlib.error) as error:
-            raise SequenceError(f"{path} is a damaged gzip file ({error}); download it again") from error
-        if len(content) > MOST_BYTES:
-            raise SequenceError(f"{path} unpacks to more than {MOST_BYTES} bytes; {_REMEDY}")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise SequenceError(f"{path} must be text in UTF-8 ({error})") from error
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    rows = []
+    packed = content[:2] == b"\x1f\x8b"
+    stream = gzip.GzipFile(fileobj=io.BytesIO(content)) if packed else io.BytesIO(content)
+    lines = _Lines(path, io.TextIOWrapper(stream, encoding="utf-8-sig", newline=""))
+    reader = csv.reader(lines, strict=True)
+    blank = 0
     try:
         for row in reader:
-            if any(cell.strip() for cell in row):
-                rows.append((reader.line_num, row))
+            lines.of_row = 0
+            if any(cell.strip(_BLANKS) for cell in row):
+                yield reader.line_num, row
+                continue
+            blank += 1
+            if blank > _MOST_BLANK:
+                raise SequenceError(f"{path} has more than {_MOST_BLANK} blank rows; is it a CSV file?")
     except csv.Error as error:
         raise SequenceError(f"{path} row {reader.line_num} is no row of a CSV file ({error})") from error
-    return rows
+    except (OSError, EOFError, zlib.error) as error:
+        raise SequenceError(f"{path} is a damaged gzip file ({error}); download it again") from error
+    except UnicodeDecodeError as error:
+        raise SequenceError(f"{path} must be text in UTF-8 ({error.reason} after row {reader.line_num})") from error
+
+
+class _Lines:
+    """Lines of a text, whose length, number in a row and total size are limited.
+
+    Args:
+        path: Path for error messages.
+        stream: The text.
+
+    Attributes:
+        of_row: Number of lines since the reader set it to 0.
+    """
+
+    def __init__(self, path: Path, stream: io.TextIOWrapper) -> None:
+        self._path, self._stream = path, stream
+        self._number = self._size = self.of_row = 0
+
+    def __iter__(self) -> _Lines:
+        return self
+
+    def __next__(self) -> str:
+        line = self._stream.readline(_LONGEST_LINE + 1)
+        if not line:
+            raise StopIteration
+        self._number, self._size, self.of_row = self._number + 1, self._size + len(line), self.of_row + 1
+        if len(line) > _LONGEST_LINE:
+            raise SequenceError(
+                f"{self._path} row {self._number} has more than {_LONGEST_LINE} characters; is it a CSV file?"
+            )
+        if self.of_row > _MOST_LINES_OF_ROW:
+            raise SequenceError(
+                f"{self._path} row {self._number}: a row must have at most {_MOST_LINES_OF_ROW} lines; is a quotation "
+                "mark missing?"
+            )
+        if self._size > MOST_BYTES:
+            raise SequenceError(f"{self._path} unpacks to more than {MOST_BYTES} characters; {_REMEDY}")
+        return line
 
 
 def _first(columns: dict[str, int], names: tuple[str, ...]) -> int | None:
     return next((columns[name] for name in names if name in columns), None)
 
 
-def _number(cell: str, name: str, where: str) -> float:
+def _number(cell: str, name: str, where: str, limit: float = LIMITS.coordinates) -> float:
     try:
-        value = parse_number(cell.strip())
+        value = parse_number(cell.strip(_BLANKS))
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise SequenceError(f"{where}: {name} must be a finite number, got {cell.strip()[:40]!r}; leave the row out")
+        raise SequenceError(f"{where}: {name} must be a finite number, got {_short(cell)}; leave the row out")
+    if abs(value) > limit:
+        raise SequenceError(
+            f"{where}: {name} must be at most {limit:g} in magnitude, got {_short(cell)}; check its unit, or leave the "
+            "row out"
+        )
     return value
 
 
 def _time(cell: str, where: str) -> tuple[float, bool]:
     """Seconds, and True for a date."""
-    text = cell.strip()
+    text = cell.strip(_BLANKS)
+    is_date = False
     try:
         value = parse_number(text)
     except ValueError:
         try:
             date = datetime.fromisoformat(text.replace("Z", "+00:00"))
         except ValueError:
-            raise SequenceError(f"{where}: time must be seconds or a date in ISO 8601, got {text[:40]!r}") from None
-        return (date if date.tzinfo else date.replace(tzinfo=timezone.utc)).timestamp(), True
+            raise SequenceError(f"{where}: time must be seconds or a date in ISO 8601, got {_short(text)}") from None
+        value, is_date = (date if date.tzinfo else date.replace(tzinfo=timezone.utc)).timestamp(), True
     if not math.isfinite(value):
-        raise SequenceError(f"{where}: time must be finite, got {text!r}; leave the row out")
-    return value, False
+        raise SequenceError(f"{where}: time must be finite, got {_short(text)}; leave the row out")
+    if abs(value) > LIMITS.times:
+        raise SequenceError(
+            f"{where}: time must be at most {LIMITS.times:g} s from 0 or from 1970, got {_short(text)}; give seconds"
+        )
+    return value, is_date
+
+
+def _short(cell: str) -> str:
+    """Begin of a text from a file, in quotes."""
+    return repr(cell.strip(_BLANKS)[:_QUOTED])

@@ -2,7 +2,8 @@
 
 First guess: chains of three nearest neighbors that are too close to be chance; their departure from a straight line
 gives the noise, their length the speed. Then rounds of tracking and counting: the likelihood of the tracks' own
-measurements under a Kalman filter gives process and measurement noise, and counts give the others.
+measurements under a Kalman filter gives process and measurement noise, and counts give the others. All of it is
+computed in units of the points' own, so that nanometers serve as well as nautical miles.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
 from servotrack.envs.track.files.points import PointScans
+from servotrack.envs.track.files.recorded import SequenceError
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs import (
     Birth,
@@ -42,10 +45,20 @@ LEAST_EXISTENCE = 1e-5
 """Tracks of less probability are dropped. A first detection in much clutter is less than 0.001 probable."""
 _MARGIN = 0.02
 _CUTOFF_SHARE = 0.025
-_LEAST_NOISE = 1e-6
-"""Least position noise as a share of the region's longest side."""
 _WINDOWS = (1, 2, 4, 8, 16, 30)
 """Numbers of scans in which the next measurement of a target is searched."""
+_LEAST_NOISE = 1e-7
+"""Least standard deviation of a measurement as a share of the region's side: below it rounding decides."""
+_SPEEDS = (1e-6, 10.0)
+"""Least and largest speed in sides of the region per scan."""
+_RESOLUTION = 1e-9
+"""Least side of the region as a share of the largest coordinate."""
+_FAR, _MOST = 30.0, 0.95
+"""Distance of a far point in distances within which this share of the points lies."""
+_SMALLEST = 1e-15
+"""Smallest median time step, s, and extent of all points, m."""
+_STEPS = (1e-6, 1e9)
+"""Least time step and longest time of a file, in median steps."""
 _FIRST_SHARE = 0.1
 """Share of the scans whose new tracks are targets that were there before."""
 
@@ -77,13 +90,59 @@ class PointModel(NamedTuple):
     speed: float
 
 
-def region_of(points: PointScans) -> tuple[Array, Array]:
-    """Corners of the region of points: their bounds and a margin of 2 %. Shapes (d,), m."""
-    everything = np.concatenate(points.scans)
-    low, high = everything.min(axis=0), everything.max(axis=0)
-    # A region without extent along an axis would have no volume.
-    margin = np.maximum(_MARGIN * (high - low), 1e-3 * max(float((high - low).max()), 1e-9))
-    return low - margin, high + margin
+class _Units(NamedTuple):
+    """Units in which the points are tracked, powers of two: an interval is 1 to 2, the region's side 1,024 to 2,048.
+
+    Attributes:
+        time: s.
+        length: m.
+        origin: Middle of the bounds of all points. Shape (d,), m.
+    """
+
+    time: float
+    length: float
+    origin: Array
+
+    @classmethod
+    def of(cls, points: PointScans) -> _Units:
+        """Units of a file of points."""
+        time, length = (2.0 ** math.floor(math.log2(one)) for one in (_period(points), _side(points) / 1024.0))
+        low, high = _bounds(points)
+        return cls(time, length, low + 0.5 * (high - low))
+
+    def points(self, points: PointScans) -> PointScans:
+        """Points in these units."""
+        covariances = points.covariances
+        return points._replace(
+            times=points.times / self.time,
+            scans=[(scan - self.origin) / self.length for scan in points.scans],
+            covariances=None if covariances is None else [one / self.length / self.length for one in covariances],
+        )
+
+    def model(self, model: PointModel, *, back: bool = False) -> PointModel:
+        """Model in these units, or from them back in s and m."""
+        time, length = (1.0 / self.time, 1.0 / self.length) if back else (self.time, self.length)
+        noise = model.measurement_noise
+        shift = self.origin if back else -self.origin / self.length
+        return model._replace(
+            period=model.period / time,
+            low=model.low / length + shift,
+            high=model.high / length + shift,
+            process_noise=model.process_noise / length * time**1.5,
+            measurement_noise=None if noise is None else noise / length,
+            speed=model.speed / length * time,
+        )
+
+    def back(self, trajectory: Trajectory) -> Trajectory:
+        """Trajectory in s and m."""
+        scale = np.tile([self.length, self.length / self.time], trajectory.states.shape[1] // 2)
+        return Trajectory(
+            trajectory.label,
+            trajectory.times * self.time,
+            trajectory.states * scale + np.stack([self.origin, np.zeros_like(self.origin)], axis=1).reshape(-1),
+            trajectory.covariances * scale[:, None] * scale,
+            trajectory.existence,
+        )
 
 
 def scores_cutoff(low: Array, high: Array) -> float:
@@ -93,7 +152,8 @@ def scores_cutoff(low: Array, high: Array) -> float:
 
 def track_points(points: PointScans, model: PointModel) -> list[Trajectory]:
     """Track points with the parameters of a model; smoothed over `smoothing_lag` scans."""
-    return track_scans(_tracker(points, model), points.scans, points.times, noises=points.covariances)
+    units = _Units.of(points)
+    return [units.back(one) for one in _tracked(units.points(points), units.model(model))]
 
 
 def measured_model(points: PointScans) -> tuple[PointModel, list[str]]:
@@ -104,11 +164,20 @@ def measured_model(points: PointScans) -> tuple[PointModel, list[str]]:
 
     Returns:
         The parameters, and notes on what could not be measured.
+
+    Raises:
+        SequenceError: Time steps or extent are so small, or differ so much, that rounding would decide.
     """
-    few = points._replace(
-        times=points.times[:_FITTED_SCANS],
-        scans=points.scans[:_FITTED_SCANS],
-        covariances=None if points.covariances is None else points.covariances[:_FITTED_SCANS],
+    _check_scales(points)
+    units = _Units.of(points)
+    scaled = units.points(points)
+    # An hour without a target has nothing to measure.
+    first = next(k for k, scan in enumerate(scaled.scans) if len(scan))
+    part = slice(max(min(first, len(scaled.times) - 2), 0), first + _FITTED_SCANS)
+    few = scaled._replace(
+        times=scaled.times[part],
+        scans=scaled.scans[part],
+        covariances=None if scaled.covariances is None else scaled.covariances[part],
     )
     model, notes = _first_guess(few)
     for _ in range(_ROUNDS):
@@ -117,16 +186,75 @@ def measured_model(points: PointScans) -> tuple[PointModel, list[str]]:
             notes.append("no track of four measurements was found: noise and rates are guesses")
             break
         model = found
-    return model, notes
+    notes += _outliers(points)
+    # The tracker's region holds the points outside of the measured part, too.
+    low, high = region_of(scaled)
+    return units.model(model._replace(low=low, high=high), back=True), notes
+
+
+def _outliers(points: PointScans) -> list[str]:
+    """Return a note on points so far from the others that they make the region too large."""
+    everything = np.concatenate(points.scans)
+    middle = np.median(everything, axis=0)
+    away = np.abs(everything - middle)
+    usual = np.maximum(np.quantile(away, _MOST, axis=0), 1e-3 * _side(points))
+    far = (away > _FAR * usual).any(axis=1)
+    if not far.any():
+        return []
+    return [
+        f"{int(far.sum())} points are more than {_FAR:g} times as far out as {100 * _MOST:g} % of all and make the "
+        "region large, so that much else looks like a target; leave them out if they are faults"
+    ]
+
+
+def _check_scales(points: PointScans) -> None:
+    steps, median, side = np.diff(points.times), _period(points), _side(points)
+    if min(median, side) < _SMALLEST:
+        raise SequenceError(
+            f"the median time step and the extent of all points must be at least {_SMALLEST:g}, got {median:g} s and "
+            f"{side:g} m; give seconds and meters"
+        )
+    if steps.min() < _STEPS[0] * median:
+        at = float(points.times[int(steps.argmin())])
+        raise SequenceError(
+            f"times must be at least {_STEPS[0]:g} of the median step of {median:g} s apart, got {steps.min():g} s "
+            f"after time {at!r}; give the points of one scan one time"
+        )
+    span = points.times[-1] - points.times[0]
+    if span > _STEPS[1] * median:
+        raise SequenceError(
+            f"times must span at most {_STEPS[1]:g} median steps, got {span:g} s and a median of {median:g} s; split "
+            "the file"
+        )
+
+
+def _period(points: PointScans) -> float:
+    return float(np.median(np.diff(points.times)))
+
+
+def _side(points: PointScans) -> float:
+    """Longest side of the bounds of all points, m; some width if they are all at one place."""
+    low, high = _bounds(points)
+    return max(float((high - low).max()), _RESOLUTION * float(np.abs([low, high]).max())) or 1.0
+
+
+def _bounds(points: PointScans) -> tuple[Array, Array]:
+    everything = np.concatenate(points.scans)
+    return everything.min(axis=0), everything.max(axis=0)
+
+
+def region_of(points: PointScans) -> tuple[Array, Array]:
+    """Corners of the bounds of all points with a margin. Shapes (d,)."""
+    low, high = _bounds(points)
+    # A region without extent along an axis would have no volume.
+    margin = np.maximum(_MARGIN * (high - low), 1e-3 * _side(points))
+    return low - margin, high + margin
 
 
 def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
     """Parameters from chains of nearest neighbors."""
-    everything = np.concatenate(points.scans)
-    side = max(float((everything.max(axis=0) - everything.min(axis=0)).max()), 1e-9)
-    low, high = region_of(points)
-    count = len(everything) / len(points.scans)
-    period = float(np.median(np.diff(points.times)))
+    (low, high), side, period = region_of(points), _side(points), _period(points)
+    count = sum(map(len, points.scans)) / len(points.scans)
     # Where each scan holds few of the targets, such as that of one ship, chains span several scans.
     searched = {window: _chains(points, low, high, window) for window in _WINDOWS if window < len(points.scans)}
     window = max(searched, key=lambda one: len(searched[one]))
@@ -134,8 +262,8 @@ def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
     notes = []
     if len(chains):
         bends, speeds = chains[:, 0], chains[:, 1]
-        noise = max(float(np.median(bends)) / 0.6745, _LEAST_NOISE * side)
-        speed = max(float(np.sqrt(np.mean(speeds**2))), 1e-6 * side / period)
+        noise = max(float(np.median(bends)) / 0.6745, 1e-6 * side)
+        speed = _bounded_speed(points, float(np.sqrt(np.mean(speeds**2))))
     else:
         noise, speed = 1e-3 * side, 1e-2 * side / period
         notes.append(
@@ -144,6 +272,7 @@ def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
     if points.covariances is not None:
         covariances = np.concatenate([scan for scan in points.covariances if len(scan)])
         noise = float(np.sqrt(np.mean(np.trace(covariances, axis1=1, axis2=2)) / points.dimensions))
+        noise = max(noise, _LEAST_NOISE * side)
     return (
         PointModel(
             period=period,
@@ -178,9 +307,8 @@ def _chains(points: PointScans, low: Array, high: Array, window: int) -> Array:
             others = slice(start[max(a, 0)], start[min(max(b, 0), len(size))])
             if own.start == own.stop or others.start >= others.stop:
                 continue
-            distance = np.linalg.norm(place[own, None] - place[None, others], axis=-1)
-            nearest = distance.argmin(axis=1)
-            link[own] = np.where(distance.min(axis=1) < reach, nearest + others.start, -1)
+            distance, nearest = cKDTree(place[others]).query(place[own], distance_upper_bound=reach)
+            link[own] = np.where(distance < reach, nearest + others.start, -1)
     found = []
     for i, j in enumerate(later):
         last = later[j] if j >= 0 else -1
@@ -192,6 +320,11 @@ def _chains(points: PointScans, low: Array, high: Array, window: int) -> Array:
         velocity = (place[last] - place[i]) / (first + second)
         found += [(abs(a), v) for a, v in zip(bend, velocity, strict=True)]
     return np.array(found).reshape(-1, 2)
+
+
+def _tracked(points: PointScans, model: PointModel) -> list[Trajectory]:
+    tracker = _tracker(points, model)
+    return track_scans(tracker, points.scans, points.times, noises=_noises(points, _position_noise(points, model)))
 
 
 def _tracker(points: PointScans, model: PointModel) -> TrajectoryPMB:
@@ -234,9 +367,34 @@ def _position_noise(points: PointScans, model: PointModel) -> float:
     return float(np.sqrt(np.mean([np.trace(R) / len(R) for scan in points.covariances or [] for R in scan])))
 
 
+def _noises(points: PointScans, usual: float) -> list[Array] | None:
+    """Covariance of each measurement's noise, none so small that rounding would decide.
+
+    Args:
+        points: The points.
+        usual: Standard deviation of a usual measurement, m.
+    """
+    if points.covariances is None:
+        return None
+    found = []
+    for scan in points.covariances:
+        # Beyond many times the region a covariance says nothing, however large.
+        scan = (
+            scan
+            * np.minimum(1.0, (1e4 * _side(points)) ** 2 / np.maximum(np.trace(scan, axis1=1, axis2=2), 1e-300))[
+                :, None, None
+            ]
+        )
+        largest = np.abs(scan).max(axis=(1, 2), initial=0.0)
+        least = np.maximum((_LEAST_NOISE * _side(points)) ** 2, 1e-8 * np.maximum(largest, usual**2))
+        values = np.linalg.eigvalsh(scan)[:, 0] if len(scan) else largest
+        found.append(scan + np.maximum(least - values, 0.0)[:, None, None] * np.eye(points.dimensions))
+    return found
+
+
 def _counted(points: PointScans, model: PointModel) -> PointModel | None:
     """Parameters from the tracks that a model finds; None without tracks of four measurements."""
-    trajectories = track_points(points, model)
+    trajectories = _tracked(points, model)
     d, scans = points.dimensions, len(points.times)
     entries = list(range(0, 2 * d, 2))
     row_of = {time: k for k, time in enumerate(points.times.tolist())}
@@ -277,18 +435,21 @@ def _counted(points: PointScans, model: PointModel) -> PointModel | None:
         model,
         _position_noise(points, model),
     )
-    # Points without noise fit ever less noise, down to covariances that rounding makes indefinite.
-    least = _LEAST_NOISE * float((model.high - model.low).max())
     velocities = np.concatenate([one.states[:, 1::2] for one in trajectories])
     return model._replace(
-        process_noise=max(process, 1e-3 * least / model.period**1.5),
-        measurement_noise=None if model.measurement_noise is None else max(measurement, least),
+        process_noise=process,
+        measurement_noise=None if model.measurement_noise is None else max(measurement, _LEAST_NOISE * _side(points)),
         detection=float(np.clip((detected + 1.0) / (inside + 2.0), 0.02, 0.99)),
         clutter_rate=max((sum(map(len, points.scans)) - taken) / scans, 0.01),
         births=float(np.clip((late + 0.5) / ((1.0 - _FIRST_SHARE) * scans), 1e-3, 10.0)),
         survival=float(np.clip(1.0 - (deaths + 0.5) / (alive + 1.0), 0.5, 0.9999)),
-        speed=max(float(np.sqrt(np.mean(velocities**2))), 1e-9),
+        speed=_bounded_speed(points, float(np.sqrt(np.mean(velocities**2)))),
     )
+
+
+def _bounded_speed(points: PointScans, speed: float) -> float:
+    least, most = (share * _side(points) / _period(points) for share in _SPEEDS)
+    return min(max(speed, least), most)
 
 
 def _most_likely(times: Array, places: Array, start: Array, model: PointModel, noise: float) -> tuple[float, float]:
