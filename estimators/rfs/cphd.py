@@ -123,7 +123,7 @@ class GMCPHD(GaussianSetFilter[CPHDState]):
         extraction, rule = empty_extraction(batch, capacity, n), RULES[self.extraction]
         wanted = cardinality.argmax(axis=1) if rule == MAP else np.full(batch, -1)
         extract_intensity(model, intensity, next_label, limits, rule, self.threshold, extraction, wanted)
-        extraction = extraction._replace(expected=cardinality @ np.arange(cardinality.shape[1], dtype=np.float64))
+        extraction = extraction._replace(expected=cardinality @ np.arange(room, dtype=np.float64))
         return CPHDState(intensity, cardinality, state.births, next_label), extraction, unexplained
 
     def _number_outgrew(self, cardinality: Array) -> bool:
@@ -160,11 +160,14 @@ def _predict_cardinality(before, survival, births, out):  # type: ignore[no-unty
             for k in range(before.shape[1] - 1 - place, 0, -1):
                 thinned[k] = (1.0 - q) * thinned[k] + q * thinned[k - 1]
             thinned[0] = (1.0 - q) * thinned[0] + before[b, place]
-        chance = math.exp(-births[b])
+        # Poisson up to a factor, so that a large mean does not underflow.
+        chance = np.zeros(room)
+        for new in range(1, room):
+            chance[new] = chance[new - 1] + (math.log(births[b] / new) if births[b] > 0.0 else -np.inf)
+        chance = np.exp(chance - chance.max())
         for new in range(room):
             for k in range(min(before.shape[1], room - new)):
-                out[b, new + k] += chance * thinned[k]
-            chance *= births[b] / (new + 1.0)
+                out[b, new + k] += chance[new] * thinned[k]
         total = 0.0
         for k in range(room):
             total += out[b, k]

@@ -202,6 +202,16 @@ def test_the_distribution_of_the_number_grows_with_the_number() -> None:
             capped.step(places)
 
 
+def test_two_thousand_births_at_once() -> None:
+    many = Birth(np.ones(2000), np.zeros((2000, 4)), np.diag([100.0, 1.0, 100.0, 1.0]))
+    filter_ = GMCPHD(HMM, many, clutter_intensity=1e-9, detection=0.5)
+    state, estimate = filter_.step(filter_.initial(np.zeros((0, 2))), np.zeros((0, 2)))
+    # Poisson, thinned by the misses.
+    assert float(estimate.expected_number) == pytest.approx(1000.0, rel=1e-6)
+    numbers = np.arange(len(state.cardinality))
+    np.testing.assert_allclose(state.cardinality, stats.poisson.pmf(numbers, 1000.0), atol=1e-9)
+
+
 def test_runs_of_a_batch_do_not_depend_on_each_other() -> None:
     filter_ = GMCPHD(HMM, MeasurementBirth(20.0, 10.0), clutter_intensity=1e-6, detection=0.9)
     rng = np.random.default_rng(1)
