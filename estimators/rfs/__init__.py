@@ -18,6 +18,7 @@ measurement; `TimedTracker` takes them by their time stamps, late ones too.
 from servotrack.estimators.rfs.adaptation import SensorAdaptation
 from servotrack.estimators.rfs.birth import Birth, MeasurementBirth, Spawn
 from servotrack.estimators.rfs.cbmember import GMCBMeMBer
+from servotrack.estimators.rfs.cphd import GMCPHD
 from servotrack.estimators.rfs.gnn import GlobalNearestNeighbor
 from servotrack.estimators.rfs.interacting import (
     InteractingModels,
@@ -57,6 +58,7 @@ from servotrack.estimators.rfs.trajectory import Trajectory, collect_trajectorie
 from servotrack.estimators.rfs.trajectory_pmb import TrajectoryPMB
 
 __all__ = [
+    "GMCPHD",
     "GMPHD",
     "LMB",
     "PMB",

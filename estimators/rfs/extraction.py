@@ -51,10 +51,13 @@ def _write(extraction, b, row, existence, label, mean, cov, reported):  # type: 
 
 
 @njit(cache=True, nogil=True)
-def extract_intensity(model, mixture, next_label, limits, rule, threshold, extraction):  # type: ignore[no-untyped-def]
+def extract_intensity(  # type: ignore[no-untyped-def]
+    model, mixture, next_label, limits, rule, threshold, extraction, wanted_number
+):
     """Extract targets from an intensity and give a new identity to those without one of their own.
 
-    Under a pairwise model the x-marginals of missed and detected components are merged first: both describe one target.
+    `wanted_number` is the number of targets of each run, shape (B,); -1: by the rule. Under a pairwise model the
+    x-marginals of missed and detected components are merged first: both describe one target.
     """
     m, n = model.observation.shape
     batch = mixture.weight.shape[0]
@@ -82,12 +85,14 @@ def extract_intensity(model, mixture, next_label, limits, rule, threshold, extra
             expected += weight[i]
         extraction.expected[b] = expected
         copies = np.zeros(count, np.int64)
-        if rule == THRESHOLD:
+        if rule == THRESHOLD and wanted_number[b] < 0:
             for i in range(count):
                 if weight[i] > threshold:
                     copies[i] = max(1, round_half_up(weight[i]))
         else:
-            wanted = round_half_up(expected) if rule == SUM else math.floor(expected)
+            wanted = wanted_number[b]
+            if wanted < 0:
+                wanted = round_half_up(expected) if rule == SUM else math.floor(expected)
             left = weight.copy()
             for _ in range(wanted if count > 0 else 0):
                 # Each target takes a weight of one from the heaviest component left.

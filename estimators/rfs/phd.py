@@ -66,7 +66,7 @@ class GMPHD(GaussianSetFilter[PHDState]):
         room = capacity * (1 + len(self.spawn)) + births.weight.shape[1]
         predicted = scratch_mixture(batch, room, n + m)
         survival = self._evaluate("survival", self.survival, state.intensity)
-        _predict_intensity(model, state.intensity, births, self._spawns, survival, predicted)
+        predict_intensity(model, state.intensity, births, self._spawns, survival, predicted)
         self._attach(predicted)
         detection = self._evaluate("detection", probability, predicted)
         while True:
@@ -82,12 +82,13 @@ class GMPHD(GaussianSetFilter[PHDState]):
                 break
             capacity *= 2
         extraction = empty_extraction(batch, capacity, n)
-        extract_intensity(model, intensity, next_label, limits, RULES[self.extraction], self.threshold, extraction)
+        by_rule, rule = np.full(batch, -1), RULES[self.extraction]
+        extract_intensity(model, intensity, next_label, limits, rule, self.threshold, extraction, by_rule)
         return PHDState(intensity, state.births, next_label), extraction, unexplained
 
 
 @njit(cache=True, nogil=True)
-def _predict_intensity(model, intensity, births, spawns, survival, out):  # type: ignore[no-untyped-def]
+def predict_intensity(model, intensity, births, spawns, survival, out):  # type: ignore[no-untyped-def]
     """Predicted intensity: survivors, births, and targets split off those of the last step (Wu and Hu 2010, eq. 3)."""
     m, n = model.observation.shape
     work = np.empty((n + m, n + m))

@@ -108,10 +108,10 @@ class PMBM(PoissonTrackFilter[PMBMState]):
     tolerated_cut: float = 0.1
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("assignments", "hypotheses", "targets"):
-            if getattr(self, name) < 1:
+        for name in ("undetected", "assignments", "hypotheses", "targets"):
+            if not (getattr(self, name) or 0) >= 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)!r}")
+        super().__post_init__()
         for name in ("least_weight", "recycle"):
             if not 0.0 <= getattr(self, name) < 1.0:
                 raise ValueError(f"{name} must be at least 0 and below 1, got {getattr(self, name)!r}")

@@ -67,6 +67,7 @@ def _filters() -> dict[str, Kind]:
         polar = name in ("ekf", "ukf")
         for label, kind in kinds.items():
             found[f"{label}-{name}"] = _scans(kind(model, ANYWHERE, clutter_intensity=1e-4), polar=polar)
+        found[f"cphd-{name}"] = _scans(rfs.GMCPHD(model, ANYWHERE, clutter_intensity=1e-4), polar=polar)
         found[f"pmbm-{name}"] = _scans(rfs.PMBM(model, ANYWHERE, clutter_intensity=1e-4, **CAPS), polar=polar)
         # One of each has tables that grow, the others small ones with fewer rows than some scenes have tracks.
         tables = {} if name == "hmm" else {"reduction": rfs.Reduction(tracks=24)}

@@ -37,6 +37,11 @@ CARDS = (
         "the same filter, detection probability and clutter estimated from counts, births anywhere",
         in_default_suite=False,
     ),
+    _observer(
+        "gm-cphd",
+        "cardinalized PHD filter: the distribution of the number of targets beside the intensity",
+        in_default_suite=False,
+    ),
     _observer("gm-cbmember", "cardinality-balanced multi-Bernoulli filter (Zhang et al. 2017)", **_SETS),
     _observer("gm-cbmember-hmm", "the same, assuming independent noises"),
     _observer("pmb", "track-oriented Poisson multi-Bernoulli filter with belief propagation", **_SETS),

@@ -10,6 +10,7 @@ import numpy as np
 
 from servotrack.envs.track.clutter.scene_model import SceneModel
 from servotrack.estimators.rfs import (
+    GMCPHD,
     GMPHD,
     PMB,
     PMBM,
@@ -33,6 +34,7 @@ GaussianT = TypeVar("GaussianT", GMPHD, GMCBMeMBer, PMB, PMBM, TrajectoryPMB)
 
 TrackFilter: TypeAlias = (
     GMPHD
+    | GMCPHD
     | GMCBMeMBer
     | PMB
     | PMBM
@@ -166,6 +168,19 @@ def _counting(scene: SceneModel, settings: FilterSettings) -> CountingPHD:
     return CountingPHD(steered_phd(scene, settings), scene.clutter_rate)
 
 
+def _cardinalized(scene: SceneModel, settings: FilterSettings) -> GMCPHD:
+    return GMCPHD(
+        scene.hidden_markov if settings.hidden_markov else scene.model,
+        _birth(scene),
+        clutter_intensity=scene.clutter_intensity,
+        survival=scene.survival_probability,
+        detection=scene.detection_probability,
+        # The number is what this filter is for.
+        extraction="map" if settings.extraction == "threshold" else settings.extraction,
+        reduction=Reduction(components=settings.capacity),
+    )
+
+
 def _particle(scene: SceneModel, settings: FilterSettings) -> ParticlePHD:
     birth = _birth(scene)
     if isinstance(birth, MeasurementBirth):
@@ -204,6 +219,7 @@ TRACK_FILTERS: Mapping[str, Callable[[SceneModel, FilterSettings], TrackFilter]]
     "gm-phd": _phd,
     "gm-phd-anywhere": _anywhere,
     "gm-phd-counting": _counting,
+    "gm-cphd": _cardinalized,
     "gm-cbmember": _gaussian(GMCBMeMBer, lambda capacity: Reduction(components=10, tracks=capacity)),
     "pmb": _gaussian(PMB, lambda capacity: Reduction(components=5, tracks=capacity)),
     "robust-pmb": _robust,
