@@ -11,6 +11,7 @@ from servotrack.estimators.rfs.mixture import Mixture, scratch_mixture
 from servotrack.estimators.rfs.pmb_kernel import Prediction, predict_pmb
 from servotrack.estimators.rfs.recursion import GaussianSetFilter, SetFilterState
 from servotrack.estimators.types import Array
+from servotrack.estimators.validation import check_count
 
 
 class PoissonTrackState(SetFilterState, Protocol):
@@ -40,8 +41,7 @@ class PoissonTrackFilter(GaussianSetFilter[StateT]):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.undetected < 1:
-            raise ValueError(f"undetected must be at least 1, got {self.undetected!r}")
+        check_count("undetected", self.undetected, 1)
 
     def _predict(self, state: StateT, presence: Array, births: BirthMixture) -> Prediction:
         """Predict the Bernoullis, of probability `presence` (B, T), and the undetected targets."""
