@@ -181,6 +181,14 @@ def checked_number(name: str, value: Any, least: float, most: float, rule: str) 
     return float(array)
 
 
+def check_count(name: str, value: Any, least: int, most: int | None = None) -> None:
+    """Raise ValueError unless a value is a whole number, no truth value, of at least `least` and at most `most`."""
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, (bool, np.bool_))
+    if not whole or value < least or (most is not None and value > most):
+        limits = f"at least {least}" + ("" if most is None else f" and at most {most}")
+        raise ValueError(f"{name} must be {limits}, got {value!r}; counts are whole numbers")
+
+
 def checked_period(dt: float | None, frame_rate: float) -> float:
     """Return the time since the last frame, s.
 

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from servotrack.estimators.definite import keep_definite
 from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
 from servotrack.estimators.jacobian.contract import ServoMeasurement
+from servotrack.estimators.jacobian.gaussian import correlated_scores
 from servotrack.estimators.jacobian.lifted import LiftedEstimate
 from servotrack.estimators.jacobian.measurement import checked
 from servotrack.estimators.types import Array, ComplexArray
@@ -152,7 +153,7 @@ class ParametricKalman:
         # Features that no camera produces make it so large that rounding errors exceed the noise.
         spread = keep_definite(spread, np.abs(np.einsum("...ii->...i", spread)))
         gain = np.swapaxes(np.linalg.solve(spread, np.swapaxes(cross, -1, -2)), -1, -2)
-        whitened = np.einsum("...i,...i->...", innovation, np.linalg.solve(spread, innovation[..., None])[..., 0])
+        scores = correlated_scores(innovation, spread, fresh)
         updated = covariance - gain @ spread @ np.swapaxes(gain, -1, -2)
         updated = 0.5 * (updated + np.swapaxes(updated, -1, -2)) + LEAST_VARIANCE * np.eye(STATE_SIZE)
         updated = keep_definite(updated, np.einsum("...ii->...i", covariance))
@@ -164,11 +165,7 @@ class ParametricKalman:
             np.where(fresh[..., None], corrected, state.mean),
             np.where(fresh[..., None, None], updated, state.covariance),
         )
-        log_density = -0.5 * (whitened + np.log(np.linalg.det(spread))) - np.log(2.0 * np.pi)
-        estimate = self._present(
-            new, increment.pending_joints, increment.pending_time,
-            np.where(fresh, log_density, 0.0), np.where(fresh, 0.5 * whitened, 0.0),
-        )  # fmt: skip
+        estimate = self._present(new, increment.pending_joints, increment.pending_time, *scores)
         return new, estimate
 
     def forget(self, state: ParametricState) -> ParametricState:

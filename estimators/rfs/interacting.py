@@ -85,11 +85,8 @@ class InteractingModels:
         periods = models[0].period / self.models[0].period
         whole = int(periods)
         rest = (1.0 - (periods - whole)) * np.eye(len(models)) + (periods - whole) * self.switching
-        power = np.linalg.matrix_power(self.switching, whole)
-        if whole > 1:
-            # Every squaring doubles what rounding took from the sums.
-            power = power / power.sum(axis=1, keepdims=True)
-        return InteractingModels(models, power @ rest, self.initial)
+        switching = np.einsum("rk,kc->rc", _power(self.switching, whole), rest)
+        return InteractingModels(models, switching, self.initial)
 
     @cached_property
     def packed(self) -> PackedModes:
@@ -273,9 +270,23 @@ def _probabilities(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array
 
 
 def _stationary(switching: Array) -> Array:
-    """Stationary distribution of a Markov chain; the uniform one is added where it is not unique."""
+    """Stationary distribution of a Markov chain; where it is not unique, that of a start with equal probabilities."""
     S = len(switching)
-    system = np.vstack([switching.T - np.eye(S), np.ones((1, S))])
-    found = np.linalg.lstsq(system, np.append(np.zeros(S), 1.0), rcond=None)[0]
-    found = np.maximum(found, 0.0)
-    return np.asarray(found / found.sum())
+    # A chain that stays where it is at every second scan has the same one and no cycles. 2^60 scans are enough.
+    return np.asarray(np.einsum("rc->c", _power(0.5 * (np.eye(S) + switching), 2**60)) / S)
+
+
+def _power(matrix: Array, exponent: int) -> Array:
+    """Power of a matrix of probabilities.
+
+    Libraries of linear algebra round differently, so products are sums in order.
+    """
+    found, square = np.eye(len(matrix)), matrix
+    while exponent:
+        if exponent & 1:
+            found = np.einsum("rk,kc->rc", found, square)
+        square = np.einsum("rk,kc->rc", square, square)
+        # Every squaring doubles what rounding took from the sums.
+        square = square / np.einsum("rc->r", square)[:, None]
+        exponent >>= 1
+    return found

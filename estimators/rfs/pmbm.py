@@ -28,6 +28,7 @@ from servotrack.estimators.rfs.reduction import Limits, Reduction
 from servotrack.estimators.rfs.sets import Extraction, Scan, empty_extraction
 from servotrack.estimators.stateful import add_axis, first_row
 from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.validation import check_count, checked_number
 
 
 class PMBMState(NamedTuple):
@@ -109,16 +110,13 @@ class PMBM(PoissonTrackFilter[PMBMState]):
 
     def __post_init__(self) -> None:
         for name in ("undetected", "assignments", "hypotheses", "targets"):
-            if not (getattr(self, name) or 0) >= 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)!r}")
+            check_count(name, getattr(self, name), 1)
         super().__post_init__()
         for name in ("least_weight", "recycle"):
-            if not 0.0 <= getattr(self, name) < 1.0:
-                raise ValueError(f"{name} must be at least 0 and below 1, got {getattr(self, name)!r}")
+            checked_number(name, getattr(self, name), 0.0, np.nextafter(1.0, 0.0), "at least 0 and below 1")
         if self.report not in ("tracks", "hypothesis"):
             raise ValueError(f'report must be "tracks" or "hypothesis", got {self.report!r}')
-        if not self.tolerated_cut >= 0.0:
-            raise ValueError(f"tolerated_cut must be at least 0, got {self.tolerated_cut!r}")
+        checked_number("tolerated_cut", self.tolerated_cut, 0.0, np.inf, "at least 0")
 
     def project(self, state: PMBMState) -> Projection:
         """Project a posterior to one Bernoulli per track that keeps existence, mean and covariance.

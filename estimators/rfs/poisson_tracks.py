@@ -13,6 +13,7 @@ from servotrack.estimators.rfs.mixture import Mixture, scratch_mixture
 from servotrack.estimators.rfs.pmb_kernel import Prediction, Tally, predict_pmb
 from servotrack.estimators.rfs.recursion import GaussianSetFilter, SetFilterState
 from servotrack.estimators.types import Array
+from servotrack.estimators.validation import check_count
 
 
 class PoissonTrackState(SetFilterState, Protocol):
@@ -42,8 +43,8 @@ class PoissonTrackFilter(GaussianSetFilter[StateT]):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.undetected is not None and self.undetected < 1:
-            raise ValueError(f"undetected must be at least 1 or None, got {self.undetected!r}")
+        if self.undetected is not None:
+            check_count("undetected", self.undetected, 1)
 
     @property
     def _first_undetected(self) -> int:

@@ -37,7 +37,7 @@ from servotrack.estimators.rfs.sets import (
 )
 from servotrack.estimators.stateful import add_axis, first_row
 from servotrack.estimators.types import Array, Labels
-from servotrack.estimators.validation import as_numbers
+from servotrack.estimators.validation import LARGEST_NUMBER, SMALLEST_NUMBER, as_numbers, check_count, checked_number
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -109,26 +109,25 @@ class GaussianSetFilter(ABC, Generic[StateT]):
             raise ValueError(f"birth means must have {n} entries as the model's state, got {sites.means.shape[1]}")
         pack_spawns(self.spawn, n)
         for name, value in (("survival", self.survival), ("detection", self.detection), ("threshold", self.threshold)):
-            if not callable(value) and not 0.0 <= value <= 1.0:
-                raise ValueError(f"{name} must be in [0, 1], got {value!r}")
-        kappa = self.clutter_intensity
-        if not callable(kappa) and not (np.isfinite(kappa) and kappa >= 0.0):
-            raise ValueError(f"clutter_intensity must be finite and >= 0, got {kappa!r}")
+            if not callable(value):
+                checked_number(name, value, 0.0, 1.0, "in [0, 1]")
+        if not callable(self.clutter_intensity):
+            checked_number("clutter_intensity", self.clutter_intensity, 0.0, LARGEST_NUMBER, "finite and >= 0")
+        if not isinstance(self.reduction, Reduction):
+            raise ValueError(f"reduction must be a Reduction, got {type(self.reduction).__name__}")
         if self.extraction not in RULES:
             raise ValueError(f"extraction must be one of {', '.join(RULES)}, got {self.extraction!r}")
         gate = self.gate_probability
-        if gate is not None and not 0.0 < gate <= 1.0:
-            raise ValueError(f"gate_probability must be in (0, 1], got {gate!r}")
+        if gate is not None:
+            checked_number("gate_probability", gate, SMALLEST_NUMBER, 1.0, "in (0, 1]")
         if gate is not None and not callable(self.detection) and 1.0 - gate > 0.1 * (1.0 - self.detection):
             raise ValueError(
                 f"gate_probability {gate!r} loses targets permanently at p_D = {self.detection!r}: "
                 "1 - gate_probability must be at most 0.1 * (1 - p_D); use None or >= "
                 f"{1.0 - 0.1 * (1.0 - self.detection):.6g}"
             )
-        if not 0.0 <= self.gate_loss <= 0.1:
-            raise ValueError(f"gate_loss must be in [0, 0.1], got {self.gate_loss!r}")
-        if self.variants < 1:
-            raise ValueError(f"variants must be at least 1, got {self.variants!r}")
+        checked_number("gate_loss", self.gate_loss, 0.0, 0.1, "in [0, 0.1]")
+        check_count("variants", self.variants, 1)
 
     def initial(self, measurement: ArrayLike, sensor: Sensor | None = None) -> StateT:
         """State before the first measurement: no targets. Only the measurement's batch axis is read.

@@ -29,6 +29,7 @@ from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.sensors import Sensor
 from servotrack.estimators.rfs.sets import Extraction, Scan, empty_extraction
 from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.validation import LARGEST_NUMBER, SMALLEST_NUMBER, checked_number
 
 
 class RobustPMBState(NamedTuple):
@@ -87,8 +88,9 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
         for name in ("detection", "clutter_intensity"):
             if callable(getattr(self, name)):
                 raise ValueError(f"{name} must be a number in an adaptive filter, got a function; use PMB")
-        if not (np.isfinite(self.volume) and self.volume > 0.0):
-            raise ValueError(f"volume must be finite and > 0, got {self.volume!r}")
+        checked_number("volume", self.volume, SMALLEST_NUMBER, LARGEST_NUMBER, "finite and > 0")
+        if self.adaptation is not None and not isinstance(self.adaptation, SensorAdaptation):
+            raise ValueError(f"adaptation must be a SensorAdaptation or None, got {type(self.adaptation).__name__}")
         if self.modes is not None:
             for name in ("kind", "pairwise", "observation", "measurement_noise", "sensor", "angular"):
                 if not np.array_equal(getattr(self.model.packed, name), getattr(self.modes.models[0].packed, name)):

@@ -33,6 +33,7 @@ from servotrack.estimators.rfs.trajectory_tables import (
 )
 from servotrack.estimators.stateful import add_axis
 from servotrack.estimators.types import Array, Labels
+from servotrack.estimators.validation import check_count
 
 
 class TrajectoryPMBState(NamedTuple):
@@ -85,10 +86,8 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.lag < 0:
-            raise ValueError(f"lag must be at least 0 scans, got {self.lag!r}")
-        if self.least_length < 0:
-            raise ValueError(f"least_length must be at least 0 scans, got {self.least_length!r}")
+        check_count("lag", self.lag, 0)
+        check_count("least_length", self.least_length, 0)
 
     def flush(self, state: TrajectoryPMBState) -> list[SetEstimate]:
         """Return the estimates of the last `lag` scans, the oldest first; the state does not change."""

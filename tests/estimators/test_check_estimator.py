@@ -30,8 +30,8 @@ FUZZED_SEED = int(os.environ.get("SERVOTRACK_FUZZED_SEED", "1"))
 FUZZED_SECONDS = float(os.environ.get("SERVOTRACK_FUZZED_SECONDS", "inf"))
 """Time limit of the slow fuzzer for each estimator, s."""
 
-FOUND = [("parametric-ukf", 4), ("controller-damped", 8)]
-"""Estimators and seeds at which the slow fuzzer found a fault that was mended."""
+FOUND = [("parametric-ukf", 4, 50), ("controller-damped", 8, 50), ("parametric-ukf", 100000, 200)]
+"""Estimators, seeds and rows at which the slow fuzzer found a fault that was mended."""
 
 
 def inputs_of(kind: Kind, rows: int) -> Inputs:
@@ -47,10 +47,10 @@ def test_every_estimator_follows_the_contract(name: str) -> None:
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-@pytest.mark.parametrize(("name", "seed"), FOUND)
-def test_faults_that_were_found_stay_mended(name: str, seed: int) -> None:
+@pytest.mark.parametrize(("name", "seed", "rows"), FOUND)
+def test_faults_that_were_found_stay_mended(name: str, seed: int, rows: int) -> None:
     kind = ZOO[name]
-    check_estimator(kind.estimator, inputs_of(kind, 50), sequences=1, steps=kind.steps, seed=seed, skip=kind.skip)
+    check_estimator(kind.estimator, inputs_of(kind, rows), sequences=1, steps=kind.steps, seed=seed, skip=kind.skip)
 
 
 @pytest.mark.slow

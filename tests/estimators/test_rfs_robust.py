@@ -34,7 +34,7 @@ from servotrack.estimators.rfs import (
     pairwise_structure,
     white_acceleration,
 )
-from servotrack.estimators.rfs.interacting import hidden_motion, with_motion
+from servotrack.estimators.rfs.interacting import _stationary, hidden_motion, with_motion
 from servotrack.estimators.rfs.pmb_kernel import Tally
 from servotrack.estimators.stateful import Stateful, select_rows
 
@@ -566,3 +566,17 @@ def test_another_sensor_must_say_what_cannot_be_estimated():
     silent = LinearSensor(HMM.observation, np.eye(2), detection=0.9)
     with pytest.raises(ValueError, match="sensor must state its clutter_intensity in a filter that estimates"):
         filter.step(filter.initial(np.zeros((0, 2))), np.zeros((1, 2)), sensor=silent)
+
+
+@pytest.mark.parametrize(
+    ("switching", "expected"),
+    [
+        (lasting([10.0, 5.0]), [2.0 / 3.0, 1.0 / 3.0]),
+        (lasting([40.0, 10.0, 10.0, 10.0]), [4.0 / 7.0, 1.0 / 7.0, 1.0 / 7.0, 1.0 / 7.0]),
+        (np.eye(3), [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0]),
+        (np.array([[0.0, 1.0], [1.0, 0.0]]), [0.5, 0.5]),
+        (np.array([[1.0, 0.0], [0.5, 0.5]]), [1.0, 0.0]),
+    ],
+)
+def test_stationary_distribution_of_modes(switching: np.ndarray, expected: list[float]) -> None:
+    np.testing.assert_allclose(_stationary(switching), expected, rtol=1e-13, atol=1e-15)

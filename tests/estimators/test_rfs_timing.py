@@ -27,6 +27,7 @@ from servotrack.estimators.rfs import (
     RangeBearingModel,
     RobustPMB,
     TimedTracker,
+    TrajectoryPMB,
     bearing_sensor,
     constant_velocity,
     maneuvers,
@@ -457,3 +458,23 @@ def test_batches_of_runs_take_intervals_and_sensors(kind):
         known = many.labels[1] > 0
         np.testing.assert_array_equal(many.states[1][known], one.states)
         assert many.expected_number[1] == one.expected_number
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "values"),
+    [
+        (PMB, "survival", ("1", None, np.nan, 1.5, [1.0])),
+        (PMB, "clutter_intensity", ("1", None, np.inf, -1.0)),
+        (PMB, "gate_probability", ("1", 0.0, [0.99])),
+        (PMB, "variants", (0, 1.5, True, None)),
+        (PMB, "undetected", (0, 1.5, np.nan, True, "9")),
+        (PMB, "reduction", (None, 100)),
+        (PMBM, "assignments", (0, np.nan, np.inf, 1.5, True)),
+        (PMBM, "recycle", (1.0, np.nan, "0")),
+        (TrajectoryPMB, "lag", (-1, 1.5, np.nan, True, None)),
+    ],
+)
+def test_wrong_arguments_of_filters_are_refused_by_name(kind, name, values):
+    for value in values:
+        with pytest.raises(ValueError, match=f"^{name} must be"):
+            kind(PLANE, births(), **({"clutter_intensity": KAPPA} | {name: value}))
