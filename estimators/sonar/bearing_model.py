@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+import sys
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, get_args
 
@@ -11,11 +13,39 @@ import numpy as np
 from servotrack.estimators.hmm.chain import GridChain, grid_chain
 from servotrack.estimators.sonar.array import Band, LineArray, Shading, bearings
 from servotrack.estimators.sonar.beam_patterns import Patterns
-from servotrack.estimators.sonar.rules import CrossingRules, JoiningRules, LikelihoodRules, SearchRules, SpanRules
+from servotrack.estimators.sonar.rules import (
+    BackgroundRules,
+    CrossingRules,
+    FastRules,
+    JoiningRules,
+    LikelihoodRules,
+    SearchRules,
+    SpanRules,
+)
 from servotrack.estimators.sonar.scores import RowScores
 from servotrack.estimators.types import Array
 
+if sys.version_info >= (3, 11):
+    from typing import Self
+else:
+    from typing_extensions import Self
+
 Likelihood = Literal["row", "cell"]
+
+
+def fitting_rates(spacing: float, period: float, fastest: float = 2.0) -> tuple[float, ...]:
+    """Return rates up to `fastest`, deg/s; half a step of the rate moves a target by one beam per row.
+
+    The grid holds at least one step on both sides of zero.
+
+    Args:
+        spacing: Distance of neighboring beams, deg.
+        period: Time between rows, s.
+        fastest: Largest rate, deg/s, rounded to a step. Larger values follow faster targets and are slower.
+    """
+    step = 2.0 * spacing / period
+    most = max(1, round(fastest / step))
+    return tuple((step * np.arange(-most, most + 1)).tolist())
 
 
 @dataclass(frozen=True)
@@ -31,7 +61,8 @@ class BearingModel:
         beams: Number of beams from 0 to 180 deg.
         snapshots: Number of snapshots averaged in one row.
         period: Time between rows, s.
-        rates: Bearing rates of the grid, deg/s.
+        rates: Bearing rates of the grid, deg/s. None: up to 2 deg/s in steps that fit the beams, and as far beyond as
+            ridges in the record move.
         acceleration: Standard deviation of the bearing's acceleration, deg/s^2. Larger values follow maneuvers faster
             and average fewer rows.
         switching: Probability that a target appears or disappears from row to row. Larger values react faster.
@@ -55,6 +86,8 @@ class BearingModel:
         search: Thresholds of the joint search.
         crossing: Thresholds of the test for exchanged identities.
         joining: Thresholds that join parts of a track.
+        backgrounds: Thresholds of the background and the noise level of rows.
+        fast: Thresholds of the search for ridges that are faster than the grid.
     """
 
     likelihood: Likelihood = "row"
@@ -64,7 +97,7 @@ class BearingModel:
     beams: int = 721
     snapshots: int = 10
     period: float = 1.0
-    rates: tuple[float, ...] = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0)
+    rates: tuple[float, ...] | None = None
     acceleration: float = 0.3
     switching: float = 0.02
     bridge: float = 6.0
@@ -86,6 +119,8 @@ class BearingModel:
     search: SearchRules = field(default_factory=SearchRules)
     crossing: CrossingRules = field(default_factory=CrossingRules)
     joining: JoiningRules = field(default_factory=JoiningRules)
+    backgrounds: BackgroundRules = field(default_factory=BackgroundRules)
+    fast: FastRules = field(default_factory=FastRules)
 
     def __post_init__(self) -> None:
         """Check every field; raises ValueError that names it, and the spacing that fits the rates."""
@@ -114,8 +149,32 @@ class BearingModel:
     @cached_property
     def chain(self) -> GridChain:
         """Markov chain on the grid of bearings and rates."""
-        spacing = 180.0 / (self.beams - 1)
-        return grid_chain(self.beams, self.rates, spacing, self.period, self.acceleration)
+        rates = fitting_rates(self.spacing, self.period) if self.rates is None else self.rates
+        return grid_chain(self.beams, rates, self.spacing, self.period, self.acceleration)
+
+    @property
+    def spacing(self) -> float:
+        """Distance of neighboring beams, deg."""
+        return 180.0 / (self.beams - 1)
+
+    @cached_property
+    def beam_width(self) -> float:
+        """Width of a beam across the array at half its power, for a flat spectrum, in beams."""
+        table = self.patterns.tables[0]
+        half = min(2.0 / (len(table) - 1) * int((table < 0.5).argmax()), 1.0)
+        return 2.0 * math.degrees(math.asin(half)) / self.spacing
+
+    @property
+    def fastest(self) -> float:
+        """Largest rate of the grid, deg/s."""
+        return float(self.chain.rates[-1])
+
+    def widened(self, fastest: float) -> Self:
+        """Return the same model with a grid of rates up to `fastest`, deg/s, and the tables that it has."""
+        wider = replace(self, rates=fitting_rates(self.spacing, self.period, fastest))
+        shared = ("patterns", "scores", "beam_bearings", "beam_width")
+        wider.__dict__.update({name: self.__dict__[name] for name in shared if name in self.__dict__})
+        return wider
 
     @cached_property
     def beam_bearings(self) -> Array:
@@ -145,7 +204,7 @@ class BearingModel:
     @property
     def max_step(self) -> float:
         """Largest plausible change of a bearing between rows, deg; a larger one belongs to another target."""
-        return float(np.abs(self.rates).max()) * self.period + self.jump
+        return float(np.abs(self.chain.rates).max()) * self.period + self.jump
 
     def memory(self, records: int, targets: int = 2) -> int:
         """Memory that `track` needs, bytes.

@@ -10,6 +10,7 @@ import numpy as np
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.hmm.exclusion import exclude, occupancy
 from servotrack.estimators.hmm.smoothing import smooth
+from servotrack.estimators.sonar.background import prepare_rows
 from servotrack.estimators.sonar.beam_patterns import PowerFit, add_pattern, variance_of
 from servotrack.estimators.sonar.bearing_model import BearingModel
 from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
@@ -23,19 +24,44 @@ class JointSmoother:
 
     Args:
         model: Parameters and tables of the tracker.
-        rows: Normalized beam powers. Shape (T, beams).
+        rows: Normalized beam powers; rows of NaN are missing. Shape (T, beams).
         chains: Existing chains.
     """
 
     def __init__(self, model: BearingModel, rows: Array, chains: Sequence[TrackHypothesis] = ()) -> None:
         self.model = model
-        self.rows = rows
+        self.rows, self.background, self.missing, self.lifted = prepare_rows(rows, model.beam_width, model.backgrounds)
         self.chains = list(chains)
 
     @cached_property
     def whitened(self) -> Array:
         """Whitened rows without the mean noise, the input of the matched filter. Shape (T, beams)."""
         return self.model.scores.whiten(self.rows - 1.0)
+
+    def relevel(self) -> Array | None:
+        """Normalize the rows by the noise that the targets leave, if the sidelobes of loud ones have lifted the level.
+
+        The noise level of a single row is a truncated mean over its beams, which all hold sidelobes of a loud target.
+        The known beam patterns of the chains tell them from noise.
+
+        Returns:
+            Level of each row before, relative to 1; None if the rows keep their level. Shape (T,).
+        """
+        rules = self.model.backgrounds
+        used = ~(self.missing | self.lifted)
+        if not self.chains or not used.any():
+            return None
+        level = np.median((self.rows - self.explained()) / self.background, axis=1) + 1.0
+        typical = float(np.median(level[used]))
+        if abs(typical - 1.0) <= rules.level_tolerance:
+            return None
+        level = np.where(self.missing, typical, np.maximum(level, 0.5 * min(typical, 1.0)))
+        self.rows = self.rows / level[:, None]
+        self.__dict__.pop("whitened", None)
+        for chain in self.chains:
+            chain.power = chain.power / level
+            chain.expected = None if chain.expected is None else chain.expected / level
+        return level
 
     def search(self, attempts: int) -> None:
         """Start chains on the strongest unexplained ridge until the test of existence fails `attempts` times in a row.
@@ -162,7 +188,7 @@ class JointSmoother:
 
     def explained(self, but: Sequence[TrackHypothesis] = ()) -> Array:
         """Mean beam powers by noise and all chains except those in `but`. Shape (T, beams)."""
-        mean = np.ones_like(self.rows)
+        mean = self.background.copy()
         for chain in self.chains:
             if chain not in but:
                 add_pattern(mean, chain.presence * chain.power, chain.pattern)
@@ -192,7 +218,8 @@ class JointSmoother:
             power = powers.powers(usual, model.power_spread * usual)
             for i, chain in enumerate(chains):
                 chain.expected = usual[i]
-                chain.power = np.where(there[i] > model.search.min_presence, power[i], usual[i])
+                seen = (there[i] > model.search.min_presence) & ~self.missing
+                chain.power = np.where(seen, power[i], usual[i])
             mean = self.explained()
         cosines = np.cos(np.radians(model.beam_bearings))
         for chain, use in zip(chains, alone, strict=True):
@@ -206,7 +233,7 @@ class JointSmoother:
         """Mask of the rows in which a chain's target exists and is resolved from all others."""
         rules = self.model.search
         cosines = np.cos(np.radians(chain.bearings))
-        alone = chain.presence > rules.min_presence
+        alone = (chain.presence > rules.min_presence) & ~(self.missing | self.lifted)
         for other in self.chains:
             if other is not chain:
                 apart = np.abs(cosines - np.cos(np.radians(other.bearings)))
@@ -219,7 +246,14 @@ class JointSmoother:
             chain.pattern = self.model.patterns.at(chain.mixture, np.cos(np.radians(beam_bearings)), chain.bearings)
 
     def _likelihood(self, chain: TrackHypothesis) -> Array:
-        return self._cells(chain) if self.model.likelihood == "cell" else self._row(chain)
+        b = self._cells(chain) if self.model.likelihood == "cell" else self._row(chain)
+        if self.lifted.any():
+            ratio = np.log(b[self.lifted])
+            limit = self.model.backgrounds.max_log_ratio
+            top = np.maximum(ratio.max(axis=1, keepdims=True), limit)
+            b[self.lifted] = np.exp(ratio * (limit / top))
+        b[self.missing] = 1.0
+        return b
 
     def _smooth(self, chain: TrackHypothesis, b: Array, closed: Mask | None = None) -> None:
         """Smooth one chain and test its existence.
@@ -252,7 +286,7 @@ class JointSmoother:
         return known_power(power, variance, chain.expected, self.model.power_spread, self.model.likelihood_rules)
 
     def _cells(self, chain: TrackHypothesis) -> Array:
-        b = cell_likelihood(self.rows, self.model.likelihood_rules)
+        b = cell_likelihood(self.rows / self.background, self.model.likelihood_rules)
         # A chain recalled from the last row occupies no cells before it is solved.
         others = [c for c in self.chains if c is not chain and len(c.marginal)]
         if not others:

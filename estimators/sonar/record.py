@@ -12,9 +12,11 @@ from servotrack.estimators.hmm.existence import Span
 from servotrack.estimators.sonar.array import normalize
 from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
 from servotrack.estimators.sonar.rules import JoiningRules
-from servotrack.estimators.types import Array
+from servotrack.estimators.types import Array, Labels
 from servotrack.estimators.validation import LIMITS, as_numbers, check_within, first_bad
 
+LONGEST_GAP = 1000
+"""Longest gap between two rows, in rows."""
 SMALLEST_LEVEL = 1e-30
 """Smallest median of a row's powers: below it their ratios would overflow."""
 
@@ -141,45 +143,92 @@ def _chained(track: BearingTrack, other: BearingTrack) -> BearingTrack:
     )
 
 
-def checked_record(record: ArrayLike, beams: int, averages: int, times: ArrayLike | None, period: float) -> Array:
-    """Check a record and normalize its rows.
+class CheckedRecord(NamedTuple):
+    """Normalized rows, one per period.
+
+    Attributes:
+        rows: Normalized rows with noise mean 1; NaN where a row is missing. Shape (P, beams).
+        given: Index of each given row among them. Shape (T,).
+    """
+
+    rows: Array
+    given: Labels
+
+    def restored(self, tracks: Sequence[BearingTrack]) -> list[BearingTrack]:
+        """Return the tracks at the given rows only, with their indices."""
+        if len(self.given) == len(self.rows):
+            return list(tracks)
+        found = []
+        for track in tracks:
+            first, after = np.searchsorted(self.given, [track.first, track.last + 1]).tolist()
+            if first < after:
+                inside = self.given[first:after] - track.first
+                columns = {name: getattr(track, name)[inside] for name in _COLUMNS}
+                found.append(track._replace(first=first, **columns))
+        return found
+
+
+_COLUMNS = ("bearings", "rates", "deviations", "presence")
+
+
+def checked_record(
+    record: ArrayLike, beams: int, averages: float, times: ArrayLike | None, period: float
+) -> CheckedRecord:
+    """Check a record, normalize its rows and place them one period apart.
+
+    A row that holds a NaN is missing, and so is every period without a row. Missing rows carry no information.
 
     Args:
         record: Beam powers. Shape (T, beams).
         beams: Required number of beams in a row.
         averages: Number M of averages in one beam power.
-        times: Times of the rows, s; None: not checked. Shape (T,).
+        times: Times of the rows, s, whole numbers of periods apart within a quarter of one; None: no gaps. Shape (T,).
         period: Time between rows, s.
 
-    Returns:
-        Normalized rows with noise mean 1. Shape (T, beams).
-
     Raises:
-        ValueError: Rows have another length, powers are NaN or negative, or times are not one period apart.
+        ValueError: Rows have another length, powers are infinite or negative, a beam is NaN in all rows, or times do
+            not fit the period.
     """
     powers = as_numbers("record", record)
     if powers.size == 0 and powers.ndim < 2:
         powers = powers.reshape(0, beams)
     if powers.ndim != 2 or powers.shape[1] != beams:
         raise ValueError(f"record must have shape (rows, {beams}), got {powers.shape}; set beams to the rows' length")
+    given = np.arange(len(powers))
     if times is not None:
-        _check_times(as_numbers("times", times), len(powers), period)
-    _check_powers("record", powers)
-    return normalize(powers, averages) if len(powers) else powers
+        given = _placed(as_numbers("times", times), len(powers), period)
+    bad = np.isnan(powers)
+    missing = bad.any(axis=1)
+    if missing.any():
+        dead = bad.all(axis=0)
+        if dead.any() and not dead.all():
+            raise ValueError(
+                f"record must have numbers in every beam, got nan at index [0, {int(dead.argmax())}] and in all rows of "
+                f"that beam; leave out the {int(dead.sum())} such beams and pass the angles of the others as beams"
+            )
+    present = powers[~missing]
+    _check_powers("record", present)
+    rows = np.full((int(given[-1]) + 1 if len(given) else 0, beams), np.nan)
+    if len(present):
+        rows[given[~missing]] = normalize(present, averages)
+    return CheckedRecord(rows, given)
 
 
-def checked_row(row: ArrayLike, beams: int, averages: int) -> Array:
-    """Check and normalize one row; arguments and errors as in `checked_record`. Shape (beams,)."""
+def checked_row(row: ArrayLike, beams: int, averages: float) -> Array:
+    """Check and normalize one row; arguments and errors as in `checked_record`. NaN if it is missing. Shape (beams,)."""
     powers = as_numbers("row", row)
     if powers.shape != (beams,):
         raise ValueError(f"row must have shape ({beams},), got {powers.shape}; set beams to the row's length")
+    if np.isnan(powers).any():
+        return np.full(beams, np.nan)
     _check_powers("row", powers)
     return normalize(powers, averages)
 
 
 def _check_powers(name: str, powers: Array) -> None:
     """Raise ValueError unless powers are finite, not negative, within the limit and mostly above 0."""
-    check_within(name, powers, LIMITS.powers, "leave such rows out")
+    remedy = "set the row to NaN, which marks it as missing"
+    check_within(name, powers, LIMITS.powers, remedy)
     if powers.size and powers.min() < 0.0:
         bad = first_bad(powers, powers < 0.0)
         raise ValueError(f"{name} must be finite and not negative, got {bad}; pass powers, not decibels")
@@ -187,18 +236,28 @@ def _check_powers(name: str, powers: Array) -> None:
     if low.any():
         raise ValueError(
             f"{name} must be positive in most beams, got the median {np.median(powers, axis=-1).min():g}, below "
-            f"{SMALLEST_LEVEL:g}; leave such rows out, or pass powers in a larger unit"
+            f"{SMALLEST_LEVEL:g}; {remedy}, or pass powers in a larger unit"
         )
 
 
-def _check_times(times: Array, rows: int, period: float) -> None:
+def _placed(times: Array, rows: int, period: float) -> Labels:
+    """Index of the period of each row."""
     if times.shape != (rows,):
         raise ValueError(f"times must have shape ({rows},), got {times.shape}")
     steps = np.diff(times)
-    bad = np.flatnonzero(~(np.abs(steps - period) <= 0.01 * period))
+    count = np.rint(steps / period)
+    bad = np.flatnonzero(~((count >= 1.0) & (np.abs(steps - count * period) <= 0.25 * period)))
     if len(bad):
         at = int(bad[0])
         raise ValueError(
-            f"times must be {period:g} s apart, got {steps[at]:g} s after row {at}: fill the gap with rows of ones, "
-            "which carry no information, or track the parts separately"
+            f"times must be {period:g} s apart or whole multiples of it, within a quarter of it, got {steps[at]:g} s "
+            f"after row {at}: set period to the interval of the rows; rows may be left out"
         )
+    long = np.flatnonzero(count > LONGEST_GAP)
+    if len(long):
+        at = int(long[0])
+        raise ValueError(
+            f"times must have gaps of at most {LONGEST_GAP} rows, got {steps[at]:g} s after row {at}: track the parts "
+            "before and after it separately"
+        )
+    return np.concatenate([[0], np.cumsum(count)]).astype(np.int64)[:rows]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from servotrack.estimators.hmm.smoothing import advance
 from servotrack.estimators.rfs.sets import SetEstimate
 from servotrack.estimators.sonar.bearing_model import BearingModel
 from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
+from servotrack.estimators.sonar.fast_ridges import fastest_rate
 from servotrack.estimators.sonar.joint_smoothing import JointSmoother
 from servotrack.estimators.sonar.record import BearingTrack, checked_record, checked_row, joined
 from servotrack.estimators.types import Array
@@ -43,16 +45,20 @@ class BearingState(NamedTuple):
     """State of an `HMMBearings`, of constant size.
 
     Attributes:
-        rows: Newest normalized rows, at most `window`. Shape (W, beams).
+        rows: Newest normalized rows, at most `window`; NaN where a row is missing. Shape (W, beams).
         chains: States of the chains.
         next_label: Next new identity.
         seen: Number of rows so far.
+        level: Noise level of the newest row that loud targets leave, relative to that of the row alone.
+        fastest: Largest bearing rate of the grid, deg/s.
     """
 
     rows: Array
     chains: tuple[ChainMemory, ...]
     next_label: int
     seen: int
+    level: float = 1.0
+    fastest: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -77,7 +83,8 @@ class HMMBearings(BearingModel):
             ValueError: Rows have another length, powers are NaN or negative, there is a gap in time, or the record
                 needs more memory than `memory_limit`.
         """
-        rows = checked_record(record, self.beams, self.averages, times, self.period)
+        checked = checked_record(record, self.beams, self.averages, times, self.period)
+        rows = checked.rows
         needed = self.memory(len(rows))
         if needed > self.memory_limit:
             raise ValueError(
@@ -87,14 +94,23 @@ class HMMBearings(BearingModel):
         if not len(rows):
             return []
         smoother = JointSmoother(self, rows)
+        fastest = self._fastest(smoother, self.fastest)
+        if fastest > self.fastest:
+            smoother = JointSmoother(self.widened(fastest), rows)
         smoother.search(attempts=2)
+        for _ in range(self.backgrounds.max_levels):
+            if smoother.relevel() is None:
+                break
+            # Chains on sidelobes that the wrong level left must not stay.
+            smoother.chains.clear()
+            smoother.search(attempts=2)
         smoother.conclude()
         parts = [
             BearingTrack.cut(0, chain, span, value)
             for chain in smoother.chains
             for span, value in zip(chain.spans, chain.evidence, strict=True)
         ]
-        return joined(parts, self.bridge_rows, self.period, self.joining)
+        return checked.restored(joined(parts, self.bridge_rows, self.period, self.joining))
 
     def initial(self, row: ArrayLike) -> BearingState:
         """Return the state before the first row; only the length of `row` is used.
@@ -103,7 +119,7 @@ class HMMBearings(BearingModel):
             ValueError: As `track` does.
         """
         checked_row(row, self.beams, self.averages)
-        return BearingState(np.zeros((0, self.beams)), (), 1, 0)
+        return BearingState(np.zeros((0, self.beams)), (), 1, 0, 1.0, self.fastest)
 
     def step(self, state: BearingState, row: ArrayLike) -> tuple[BearingState, SetEstimate]:
         """Update with one row and estimate the targets `lag` rows before it.
@@ -119,12 +135,24 @@ class HMMBearings(BearingModel):
         Raises:
             ValueError: As `track` does.
         """
-        rows = np.vstack([state.rows, checked_row(row, self.beams, self.averages)])
-        smoother = JointSmoother(self, rows, [self._recall(memory, len(rows)) for memory in state.chains])
+        rows = np.vstack([state.rows, checked_row(row, self.beams, self.averages) / state.level])
+        model, memories = self._at_rate(state.fastest), state.chains
+        smoother = JointSmoother(model, rows)
+        fastest = self._fastest(smoother, state.fastest)
+        if fastest > state.fastest:
+            wider = self._at_rate(fastest)
+            memories = tuple(memory._replace(prior=_padded(memory.prior, model, wider)) for memory in memories)
+            smoother.model = model = wider
+        smoother.chains = [self._recall(memory, len(rows)) for memory in memories]
         for chain in smoother.chains:
             smoother._explain(chain)
         smoother.sweep(1)
         smoother.search(attempts=1)
+        level = smoother.relevel()
+        if level is not None:
+            rows = rows / level[:, None]
+            smoother.sweep(1)
+            smoother.search(attempts=1)
         next_label = state.next_label
         for chain in smoother.chains:
             if chain.label == 0:
@@ -132,8 +160,35 @@ class HMMBearings(BearingModel):
         at = len(rows) - 1 - self.lag
         estimate = self._estimate(smoother.chains, at)
         slide = len(rows) >= self.window
-        kept = tuple(self._remember(chain, slide) for chain in smoother.chains)
-        return BearingState(rows[1:] if slide else rows, kept, next_label, state.seen + 1), estimate
+        kept = tuple(self._remember(model, chain, slide) for chain in smoother.chains)
+        relative = state.level if level is None else state.level * float(level[-1])
+        return BearingState(rows[1:] if slide else rows, kept, next_label, state.seen + 1, relative, fastest), estimate
+
+    def _fastest(self, smoother: JointSmoother, known: float) -> float:
+        """Largest bearing rate that the rows need, deg/s; a fixed grid of rates keeps its own and warns."""
+        found = fastest_rate(
+            smoother.rows, smoother.background, self.averages, self.spacing, self.period, known, self.fast
+        )
+        if found <= known:
+            return known
+        if self.rates is not None:
+            warnings.warn(
+                f"a ridge moves at about {found:.3g} deg/s, and rates end at {known:.3g} deg/s: it is not followed; "
+                "leave rates out, or extend them",
+                RuntimeWarning,
+                stacklevel=3,
+            )
+            return known
+        return found + self.fast.margin
+
+    def _at_rate(self, fastest: float) -> HMMBearings:
+        """Return this tracker with a grid of rates up to `fastest`, deg/s; made once."""
+        if fastest <= self.fastest:
+            return self
+        made: dict[float, HMMBearings] = self.__dict__.setdefault("_wider", {})
+        if fastest not in made:
+            made[fastest] = self.widened(fastest)
+        return made[fastest]
 
     def _recall(self, memory: ChainMemory, rows: int) -> TrackHypothesis:
         """Rebuild a chain in the window with its new row, which starts with the values of the last row."""
@@ -154,12 +209,12 @@ class HMMBearings(BearingModel):
             prior_presence=memory.prior_presence,
         )
 
-    def _remember(self, chain: TrackHypothesis, slide: bool) -> ChainMemory:
-        prior = self.chain.uniform() if chain.prior is None else chain.prior
+    def _remember(self, model: BearingModel, chain: TrackHypothesis, slide: bool) -> ChainMemory:
+        prior = model.chain.uniform() if chain.prior is None else chain.prior
         there = chain.prior_presence
         first = 0
         if slide:
-            prior = advance(self.chain, prior, chain.likelihood[0], float(chain.presence[0]))
+            prior = advance(model.chain, prior, chain.likelihood[0], float(chain.presence[0]))
             ratio = float(chain.existence_likelihood[0])
             there = there * ratio / (there * ratio + 1.0 - there)
             there = there * (1.0 - self.switching) + (1.0 - there) * self.switching
@@ -188,3 +243,10 @@ class HMMBearings(BearingModel):
             states[~inside],
             np.minimum(existence[~inside], 0.49),
         )
+
+
+def _padded(prior: Array, model: BearingModel, wider: BearingModel) -> Array:
+    """Probabilities of the states on a grid with more rates."""
+    extra = (len(wider.chain.rates) - len(model.chain.rates)) // 2
+    cells = prior.reshape(len(model.chain.rates), -1)
+    return np.pad(cells, ((extra, extra), (0, 0))).reshape(-1)
