@@ -11,12 +11,11 @@ from numpy.typing import ArrayLike
 from servotrack.estimators.hmm.existence import Span
 from servotrack.estimators.sonar.array import normalize
 from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
+from servotrack.estimators.sonar.directions import LINE, Directions
 from servotrack.estimators.sonar.rules import JoiningRules
 from servotrack.estimators.types import Array, Labels
 from servotrack.estimators.validation import LIMITS, as_numbers, check_within, first_bad
 
-LONGEST_GAP = 1000
-"""Longest gap between two rows, in rows."""
 SMALLEST_LEVEL = 1e-30
 """Smallest median of a row's powers: below it their ratios would overflow."""
 
@@ -62,7 +61,9 @@ class BearingTrack(NamedTuple):
         )
 
 
-def joined(tracks: Sequence[BearingTrack], gap: int, period: float, rules: JoiningRules) -> list[BearingTrack]:
+def joined(
+    tracks: Sequence[BearingTrack], gap: int, period: float, rules: JoiningRules, directions: Directions = LINE
+) -> list[BearingTrack]:
     """Join tracks of which one continues another, and number all tracks anew by evidence.
 
     Args:
@@ -71,6 +72,7 @@ def joined(tracks: Sequence[BearingTrack], gap: int, period: float, rules: Joini
             target. Bearings in the gap are interpolated.
         period: Time between rows, s.
         rules: Thresholds of a continuation.
+        directions: Geometry of the bearings.
 
     Returns:
         Joined tracks, strongest first, with labels from 1.
@@ -80,11 +82,12 @@ def joined(tracks: Sequence[BearingTrack], gap: int, period: float, rules: Joini
     while left:
         track = left.pop(0)
         # The earliest continuation is taken: a later, better one may continue this continuation.
-        at = next((i for i, other in enumerate(left) if _misfit(track, other, gap, period, tracks, rules) <= 1.0), None)
+        fits = (_misfit(track, other, gap, period, tracks, rules, directions) <= 1.0 for other in left)
+        at = next((i for i, continued in enumerate(fits) if continued), None)
         if at is None:
             done.append(track)
         else:
-            left[at] = _chained(track, left[at])
+            left[at] = _chained(track, left[at], directions)
     done.sort(key=lambda track: -track.evidence)
     return [track._replace(label=label) for label, track in enumerate(done, 1)]
 
@@ -96,6 +99,7 @@ def _misfit(
     period: float,
     every: Sequence[BearingTrack],
     rules: JoiningRules,
+    directions: Directions,
 ) -> float:
     """Distance between an extrapolated track and the start of another one, relative to the allowed distance."""
     steps = other.first - track.last
@@ -105,26 +109,32 @@ def _misfit(
     near = slice(inside, inside + rules.rate_rows)
     rate_before, rate_after = track.rates[-rules.rate_rows :].mean(), other.rates[near].mean()
     ahead = steps + inside
-    error = abs(track.bearings[-1] + 0.5 * (rate_before + rate_after) * ahead * period - other.bearings[inside])
+    expected = track.bearings[-1] + 0.5 * (rate_before + rate_after) * ahead * period
+    error = abs(directions.difference(expected, other.bearings[inside]))
     allowed = rules.distance + rules.distance_growth * min(ahead, rules.growth_rows)
     misfit = max(float(error / allowed), float(abs(rate_after - rate_before)) / rules.rate_difference)
     if steps > gap + 1:
-        way = np.linspace(track.bearings[-1], other.bearings[inside], steps + 1)[1:-1]
-        hidden = sum(_hides(every, track.last + k, way[k - 1], rules.hiding_distance) for k in range(1, steps))
+        begin = track.bearings[-1] + directions.turn(other.bearings[inside], track.bearings[-1])
+        way = np.linspace(begin, other.bearings[inside], steps + 1)[1:-1]
+        near = rules.hiding_distance
+        hidden = sum(_hides(every, track.last + k, way[k - 1], near, directions) for k in range(1, steps))
         if steps - 1 - hidden > (rules.direct_gap_rows if misfit < rules.direct_misfit else gap):
             return np.inf
     return misfit
 
 
-def _hides(tracks: Sequence[BearingTrack], row: int, bearing: float, distance: float) -> bool:
+def _hides(
+    tracks: Sequence[BearingTrack], row: int, bearing: float, distance: float, directions: Directions
+) -> bool:
     """Return True if some track is near enough to a bearing to hide another target."""
     return any(
-        track.first <= row <= track.last and abs(track.bearings[row - track.first] - bearing) < distance
+        track.first <= row <= track.last
+        and abs(directions.difference(track.bearings[row - track.first], bearing)) < distance
         for track in tracks
     )
 
 
-def _chained(track: BearingTrack, other: BearingTrack) -> BearingTrack:
+def _chained(track: BearingTrack, other: BearingTrack, directions: Directions) -> BearingTrack:
     inside = max(track.last + 1 - other.first, 0)
     missing = max(other.first - track.last - 1, 0)
     share = np.arange(1, missing + 1) / (missing + 1.0)
@@ -132,10 +142,11 @@ def _chained(track: BearingTrack, other: BearingTrack) -> BearingTrack:
     def chain(before: Array, after: Array) -> Array:
         return np.concatenate([before, before[-1] + share * (after[inside] - before[-1]), after[inside:]])
 
+    turn = directions.turn(other.bearings[inside], track.bearings[-1])
     return BearingTrack(
         track.label,
         track.first,
-        chain(track.bearings, other.bearings),
+        directions.wrapped(chain(track.bearings, other.bearings - turn)),
         chain(track.rates, other.rates),
         chain(track.deviations, other.deviations),
         np.concatenate([track.presence, np.zeros(missing), other.presence[inside:]]),
@@ -240,7 +251,7 @@ def _check_powers(name: str, powers: Array) -> None:
         )
 
 
-def _placed(times: Array, rows: int, period: float) -> Labels:
+def _placed(times: Array, rows: int, period: float, longest_gap: int = 1000) -> Labels:
     """Index of the period of each row."""
     if times.shape != (rows,):
         raise ValueError(f"times must have shape ({rows},), got {times.shape}")
@@ -253,11 +264,11 @@ def _placed(times: Array, rows: int, period: float) -> Labels:
             f"times must be {period:g} s apart or whole multiples of it, within a quarter of it, got {steps[at]:g} s "
             f"after row {at}: set period to the interval of the rows; rows may be left out"
         )
-    long = np.flatnonzero(count > LONGEST_GAP)
+    long = np.flatnonzero(count > longest_gap)
     if len(long):
         at = int(long[0])
         raise ValueError(
-            f"times must have gaps of at most {LONGEST_GAP} rows, got {steps[at]:g} s after row {at}: track the parts "
+            f"times must have gaps of at most {longest_gap} rows, got {steps[at]:g} s after row {at}: track the parts "
             "before and after it separately"
         )
     return np.concatenate([[0], np.cumsum(count)]).astype(np.int64)[:rows]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -11,12 +12,18 @@ from numpy.typing import ArrayLike
 
 from servotrack.estimators.hmm.smoothing import advance
 from servotrack.estimators.rfs.sets import SetEstimate
+from servotrack.estimators.sonar.array_check import measured_averages, width_note
 from servotrack.estimators.sonar.bearing_model import BearingModel
 from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
 from servotrack.estimators.sonar.fast_ridges import fastest_rate
 from servotrack.estimators.sonar.joint_smoothing import JointSmoother
 from servotrack.estimators.sonar.record import BearingTrack, checked_record, checked_row, joined
 from servotrack.estimators.types import Array
+
+if sys.version_info >= (3, 11):
+    from typing import Self
+else:
+    from typing_extensions import Self
 
 
 class ChainMemory(NamedTuple):
@@ -83,9 +90,13 @@ class HMMBearings(BearingModel):
             ValueError: Rows have another length, powers are NaN or negative, there is a gap in time, or the record
                 needs more memory than `memory_limit`.
         """
-        checked = checked_record(record, self.beams, self.averages, times, self.period)
+        beams = len(self.beam_bearings)
+        checked = checked_record(record, beams, self.averages, times, self.period)
+        model = self._with_spread_of(checked.rows)
+        if model is not self:
+            checked = checked_record(record, beams, model.averages, times, self.period)
         rows = checked.rows
-        needed = self.memory(len(rows))
+        needed = model.memory(len(rows))
         if needed > self.memory_limit:
             raise ValueError(
                 f"record of {len(rows)} rows needs {needed / 1e9:.1f} GB, memory_limit is {self.memory_limit / 1e9:g} "
@@ -93,10 +104,10 @@ class HMMBearings(BearingModel):
             )
         if not len(rows):
             return []
-        smoother = JointSmoother(self, rows)
-        fastest = self._fastest(smoother, self.fastest)
+        smoother = JointSmoother(model, rows)
+        fastest = model._fastest(smoother, self.fastest)
         if fastest > self.fastest:
-            smoother = JointSmoother(self.widened(fastest), rows)
+            smoother = JointSmoother(model.widened(fastest), rows)
         smoother.search(attempts=2)
         for _ in range(self.backgrounds.max_levels):
             if smoother.relevel() is None:
@@ -105,12 +116,15 @@ class HMMBearings(BearingModel):
             smoother.chains.clear()
             smoother.search(attempts=2)
         smoother.conclude()
+        note = width_note(smoother)
+        if note is not None:
+            warnings.warn(note, RuntimeWarning, stacklevel=2)
         parts = [
             BearingTrack.cut(0, chain, span, value)
             for chain in smoother.chains
             for span, value in zip(chain.spans, chain.evidence, strict=True)
         ]
-        return checked.restored(joined(parts, self.bridge_rows, self.period, self.joining))
+        return checked.restored(joined(parts, self.bridge_rows, self.period, self.joining, self.directions))
 
     def initial(self, row: ArrayLike) -> BearingState:
         """Return the state before the first row; only the length of `row` is used.
@@ -118,8 +132,8 @@ class HMMBearings(BearingModel):
         Raises:
             ValueError: As `track` does.
         """
-        checked_row(row, self.beams, self.averages)
-        return BearingState(np.zeros((0, self.beams)), (), 1, 0, 1.0, self.fastest)
+        checked_row(row, len(self.beam_bearings), self.averages)
+        return BearingState(np.zeros((0, len(self.beam_bearings))), (), 1, 0, 1.0, self.fastest)
 
     def step(self, state: BearingState, row: ArrayLike) -> tuple[BearingState, SetEstimate]:
         """Update with one row and estimate the targets `lag` rows before it.
@@ -135,7 +149,7 @@ class HMMBearings(BearingModel):
         Raises:
             ValueError: As `track` does.
         """
-        rows = np.vstack([state.rows, checked_row(row, self.beams, self.averages) / state.level])
+        rows = np.vstack([state.rows, checked_row(row, len(self.beam_bearings), self.averages) / state.level])
         model, memories = self._at_rate(state.fastest), state.chains
         smoother = JointSmoother(model, rows)
         fastest = self._fastest(smoother, state.fastest)
@@ -166,9 +180,8 @@ class HMMBearings(BearingModel):
 
     def _fastest(self, smoother: JointSmoother, known: float) -> float:
         """Largest bearing rate that the rows need, deg/s; a fixed grid of rates keeps its own and warns."""
-        found = fastest_rate(
-            smoother.rows, smoother.background, self.averages, self.spacing, self.period, known, self.fast
-        )
+        rows, background = self.on_grid(smoother.rows), self.on_grid(smoother.background)
+        found = fastest_rate(rows, background, self.averages, self.spacing, self.period, known, self.fast)
         if found <= known:
             return known
         if self.rates is not None:
@@ -180,6 +193,13 @@ class HMMBearings(BearingModel):
             )
             return known
         return found + self.fast.margin
+
+    def _with_spread_of(self, rows: Array) -> Self:
+        """Return this tracker, or one whose number of averages is that of the noise in the rows if it differs."""
+        measured = measured_averages(rows) if self.noise_averages is None else None
+        if measured is None or abs(np.log(measured / self.averages)) < 2.0 * np.log(self.spread_tolerance):
+            return self
+        return self.changed(noise_averages=measured)
 
     def _at_rate(self, fastest: float) -> HMMBearings:
         """Return this tracker with a grid of rates up to `fastest`, deg/s; made once."""
