@@ -8,26 +8,28 @@ from servotrack.estimators.sonar.joint_smoothing import JointSmoother
 from servotrack.estimators.types import Array
 
 
-def measured_averages(rows: Array) -> float | None:
+def measured_averages(rows: Array, quiet: float = 0.4, least_rows: int = 10) -> float | None:
     """Number of independent averages in a beam power, 1 over the relative variance of its noise.
 
-    Targets and levels change little from row to row, so that relative differences of neighboring rows are noise.
+    Targets and levels change little from row to row, so that the second differences of three rows are mostly noise; of
+    the beams, those that change least hold none of a moving target.
 
     Args:
         rows: Beam powers; rows of NaN are missing. Shape (T, beams).
+        quiet: Quantile of the spread over the beams.
+        least_rows: Number of differences from which the spread is measured.
 
     Returns:
-        The number; None for fewer than five pairs of neighboring rows, or rows without spread.
+        The number; None for too few neighboring rows, or rows without spread.
     """
-    total = rows[1:] + rows[:-1]
     with np.errstate(invalid="ignore", divide="ignore"):
-        change = np.abs(rows[1:] - rows[:-1]) / total
+        change = np.abs(rows[2:] - 2.0 * rows[1:-1] + rows[:-2]) / (rows[2:] + rows[1:-1] + rows[:-2])
     change = change[~np.isnan(change).any(axis=1)]
-    if len(change) < 5:
+    if len(change) < least_rows:
         return None
-    # Row by row first: transients spoil some of the pairs.
-    deviation = float(np.median(np.median(change, axis=1))) / 0.6745
-    return 1.0 / (2.0 * deviation**2) if deviation > 0.0 else None
+    # Three rows of mean m: the difference has 6 times the variance of one, the sum a mean of 3 m.
+    deviation = float(np.quantile(np.median(change, axis=0), quiet)) / 0.6745 * 3.0 / np.sqrt(6.0)
+    return 1.0 / deviation**2 if deviation > 0.0 else None
 
 
 def ridge_width(smoother: JointSmoother, least_score: float = 20.0, least_rows: int = 10) -> float | None:

@@ -140,7 +140,7 @@ class BearingModel:
     fast: FastRules = field(default_factory=FastRules)
     beamformer: Beamformer = "conventional"
     noise_averages: float | None = None
-    spread_tolerance: float = 1.25
+    spread_tolerance: float = 1.5
     usual_width: ClassVar[float] = 3.1
 
     def __post_init__(self) -> None:
