@@ -79,6 +79,9 @@ def width_note(smoother: JointSmoother, tolerance: float = 1.4) -> str | None:
     """Return a sentence if the ridges are wider or narrower than any spectrum makes the array's beams, else None."""
     width = ridge_width(smoother)
     low, high = smoother.model.patterns.widths
+    if smoother.model.beamformer == "mvdr":
+        # The louder a target is, the narrower is its ridge.
+        low = 0.0
     # A position of the grid more or less is no misfit.
     step = float(np.median(np.diff(smoother.model.beam_bearings)))
     if width is None or (low / tolerance - step <= width <= high * tolerance + step):

@@ -198,7 +198,7 @@ class PlanarPatterns:
 
     @cached_property
     def tables(self) -> Array:
-        """Patterns of the spectra for sources around the circle, the first one repeated. (spectra, sources + 1, beams)."""
+        """Patterns for sources around the circle, the first one repeated. Shape (spectra, sources + 1, beams)."""
         f = self.band.frequencies
         f = f[np.unique(np.linspace(0, len(f) - 1, min(self.bins, len(f))).astype(int))]
         places = np.linspace(0.0, 360.0, self.sources + 1)

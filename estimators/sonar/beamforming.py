@@ -60,7 +60,9 @@ def beam_powers(
     f = np.atleast_1d(np.asarray(frequencies, np.float64))
     if x.ndim < 3 or x.shape[-2:] != (len(f), array.elements):
         raise ValueError(f"snapshots must have shape (*records, K, {len(f)}, {array.elements}), got {x.shape}")
-    steered = phases(array, f, beam_deg) * element_weights(array, shading if beamformer == "conventional" else "conventional")
+    steered = phases(array, f, beam_deg) * element_weights(
+        array, shading if beamformer == "conventional" else "conventional"
+    )
     records = x.reshape(-1, *x.shape[-3:])
     powers = np.zeros((len(records), steered.shape[1]))
     for power, record in zip(powers, records, strict=True):
@@ -112,5 +114,3 @@ def noise_correlation(
         beams = phases(array, [one], beam_deg)[0] * w
         total += np.abs(beams.conj() @ beams.T) ** 2
     return total / len(f)
-
-

@@ -212,7 +212,7 @@ class BearingModel:
             array=array, band=band, beams=given, period=period, snapshots=snapshots, beamformer=beamformer,
             max_targets=max(1, min(12, array.elements // 2)),
         )  # fmt: skip
-        step, beam_width = 2.0 * base.spacing / period, base.beam_width
+        step, beam_width, near = 2.0 * base.spacing / period, base.beam_width, min(0.08 * q, 0.7)
         fields: dict[str, Any] = {
             "acceleration": 0.6 * step / period,
             "bridge": 6.0 * period,
@@ -223,11 +223,9 @@ class BearingModel:
             "jump": 2.0 * q,
             "spans": SpanRules(mode_width=2.0 * q, bridge_distance=2.0 * q, bridge_growth=0.3 * q),
             "search": SearchRules(
-                resolution=min(0.06 * q, 0.5), meeting_distance=min(0.08 * q, 0.7), merge_distance=q, skip_distance=2.0 * q
+                resolution=min(0.06 * q, 0.5), meeting_distance=near, merge_distance=q, skip_distance=2.0 * q
             ),
-            "crossing": CrossingRules(
-                meeting_distance=min(0.08 * q, 0.7), rate_deviation=0.2 * q, bearing_deviation=q
-            ),
+            "crossing": CrossingRules(meeting_distance=near, rate_deviation=0.2 * q, bearing_deviation=q),
             "joining": JoiningRules(
                 hiding_distance=8.0 * q, distance=2.0 * q, distance_growth=0.3 * q, rate_difference=q / period
             ),

@@ -64,7 +64,9 @@ def resolve_crossings(
             before = slice(max(0, first - rules.side_rows), first)
             after = slice(last + 1, last + 1 + rules.side_rows)
             middle = 0.5 * (first + last)
-            sides = [_side(chain, part, middle, rules, directions) for chain in (one, other) for part in (before, after)]
+            sides = [
+                _side(chain, part, middle, rules, directions) for chain in (one, other) for part in (before, after)
+            ]
             stay, change = _compare(sides, lambda a, b: _cost(a, b, rules, directions))
             if change < stay + rules.pattern_limit:
                 shapes = [
@@ -120,7 +122,9 @@ def _shape(
     """Main lobe of the beam pattern fitted to some of a chain's rows."""
     power = np.maximum(chain.power[at], rules.min_power)
     variance = explained[at] ** 2 * rules.pattern_variance
-    return patterns.main_lobe(patterns.fit(rows[at] - explained[at], variance, beam_bearings, chain.bearings[at], power))
+    return patterns.main_lobe(
+        patterns.fit(rows[at] - explained[at], variance, beam_bearings, chain.bearings[at], power)
+    )
 
 
 def _compare(sides: Sequence[T | None], cost: Callable[[T, T], float]) -> tuple[float, float]:

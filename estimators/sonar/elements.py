@@ -14,6 +14,7 @@ from servotrack.estimators.sonar.array import Band, LineArray, cosines, unit_pha
 from servotrack.estimators.types import Array, ComplexArray
 from servotrack.estimators.validation import as_numbers
 
+
 @dataclass(frozen=True, init=False)
 class ElementArray:
     """Omnidirectional elements at given places in the horizontal plane.
@@ -46,7 +47,9 @@ class ElementArray:
             raise ValueError(f"positions must be finite, got {places[~np.isfinite(places).all(axis=1)][0].tolist()}")
         places = places[:, :2]
         if not np.ptp(places, axis=0).max() > 0.0:
-            raise ValueError("positions must differ in x or y, got one place for all elements; a vertical line has no bearings")
+            raise ValueError(
+                "positions must differ in x or y, got one place for all elements; a vertical line has no bearings"
+            )
         if not 0.0 < sound_speed < np.inf:
             raise ValueError(f"sound_speed must be positive, got {sound_speed!r}")
         object.__setattr__(self, "positions", tuple((float(x), float(y)) for x, y in places))
@@ -59,7 +62,7 @@ class ElementArray:
 
     @cached_property
     def _axes(self) -> tuple[Array, Array]:
-        """Unit vector from the last to the first element along the elements' main axis, and their places. (2,), (N, 2)."""
+        """Unit vector along the main axis, from the last element to the first, and centered places. (2,), (N, 2)."""
         places = np.array(self.positions)
         centered = places - places.mean(axis=0)
         axis = np.linalg.svd(centered, full_matrices=False)[2][0]

@@ -93,7 +93,9 @@ class JointSmoother:
                 unexplained = self._likelihood(chain)
             self._smooth(chain, unexplained, closed | taken)
             ridge, before = chain.bearings, len(self.chains)
-            about = np.abs(self.model.directions.difference(self.model.grid_bearings, ridge[:, None])) < rules.skip_distance
+            about = (
+                np.abs(self.model.directions.difference(self.model.grid_bearings, ridge[:, None])) < rules.skip_distance
+            )
             if chain.spans and not self._followed_already(chain):
                 there = chain.presence > rules.min_presence
                 self.chains.append(chain)
@@ -284,9 +286,7 @@ class JointSmoother:
         established = chain.label > 0
         whole = 0.0 if established else model.evidence
         piece = 0.0 if established else model.evidence_of_piece
-        chain.test_existence(
-            model.switching, model.bridge_rows, piece, whole, model.max_step, model.spans, directions
-        )
+        chain.test_existence(model.switching, model.bridge_rows, piece, whole, model.max_step, model.spans, directions)
 
     def _row(self, chain: TrackHypothesis) -> Array:
         scores = self.model.scores

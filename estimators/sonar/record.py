@@ -123,9 +123,7 @@ def _misfit(
     return misfit
 
 
-def _hides(
-    tracks: Sequence[BearingTrack], row: int, bearing: float, distance: float, directions: Directions
-) -> bool:
+def _hides(tracks: Sequence[BearingTrack], row: int, bearing: float, distance: float, directions: Directions) -> bool:
     """Return True if some track is near enough to a bearing to hide another target."""
     return any(
         track.first <= row <= track.last
@@ -214,8 +212,8 @@ def checked_record(
         dead = bad.all(axis=0)
         if dead.any() and not dead.all():
             raise ValueError(
-                f"record must have numbers in every beam, got nan at index [0, {int(dead.argmax())}] and in all rows of "
-                f"that beam; leave out the {int(dead.sum())} such beams and pass the angles of the others as beams"
+                f"record must have numbers in every beam, got nan at index [0, {int(dead.argmax())}] and in all rows "
+                f"of that beam; leave out the {int(dead.sum())} such beams and pass the angles of the others as beams"
             )
     present = powers[~missing]
     _check_powers("record", present)
@@ -226,7 +224,7 @@ def checked_record(
 
 
 def checked_row(row: ArrayLike, beams: int, averages: float) -> Array:
-    """Check and normalize one row; arguments and errors as in `checked_record`. NaN if it is missing. Shape (beams,)."""
+    """Check and normalize one row, NaN if it is missing; arguments and errors as in `checked_record`. (beams,)."""
     powers = as_numbers("row", row)
     if powers.shape != (beams,):
         raise ValueError(f"row must have shape ({beams},), got {powers.shape}; set beams to the row's length")

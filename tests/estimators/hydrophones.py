@@ -59,3 +59,25 @@ def coverage(tracks, truths, tolerance=3.0, turn=False):
         ]
         false += np.mean(near) <= 0.5
     return shares, int(false)
+
+
+def recording(rng, places, rate, seconds, sources, noise=1.0):
+    """Samples at the elements of white noise and broadband or tonal sources. Shape (samples, N).
+
+    Sources are (directions in deg, one per second, standard deviation, tone in Hz or None). Delays are those of the
+    direction of the second, by phases of its spectrum.
+    """
+    length = round(rate)
+    out = noise * rng.normal(size=(length * seconds, len(places)))
+    f = np.fft.rfftfreq(length, 1.0 / rate)
+    for directions, level, tone in sources:
+        for k in range(seconds):
+            own = (
+                np.sqrt(2.0) * np.sin(2.0 * np.pi * tone * (np.arange(length) / rate + k))
+                if tone
+                else rng.normal(size=length)
+            )
+            ahead = places @ unit(directions[k]) / SOUND_SPEED
+            spectrum = np.fft.rfft(level * own)[:, None] * np.exp(2j * np.pi * f[:, None] * ahead)
+            out[k * length : (k + 1) * length] += np.fft.irfft(spectrum, length, axis=0)
+    return out

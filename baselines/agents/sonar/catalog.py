@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, Protocol
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.envs.track.sonar.array_model import SonarModel

@@ -117,7 +117,7 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
             latitude or longitude is out of range; a covariance is not positive definite; times run backward. The
             message names path and row.
     """
-    lines = _lines(path)
+    lines = csv_rows(path)
     if not lines:
         raise SequenceError(f"{path} is empty; it must begin with a header such as time,x,y")
     head = [cell.strip().lower() for cell in lines[0][1]]
@@ -165,7 +165,7 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
         cells = [row[at].strip() for at in places]
         if not any(cells):
             continue
-        place = np.array([_number(cell, head[at], where) for cell, at in zip(cells, places, strict=True)])
+        place = np.array([csv_number(cell, head[at], where) for cell, at in zip(cells, places, strict=True)])
         if geographic:
             if not (abs(place[0]) <= 90.0 and -180.0 <= place[1] <= 360.0):
                 raise SequenceError(
@@ -177,7 +177,7 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
         if given:
             covariance = np.zeros((d, d))
             upper = np.triu_indices(d)
-            covariance[upper] = [_number(row[columns[name]], name, where) for name in names]
+            covariance[upper] = [csv_number(row[columns[name]], name, where) for name in names]
             covariance = covariance + np.triu(covariance, 1).T
             if np.linalg.eigvalsh(covariance).min() <= 0.0:
                 raise SequenceError(f"{where} must have a positive definite covariance, got {covariance.tolist()}")
@@ -238,7 +238,7 @@ def read_point_truth(path: Path, points: PointScans) -> PointTruth:
     return PointTruth(tracks, known)
 
 
-def _lines(path: Path) -> list[tuple[int, list[str]]]:
+def csv_rows(path: Path) -> list[tuple[int, list[str]]]:
     """Rows that are not blank, with their numbers from 1."""
     content = read_bounded(path, MOST_BYTES, _REMEDY)
     if content[:2] == b"\x1f\x8b":
@@ -268,7 +268,8 @@ def _first(columns: dict[str, int], names: tuple[str, ...]) -> int | None:
     return next((columns[name] for name in names if name in columns), None)
 
 
-def _number(cell: str, name: str, where: str) -> float:
+def csv_number(cell: str, name: str, where: str) -> float:
+    """Return the finite number in a cell; SequenceError names place and column of anything else."""
     try:
         value = parse_number(cell.strip())
     except ValueError:
