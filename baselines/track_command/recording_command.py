@@ -21,7 +21,7 @@ from servotrack.baselines.reporting.files import atomic_path
 from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.reporting.terminal import print_tables, progress_bars
 from servotrack.baselines.track_command.claim import claim_folder
-from servotrack.envs.track.files.recordings import BearingTruth, read_bearing_truth, read_positions, read_recording
+from servotrack.envs.track.files.recordings import BearingTruth, read_bearing_truth, read_recording
 from servotrack.estimators.metrics import gospa, ospa, ospa2
 from servotrack.estimators.sonar import BearingRecord, BearingTrack, ElementArray, bearing_record
 from servotrack.estimators.sonar.beamforming import Beamformer
@@ -42,7 +42,7 @@ class RecordingRequest:
 
     Attributes:
         source: .wav, .npy or .sio file.
-        array: CSV file of the element positions.
+        positions: Places of the elements, m. Shape (N, 2) or (N, 3).
         band: Lowest and highest frequency, Hz.
         rate: Sampling frequency, Hz; None: that of the file.
         period: Duration of a row, s; None: from the array.
@@ -51,7 +51,7 @@ class RecordingRequest:
     """
 
     source: Path
-    array: Path
+    positions: Array
     band: tuple[float, float]
     rate: float | None = None
     period: float | None = None
@@ -90,7 +90,7 @@ def run_recording(request: RecordingRequest, out: Path, console: Console) -> Non
         ValueError: Positions, band or rate do not fit the recording.
         ResultsError: The folder cannot be written, or holds files of these names that are not of an earlier run.
     """
-    array = ElementArray(read_positions(request.array))
+    array = ElementArray(request.positions)
     recording = read_recording(request.source, request.rate)
     ResultsFolder(out).check_writable()
     claim_folder(out, OUTPUTS, {"source": str(request.source), "tracker": "hmm-row"})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from servotrack.estimators.sonar.directions import Directions
 from servotrack.estimators.sonar.joint_smoothing import JointSmoother
 from servotrack.estimators.types import Array
 
@@ -32,52 +33,58 @@ def measured_averages(rows: Array, quiet: float = 0.4, least_rows: int = 10) -> 
     return 1.0 / deviation**2 if deviation > 0.0 else None
 
 
-def ridge_width(smoother: JointSmoother, least_score: float = 20.0, least_rows: int = 10) -> float | None:
-    """Median width at half power of the ridges that are clear of others, as across the array, deg.
+def ridge_width(
+    rows: Array, beam_bearings: Array, averages: float, directions: Directions, least_score: float = 20.0
+) -> float | None:
+    """Median width at half power of the loudest ridge of each row, as across the array, deg.
 
     Args:
-        smoother: Chains of a record.
-        least_score: Smallest power of a ridge, in standard deviations of the noise.
-        least_rows: Number of rows from which a ridge is measured.
+        rows: Normalized beam powers. Shape (T, beams).
+        beam_bearings: Bearings of the beams, deg. Shape (beams,).
+        averages: Number M of averages in one beam power.
+        directions: Geometry of the bearings.
+        least_score: Smallest power of a ridge that is measured, in standard deviations of the noise.
 
     Returns:
-        The width; None if no ridge is loud enough for long enough.
+        The width; None if fewer than ten rows have a ridge so loud.
     """
-    model = smoother.model
-    nominal = model.patterns.width
-    edges = np.linspace(0.0, 4.0 * nominal, 81)
     found = []
-    for chain in smoother.chains:
-        rows = smoother._alone(chain)
-        rows &= chain.power * np.sqrt(model.averages) > least_score
+    beams = len(beam_bearings)
+    for row in rows:
+        top = int(row.argmax())
+        half = 1.0 + 0.5 * (row[top] - 1.0)
         # Beams beside the ends of a line see both sides of a ridge at once.
-        rows &= np.abs(np.cos(np.radians(chain.bearings))) < 0.9 if not model.directions.planar else True
-        if rows.sum() < least_rows:
+        if (row[top] - 1.0) * np.sqrt(averages) < least_score or (
+            not directions.planar and abs(np.cos(np.radians(beam_bearings[top]))) > 0.9
+        ):
             continue
-        bearings = chain.bearings[rows, None]
-        if model.directions.planar:
-            away = np.abs(model.directions.difference(model.beam_bearings, bearings))
-        else:
-            cosines = np.cos(np.radians(model.beam_bearings)) - np.cos(np.radians(bearings))
-            away = np.degrees(2.0 * np.arcsin(np.minimum(0.5 * np.abs(cosines), 1.0)))
-        shape = (smoother.rows - smoother.explained([chain]))[rows] / chain.power[rows, None]
-        at = np.digitize(away, edges) - 1
-        profile = np.array([np.median(shape[at == i]) if (at == i).any() else np.nan for i in range(len(edges) - 1)])
-        known = np.flatnonzero(~np.isnan(profile))
-        if len(known) < 3:
-            continue
-        smooth = np.interp(np.arange(len(profile)), known, profile[known])
-        below = np.flatnonzero(smooth < 0.5 * smooth[:2].max())
-        if len(below) and below[0] > 0:
-            found.append(2.0 * 0.5 * float(edges[below[0]] + edges[below[0] + 1]))
-        else:
-            found.append(2.0 * float(edges[-1]) if not len(below) else float(edges[1]))
-    return float(np.median(found)) if found else None
+        ends = []
+        for step in (-1, 1):
+            at = top
+            while directions.circle or 0 <= at + step < beams:
+                inner, outer = row[at % beams], row[(at + step) % beams]
+                if outer < half or abs(at - top) >= beams:
+                    break
+                at += step
+            if not (directions.circle or 0 <= at + step < beams):
+                break
+            here, there = beam_bearings[at % beams], beam_bearings[(at + step) % beams]
+            share = float((inner - half) / max(inner - outer, 1e-12))
+            ends.append(float(here + min(share, 1.0) * directions.difference(there, here)))
+        if len(ends) == 2:
+            if directions.planar:
+                found.append(abs(float(directions.difference(ends[1], ends[0]))))
+            else:
+                apart = float(directions.apart(ends[0], ends[1]))
+                found.append(2.0 * float(np.degrees(np.arcsin(min(0.5 * apart, 1.0)))))
+    return float(np.median(found)) if len(found) >= 10 else None
 
 
 def width_note(smoother: JointSmoother, tolerance: float = 1.4) -> str | None:
     """Return a sentence if the ridges are wider or narrower than any spectrum makes the array's beams, else None."""
-    width = ridge_width(smoother)
+    model = smoother.model
+    rows = smoother.rows[~(smoother.missing | smoother.lifted)]
+    width = ridge_width(rows, model.beam_bearings, model.averages, model.directions)
     low, high = smoother.model.patterns.widths
     if smoother.model.beamformer == "mvdr":
         # The louder a target is, the narrower is its ridge.

@@ -92,6 +92,7 @@ class TrackHypothesis:
         max_step: float,
         rules: SpanRules,
         directions: Directions = LINE,
+        online: bool = False,
     ) -> None:
         """Run the sequential test of existence: set `presence`, and the span with the most evidence if it suffices.
 
@@ -100,11 +101,13 @@ class TrackHypothesis:
         Args:
             switching: Probability of appearance or disappearance from row to row.
             bridge: Longest gap, in rows, that does not end a span.
-            piece: Smallest log likelihood ratio of an unbroken stretch, nats. Weaker stretches count as noise.
+            piece: Smallest log likelihood ratio of an unbroken stretch, and of a span without its strongest row, nats.
+                Weaker stretches count as noise.
             whole: Smallest log likelihood ratio of a span, nats.
             max_step: Largest plausible change of bearing between rows, deg.
             rules: Thresholds of the test.
             directions: Geometry of the bearings.
+            online: More rows may follow the last one.
         """
         there = presence(self.existence_likelihood, switching, self.prior_presence)
         ratio = np.log(self.existence_likelihood)
@@ -116,7 +119,10 @@ class TrackHypothesis:
         jumps = np.union1d(jumps, self._implausible(spans(kept, bridge=0), bridge, rules, directions))
         candidates = [_trimmed(ratio, span, rules) for span in _split(spans(kept, bridge=bridge), jumps)]
         best = max(candidates, key=lambda item: item[1], default=(Span(0, -1), -np.inf))
-        self.spans, self.evidence = ([best[0]], [best[1]]) if best[1] >= whole else ([], [])
+        # A single row, however loud, is no track, unless more rows may follow it.
+        after = min(best[0].last + 1, len(ratio) - online)
+        rest = best[1] - float(ratio[best[0].first : after].max(initial=0.0))
+        self.spans, self.evidence = ([best[0]], [best[1]]) if best[1] >= whole and rest >= piece else ([], [])
         margin = rules.margin_rows
         may_be = np.zeros(len(there), np.bool_)
         for span in self.spans:

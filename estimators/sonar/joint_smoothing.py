@@ -26,11 +26,17 @@ class JointSmoother:
         model: Parameters and tables of the tracker.
         rows: Normalized beam powers; rows of NaN are missing. Shape (T, beams).
         chains: Existing chains.
+        online: More rows may follow the last one.
     """
 
-    def __init__(self, model: BearingModel, rows: Array, chains: Sequence[TrackHypothesis] = ()) -> None:
+    def __init__(
+        self, model: BearingModel, rows: Array, chains: Sequence[TrackHypothesis] = (), online: bool = False
+    ) -> None:
         self.model = model
-        self.rows, self.background, self.missing, self.lifted = prepare_rows(rows, model.beam_width, model.backgrounds)
+        self.online = online
+        self.rows, self.background, self.missing, self.lifted = prepare_rows(
+            rows, model.beam_width, model.patterns.sidelobe, model.backgrounds
+        )
         self.chains = list(chains)
 
     @cached_property
@@ -284,9 +290,16 @@ class JointSmoother:
         if model.likelihood == "cell":
             chain.marginal = smoothed.marginal
         established = chain.label > 0
-        whole = 0.0 if established else model.evidence
-        piece = 0.0 if established else model.evidence_of_piece
-        chain.test_existence(model.switching, model.bridge_rows, piece, whole, model.max_step, model.spans, directions)
+        chain.test_existence(
+            model.switching,
+            model.bridge_rows,
+            0.0 if established else model.evidence_of_piece,
+            0.0 if established else model.evidence,
+            model.max_step,
+            model.spans,
+            directions,
+            self.online,
+        )
 
     def _row(self, chain: TrackHypothesis) -> Array:
         scores = self.model.scores

@@ -151,7 +151,7 @@ class HMMBearings(BearingModel):
         """
         rows = np.vstack([state.rows, checked_row(row, len(self.beam_bearings), self.averages) / state.level])
         model, memories = self._at_rate(state.fastest), state.chains
-        smoother = JointSmoother(model, rows)
+        smoother = JointSmoother(model, rows, online=True)
         fastest = self._fastest(smoother, state.fastest)
         if fastest > state.fastest:
             wider = self._at_rate(fastest)

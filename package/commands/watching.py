@@ -175,7 +175,7 @@ def track(
     from servotrack.baselines.track_command.counts import parse_places
     from servotrack.baselines.track_command.opening import SourceRequest
     from servotrack.envs.track.files.points import is_points_file
-    from servotrack.envs.track.files.recordings import is_recording_file
+    from servotrack.envs.track.files.recordings import is_recording_file, read_positions
 
     names = [folder_name(source) for source in sources]
     if len(sources) > 1 and truth is not None:
@@ -222,7 +222,13 @@ def track(
 
             folder = Path("results") / "track" / name if out is None else out / name if len(sources) > 1 else out
             sound = RecordingRequest(
-                Path(source), array, frequency_band(band), rate, period, checked_beamformer(beamformer), truth
+                Path(source),
+                read_positions(array),
+                frequency_band(band),
+                rate,
+                period,
+                checked_beamformer(beamformer),
+                truth,
             )
             run_recording(sound, folder, console(table_format))
             continue

@@ -77,9 +77,7 @@ def read_recording(path: Path, rate: float | None = None) -> Recording:
         try:
             samples = np.load(path, mmap_mode="r", allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
-            raise SequenceError(
-                f"{path} must be an array that numpy.save wrote, whole and without objects ({error})"
-            ) from error
+            raise SequenceError(f"{path} must be an array that numpy.save wrote, whole and without objects") from error
     if rate is None:
         raise SequenceError(f"{path} does not hold its sampling frequency; give it with --rate")
     if not 0.0 < rate < np.inf:
