@@ -262,7 +262,7 @@ def beam_correlation(
     return table.at_offset(np.abs(u[:, None] - u))
 
 
-def normalize(powers: ArrayLike, averages: int = 1110) -> Array:
+def normalize(powers: ArrayLike, averages: float = 1110) -> Array:
     """Divide beam powers by their noise level, a truncated mean over bearing.
 
     The first level is the median. Two passes replace it by the mean of the powers within 2.5 standard deviations of

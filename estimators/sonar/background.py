@@ -52,8 +52,8 @@ def prepare_rows(rows: Array, beam_width: float, sidelobe: float, rules: Backgro
         steady = _steady(coarse, sidelobe, rules)
         if steady is not None:
             # Between the middles of the blocks.
-            at = (np.arange(filled.shape[1]) - 0.5 * (block - 1)) / block
-            background[:] = np.interp(at, np.arange(len(steady)), steady)
+            middle = (np.arange(filled.shape[1]) - 0.5 * (block - 1)) / block
+            background[:] = np.interp(middle, np.arange(len(steady)), steady)
         for at in np.flatnonzero(_is_odd(coarse, rules)):
             row = present[at]
             if not lifted.any():

@@ -275,7 +275,7 @@ class PlanarPatterns:
         return solve_mixture(weighted @ design.reshape(len(eye), -1).T, right, self.flat, self.flat_weight)
 
 
-def variance_of(explained: Array, averages: int, error: float, reach: int) -> Array:
+def variance_of(explained: Array, averages: float, error: float, reach: int) -> Array:
     """Variance of beam powers about the explained means, by noise and model error.
 
     Args:

@@ -305,7 +305,7 @@ class BearingModel:
         if not isinstance(self.beams, int):
             return np.array(self.beams, np.float64)
         if self.directions.circle:
-            return 360.0 / self.beams * np.arange(self.beams)
+            return 360.0 / self.beams * np.arange(self.beams, dtype=np.float64)
         return bearings(self.beams)
 
     @cached_property

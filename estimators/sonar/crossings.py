@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from servotrack.estimators.sonar.beam_patterns import Patterns
+from servotrack.estimators.sonar.beam_patterns import Patterns, PlanarPatterns
 from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
 from servotrack.estimators.sonar.directions import LINE, Directions
 from servotrack.estimators.sonar.rules import CrossingRules
@@ -35,7 +35,7 @@ class _Side(NamedTuple):
 
 def resolve_crossings(
     chains: list[TrackHypothesis],
-    patterns: Patterns,
+    patterns: Patterns | PlanarPatterns,
     rows: Array,
     explained: Sequence[Array],
     beam_bearings: Array,
@@ -113,7 +113,7 @@ def _side(
 def _shape(
     chain: TrackHypothesis,
     at: Labels,
-    patterns: Patterns,
+    patterns: Patterns | PlanarPatterns,
     rows: Array,
     explained: Array,
     beam_bearings: Array,

@@ -22,7 +22,7 @@ class ElementArray:
     A horizontal plane wave from bearing theta reaches the element at p earlier by p e(theta) / c than the origin, with
     e(theta) = (cos theta, sin theta). The array sees only these delays, up to a constant. If all p lie on a line with
     direction t, the delays depend on t e(theta), the cosine of the angle to the line: sources at the two mirrored
-    bearings, and with a depth all on a cone about the line, cannot be told apart, whatever the distances of the
+    bearings, and with a depth all on a cone about the line, look the same to it, whatever the distances of the
     elements are. If the elements span a plane, equal delays for all pairs mean equal e, so that bearings over 360 deg
     are distinct. Elements closer than half a wavelength keep a beam free of grating lobes.
 

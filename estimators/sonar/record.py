@@ -116,8 +116,8 @@ def _misfit(
     if steps > gap + 1:
         begin = track.bearings[-1] + directions.turn(other.bearings[inside], track.bearings[-1])
         way = np.linspace(begin, other.bearings[inside], steps + 1)[1:-1]
-        near = rules.hiding_distance
-        hidden = sum(_hides(every, track.last + k, way[k - 1], near, directions) for k in range(1, steps))
+        reach = rules.hiding_distance
+        hidden = sum(_hides(every, track.last + k, way[k - 1], reach, directions) for k in range(1, steps))
         if steps - 1 - hidden > (rules.direct_gap_rows if misfit < rules.direct_misfit else gap):
             return np.inf
     return misfit

@@ -140,7 +140,7 @@ def bearing_record(
     aliasing = aliasing_note(array, receiver)
     if aliasing is not None:
         notes.insert(0, aliasing)
-    return BearingRecord(powers, (np.arange(rows) + 0.5) * length / rate, tracker, tuple(notes))
+    return BearingRecord(powers, (np.arange(rows, dtype=np.float64) + 0.5) * length / rate, tracker, tuple(notes))
 
 
 def _window(array: AnyArray, rate: float) -> int:

@@ -24,7 +24,7 @@ from servotrack.estimators.sonar import Band, BearingTrack, ElementArray, HMMBea
 from servotrack.estimators.sonar.beamforming import Beamformer
 from servotrack.estimators.sonar.directions import Directions
 from servotrack.estimators.sonar.elements import AnyArray, phases
-from servotrack.estimators.types import Array
+from servotrack.estimators.types import Array, Mask
 
 ROWS = 60
 SNAPSHOTS = 10
@@ -99,14 +99,14 @@ def interferer(louder: float, least: float = 10.0) -> Callable[[np.random.Genera
     """Weak target and one that is `louder` dB louder, which start at least `least` deg apart and move at random."""
 
     def draw(rng: np.random.Generator) -> Scene:
-        k = np.arange(ROWS)
+        k = np.arange(ROWS, dtype=np.float64)
         while True:
             start, rate = rng.uniform(30.0, 150.0, 2), rng.uniform(-0.5, 0.5, 2)
             bearings = start[:, None] + rate[:, None] * k
             if np.abs(np.diff(bearings, axis=0)).min() >= least and bearings.min() > 10.0 and bearings.max() < 170.0:
                 break
         weak = broadband(rng.uniform(-24.0, -20.0))
-        return Scene(bearings, weak * 10.0 ** (np.array([louder, 0.0]) / 10.0), 1)
+        return Scene(bearings, np.array([weak * 10.0 ** (louder / 10.0), weak]), 1)
 
     return draw
 
@@ -253,7 +253,7 @@ def draw_powers(case: Case, tracker: HMMBearings, scene: Scene, rng: np.random.G
 def score(tracks: Sequence[BearingTrack], scene: Scene, directions: Directions) -> tuple[float, int]:
     """Share of the measured target's rows that are tracked, and the number of false tracks."""
 
-    def near(track: BearingTrack, target: int) -> Array:
+    def near(track: BearingTrack, target: int) -> Mask:
         truth = scene.bearings[target, track.first : track.last + 1]
         return np.asarray(np.abs(directions.difference(track.bearings, truth)) < NEAR)
 

@@ -204,8 +204,8 @@ def read_bearing_truth(path: Path, times: Array) -> BearingTruth:
     if not known.any():
         raise SequenceError(f"{path} must overlap the recording in time, 0 to {times[-1]:g} s")
     bearings = np.full((len(found), len(times)), np.nan)
-    for row, pairs in zip(bearings, found.values(), strict=True):
+    for path_of_target, pairs in zip(bearings, found.values(), strict=True):
         own = np.array(sorted(pairs))
         inside = (times >= own[0, 0]) & (times <= own[-1, 0])
-        row[inside] = np.interp(times[inside], own[:, 0], np.unwrap(own[:, 1], period=360.0))
+        path_of_target[inside] = np.interp(times[inside], own[:, 0], np.unwrap(own[:, 1], period=360.0))
     return BearingTruth(bearings, known)
