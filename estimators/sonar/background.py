@@ -16,7 +16,7 @@ class PreparedRows(NamedTuple):
 
     Attributes:
         rows: Normalized beam powers; ones where a row is missing. Shape (T, beams).
-        background: Mean power without targets; ones unless it varies with bearing. Shape (T, beams).
+        background: Mean power without targets; ones except in rows that a transient lifts. Shape (T, beams).
         missing: True for rows without data. Shape (T,).
         lifted: True for rows that a transient lifts. Shape (T,).
     """
@@ -27,18 +27,16 @@ class PreparedRows(NamedTuple):
     lifted: Mask
 
 
-def prepare_rows(rows: Array, beam_width: float, sidelobe: float, rules: BackgroundRules) -> PreparedRows:
+def prepare_rows(rows: Array, beam_width: float, rules: BackgroundRules) -> PreparedRows:
     """Find missing rows and rows that a transient lifts, and estimate the background of the latter.
 
     The ratio of a row to the median of its neighbors in time shows no targets, since these move slowly; its running
     median over bearing is the background. The median keeps the edges of a lift that covers some bearings only. A row
-    whose background is flat keeps its values to the bit. What all rows have in common over bearing, such as diffuse
-    noise that is stronger beside the ends of a line, is in the background too.
+    whose background is flat keeps its values to the bit.
 
     Args:
         rows: Normalized beam powers; rows of NaN are missing. Shape (T, beams).
         beam_width: Width of a beam, in beams.
-        sidelobe: Usual power of a sidelobe relative to its main lobe.
         rules: Windows and thresholds.
     """
     missing = np.isnan(rows[:, 0]) if rows.size else np.zeros(len(rows), np.bool_)
@@ -49,11 +47,6 @@ def prepare_rows(rows: Array, beam_width: float, sidelobe: float, rules: Backgro
         block = max(1, round(beam_width))
         usable = filled.shape[1] // block * block
         coarse = np.median(filled[present, :usable].reshape(len(present), -1, block), axis=2)
-        steady = _steady(coarse, sidelobe, rules)
-        if steady is not None:
-            # Between the middles of the blocks.
-            middle = (np.arange(filled.shape[1]) - 0.5 * (block - 1)) / block
-            background[:] = np.interp(middle, np.arange(len(steady)), steady)
         for at in np.flatnonzero(_is_odd(coarse, rules)):
             row = present[at]
             if not lifted.any():
@@ -64,29 +57,9 @@ def prepare_rows(rows: Array, beam_width: float, sidelobe: float, rules: Backgro
             # The unit is the noise of the bearings that are not lifted.
             unit = float(np.quantile(own, rules.unlifted))
             filled[row] /= unit
-            background[row] *= np.maximum(own / unit, rules.unlifted)
+            background[row] = np.maximum(own / unit, rules.unlifted)
             lifted[row] = True
     return PreparedRows(filled, background, missing, lifted)
-
-
-def _steady(coarse: Array, sidelobe: float, rules: BackgroundRules) -> Array | None:
-    """Background of all rows over blocks of beams, such as that of diffuse noise; None if it is flat.
-
-    Where the loudest block is so loud that its sidelobes lift the other ones, they are no noise, and the patterns of
-    the targets explain them.
-    """
-    if len(coarse) < rules.steady_rows or coarse.shape[1] <= rules.beam_widths:
-        return None
-    usual = np.median(coarse, axis=0)
-    level = float(np.median(usual))
-    # A low quantile: targets stand close together in half of a window at times, but seldom in most of it.
-    reach = rules.beam_widths // 2 + 1
-    windows = sliding_window_view(np.pad(usual / level, reach, mode="symmetric"), 2 * reach + 1)
-    shape = np.quantile(windows, rules.quiet, axis=1)
-    shape = shape / np.median(shape)
-    if (coarse.max() / level - 1.0) * sidelobe > rules.sidelobes or np.abs(shape - 1.0).max() <= rules.steady_tolerance:
-        return None
-    return shape
 
 
 def _is_odd(coarse: Array, rules: BackgroundRules) -> Mask:

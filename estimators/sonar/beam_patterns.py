@@ -75,13 +75,6 @@ class Patterns:
         return self._width(self.tables[0])
 
     @cached_property
-    def sidelobe(self) -> float:
-        """Median of the pattern of a flat spectrum from two to four widths beside the source."""
-        offset = np.linspace(0.0, 2.0, self.points) / max(2.0 * math.sin(math.radians(0.5 * self.width)), 1e-6)
-        beside = self.tables[0][(offset >= 2.0) & (offset <= 4.0)]
-        return float(np.median(beside)) if len(beside) else 0.0
-
-    @cached_property
     def widths(self) -> tuple[float, float]:
         """Smallest and largest width of a beam across the array at half its power, over all spectra, deg."""
         every = [self._width(table) for table in self.tables]
@@ -227,11 +220,6 @@ class PlanarPatterns:
     def width(self) -> float:
         """Median width of a beam at half its power, for a flat spectrum, deg."""
         return self._width(self.band.frequencies)
-
-    @cached_property
-    def sidelobe(self) -> float:
-        """Median of the pattern of a flat spectrum over all bearings."""
-        return float(np.median(self.tables[0]))
 
     @cached_property
     def widths(self) -> tuple[float, float]:

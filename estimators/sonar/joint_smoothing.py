@@ -34,9 +34,7 @@ class JointSmoother:
     ) -> None:
         self.model = model
         self.online = online
-        self.rows, self.background, self.missing, self.lifted = prepare_rows(
-            rows, model.beam_width, model.patterns.sidelobe, model.backgrounds
-        )
+        self.rows, self.background, self.missing, self.lifted = prepare_rows(rows, model.beam_width, model.backgrounds)
         self.chains = list(chains)
 
     @cached_property

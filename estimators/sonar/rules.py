@@ -182,11 +182,6 @@ class BackgroundRules(PositiveRules):
         side_rows: Rows before or after one from which that side is compared.
         min_rows: Rows from which a background is estimated.
         max_log_ratio: Log likelihood ratio to which a lifted row is scaled down, nats. Larger values trust it more.
-        steady_rows: Rows from which a background that all rows have in common is estimated; more than the window of
-            `step`, which keeps targets that stand still from being taken for it.
-        steady_tolerance: Relative deviation of that background from its median from which it is used.
-        sidelobes: Power of the loudest target's usual sidelobe over the noise up to which it is estimated.
-        quiet: Quantile over bearing that is taken for that background.
         level_tolerance: Relative error of the noise level beside targets from which all rows are normalized again.
         max_levels: Largest number of new normalizations.
     """
@@ -199,10 +194,6 @@ class BackgroundRules(PositiveRules):
     side_rows: int = 2
     min_rows: int = 5
     max_log_ratio: float = 4.0
-    steady_rows: int = 30
-    steady_tolerance: float = 0.3
-    sidelobes: float = 0.1
-    quiet: float = 0.25
     level_tolerance: float = 0.15
     max_levels: int = 3
 

@@ -180,7 +180,9 @@ class HMMBearings(BearingModel):
 
     def _fastest(self, smoother: JointSmoother, known: float) -> float:
         """Largest bearing rate that the rows need, deg/s; a fixed grid of rates keeps its own and warns."""
-        rows, background = self.on_grid(smoother.rows), self.on_grid(smoother.background)
+        # Online, lines that end in the newest row are new.
+        some = slice(-(2 * self.fast.half_rows + 1), None) if smoother.online else slice(None)
+        rows, background = self.on_grid(smoother.rows[some]), self.on_grid(smoother.background[some])
         found = fastest_rate(rows, background, self.averages, self.spacing, self.period, known, self.fast)
         if found <= known:
             return known

@@ -48,18 +48,18 @@ def test_the_background_keeps_the_edge_and_leaves_other_rows_alone():
     rows = noise(20, 3)
     lifted = rows.copy()
     lifted[7, 200:] *= 3.0
-    prepared = prepare_rows(lifted, ROW.beam_width, ROW.patterns.sidelobe, BackgroundRules())
+    prepared = prepare_rows(lifted, ROW.beam_width, BackgroundRules())
     assert np.flatnonzero(prepared.lifted).tolist() == [7]
     np.testing.assert_allclose(prepared.background[7, :190], 1.0, atol=0.2)
     np.testing.assert_allclose(prepared.background[7, 210:], 3.0, atol=0.5)
     assert np.array_equal(np.delete(prepared.rows, 7, 0), np.delete(lifted, 7, 0))
-    untouched = prepare_rows(rows, ROW.beam_width, ROW.patterns.sidelobe, BackgroundRules())
+    untouched = prepare_rows(rows, ROW.beam_width, BackgroundRules())
     assert np.array_equal(untouched.rows, rows) and not untouched.lifted.any() and (untouched.background == 1.0).all()
 
 
 def test_a_target_that_appears_is_no_transient():
     rows = record(30, [(12, 29, 90.0, 0.0, 3000.0, None)], seed=1)
-    assert not prepare_rows(rows, ROW.beam_width, ROW.patterns.sidelobe, BackgroundRules()).lifted.any()
+    assert not prepare_rows(rows, ROW.beam_width, BackgroundRules()).lifted.any()
 
 
 def test_one_rule_for_missing_rows_and_gaps():
