@@ -129,7 +129,7 @@ def moving(rate: float, slow: bool = False) -> Callable[[np.random.Generator], S
         if slow:
             bearings = np.vstack([bearings, rng.uniform(60.0, 120.0) + 0.3 * np.arange(ROWS)])
             power.append(broadband(-16.0))
-        return Scene(bearings, np.array(power), 0)
+        return Scene(np.asarray(bearings, np.float64), np.array(power), 0)
 
     return draw
 
