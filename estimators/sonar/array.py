@@ -30,6 +30,8 @@ SIDELOBE_ATTENUATION = 30.0
 class LineArray:
     """Omnidirectional elements on a line; bearings are measured from the line, 0 to 180 deg.
 
+    Bearing 0 is the direction from the last to the first element: a wave from there reaches element 0 first.
+
     Attributes:
         elements: Number N of elements. Larger values give narrower beams.
         spacing: Distance between neighboring elements, m.

@@ -185,7 +185,7 @@ def checked_record(
 ) -> CheckedRecord:
     """Check a record, normalize its rows and place them one period apart.
 
-    A row that holds a NaN is missing, and so is every period without a row. Missing rows carry no information.
+    A row of NaN is missing, and so is every period without a row. Missing rows carry no information.
 
     Args:
         record: Beam powers. Shape (T, beams).
@@ -195,8 +195,8 @@ def checked_record(
         period: Time between rows, s.
 
     Raises:
-        ValueError: Rows have another length, powers are infinite or negative, a beam is NaN in all rows, or times do
-            not fit the period.
+        ValueError: Rows have another length, powers are infinite or negative, a row is NaN in some beams only, or times
+            do not fit the period.
     """
     powers = as_numbers("record", record)
     if powers.size == 0 and powers.ndim < 2:
@@ -206,15 +206,7 @@ def checked_record(
     given = np.arange(len(powers))
     if times is not None:
         given = _placed(as_numbers("times", times), len(powers), period)
-    bad = np.isnan(powers)
-    missing = bad.any(axis=1)
-    if missing.any():
-        dead = bad.all(axis=0)
-        if dead.any() and not dead.all():
-            raise ValueError(
-                f"record must have numbers in every beam, got nan at index [0, {int(dead.argmax())}] and in all rows "
-                f"of that beam; leave out the {int(dead.sum())} such beams and pass the angles of the others as beams"
-            )
+    missing = np.isnan(powers).all(axis=1)
     present = powers[~missing]
     _check_powers("record", present)
     rows = np.full((int(given[-1]) + 1 if len(given) else 0, beams), np.nan)
@@ -228,15 +220,15 @@ def checked_row(row: ArrayLike, beams: int, averages: float) -> Array:
     powers = as_numbers("row", row)
     if powers.shape != (beams,):
         raise ValueError(f"row must have shape ({beams},), got {powers.shape}; set beams to the row's length")
-    if np.isnan(powers).any():
-        return np.full(beams, np.nan)
+    if np.isnan(powers).all():
+        return powers.copy()
     _check_powers("row", powers)
     return normalize(powers, averages)
 
 
 def _check_powers(name: str, powers: Array) -> None:
     """Raise ValueError unless powers are finite, not negative, within the limit and mostly above 0."""
-    remedy = "set the row to NaN, which marks it as missing"
+    remedy = "set the whole row to NaN, which marks it as missing, or leave such beams out and pass the other angles"
     check_within(name, powers, LIMITS.powers, remedy)
     if powers.size and powers.min() < 0.0:
         bad = first_bad(powers, powers < 0.0)
@@ -245,7 +237,7 @@ def _check_powers(name: str, powers: Array) -> None:
     if low.any():
         raise ValueError(
             f"{name} must be positive in most beams, got the median {np.median(powers, axis=-1).min():g}, below "
-            f"{SMALLEST_LEVEL:g}; {remedy}, or pass powers in a larger unit"
+            f"{SMALLEST_LEVEL:g}; set the whole row to NaN, which marks it as missing, or pass powers in a larger unit"
         )
 
 

@@ -80,15 +80,18 @@ class HMMBearings(BearingModel):
         """Track all targets of a whole record.
 
         Args:
-            record: Beam powers, one row per period. Shape (T, beams).
-            times: Times of the rows, s; None: no gaps. Shape (T,).
+            record: Beam powers, one row per period; a row of NaN is missing and carries no information. Shape (T, beams).
+            times: Times of the rows, s; periods without a row are missing. None: no gaps. Shape (T,).
 
         Returns:
-            Tracks, strongest first, with labels from 1.
+            Tracks, strongest first, with labels from 1, at the given rows.
 
         Raises:
-            ValueError: Rows have another length, powers are NaN or negative, there is a gap in time, or the record
-                needs more memory than `memory_limit`.
+            ValueError: Rows have another length, powers are negative or NaN in some beams only, times do not fit the
+                period, or the record needs more memory than `memory_limit`.
+
+        Warns:
+            RuntimeWarning: Ridges are wider or narrower than the array's beams, or faster than fixed rates.
         """
         beams = len(self.beam_bearings)
         checked = checked_record(record, beams, self.averages, times, self.period)
@@ -140,7 +143,7 @@ class HMMBearings(BearingModel):
 
         Args:
             state: State after the previous row.
-            row: Beam powers. Shape (beams,).
+            row: Beam powers; NaN in all beams if the row is missing. Shape (beams,).
 
         Returns:
             The new state, and bearings (deg) and rates (deg/s) at the row `lag` before; empty during the first `lag`
