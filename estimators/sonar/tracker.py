@@ -80,7 +80,7 @@ class HMMBearings(BearingModel):
         """Track all targets of a whole record.
 
         Args:
-            record: Beam powers, one row per period; a row of NaN is missing and carries no information. Shape (T, beams).
+            record: Beam powers, one row per period; a row of NaN is missing. Shape (T, beams).
             times: Times of the rows, s; periods without a row are missing. None: no gaps. Shape (T,).
 
         Returns:
