@@ -84,6 +84,7 @@ def grid_chain(
     period: float = 1.0,
     acceleration: float = 0.3,
     least_weight: float = 1e-5,
+    circular: bool = False,
 ) -> GridChain:
     """Markov chain of a nearly constant rate on a grid: x' = x + (r + r') / 2 period, r' Gaussian about r.
 
@@ -99,6 +100,7 @@ def grid_chain(
             and average fewer rows.
         least_weight: Transition probability below which a transition is omitted. Larger values are faster and less
             exact.
+        circular: The position after the last one is the first.
 
     Raises:
         ValueError: The rates do not fit the grid; the message gives a spacing that does.
@@ -121,6 +123,18 @@ def grid_chain(
     source = before * positions + np.maximum(-shift, 0)
     target = after * positions + np.maximum(shift, 0)
     runs = Runs(source, target, positions - np.abs(shift), weight[before, after])
+    if circular:
+        # What leaves at one end enters at the other.
+        over = shift != 0
+        some = shift[over]
+        source = before[over] * positions + np.where(some > 0, positions - some, 0)
+        target = after[over] * positions + np.where(some > 0, 0, positions + some)
+        runs = Runs(
+            np.concatenate([runs.source, source]),
+            np.concatenate([runs.target, target]),
+            np.concatenate([runs.length, np.abs(some)]),
+            np.concatenate([runs.weight, runs.weight[over]]),
+        )
     return GridChain(positions * len(r), runs, positions, r, spacing, period)
 
 

@@ -11,6 +11,11 @@ or online, with a delay of five rows and constant memory:
         estimate = online.step(row)
         print(estimate.labels, estimate.states[:, 0])  # deg
 
+or from the channels of a recording and the places of its hydrophones:
+
+    record = bearing_record(samples, rate, ElementArray(positions), band=(200.0, 400.0))
+    tracks = record.tracker.track(record.powers)
+
 `PeakNearestNeighbor`, `PeakKalmanHungarian` and `ViterbiNulling` are baselines with the same methods.
 """
 
@@ -27,19 +32,34 @@ from servotrack.estimators.sonar.array import (
     steering,
     tabulate_pattern,
 )
+from servotrack.estimators.sonar.beamforming import beam_powers, loaded_covariance
 from servotrack.estimators.sonar.bearing_model import BearingModel
+from servotrack.estimators.sonar.elements import ElementArray, aliasing_frequency
 from servotrack.estimators.sonar.nulling import ViterbiNulling
 from servotrack.estimators.sonar.peaks import PeakKalmanHungarian, PeakNearestNeighbor
 from servotrack.estimators.sonar.record import BearingTrack
-from servotrack.estimators.sonar.rules import CrossingRules, JoiningRules, LikelihoodRules, SearchRules, SpanRules
+from servotrack.estimators.sonar.recording import BearingRecord, bearing_record
+from servotrack.estimators.sonar.rules import (
+    BackgroundRules,
+    CrossingRules,
+    FastRules,
+    JoiningRules,
+    LikelihoodRules,
+    SearchRules,
+    SpanRules,
+)
 from servotrack.estimators.sonar.tracker import BearingState, HMMBearings
 
 __all__ = [
+    "BackgroundRules",
     "Band",
     "BearingModel",
+    "BearingRecord",
     "BearingState",
     "BearingTrack",
     "CrossingRules",
+    "ElementArray",
+    "FastRules",
     "HMMBearings",
     "JoiningRules",
     "LikelihoodRules",
@@ -50,10 +70,14 @@ __all__ = [
     "SearchRules",
     "SpanRules",
     "ViterbiNulling",
+    "aliasing_frequency",
     "beam_correlation",
     "beam_pattern",
+    "beam_powers",
     "beamform",
+    "bearing_record",
     "bearings",
+    "loaded_covariance",
     "normalize",
     "shading_weights",
     "steering",

@@ -30,6 +30,8 @@ SIDELOBE_ATTENUATION = 30.0
 class LineArray:
     """Omnidirectional elements on a line; bearings are measured from the line, 0 to 180 deg.
 
+    Bearing 0 is the direction from the last to the first element: a wave from there reaches element 0 first.
+
     Attributes:
         elements: Number N of elements. Larger values give narrower beams.
         spacing: Distance between neighboring elements, m.
@@ -262,7 +264,7 @@ def beam_correlation(
     return table.at_offset(np.abs(u[:, None] - u))
 
 
-def normalize(powers: ArrayLike, averages: int = 1110) -> Array:
+def normalize(powers: ArrayLike, averages: float = 1110) -> Array:
     """Divide beam powers by their noise level, a truncated mean over bearing.
 
     The first level is the median. Two passes replace it by the mean of the powers within 2.5 standard deviations of

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -12,6 +14,8 @@ from scipy.optimize import nnls
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.sonar.array import Band, LineArray, Shading, tabulate_pattern
+from servotrack.estimators.sonar.beamforming import Beamformer
+from servotrack.estimators.sonar.elements import AnyArray, ElementArray, phases
 from servotrack.estimators.types import Array
 
 
@@ -23,6 +27,8 @@ class Patterns:
         array: Line array of the receiver.
         band: Frequency bins of the receiver.
         shading: Shading of the elements.
+        beamformer: Beamformer of the rows. A spectrum's pattern is that of a conventional beamformer, or of MVDR for a
+            flat spectrum at several powers of the source.
         tones: Number of tones of the mixture, equally spaced over the band. Larger values resolve spectra better and
             are slower.
         points: Number of points of a table from 0 to 2 in the difference of cosines.
@@ -32,9 +38,10 @@ class Patterns:
         flat_weight: Weight of the flat spectrum as prior. Larger values need more data for a colored spectrum.
     """
 
-    array: LineArray
+    array: AnyArray
     band: Band
     shading: Shading = "conventional"
+    beamformer: Beamformer = "conventional"
     tones: int = 28
     points: int = 4001
     fit_range: float = 1.0
@@ -44,8 +51,11 @@ class Patterns:
 
     @cached_property
     def tables(self) -> Array:
-        """Patterns of the flat spectrum and of each tone, shape (1 + tones, points)."""
+        """Patterns of the flat spectrum and of each tone, or of each power for MVDR, shape (spectra, points)."""
         f = self.band.frequencies
+        if isinstance(self.array, ElementArray) or self.beamformer == "mvdr":
+            offset = np.linspace(0.0, 2.0, self.points)
+            return _spectra((line_pattern(self.array, one, offset) for one in f), len(f), self.beamformer, self.tones)
         spectra = [np.ones(len(f))]
         for at in np.unique(np.linspace(0, len(f) - 1, self.tones).astype(int)):
             spectra.append(np.where(np.arange(len(f)) == at, 1.0, 0.0))
@@ -59,29 +69,45 @@ class Patterns:
         mixture[0] = 1.0
         return mixture
 
-    def at(self, mixture: Array, beam_cosines: Array, bearings_deg: Array) -> Array:
+    @cached_property
+    def width(self) -> float:
+        """Width of a beam across the array at half its power, for a flat spectrum, deg."""
+        return self._width(self.tables[0])
+
+    @cached_property
+    def widths(self) -> tuple[float, float]:
+        """Smallest and largest width of a beam across the array at half its power, over all spectra, deg."""
+        every = [self._width(table) for table in self.tables]
+        return min(every), max(every)
+
+    def _width(self, table: Array) -> float:
+        half = 2.0 / (len(table) - 1) * int((table < 0.5).argmax())
+        return 2.0 * math.degrees(math.asin(min(half, 1.0))) if half > 0.0 else 180.0
+
+    def at(self, mixture: Array, beam_bearings: Array, bearings_deg: Array) -> Array:
         """Pattern of one mixture for a source at each bearing. Shape (T, beams).
 
         Args:
             mixture: Mixture of spectra. Shape (1 + tones,).
-            beam_cosines: Cosines of the beams' bearings. Shape (beams,).
+            beam_bearings: Bearings of the beams, deg. Shape (beams,).
             bearings_deg: Bearings of the source, deg. Shape (T,).
         """
-        out = np.empty((len(bearings_deg), len(beam_cosines)))
-        _interpolate(mixture @ self.tables, np.cos(np.radians(bearings_deg)), beam_cosines, out)
+        out = np.empty((len(bearings_deg), len(beam_bearings)))
+        table, beam_cosines = mixture @ self.tables, np.cos(np.radians(beam_bearings))
+        _interpolate(table, np.cos(np.radians(bearings_deg)), beam_cosines, out)
         return out
 
     def main_lobe(self, mixture: Array) -> Array:
         """Pattern of a mixture near its peak, at 26 points."""
         return np.interp(np.linspace(0.0, 0.125, 26), np.linspace(0.0, 2.0, self.points), mixture @ self.tables)
 
-    def fit(self, excess: Array, variance: Array, beam_cosines: Array, bearings_deg: Array, power: Array) -> Array:
+    def fit(self, excess: Array, variance: Array, beam_bearings: Array, bearings_deg: Array, power: Array) -> Array:
         """Fit the mixture of spectra to the beam powers around a source, with a prior for the flat spectrum.
 
         Args:
             excess: Beam powers above those explained by noise and other targets. Shape (T, beams).
             variance: Variance of the excess. Shape (T, beams).
-            beam_cosines: Cosines of the beams' bearings. Shape (beams,).
+            beam_bearings: Bearings of the beams, deg. Shape (beams,).
             bearings_deg: Bearing of the source in each row, deg. Shape (T,).
             power: Power of the source in each row, positive. Shape (T,).
 
@@ -89,7 +115,7 @@ class Patterns:
             Mixture weights, not negative, with sum 1. Shape (1 + tones,).
         """
         sums = np.zeros((3, self.bins))
-        scale = self.bins / self.fit_range
+        scale, beam_cosines = self.bins / self.fit_range, np.cos(np.radians(beam_bearings))
         _bin(excess, variance, np.cos(np.radians(bearings_deg)), beam_cosines, power, self.fit_range, scale, sums)
         some = sums[0] > 0.0
         total, mean, centers = sums[0, some], sums[1, some] / sums[0, some], sums[2, some] / sums[0, some]
@@ -99,14 +125,145 @@ class Patterns:
         design = low + (position - below) * (self.tables[:, below + 1] - low)
         # Normal equations have one row per spectrum instead of one per bin.
         weighted = design * (total / self.shared_beams)
-        normal = weighted @ design.T
-        normal[np.diag_indices_from(normal)] += self.flat_weight**2
-        root = np.linalg.cholesky(normal)
-        mixture, _ = nnls(root.T, solve_triangular(root, weighted @ mean + self.flat_weight**2 * self.flat, lower=True))
-        return mixture / mixture.sum() if mixture.sum() > 0.0 else self.flat
+        return solve_mixture(weighted @ design.T, weighted @ mean, self.flat, self.flat_weight)
 
 
-def variance_of(explained: Array, averages: int, error: float, reach: int) -> Array:
+def solve_mixture(normal: Array, right: Array, flat: Array, weight: float) -> Array:
+    """Solve the normal equations of a mixture of spectra, not negative and with sum 1, with a prior for `flat`."""
+    normal[np.diag_indices_from(normal)] += weight**2
+    root = np.linalg.cholesky(normal)
+    mixture, _ = nnls(root.T, solve_triangular(root, right + weight**2 * flat, lower=True))
+    return mixture / mixture.sum() if mixture.sum() > 0.0 else flat
+
+
+def line_pattern(array: AnyArray, frequency: float, offset: Array) -> Array:
+    """Beam pattern of a line of elements at one frequency over the difference of cosines, peak 1. Shape of offset."""
+    if isinstance(array, LineArray):
+        return tabulate_pattern(array, [frequency], [1.0], points=len(offset)).values / array.elements
+    place = array.delays([0.0])[0]
+    wave = np.exp(2j * np.pi * frequency * offset[:, None] * place)
+    return np.asarray(np.abs(wave.mean(axis=1)) ** 2)
+
+
+def _spectra(patterns: Iterable[Array], count: int, beamformer: str, tones: int) -> Array:
+    """Patterns of spectra, peak 1, from the patterns of single bins. Shape (spectra, *points).
+
+    The conventional spectra are a flat one and tones. With MVDR and the exact covariance, a source of power b / (1 - b)
+    over the noise of a conventional beam adds b D / (1 - b D) to a beam in whose direction the pattern is D.
+    """
+    if beamformer == "mvdr":
+        total, shares = None, (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.995)
+        for pattern in patterns:
+            shapes = np.array([(1.0 - b) * pattern / (1.0 - b * pattern) for b in shares])
+            total = shapes if total is None else total + shapes
+        assert total is not None
+        return np.asarray(total / count)
+    at = np.unique(np.linspace(0, count - 1, tones).astype(int)).tolist()
+    flat, kept = None, []
+    for index, pattern in enumerate(patterns):
+        flat = pattern.copy() if flat is None else flat + pattern
+        if index in at:
+            kept.append(pattern)
+    assert flat is not None
+    return np.array([flat / count, *kept])
+
+
+@dataclass(frozen=True)
+class PlanarPatterns:
+    """Beam patterns of a planar array, which depend on both bearings; otherwise as `Patterns`.
+
+    Attributes:
+        array: Elements of the receiver.
+        band: Frequency bins of the receiver.
+        beamformer: Beamformer of the rows.
+        beams: Bearings of the beams, deg.
+        sources: Number of bearings of sources over the circle that are tabulated.
+        tones: Number of tones of the mixture.
+        bins: Largest number of frequency bins that stand for the band.
+        fit_rows: Largest number of rows to which a spectrum is fitted.
+        shared_beams: Number of neighboring beams that share their noise and count as one measurement.
+        flat_weight: Weight of the flat spectrum as prior.
+    """
+
+    array: AnyArray
+    band: Band
+    beamformer: Beamformer
+    beams: tuple[float, ...]
+    sources: int = 360
+    tones: int = 12
+    bins: int = 32
+    fit_rows: int = 20
+    shared_beams: float = 10.0
+    flat_weight: float = 3.0
+
+    @cached_property
+    def tables(self) -> Array:
+        """Patterns for sources around the circle, the first one repeated. Shape (spectra, sources + 1, beams)."""
+        f = self.band.frequencies
+        f = f[np.unique(np.linspace(0, len(f) - 1, min(self.bins, len(f))).astype(int))]
+        places = np.linspace(0.0, 360.0, self.sources + 1)
+
+        def pattern(frequency: float) -> Array:
+            sources, beams = (phases(self.array, [frequency], some)[0] for some in (places, self.beams))
+            return np.asarray(np.abs(sources @ beams.conj().T / self.array.elements) ** 2)
+
+        return _spectra((pattern(one) for one in f.tolist()), len(f), self.beamformer, self.tones)
+
+    @cached_property
+    def flat(self) -> Array:
+        """Mixture of the flat spectrum alone. Shape (spectra,)."""
+        mixture = np.zeros(len(self.tables))
+        mixture[0] = 1.0
+        return mixture
+
+    @cached_property
+    def width(self) -> float:
+        """Median width of a beam at half its power, for a flat spectrum, deg."""
+        return self._width(self.band.frequencies)
+
+    @cached_property
+    def widths(self) -> tuple[float, float]:
+        """Width of a beam at half its power at the highest and at the lowest frequency, deg."""
+        return self._width(self.band.frequencies[-1:]), self._width(self.band.frequencies[:1])
+
+    def _width(self, frequencies: Array) -> float:
+        f = frequencies[np.unique(np.linspace(0, len(frequencies) - 1, 8).astype(int))]
+        fine = np.linspace(-90.0, 90.0, 1801)
+        found = []
+        for place in np.arange(0.0, 360.0, 15.0):
+            waves, beams = phases(self.array, f, [place])[:, 0], phases(self.array, f, place + fine)
+            shape = (np.abs(np.einsum("fn,fbn->fb", waves, beams.conj())) ** 2).mean(axis=0)
+            below = shape < 0.5 * shape[900]
+            after, before = int(below[900:].argmax()), int(below[900::-1].argmax())
+            found.append(0.1 * (after + before) if after and before else 180.0)
+        return float(np.median(found))
+
+    def at(self, mixture: Array, beam_bearings: Array, bearings_deg: Array) -> Array:
+        """Pattern of one mixture for a source at each bearing; `beam_bearings` are those of the table. (T, beams)."""
+        table = np.tensordot(mixture, self.tables, 1)
+        position = np.mod(bearings_deg, 360.0) / 360.0 * self.sources
+        below = np.minimum(position.astype(np.int64), self.sources - 1)
+        part = (position - below)[:, None]
+        return np.asarray((1.0 - part) * table[below] + part * table[below + 1])
+
+    def main_lobe(self, mixture: Array) -> Array:
+        """Pattern of a mixture from its peak to two widths beside it, at 26 points, for a source at 90 deg."""
+        row = self.at(mixture, np.zeros(0), np.array([90.0]))[0]
+        beside = np.linspace(0.0, 2.0 * self.width, 26) + 90.0
+        return np.interp(beside, self.beams, row, period=360.0)
+
+    def fit(self, excess: Array, variance: Array, beam_bearings: Array, bearings_deg: Array, power: Array) -> Array:
+        """Fit the mixture of spectra to the beam powers around a source; arguments and result as in `Patterns`."""
+        some = np.unique(np.linspace(0, len(excess) - 1, min(self.fit_rows, len(excess))).astype(int))
+        eye = np.eye(len(self.tables))
+        design = np.array([self.at(one, beam_bearings, bearings_deg[some]) for one in eye])
+        weight = power[some, None] ** 2 / variance[some] / self.shared_beams
+        weighted = (design * weight).reshape(len(eye), -1)
+        right = weighted @ (excess[some] / power[some, None]).reshape(-1)
+        return solve_mixture(weighted @ design.reshape(len(eye), -1).T, right, self.flat, self.flat_weight)
+
+
+def variance_of(explained: Array, averages: float, error: float, reach: int) -> Array:
     """Variance of beam powers about the explained means, by noise and model error.
 
     Args:

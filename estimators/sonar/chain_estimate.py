@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from servotrack.estimators.hmm.existence import Span, presence, spans
+from servotrack.estimators.sonar.directions import LINE, Directions
 from servotrack.estimators.sonar.rules import SpanRules
 from servotrack.estimators.types import Array, Labels
 
@@ -54,30 +55,44 @@ class TrackHypothesis:
     period: float = 1.0
     prior_presence: float = 0.5
 
-    def locate(self, marginal: Array, beam_bearings: Array, rates: Array, mode_width: float) -> None:
+    def locate(
+        self, marginal: Array, grid_bearings: Array, rates: Array, mode_width: float, directions: Directions = LINE
+    ) -> None:
         """Set bearings, rates and deviations from the probabilities of all states.
 
         Args:
             marginal: Probabilities of the states. Shape (T, S).
-            beam_bearings: Bearings of the beams, deg. Shape (beams,).
+            grid_bearings: Bearings of the grid, deg. Shape (positions,).
             rates: Bearing rates of the grid, deg/s. Shape (R,).
             mode_width: Half-width of the window around the mode over which is averaged, deg.
+            directions: Geometry of the bearings.
         """
-        cells = marginal.reshape(len(marginal), len(rates), len(beam_bearings))
+        size = len(grid_bearings)
+        cells = marginal.reshape(len(marginal), len(rates), size)
         positions = cells.sum(axis=1)
-        half = round(mode_width / (beam_bearings[1] - beam_bearings[0]))
+        spacing = grid_bearings[1] - grid_bearings[0]
+        half = min(round(mode_width / spacing), (size - 1) // 2)
         index = positions.argmax(axis=1)[:, None] + np.arange(-half, half + 1)
-        inside = (index >= 0) & (index < len(beam_bearings))
-        index = np.clip(index, 0, len(beam_bearings) - 1)
+        inside = (index >= 0) & (index < size) | directions.circle
+        near = grid_bearings[0] + spacing * index if directions.circle else grid_bearings[np.clip(index, 0, size - 1)]
+        index = index % size if directions.circle else np.clip(index, 0, size - 1)
         weight = np.take_along_axis(positions, index, axis=1) * inside
         weight /= weight.sum(axis=1, keepdims=True)
-        near = beam_bearings[index]
         self.bearings = (weight * near).sum(axis=1)
         self.deviations = np.sqrt((weight * (near - self.bearings[:, None]) ** 2).sum(axis=1))
+        self.bearings = directions.wrapped(self.bearings)
         self.rates = np.einsum("trp,r->t", cells, rates)
 
     def test_existence(
-        self, switching: float, bridge: int, piece: float, whole: float, max_step: float, rules: SpanRules
+        self,
+        switching: float,
+        bridge: int,
+        piece: float,
+        whole: float,
+        max_step: float,
+        rules: SpanRules,
+        directions: Directions = LINE,
+        online: bool = False,
     ) -> None:
         """Run the sequential test of existence: set `presence`, and the span with the most evidence if it suffices.
 
@@ -86,22 +101,28 @@ class TrackHypothesis:
         Args:
             switching: Probability of appearance or disappearance from row to row.
             bridge: Longest gap, in rows, that does not end a span.
-            piece: Smallest log likelihood ratio of an unbroken stretch, nats. Weaker stretches count as noise.
+            piece: Smallest log likelihood ratio of an unbroken stretch, and of a span without its strongest row, nats.
+                Weaker stretches count as noise.
             whole: Smallest log likelihood ratio of a span, nats.
             max_step: Largest plausible change of bearing between rows, deg.
             rules: Thresholds of the test.
+            directions: Geometry of the bearings.
+            online: More rows may follow the last one.
         """
         there = presence(self.existence_likelihood, switching, self.prior_presence)
         ratio = np.log(self.existence_likelihood)
         kept = there.copy()
-        jumps = np.flatnonzero(np.abs(np.diff(self.bearings)) > max_step) + 1
+        jumps = np.flatnonzero(np.abs(np.diff(directions.unwrapped(self.bearings))) > max_step) + 1
         for span in _split(spans(there, bridge=0), jumps):
             if ratio[span.first : span.last + 1].sum() < piece:
                 kept[span.first : span.last + 1] = 0.0
-        jumps = np.union1d(jumps, self._implausible(spans(kept, bridge=0), bridge, rules))
+        jumps = np.union1d(jumps, self._implausible(spans(kept, bridge=0), bridge, rules, directions))
         candidates = [_trimmed(ratio, span, rules) for span in _split(spans(kept, bridge=bridge), jumps)]
         best = max(candidates, key=lambda item: item[1], default=(Span(0, -1), -np.inf))
-        self.spans, self.evidence = ([best[0]], [best[1]]) if best[1] >= whole else ([], [])
+        # A single row, however loud, is no track, unless more rows may follow it.
+        after = min(best[0].last + 1, len(ratio) - online)
+        rest = best[1] - float(ratio[best[0].first : after].max(initial=0.0))
+        self.spans, self.evidence = ([best[0]], [best[1]]) if best[1] >= whole and rest >= piece else ([], [])
         margin = rules.margin_rows
         may_be = np.zeros(len(there), np.bool_)
         for span in self.spans:
@@ -110,7 +131,7 @@ class TrackHypothesis:
             may_be[max(before, span.first - margin) : min(after, span.last + 1 + margin)] = True
         self.presence = np.where(may_be, there, 0.0)
 
-    def _implausible(self, pieces: list[Span], bridge: int, rules: SpanRules) -> Labels:
+    def _implausible(self, pieces: list[Span], bridge: int, rules: SpanRules, directions: Directions) -> Labels:
         """First rows of pieces that lie off the extrapolated piece before."""
         found = []
         for one, other in pairwise(pieces):
@@ -121,7 +142,8 @@ class TrackHypothesis:
                 self.rates[max(one.first, one.last + 1 - rules.rate_rows) : one.last + 1].mean()
                 + self.rates[other.first : min(other.first + rules.rate_rows, other.last + 1)].mean()
             )
-            error = abs(self.bearings[one.last] + rate * steps * self.period - self.bearings[other.first])
+            ahead = self.bearings[one.last] + rate * steps * self.period
+            error = abs(directions.difference(ahead, self.bearings[other.first]))
             if error > rules.bridge_distance + rules.bridge_growth * steps:
                 found.append(other.first)
         return np.array(found, np.int64)

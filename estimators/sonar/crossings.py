@@ -8,8 +8,9 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from servotrack.estimators.sonar.beam_patterns import Patterns
+from servotrack.estimators.sonar.beam_patterns import Patterns, PlanarPatterns
 from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
+from servotrack.estimators.sonar.directions import LINE, Directions
 from servotrack.estimators.sonar.rules import CrossingRules
 from servotrack.estimators.types import Array, Labels
 
@@ -34,11 +35,12 @@ class _Side(NamedTuple):
 
 def resolve_crossings(
     chains: list[TrackHypothesis],
-    patterns: Patterns,
+    patterns: Patterns | PlanarPatterns,
     rows: Array,
     explained: Sequence[Array],
     beam_bearings: Array,
     rules: CrossingRules,
+    directions: Directions = LINE,
 ) -> bool:
     """Exchange two chains after the first meeting where each fits the other one's continuation better.
 
@@ -51,18 +53,21 @@ def resolve_crossings(
         explained: Mean beam powers explained by the other chains, for each chain. Shape (T, beams) each.
         beam_bearings: Bearings of the beams, deg. Shape (beams,).
         rules: Thresholds of the comparison.
+        directions: Geometry of the bearings.
 
     Returns:
         True if two chains were exchanged.
     """
     for i, j in combinations(range(len(chains)), 2):
         one, other = chains[i], chains[j]
-        for first, last in _meetings(one, other, rules):
+        for first, last in _meetings(one, other, rules, directions):
             before = slice(max(0, first - rules.side_rows), first)
             after = slice(last + 1, last + 1 + rules.side_rows)
             middle = 0.5 * (first + last)
-            sides = [_side(chain, part, middle, rules) for chain in (one, other) for part in (before, after)]
-            stay, change = _compare(sides, lambda a, b: _cost(a, b, rules))
+            sides = [
+                _side(chain, part, middle, rules, directions) for chain in (one, other) for part in (before, after)
+            ]
+            stay, change = _compare(sides, lambda a, b: _cost(a, b, rules, directions))
             if change < stay + rules.pattern_limit:
                 shapes = [
                     None
@@ -79,10 +84,11 @@ def resolve_crossings(
     return False
 
 
-def _meetings(one: TrackHypothesis, other: TrackHypothesis, rules: CrossingRules) -> list[tuple[int, int]]:
+def _meetings(
+    one: TrackHypothesis, other: TrackHypothesis, rules: CrossingRules, directions: Directions
+) -> list[tuple[int, int]]:
     both = (one.presence > rules.min_presence) & (other.presence > rules.min_presence)
-    apart = np.abs(np.cos(np.radians(one.bearings)) - np.cos(np.radians(other.bearings)))
-    near = np.flatnonzero(both & (apart < rules.meeting_distance))
+    near = np.flatnonzero(both & (directions.apart(one.bearings, other.bearings) < rules.meeting_distance))
     if not len(near):
         return []
     breaks = np.flatnonzero(np.diff(near) > rules.pause_rows)
@@ -91,12 +97,14 @@ def _meetings(one: TrackHypothesis, other: TrackHypothesis, rules: CrossingRules
     return [(int(a), int(b)) for a, b in zip(firsts, lasts, strict=True)]
 
 
-def _side(chain: TrackHypothesis, part: slice, middle: float, rules: CrossingRules) -> _Side | None:
+def _side(
+    chain: TrackHypothesis, part: slice, middle: float, rules: CrossingRules, directions: Directions
+) -> _Side | None:
     at = np.arange(len(chain.presence))[part]
     at = at[chain.presence[at] > rules.min_presence]
     if len(at) < rules.min_rows:
         return None
-    bearings, centered = chain.bearings[at], at - at.mean()
+    bearings, centered = directions.unwrapped(chain.bearings[at]), at - at.mean()
     rate = float(centered @ bearings / (centered @ centered))
     log_power = float(np.log(np.maximum(chain.power[at], rules.min_power)).mean())
     return _Side(at, float(bearings.mean() + rate * (middle - at.mean())), rate, log_power)
@@ -105,7 +113,7 @@ def _side(chain: TrackHypothesis, part: slice, middle: float, rules: CrossingRul
 def _shape(
     chain: TrackHypothesis,
     at: Labels,
-    patterns: Patterns,
+    patterns: Patterns | PlanarPatterns,
     rows: Array,
     explained: Array,
     beam_bearings: Array,
@@ -113,9 +121,10 @@ def _shape(
 ) -> Array:
     """Main lobe of the beam pattern fitted to some of a chain's rows."""
     power = np.maximum(chain.power[at], rules.min_power)
-    cosines = np.cos(np.radians(beam_bearings))
     variance = explained[at] ** 2 * rules.pattern_variance
-    return patterns.main_lobe(patterns.fit(rows[at] - explained[at], variance, cosines, chain.bearings[at], power))
+    return patterns.main_lobe(
+        patterns.fit(rows[at] - explained[at], variance, beam_bearings, chain.bearings[at], power)
+    )
 
 
 def _compare(sides: Sequence[T | None], cost: Callable[[T, T], float]) -> tuple[float, float]:
@@ -128,11 +137,11 @@ def _compare(sides: Sequence[T | None], cost: Callable[[T, T], float]) -> tuple[
     return of(0, 1) + of(2, 3), of(0, 3) + of(2, 1)
 
 
-def _cost(one: _Side, other: _Side, rules: CrossingRules) -> float:
+def _cost(one: _Side, other: _Side, rules: CrossingRules, directions: Directions) -> float:
     """Half the sum of the squared changes, in standard deviations."""
     changes = (
         (one.rate - other.rate) / rules.rate_deviation,
-        (one.bearing - other.bearing) / rules.bearing_deviation,
+        float(directions.difference(one.bearing, other.bearing)) / rules.bearing_deviation,
         (one.log_power - other.log_power) / rules.log_power_deviation,
     )
     return 0.5 * float(np.sum(np.square(changes)))

@@ -10,6 +10,7 @@ import numpy as np
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.hmm.exclusion import exclude, occupancy
 from servotrack.estimators.hmm.smoothing import smooth
+from servotrack.estimators.sonar.background import prepare_rows
 from servotrack.estimators.sonar.beam_patterns import PowerFit, add_pattern, variance_of
 from servotrack.estimators.sonar.bearing_model import BearingModel
 from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
@@ -23,19 +24,48 @@ class JointSmoother:
 
     Args:
         model: Parameters and tables of the tracker.
-        rows: Normalized beam powers. Shape (T, beams).
+        rows: Normalized beam powers; rows of NaN are missing. Shape (T, beams).
         chains: Existing chains.
+        online: More rows may follow the last one.
     """
 
-    def __init__(self, model: BearingModel, rows: Array, chains: Sequence[TrackHypothesis] = ()) -> None:
+    def __init__(
+        self, model: BearingModel, rows: Array, chains: Sequence[TrackHypothesis] = (), online: bool = False
+    ) -> None:
         self.model = model
-        self.rows = rows
+        self.online = online
+        self.rows, self.background, self.missing, self.lifted = prepare_rows(rows, model.beam_width, model.backgrounds)
         self.chains = list(chains)
 
     @cached_property
     def whitened(self) -> Array:
         """Whitened rows without the mean noise, the input of the matched filter. Shape (T, beams)."""
         return self.model.scores.whiten(self.rows - 1.0)
+
+    def relevel(self) -> Array | None:
+        """Normalize the rows by the noise that the targets leave, if the sidelobes of loud ones have lifted the level.
+
+        The noise level of a single row is a truncated mean over its beams, which all hold sidelobes of a loud target.
+        The known beam patterns of the chains tell them from noise.
+
+        Returns:
+            Level of each row before, relative to 1; None if the rows keep their level. Shape (T,).
+        """
+        rules = self.model.backgrounds
+        used = ~(self.missing | self.lifted)
+        if not self.chains or not used.any():
+            return None
+        level = np.median((self.rows - self.explained()) / self.background, axis=1) + 1.0
+        typical = float(np.median(level[used]))
+        if abs(typical - 1.0) <= rules.level_tolerance:
+            return None
+        level = np.where(self.missing, typical, np.maximum(level, 0.5 * min(typical, 1.0)))
+        self.rows = self.rows / level[:, None]
+        self.__dict__.pop("whitened", None)
+        for chain in self.chains:
+            chain.power = chain.power / level
+            chain.expected = None if chain.expected is None else chain.expected / level
+        return level
 
     def search(self, attempts: int) -> None:
         """Start chains on the strongest unexplained ridge until the test of existence fails `attempts` times in a row.
@@ -51,7 +81,8 @@ class JointSmoother:
         """
         rules = self.model.search
         failed, settled = 0, True
-        closed, taken = np.zeros(self.rows.shape, np.bool_), np.zeros(self.rows.shape, np.bool_)
+        shape = len(self.rows), len(self.model.grid_bearings)
+        closed, taken = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
         unexplained: Array | None = None
         while True:
             if failed >= attempts or len(self.chains) >= self.model.max_targets:
@@ -66,7 +97,9 @@ class JointSmoother:
                 unexplained = self._likelihood(chain)
             self._smooth(chain, unexplained, closed | taken)
             ridge, before = chain.bearings, len(self.chains)
-            about = np.abs(self.model.beam_bearings - ridge[:, None]) < rules.skip_distance
+            about = (
+                np.abs(self.model.directions.difference(self.model.grid_bearings, ridge[:, None])) < rules.skip_distance
+            )
             if chain.spans and not self._followed_already(chain):
                 there = chain.presence > rules.min_presence
                 self.chains.append(chain)
@@ -108,8 +141,7 @@ class JointSmoother:
 
         def met(chain: TrackHypothesis) -> tuple[float, float]:
             both = (chain.presence > rules.min_presence) & (new.presence > rules.min_presence)
-            bearings = np.radians(chain.bearings[both]), np.radians(new.bearings[both])
-            apart = np.abs(np.cos(bearings[0]) - np.cos(bearings[1]))
+            apart = self.model.directions.apart(chain.bearings[both], new.bearings[both])
             return float(np.maximum(0.0, 1.0 - apart / rules.meeting_distance).sum()), -float(apart.min(initial=2.0))
 
         others = [chain for chain in self.chains if chain is not new]
@@ -121,7 +153,8 @@ class JointSmoother:
         rows = slice(new.spans[0].first, new.spans[0].last + 1)
 
         def merged(chain: TrackHypothesis) -> bool:
-            near = np.abs(chain.bearings[rows] - new.bearings[rows]) < rules.merge_distance
+            away = self.model.directions.difference(chain.bearings[rows], new.bearings[rows])
+            near = np.abs(away) < rules.merge_distance
             return bool(np.mean(near & (chain.presence[rows] > rules.min_presence)) > 0.5)
 
         return any(merged(chain) for chain in self.chains if chain is not new)
@@ -151,7 +184,13 @@ class JointSmoother:
         for _ in range(self.model.search.max_exchanges):
             others = [self.explained([chain]) for chain in self.chains]
             if not resolve_crossings(
-                self.chains, self.model.patterns, self.rows, others, self.model.beam_bearings, self.model.crossing
+                self.chains,
+                self.model.patterns,
+                self.rows,
+                others,
+                self.model.beam_bearings,
+                self.model.crossing,
+                self.model.directions,
             ):
                 break
             changed = True
@@ -162,7 +201,7 @@ class JointSmoother:
 
     def explained(self, but: Sequence[TrackHypothesis] = ()) -> Array:
         """Mean beam powers by noise and all chains except those in `but`. Shape (T, beams)."""
-        mean = np.ones_like(self.rows)
+        mean = self.background.copy()
         for chain in self.chains:
             if chain not in but:
                 add_pattern(mean, chain.presence * chain.power, chain.pattern)
@@ -192,34 +231,40 @@ class JointSmoother:
             power = powers.powers(usual, model.power_spread * usual)
             for i, chain in enumerate(chains):
                 chain.expected = usual[i]
-                chain.power = np.where(there[i] > model.search.min_presence, power[i], usual[i])
+                seen = (there[i] > model.search.min_presence) & ~self.missing
+                chain.power = np.where(seen, power[i], usual[i])
             mean = self.explained()
-        cosines = np.cos(np.radians(model.beam_bearings))
         for chain, use in zip(chains, alone, strict=True):
             if use.sum() >= model.search.min_spectrum_rows:
                 left = (self.rows - self.explained([chain]))[use]
                 chain.mixture = model.patterns.fit(
-                    left, variance[use], cosines, chain.bearings[use], np.maximum(chain.power[use], least)
+                    left, variance[use], model.beam_bearings, chain.bearings[use], np.maximum(chain.power[use], least)
                 )
 
     def _alone(self, chain: TrackHypothesis) -> Mask:
         """Mask of the rows in which a chain's target exists and is resolved from all others."""
         rules = self.model.search
-        cosines = np.cos(np.radians(chain.bearings))
-        alone = chain.presence > rules.min_presence
+        alone = (chain.presence > rules.min_presence) & ~(self.missing | self.lifted)
         for other in self.chains:
             if other is not chain:
-                apart = np.abs(cosines - np.cos(np.radians(other.bearings)))
+                apart = self.model.directions.apart(chain.bearings, other.bearings)
                 alone &= ~((other.presence > rules.min_presence) & (apart < rules.resolution))
         return alone
 
     def _explain(self, chain: TrackHypothesis) -> None:
         if self.model.likelihood == "row":
             beam_bearings = self.model.beam_bearings
-            chain.pattern = self.model.patterns.at(chain.mixture, np.cos(np.radians(beam_bearings)), chain.bearings)
+            chain.pattern = self.model.patterns.at(chain.mixture, beam_bearings, chain.bearings)
 
     def _likelihood(self, chain: TrackHypothesis) -> Array:
-        return self._cells(chain) if self.model.likelihood == "cell" else self._row(chain)
+        b = self._cells(chain) if self.model.likelihood == "cell" else self._row(chain)
+        if self.lifted.any():
+            ratio = np.log(b[self.lifted])
+            limit = self.model.backgrounds.max_log_ratio
+            top = np.maximum(ratio.max(axis=1, keepdims=True), limit)
+            b[self.lifted] = np.exp(ratio * (limit / top))
+        b[self.missing] = 1.0
+        return b
 
     def _smooth(self, chain: TrackHypothesis, b: Array, closed: Mask | None = None) -> None:
         """Smooth one chain and test its existence.
@@ -234,15 +279,25 @@ class JointSmoother:
             b = np.where(np.tile(closed, (1, b.shape[1] // closed.shape[1])), 1.0, b)
         chain.likelihood = b
         presence, negligible = (chain.presence, model.search.negligible) if closed is None else (None, 0.0)
-        smoothed = smooth(model.chain, b, chain.prior, presence, negligible)
-        chain.locate(smoothed.marginal, model.beam_bearings, model.chain.rates, model.spans.mode_width)
+        # A band of bearings that is cut off has no meaning on a circle.
+        cut = 0.0 if model.directions.circle else negligible
+        smoothed = smooth(model.chain, b, chain.prior, presence, cut)
+        directions = model.directions
+        chain.locate(smoothed.marginal, model.grid_bearings, model.chain.rates, model.spans.mode_width, directions)
         chain.existence_likelihood = smoothed.existence_likelihood
         if model.likelihood == "cell":
             chain.marginal = smoothed.marginal
         established = chain.label > 0
-        whole = 0.0 if established else model.evidence
-        piece = 0.0 if established else model.evidence_of_piece
-        chain.test_existence(model.switching, model.bridge_rows, piece, whole, model.max_step, model.spans)
+        chain.test_existence(
+            model.switching,
+            model.bridge_rows,
+            0.0 if established else model.evidence_of_piece,
+            0.0 if established else model.evidence,
+            model.max_step,
+            model.spans,
+            directions,
+            self.online,
+        )
 
     def _row(self, chain: TrackHypothesis) -> Array:
         scores = self.model.scores
@@ -252,13 +307,13 @@ class JointSmoother:
         return known_power(power, variance, chain.expected, self.model.power_spread, self.model.likelihood_rules)
 
     def _cells(self, chain: TrackHypothesis) -> Array:
-        b = cell_likelihood(self.rows, self.model.likelihood_rules)
+        b = self.model.on_grid(cell_likelihood(self.rows / self.background, self.model.likelihood_rules))
         # A chain recalled from the last row occupies no cells before it is solved.
         others = [c for c in self.chains if c is not chain and len(c.marginal)]
         if not others:
             return b
-        beams = len(self.model.beam_bearings)
-        return exclude(b, [occupancy(c.marginal, c.presence, beams, self.model.spread_beams) for c in others])
+        positions = len(self.model.grid_bearings)
+        return exclude(b, [occupancy(c.marginal, c.presence, positions, self.model.spread_beams) for c in others])
 
 
 @njit(cache=True, nogil=True)

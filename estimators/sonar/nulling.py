@@ -90,8 +90,8 @@ class ViterbiNulling:
 
     def track(self, record: ArrayLike, times: ArrayLike | None = None) -> list[BearingTrack]:
         """Track all targets of a whole record; arguments, result and errors as in `HMMBearings.track`."""
-        rows = checked_record(record, self.beams, self.averages, times, self.period)
-        return self._paths(rows) if len(rows) else []
+        checked = checked_record(record, self.beams, self.averages, times, self.period)
+        return checked.restored(self._paths(checked.rows)) if len(checked.rows) else []
 
     def initial(self, row: ArrayLike) -> NullingState:
         """Return the state before the first row; only the length of `row` is used."""
@@ -130,7 +130,9 @@ class ViterbiNulling:
 
     def _paths(self, rows: Array) -> list[BearingTrack]:
         beam_bearings, chain = bearings(self.beams), self.chain
-        ratio = np.log(cell_likelihood(rows, self.likelihood_rules))
+        missing = np.isnan(rows[:, 0])
+        ratio = np.log(cell_likelihood(np.where(missing[:, None], 1.0, rows), self.likelihood_rules))
+        ratio[missing] = 0.0
         tracks: list[BearingTrack] = []
         for _ in range(self.max_targets):
             path, _ = best_path(chain, ratio)

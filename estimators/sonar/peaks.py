@@ -95,7 +95,8 @@ class PeakTracker(ABC):
 
     def track(self, record: ArrayLike, times: ArrayLike | None = None) -> list[BearingTrack]:
         """Track all targets of a whole record; arguments, result and errors as in `HMMBearings.track`."""
-        rows = checked_record(record, self.beams, self.averages, times, self.period)
+        checked = checked_record(record, self.beams, self.averages, times, self.period)
+        rows = checked.rows
         state = self._empty()
         found: dict[int, list[tuple[int, Array, float]]] = {}
         for k, row in enumerate(rows):
@@ -109,7 +110,7 @@ class PeakTracker(ABC):
             columns = np.array([[*value, spread] for _, value, spread in points])
             bearing, rate, deviation = (np.interp(every, steps, column) for column in columns.T)
             tracks.append(BearingTrack(label, int(steps[0]), bearing, rate, deviation, np.ones(len(every)), 0.0))
-        return tracks
+        return checked.restored(tracks)
 
     def initial(self, row: ArrayLike) -> PeakState:
         """Return the state before the first row; only the length of `row` is used."""
@@ -128,7 +129,8 @@ class PeakTracker(ABC):
         return PeakState(np.zeros((0, 2)), np.zeros((0, 2, 2)), none, none, none, 1, ())
 
     def _advance(self, state: PeakState, row: Array) -> tuple[PeakState, SetEstimate]:
-        found = peaks(row, bearings(self.beams), self.averages, self.threshold)
+        # A missing row has no peaks.
+        found = np.zeros(0) if np.isnan(row[0]) else peaks(row, bearings(self.beams), self.averages, self.threshold)
         mean, covariance = self._predict(state)
         partner = self._associate(mean, covariance, found)
         seen = partner >= 0

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from servotrack.estimators.hmm.existence import Span
 from servotrack.estimators.sonar.array import normalize
 from servotrack.estimators.sonar.chain_estimate import TrackHypothesis
+from servotrack.estimators.sonar.directions import LINE, Directions
 from servotrack.estimators.sonar.rules import JoiningRules
-from servotrack.estimators.types import Array
+from servotrack.estimators.types import Array, Labels
 from servotrack.estimators.validation import LIMITS, as_numbers, check_within, first_bad
 
 SMALLEST_LEVEL = 1e-30
@@ -60,7 +61,9 @@ class BearingTrack(NamedTuple):
         )
 
 
-def joined(tracks: Sequence[BearingTrack], gap: int, period: float, rules: JoiningRules) -> list[BearingTrack]:
+def joined(
+    tracks: Sequence[BearingTrack], gap: int, period: float, rules: JoiningRules, directions: Directions = LINE
+) -> list[BearingTrack]:
     """Join tracks of which one continues another, and number all tracks anew by evidence.
 
     Args:
@@ -69,6 +72,7 @@ def joined(tracks: Sequence[BearingTrack], gap: int, period: float, rules: Joini
             target. Bearings in the gap are interpolated.
         period: Time between rows, s.
         rules: Thresholds of a continuation.
+        directions: Geometry of the bearings.
 
     Returns:
         Joined tracks, strongest first, with labels from 1.
@@ -78,11 +82,12 @@ def joined(tracks: Sequence[BearingTrack], gap: int, period: float, rules: Joini
     while left:
         track = left.pop(0)
         # The earliest continuation is taken: a later, better one may continue this continuation.
-        at = next((i for i, other in enumerate(left) if _misfit(track, other, gap, period, tracks, rules) <= 1.0), None)
+        fits = (_misfit(track, other, gap, period, tracks, rules, directions) <= 1.0 for other in left)
+        at = next((i for i, continued in enumerate(fits) if continued), None)
         if at is None:
             done.append(track)
         else:
-            left[at] = _chained(track, left[at])
+            left[at] = _chained(track, left[at], directions)
     done.sort(key=lambda track: -track.evidence)
     return [track._replace(label=label) for label, track in enumerate(done, 1)]
 
@@ -94,6 +99,7 @@ def _misfit(
     period: float,
     every: Sequence[BearingTrack],
     rules: JoiningRules,
+    directions: Directions,
 ) -> float:
     """Distance between an extrapolated track and the start of another one, relative to the allowed distance."""
     steps = other.first - track.last
@@ -103,26 +109,30 @@ def _misfit(
     near = slice(inside, inside + rules.rate_rows)
     rate_before, rate_after = track.rates[-rules.rate_rows :].mean(), other.rates[near].mean()
     ahead = steps + inside
-    error = abs(track.bearings[-1] + 0.5 * (rate_before + rate_after) * ahead * period - other.bearings[inside])
+    expected = track.bearings[-1] + 0.5 * (rate_before + rate_after) * ahead * period
+    error = abs(directions.difference(expected, other.bearings[inside]))
     allowed = rules.distance + rules.distance_growth * min(ahead, rules.growth_rows)
     misfit = max(float(error / allowed), float(abs(rate_after - rate_before)) / rules.rate_difference)
     if steps > gap + 1:
-        way = np.linspace(track.bearings[-1], other.bearings[inside], steps + 1)[1:-1]
-        hidden = sum(_hides(every, track.last + k, way[k - 1], rules.hiding_distance) for k in range(1, steps))
+        begin = track.bearings[-1] + directions.turn(other.bearings[inside], track.bearings[-1])
+        way = np.linspace(begin, other.bearings[inside], steps + 1)[1:-1]
+        reach = rules.hiding_distance
+        hidden = sum(_hides(every, track.last + k, way[k - 1], reach, directions) for k in range(1, steps))
         if steps - 1 - hidden > (rules.direct_gap_rows if misfit < rules.direct_misfit else gap):
             return np.inf
     return misfit
 
 
-def _hides(tracks: Sequence[BearingTrack], row: int, bearing: float, distance: float) -> bool:
+def _hides(tracks: Sequence[BearingTrack], row: int, bearing: float, distance: float, directions: Directions) -> bool:
     """Return True if some track is near enough to a bearing to hide another target."""
     return any(
-        track.first <= row <= track.last and abs(track.bearings[row - track.first] - bearing) < distance
+        track.first <= row <= track.last
+        and abs(directions.difference(track.bearings[row - track.first], bearing)) < distance
         for track in tracks
     )
 
 
-def _chained(track: BearingTrack, other: BearingTrack) -> BearingTrack:
+def _chained(track: BearingTrack, other: BearingTrack, directions: Directions) -> BearingTrack:
     inside = max(track.last + 1 - other.first, 0)
     missing = max(other.first - track.last - 1, 0)
     share = np.arange(1, missing + 1) / (missing + 1.0)
@@ -130,10 +140,11 @@ def _chained(track: BearingTrack, other: BearingTrack) -> BearingTrack:
     def chain(before: Array, after: Array) -> Array:
         return np.concatenate([before, before[-1] + share * (after[inside] - before[-1]), after[inside:]])
 
+    turn = directions.turn(other.bearings[inside], track.bearings[-1])
     return BearingTrack(
         track.label,
         track.first,
-        chain(track.bearings, other.bearings),
+        directions.wrapped(chain(track.bearings, other.bearings - turn)),
         chain(track.rates, other.rates),
         chain(track.deviations, other.deviations),
         np.concatenate([track.presence, np.zeros(missing), other.presence[inside:]]),
@@ -141,45 +152,84 @@ def _chained(track: BearingTrack, other: BearingTrack) -> BearingTrack:
     )
 
 
-def checked_record(record: ArrayLike, beams: int, averages: int, times: ArrayLike | None, period: float) -> Array:
-    """Check a record and normalize its rows.
+class CheckedRecord(NamedTuple):
+    """Normalized rows, one per period.
+
+    Attributes:
+        rows: Normalized rows with noise mean 1; NaN where a row is missing. Shape (P, beams).
+        given: Index of each given row among them. Shape (T,).
+    """
+
+    rows: Array
+    given: Labels
+
+    def restored(self, tracks: Sequence[BearingTrack]) -> list[BearingTrack]:
+        """Return the tracks at the given rows only, with their indices."""
+        if len(self.given) == len(self.rows):
+            return list(tracks)
+        found = []
+        for track in tracks:
+            first, after = np.searchsorted(self.given, [track.first, track.last + 1]).tolist()
+            if first < after:
+                inside = self.given[first:after] - track.first
+                columns = {name: getattr(track, name)[inside] for name in _COLUMNS}
+                found.append(track._replace(first=first, **columns))
+        return found
+
+
+_COLUMNS = ("bearings", "rates", "deviations", "presence")
+
+
+def checked_record(
+    record: ArrayLike, beams: int, averages: float, times: ArrayLike | None, period: float
+) -> CheckedRecord:
+    """Check a record, normalize its rows and place them one period apart.
+
+    A row of NaN is missing, and so is every period without a row. Missing rows carry no information.
 
     Args:
         record: Beam powers. Shape (T, beams).
         beams: Required number of beams in a row.
         averages: Number M of averages in one beam power.
-        times: Times of the rows, s; None: not checked. Shape (T,).
+        times: Times of the rows, s, whole numbers of periods apart within a quarter of one; None: no gaps. Shape (T,).
         period: Time between rows, s.
 
-    Returns:
-        Normalized rows with noise mean 1. Shape (T, beams).
-
     Raises:
-        ValueError: Rows have another length, powers are NaN or negative, or times are not one period apart.
+        ValueError: Rows have another length, powers are infinite or negative, a row is NaN in some beams only, or times
+            do not fit the period.
     """
     powers = as_numbers("record", record)
     if powers.size == 0 and powers.ndim < 2:
         powers = powers.reshape(0, beams)
     if powers.ndim != 2 or powers.shape[1] != beams:
         raise ValueError(f"record must have shape (rows, {beams}), got {powers.shape}; set beams to the rows' length")
+    given = np.arange(len(powers))
     if times is not None:
-        _check_times(as_numbers("times", times), len(powers), period)
-    _check_powers("record", powers)
-    return normalize(powers, averages) if len(powers) else powers
+        given = _placed(as_numbers("times", times), len(powers), period)
+    missing = np.isnan(powers).all(axis=1)
+    present = powers[~missing]
+    _check_powers("record", present)
+    rows = np.full((int(given[-1]) + 1 if len(given) else 0, beams), np.nan)
+    if len(present):
+        rows[given[~missing]] = normalize(present, averages)
+    return CheckedRecord(rows, given)
 
 
-def checked_row(row: ArrayLike, beams: int, averages: int) -> Array:
-    """Check and normalize one row; arguments and errors as in `checked_record`. Shape (beams,)."""
+def checked_row(row: ArrayLike, beams: int, averages: float) -> Array:
+    """Check and normalize one row, NaN if it is missing; arguments and errors as in `checked_record`. (beams,)."""
     powers = as_numbers("row", row)
     if powers.shape != (beams,):
         raise ValueError(f"row must have shape ({beams},), got {powers.shape}; set beams to the row's length")
+    if np.isnan(powers).all():
+        return powers.copy()
     _check_powers("row", powers)
     return normalize(powers, averages)
 
 
 def _check_powers(name: str, powers: Array) -> None:
     """Raise ValueError unless powers are finite, not negative, within the limit and mostly above 0."""
-    check_within(name, powers, LIMITS.powers, "leave such rows out")
+    remedy = "set the whole row to NaN, which marks it as missing, or leave such beams out and pass the other angles"
+    check_within(name, powers, LIMITS.powers, remedy)
     if powers.size and powers.min() < 0.0:
         bad = first_bad(powers, powers < 0.0)
         raise ValueError(f"{name} must be finite and not negative, got {bad}; pass powers, not decibels")
@@ -187,18 +237,28 @@ def _check_powers(name: str, powers: Array) -> None:
     if low.any():
         raise ValueError(
             f"{name} must be positive in most beams, got the median {np.median(powers, axis=-1).min():g}, below "
-            f"{SMALLEST_LEVEL:g}; leave such rows out, or pass powers in a larger unit"
+            f"{SMALLEST_LEVEL:g}; set the whole row to NaN, which marks it as missing, or pass powers in a larger unit"
         )
 
 
-def _check_times(times: Array, rows: int, period: float) -> None:
+def _placed(times: Array, rows: int, period: float, longest_gap: int = 1000) -> Labels:
+    """Index of the period of each row."""
     if times.shape != (rows,):
         raise ValueError(f"times must have shape ({rows},), got {times.shape}")
     steps = np.diff(times)
-    bad = np.flatnonzero(~(np.abs(steps - period) <= 0.01 * period))
+    count = np.rint(steps / period)
+    bad = np.flatnonzero(~((count >= 1.0) & (np.abs(steps - count * period) <= 0.25 * period)))
     if len(bad):
         at = int(bad[0])
         raise ValueError(
-            f"times must be {period:g} s apart, got {steps[at]:g} s after row {at}: fill the gap with rows of ones, "
-            "which carry no information, or track the parts separately"
+            f"times must be {period:g} s apart or whole multiples of it, within a quarter of it, got {steps[at]:g} s "
+            f"after row {at}: set period to the interval of the rows; rows may be left out"
         )
+    long = np.flatnonzero(count > longest_gap)
+    if len(long):
+        at = int(long[0])
+        raise ValueError(
+            f"times must have gaps of at most {longest_gap} rows, got {steps[at]:g} s after row {at}: track the parts "
+            "before and after it separately"
+        )
+    return np.concatenate([[0], np.cumsum(count)]).astype(np.int64)[:rows]

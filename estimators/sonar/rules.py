@@ -166,3 +166,54 @@ class JoiningRules(PositiveRules):
     distance_growth: float = 0.3
     growth_rows: int = 15
     rate_difference: float = 1.0
+
+
+@dataclass(frozen=True)
+class BackgroundRules(PositiveRules):
+    """Parameters of the background of a row and of its noise level.
+
+    Attributes:
+        rows: Rows before and after one whose median it is compared with. Larger values bridge longer transients.
+        breadth: Width of the running median over bearing that finds lifted rows, beam widths. A lift must cover half of
+            it; larger values take fewer groups of targets for a lift.
+        beam_widths: Width of the running median over bearing that is the background of a lifted row, beam widths.
+        tolerance: Relative deviation of the background from 1 from which a row counts as lifted by a transient.
+        unlifted: Quantile of the background over bearing that is taken for the noise without the transient.
+        side_rows: Rows before or after one from which that side is compared.
+        min_rows: Rows from which a background is estimated.
+        max_log_ratio: Log likelihood ratio to which a lifted row is scaled down, nats. Larger values trust it more.
+        level_tolerance: Relative error of the noise level beside targets from which all rows are normalized again.
+        max_levels: Largest number of new normalizations.
+    """
+
+    rows: int = 4
+    breadth: int = 21
+    beam_widths: int = 7
+    tolerance: float = 0.4
+    unlifted: float = 0.1
+    side_rows: int = 2
+    min_rows: int = 5
+    max_log_ratio: float = 4.0
+    level_tolerance: float = 0.15
+    max_levels: int = 3
+
+
+@dataclass(frozen=True)
+class FastRules(PositiveRules):
+    """Thresholds of the search for ridges that are faster than the grid of rates.
+
+    Attributes:
+        half_rows: Rows before and after the middle of a line. Larger values need a fast target for longer.
+        height: Smallest height and prominence of a peak, in standard deviations of the noise.
+        tolerance: Largest distance of a peak from a line, deg.
+        min_hits: Number of rows of a line that must have a peak. Larger values miss weaker targets.
+        min_gain: Number of rows by which a line must exceed all lines at slower rates.
+        margin: Rate added to the fastest one that was found, deg/s.
+    """
+
+    half_rows: int = 5
+    height: float = 4.0
+    tolerance: float = 1.0
+    min_hits: int = 10
+    min_gain: int = 4
+    margin: float = 1.0

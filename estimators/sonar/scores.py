@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.compilation import njit
-from servotrack.estimators.sonar.array import beam_correlation
-from servotrack.estimators.sonar.beam_patterns import Patterns, largest_near
+from servotrack.estimators.sonar.beam_patterns import Patterns, PlanarPatterns, largest_near
+from servotrack.estimators.sonar.beamforming import noise_correlation
 from servotrack.estimators.types import Array, Labels, Mask
 
 
@@ -33,6 +33,8 @@ class RowScores:
     Attributes:
         patterns: Beam patterns of sources.
         beam_bearings: Bearings of the beams, deg. Shape (beams,).
+        grid_bearings: Bearings at which the power is evaluated, deg; None: those of the beams. Shape (positions,).
+        circle: The beams close after 360 deg.
         averages: Number M of averages in one beam power.
         model_error: Relative standard deviation of the power explained by targets. Larger values trust beams near
             other targets less.
@@ -41,23 +43,49 @@ class RowScores:
         damping: Constant added to the eigenvalues of the noise correlation in whitening. Larger values whiten less.
     """
 
-    patterns: Patterns
+    patterns: Patterns | PlanarPatterns
     beam_bearings: Array
-    averages: int
+    averages: float
     model_error: float = 0.15
     misplaced: int = 4
     reach: int = 24
     damping: float = 1.0
+    grid_bearings: Array | None = None
+    circle: bool = False
 
     @cached_property
     def _correlation(self) -> Array:
         p = self.patterns
-        return beam_correlation(p.array, p.band.frequencies, self.beam_bearings, p.shading)
+        shading = p.shading if isinstance(p, Patterns) else "conventional"
+        return noise_correlation(p.array, p.band.frequencies, self.beam_bearings, shading)
+
+    @property
+    def _grid(self) -> Array:
+        return self.beam_bearings if self.grid_bearings is None else self.grid_bearings
+
+    @property
+    def _apart(self) -> bool:
+        """True if a position's beams are not the neighbors of the beam with its index."""
+        return self.circle or self.grid_bearings is not None
+
+    def _around(self, center: Labels) -> tuple[Labels, Mask]:
+        index, beams = center[:, None] + np.arange(-self.reach, self.reach + 1), len(self.beam_bearings)
+        if self.circle:
+            return index % beams, np.ones(index.shape, np.bool_)
+        return np.clip(index, 0, beams - 1), (index >= 0) & (index < beams)
 
     @cached_property
     def _neighbors(self) -> tuple[Labels, Mask]:
-        index = np.arange(len(self.beam_bearings))[:, None] + np.arange(-self.reach, self.reach + 1)
-        return np.clip(index, 0, len(self.beam_bearings) - 1), (index >= 0) & (index < len(self.beam_bearings))
+        return self._around(np.arange(len(self.beam_bearings)))
+
+    @cached_property
+    def _beside(self) -> tuple[Labels, Mask]:
+        """Beams about each position of the grid, and whether they exist. Shape (positions, 2 reach + 1) each."""
+        if self.grid_bearings is None:
+            return self._neighbors
+        away = self.grid_bearings[:, None] - self.beam_bearings
+        away = (away + 180.0) % 360.0 - 180.0 if self.circle else away
+        return self._around(np.abs(away).argmin(axis=1))
 
     @cached_property
     def whitening(self) -> Array:
@@ -75,17 +103,17 @@ class RowScores:
         rows = np.broadcast_to(np.arange(len(self.beam_bearings))[:, None], index.shape)
         square[rows[inside], index[inside]] = self.whitening[inside]
         covariance = square @ self._correlation @ square.T
-        some = np.unique(np.linspace(0, len(self.beam_bearings) - 1, 31).astype(int))
-        blocks = np.array([covariance[np.ix_(index[i], index[i])] for i in some])
+        beside, _ = self._beside
+        some = np.unique(np.linspace(0, len(beside) - 1, 31).astype(int))
+        blocks = np.array([covariance[np.ix_(beside[i], beside[i])] for i in some])
         return np.ascontiguousarray(np.diag(covariance)), blocks, some
 
     @cached_property
     def _basis(self) -> Array:
         """Whitened pattern of each pure spectrum at every beam bearing. Shape (1 + tones, beams * (2 reach + 1))."""
-        index, inside = self._neighbors
-        cosines = np.cos(np.radians(self.beam_bearings))
+        index, inside = self._beside
         whitened = (
-            self.whiten(self.patterns.at(mixture, cosines, self.beam_bearings))
+            self.whiten(self.patterns.at(mixture, self.beam_bearings, self._grid))
             for mixture in np.eye(len(self.patterns.tables))
         )
         return np.array([np.where(inside, np.take_along_axis(p, index, 1), 0.0).ravel() for p in whitened])
@@ -100,7 +128,12 @@ class RowScores:
             Whitened rows. Shape (T, beams).
         """
         out = np.empty_like(rows)
-        _filter(np.ascontiguousarray(rows), self._columns, out)
+        if self.circle:
+            # The filter about the first beams reaches to the last ones.
+            wide = np.pad(rows, ((0, 0), (self.reach, self.reach)), mode="wrap")
+            _filter_within(np.ascontiguousarray(wide), self._columns, out)
+        else:
+            _filter(np.ascontiguousarray(rows), self._columns, out)
         return out
 
     @cached_property
@@ -109,7 +142,7 @@ class RowScores:
 
     def template(self, mixture: Array) -> Template:
         """Compute the whitened pattern of a mixture of spectra."""
-        index, inside = self._neighbors
+        index, inside = self._beside
         used = np.flatnonzero(mixture > 1e-3)
         values = np.zeros(index.shape)
         _mix(self._basis, used, mixture, values.reshape(-1))
@@ -118,7 +151,7 @@ class RowScores:
         few = values[some]
         noise = np.einsum("ij,ijk,ik->i", few, blocks, few)
         inflation = noise / np.einsum("ij,ij->i", few**2, power[index[some]] * inside[some])
-        return Template(values, np.interp(np.arange(len(self.beam_bearings)), some, inflation))
+        return Template(values, np.interp(np.arange(len(index)), some, inflation))
 
     def evaluate(self, whitened: Array, explained: Array, template: Template) -> tuple[Array, Array]:
         """Power of a source at each bearing and the variance of that power, under noise and the model's errors.
@@ -133,11 +166,17 @@ class RowScores:
         """
         others = self.whiten(explained - 1.0)
         noise = self._noise[0] / self.averages
-        power, variance = np.empty_like(whitened), np.empty_like(whitened)
-        _match(
-            whitened, explained, others, noise, self.model_error, self.misplaced, *self._columns_of(template),
-            power, variance,
-        )  # fmt: skip
+        power, variance = np.empty((2, len(whitened), len(self._grid)))
+        if self._apart:
+            _match_beside(
+                whitened, explained, others, noise, self.model_error, self.misplaced, template.values,
+                self._beside[0], template.inflation, power, variance,
+            )  # fmt: skip
+        else:
+            _match(
+                whitened, explained, others, noise, self.model_error, self.misplaced, *self._columns_of(template),
+                power, variance,
+            )  # fmt: skip
         # The spread over all bearings corrects the variance for noise that deviates from the model.
         scores = np.abs(power) / np.sqrt(variance)
         spread = np.median(scores, axis=1, keepdims=True) / 0.6745
@@ -184,6 +223,35 @@ def _match(whitened, explained, others, noise, error, misplaced, template, infla
             total[i] *= information[i]
         for i in range(beams):
             information[i] *= inflation[i]
+
+
+@njit(cache=True, nogil=True)
+def _match_beside(whitened, explained, others, noise, error, misplaced, template, beside, inflation, power, variance):  # type: ignore[no-untyped-def]
+    """Compute `_match` at positions whose beams are listed; template and beside (positions, width)."""
+    beams = whitened.shape[1]
+    skirts, largest, trust, left = np.empty(beams), np.empty(beams), np.empty(beams), np.empty(beams)
+    for k in range(whitened.shape[0]):
+        for i in range(beams):
+            skirts[i] = abs(others[k, i])
+        largest_near(skirts, misplaced, largest)
+        for i in range(beams):
+            trust[i] = 1.0 / (noise[i] * explained[k, i] ** 2 + error * error * largest[i] * largest[i])
+            left[i] = trust[i] * (whitened[k, i] - others[k, i])
+        for p in range(template.shape[0]):
+            total, information = 0.0, 1e-300
+            for j in range(template.shape[1]):
+                value, at = template[p, j], beside[p, j]
+                total += value * left[at]
+                information += value * value * trust[at]
+            power[k, p] = total / information
+            variance[k, p] = inflation[p] / information
+
+
+@njit(cache=True, nogil=True)
+def _filter_within(wide, weights, out):  # type: ignore[no-untyped-def]
+    """Weighted sums over the neighbors of every beam, of rows with their neighbors beyond the ends."""
+    for k in range(out.shape[0]):
+        _correlate(weights, wide[k], out[k])
 
 
 @njit(cache=True, nogil=True)

@@ -24,8 +24,8 @@ def track(
         list[str],
         typer.Argument(
             help="Video files, folders of images, MOTChallenge folders, camera indices, or addresses (http, https, "
-            "rtsp); or points in time, as .csv or .csv.gz with the columns time, x, y[, z] or time, lat, lon. Several "
-            "ones are tracked one after the other."
+            "rtsp); or points in time, as .csv or .csv.gz with the columns time, x, y[, z] or time, lat, lon; or "
+            "recordings of hydrophones, as .wav, .npy or .sio. Several ones are tracked one after the other."
         ),
     ],
     detector: Annotated[
@@ -77,7 +77,8 @@ def track(
         Path | None,
         typer.Option(
             help="True tracks, for scores: MOTChallenge gt.txt, labels of KITTI, or CAVIAR XML. "
-            "Default: gt.txt of a MOTChallenge folder. For points: a .csv with an additional column id."
+            "Default: gt.txt of a MOTChallenge folder. For points: a .csv with an additional column id. For "
+            "recordings: a .csv with the columns time, id, bearing."
         ),
     ] = None,
     match: Annotated[
@@ -143,17 +144,38 @@ def track(
         bool, typer.Option(help="Write the annotated video tracks.mp4, or tracks.webm without PyAV.")
     ] = True,
     show_truth: Annotated[bool, typer.Option("--show-truth", help="Draw the true boxes into the video, too.")] = False,
+    array: Annotated[
+        Path | None,
+        typer.Option(help="Positions of the hydrophones: .csv with the columns x, y[, z] in m, one row per channel."),
+    ] = None,
+    band: Annotated[
+        str | None, typer.Option(metavar="LOW,HIGH", help="Band of a recording of hydrophones, Hz.")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="Sampling frequency of a recording, Hz. Default: that of a .wav file.")
+    ] = None,
+    period: Annotated[
+        float | None,
+        typer.Option(
+            help="Duration of a row of beam powers, s. Longer rows show weaker targets. Default: from the array."
+        ),
+    ] = None,
+    beamformer: Annotated[
+        str, typer.Option(help="Beamformer of a recording: `conventional`, or `mvdr` with lower sidelobes.")
+    ] = "conventional",
     table_format: TableFormat = "table",
 ) -> None:
     """Track people in a real sequence; write MOTChallenge tracks, an annotated video and, with --truth, scores.
 
     Points in time, such as those of a radar or of AIS, get a filter whose parameters are measured from them; the tracks
-    are written as tracks.csv and tracks.geojson, with a figure.
+    are written as tracks.csv and tracks.geojson, with a figure. Recordings of hydrophones (--array, --band) are
+    beamformed, and bearings are tracked before detection.
     """
     from servotrack.baselines.track_command.command import TrackRequest, folder_name, run_command
     from servotrack.baselines.track_command.counts import parse_places
     from servotrack.baselines.track_command.opening import SourceRequest
     from servotrack.envs.track.files.points import is_points_file
+    from servotrack.envs.track.files.recordings import is_recording_file, read_positions
 
     names = [folder_name(source) for source in sources]
     if len(sources) > 1 and truth is not None:
@@ -177,8 +199,43 @@ def track(
         "--offline": offline,
         "--show-truth": show_truth,
     }
+    for_sound = {
+        "--array": array,
+        "--band": band,
+        "--rate": rate,
+        "--period": period,
+        "--beamformer": beamformer != "conventional",
+    }
     worst = 0
     for source, name in zip(sources, names, strict=True):
+        if is_recording_file(source):
+            if given := [option for option, used in for_frames.items() if used]:
+                raise ValueError(f"{', '.join(given)} is for frames, and {source} holds sound; leave it out")
+            if array is None or band is None:
+                raise ValueError(f"{source} needs --array positions.csv and --band LOW,HIGH in Hz")
+            from servotrack.baselines.track_command.recording_command import (
+                RecordingRequest,
+                checked_beamformer,
+                frequency_band,
+                run_recording,
+            )
+
+            folder = Path("results") / "track" / name if out is None else out / name if len(sources) > 1 else out
+            sound = RecordingRequest(
+                Path(source),
+                read_positions(array),
+                frequency_band(band),
+                rate,
+                period,
+                checked_beamformer(beamformer),
+                truth,
+            )
+            run_recording(sound, folder, console(table_format))
+            continue
+        if given := [option for option, used in for_sound.items() if used]:
+            raise ValueError(
+                f"{', '.join(given)} is for recordings (.wav, .npy, .sio), and {source} is none; leave it out"
+            )
         if is_points_file(source):
             from servotrack.baselines.track_command.points_command import run_points
 

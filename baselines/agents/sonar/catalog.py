@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, Protocol
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.envs.track.sonar.array_model import SonarModel
 from servotrack.estimators.rfs import SetEstimate
 from servotrack.estimators.sonar import HMMBearings
+from servotrack.estimators.sonar.bearing_model import fitting_rates
 from servotrack.estimators.sonar.nulling import ViterbiNulling
 from servotrack.estimators.sonar.peaks import PeakKalmanHungarian, PeakNearestNeighbor, PeakTracker
 from servotrack.estimators.sonar.record import BearingTrack
 from servotrack.estimators.types import Array, Estimator
-
-FASTEST_RATE = 2.0
-"""Largest bearing rate that trackers search, deg/s. Grids of rates hold at least one step on both sides of zero."""
 
 SHORTEST_WINDOW = 20
 """Smallest number of rows of a tracker's window."""
@@ -30,13 +27,6 @@ class BearingTracker(Estimator[Array, Any, SetEstimate], Protocol):
         """Return the tracks of a whole record, shape (rows, beams); `times` are those of its rows, s."""
 
 
-def fitting_rates(scene: SonarModel) -> tuple[float, ...]:
-    """Return rates up to `FASTEST_RATE`, deg/s; half a step of the rate moves a target by one beam per row."""
-    step = 2.0 * float(scene.beam_bearings[1] - scene.beam_bearings[0]) / scene.period
-    most = max(1, round(FASTEST_RATE / step))
-    return tuple((step * np.arange(-most, most + 1)).tolist())
-
-
 def _hmm(likelihood: Literal["row", "cell"]) -> Callable[[SonarModel], HMMBearings]:
     def make(scene: SonarModel) -> HMMBearings:
         return HMMBearings(
@@ -47,7 +37,6 @@ def _hmm(likelihood: Literal["row", "cell"]) -> Callable[[SonarModel], HMMBearin
             beams=len(scene.beam_bearings),
             snapshots=scene.averages // len(scene.band.frequencies),
             period=scene.period,
-            rates=fitting_rates(scene),
             lag=scene.lag,
             window=_window(scene),
         )
@@ -60,7 +49,7 @@ def _viterbi(scene: SonarModel) -> ViterbiNulling:
         beams=len(scene.beam_bearings),
         averages=scene.averages,
         period=scene.period,
-        rates=fitting_rates(scene),
+        rates=fitting_rates(float(scene.beam_bearings[1] - scene.beam_bearings[0]), scene.period),
         lag=scene.lag,
         window=_window(scene),
     )

@@ -141,7 +141,7 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
             latitude or longitude is out of range; a covariance is not positive definite; times run backward. The
             message names path and row.
     """
-    rows = _rows(path)
+    rows = csv_rows(path)
     first = next(rows, None)
     if first is None:
         raise SequenceError(f"{path} is empty; it must begin with a header such as time,x,y")
@@ -175,7 +175,7 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
         cells = [row[at].strip(_BLANKS) for at in columns.places]
         if not any(cells):
             continue
-        place = [_number(cell, head[at], where) for cell, at in zip(cells, columns.places, strict=True)]
+        place = [csv_number(cell, head[at], where) for cell, at in zip(cells, columns.places, strict=True)]
         if columns.geographic:
             if not (abs(place[0]) <= 90.0 and -180.0 <= place[1] <= 360.0):
                 raise SequenceError(
@@ -198,7 +198,7 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
             text = row[columns.identity].strip(_BLANKS)
             identities[-1].append(texts.setdefault(text, text))
         if names:
-            covariances.extend(_number(row[at], head[at], where, LIMITS.coordinates**2) for at in columns.covariance)
+            covariances.extend(csv_number(row[at], head[at], where, LIMITS.coordinates**2) for at in columns.covariance)
             numbers.append(number)
     if len(times) < 2:
         raise SequenceError(f"{path} must have scans at two times or more, got {len(times)}; tracks need motion")
@@ -327,7 +327,7 @@ def read_point_truth(path: Path, points: PointScans) -> PointTruth:
     return PointTruth(list(found), tracks, known)
 
 
-def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Yield the rows that are not blank, with the numbers of their last lines from 1."""
     content = read_bounded(path, MOST_BYTES, _REMEDY)
     packed = content[:2] == b"\x1f\x8b"
@@ -393,7 +393,8 @@ def _first(columns: dict[str, int], names: tuple[str, ...]) -> int | None:
     return next((columns[name] for name in names if name in columns), None)
 
 
-def _number(cell: str, name: str, where: str, limit: float = LIMITS.coordinates) -> float:
+def csv_number(cell: str, name: str, where: str, limit: float = LIMITS.coordinates) -> float:
+    """The number in a cell; raises SequenceError that names place and column unless it is finite and within the limit."""
     try:
         value = parse_number(cell.strip(_BLANKS))
     except ValueError:
