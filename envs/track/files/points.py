@@ -394,7 +394,7 @@ def _first(columns: dict[str, int], names: tuple[str, ...]) -> int | None:
 
 
 def csv_number(cell: str, name: str, where: str, limit: float = LIMITS.coordinates) -> float:
-    """The number in a cell; raises SequenceError that names place and column unless it is finite and within the limit."""
+    """The number in a cell; raises SequenceError with place and column unless it is finite and within the limit."""
     try:
         value = parse_number(cell.strip(_BLANKS))
     except ValueError:
