@@ -149,7 +149,7 @@ def _array_grid(record: BearingRecord) -> Grid:
     array, band = tracker.array, tracker.band
     assert isinstance(array, ElementArray)
     sides = (
-        f"0 to 180 deg from the axis at {array.heading:.4g} deg; both sides look the same"
+        f"0 to 180 deg from the axis at {array.heading % 360.0:.4g} deg; both sides look the same"
         if array.is_line
         else "0 to 360 deg from x towards y"
     )
