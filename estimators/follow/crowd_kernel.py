@@ -190,6 +190,33 @@ def _covers(mean, spread, own, crowd, b, width, rules, merged):  # type: ignore[
 
 
 @njit(cache=True, nogil=True)
+def _pair_density(detection, a, i, crowd, m, color, color_variance, b, width, rules):  # type: ignore[no-untyped-def]
+    """Density of a common detection of person i of a table `a`, in this color, and track m: midway, of mixed color."""
+    u, v = 0.5 * (a.mean[b, i, 0] + crowd.mean[b, m, 0]), 0.5 * (a.mean[b, i, 1] + crowd.mean[b, m, 1])
+    both = rules.position_noise**2 + 0.25 * (a.spread[b, i, 0] + crowd.spread[b, m, 0])
+    if (detection[1] - u) ** 2 + (detection[2] - v) ** 2 > 20.0 * both:
+        return 0.0
+    wide = width + abs(a.mean[b, i, 0] - crowd.mean[b, m, 0])
+    high = width + abs(a.mean[b, i, 1] - crowd.mean[b, m, 1])
+    mixed = 0.5 * (color + crowd.color[b, m])
+    variance = 0.25 * (color_variance + crowd.color_variance[b, m])
+    return (
+        _place_density(detection, u, v, both)
+        * _size_density(detection, wide, high, 1.5 * rules.size_noise)
+        * _color_density(detection, mixed, variance, rules)
+    )
+
+
+@njit(cache=True, nogil=True)
+def _correct_pair(people, b, i, mean, variance, color, color_variance, detection, rules):  # type: ignore[no-untyped-def]
+    """Update person i of a table with a detection shared with a person of this mean, variance and color."""
+    u, v = 2.0 * detection[1] - mean[0], 2.0 * detection[2] - mean[1]
+    variance = 4.0 * rules.position_noise**2 + variance
+    color_variance = 16.0 * rules.color_noise**2 + color_variance
+    _correct(people, b, i, u, v, variance, 2.0 * detection[5:8] - color, color_variance)
+
+
+@njit(cache=True, nogil=True)
 def _correct(people, b, k, u, v, variance, color, color_variance):  # type: ignore[no-untyped-def]
     """Update a person with a measured position and color."""
     mean, spread = people.mean[b, k], people.spread[b, k]
@@ -378,12 +405,14 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
     # Tracks of all people.
     merged, density = np.zeros(tracks), np.zeros((tracks, rows))
     chance, missing, clear = np.zeros(tracks), np.ones(tracks), np.ones(tracks)
+    together = np.zeros((tracks, tracks))
     for m in range(tracks):
         if crowd.weight[b, m] <= 0.0:
             continue
         crowd.weight[b, m] *= stay
         cover = _covers(crowd.mean[b, m], crowd.spread[b, m], crowd.label[b, m], crowd, b, width, rules, merged)
         open_share = (1.0 - cover) * (1.0 - merged.max()) * _in_view(crowd.mean[b, m], crowd.spread[b, m], size)
+        together[m] = merged * (1.0 - cover) * (1.0 - crowd.hidden[b, m]) * rules.detection
         clear[m] = rules.detection * open_share
         chance[m] = crowd.weight[b, m] * (1.0 - crowd.hidden[b, m]) * clear[m]
         missing[m] = 1.0 - (1.0 - crowd.hidden[b, m]) * clear[m]
@@ -403,6 +432,24 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
     for j in range(rows):
         for m in range(tracks):
             explained[j] += density[m, j]
+    # Two tracks may share a detection; `shared` is what a track has in such pairs.
+    shared, partner = np.zeros((tracks, rows)), np.full((tracks, rows), -1)
+    for m in range(tracks):
+        for k in range(m):
+            chance_both = min(crowd.weight[b, k] * together[m, k], crowd.weight[b, m] * together[k, m])
+            if chance_both < 0.01:
+                continue
+            for j in range(rows):
+                if detections[j, 0] < 0.5:
+                    continue
+                value = chance_both * _pair_density(
+                    detections[j], crowd, m, crowd, k, crowd.color[b, m], crowd.color_variance[b, m], b, width, rules
+                )
+                explained[j] += value
+                shared[m, j] += value
+                shared[k, j] += value
+                if value > max(density[m, j], density[k, j]):
+                    partner[m, j], partner[k, j] = k, m
     # Hypotheses of the person: each one splits into a miss and one for every detection that it may have caused.
     limit = 16 * count
     part_of, part_row, part_merged = np.empty(limit, np.int64), np.empty(limit, np.int64), np.empty(limit, np.int64)
@@ -445,7 +492,7 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
                 continue
             rest = clutter[j] + birth[j] + explained[j]
             if own >= 0:
-                rest -= density[own, j]
+                rest -= density[own, j] + shared[own, j]
             rest = max(rest, clutter[j] + birth[j])
             d = (detections[j, 1] - mean[0]) ** 2 + (detections[j, 2] - mean[1]) ** 2
             if d < 20.0 * total and parts < limit:
@@ -467,30 +514,22 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
             for m in range(tracks):
                 if merged[m] < 0.02:
                     continue
-                u, v = 0.5 * (mean[0] + crowd.mean[b, m, 0]), 0.5 * (mean[1] + crowd.mean[b, m, 1])
-                both = noise + 0.25 * (spread[0] + crowd.spread[b, m, 0])
-                if (detections[j, 1] - u) ** 2 + (detections[j, 2] - v) ** 2 > 16.0 * both or parts >= limit:
+                if parts >= limit:
                     continue
-                wide = width + abs(mean[0] - crowd.mean[b, m, 0])
-                high = width + abs(mean[1] - crowd.mean[b, m, 1])
-                value = (
-                    w
-                    * (1.0 - h)
-                    * merged[m]
-                    * (1.0 - cover)
-                    * view
-                    * rules.detection
-                    * _place_density(detections[j], u, v, both)
-                    * _size_density(detections[j], wide, high, 1.5 * rules.size_noise)
-                    / rest
-                )
+                chance_both = w * (1.0 - h) * merged[m] * (1.0 - cover) * view * rules.detection / rest
                 if own >= 0:
-                    mixed = 0.5 * (crowd.color[b, own] + crowd.color[b, m])
-                    variance = 0.25 * (crowd.color_variance[b, own] + crowd.color_variance[b, m])
-                    evidence[own] += crowd.weight[b, own] * value * _color_density(detections[j], mixed, variance, rules)
-                mixed = 0.5 * (guesses.color[b, i] + crowd.color[b, m])
-                variance = 0.25 * (guesses.color_variance[b, i] + crowd.color_variance[b, m])
-                value *= _color_density(detections[j], mixed, variance, rules)
+                    evidence[own] += (
+                        crowd.weight[b, own]
+                        * chance_both
+                        * _pair_density(
+                            detections[j], guesses, i, crowd, m, crowd.color[b, own], crowd.color_variance[b, own], b,
+                            width, rules,
+                        )
+                    )  # fmt: skip
+                value = chance_both * _pair_density(
+                    detections[j], guesses, i, crowd, m, guesses.color[b, i], guesses.color_variance[b, i], b, width,
+                    rules,
+                )  # fmt: skip
                 if value > 1e-9:
                     part_of[parts], part_row[parts], part_merged[parts] = i, j, m
                     part_weight[parts], part_hidden[parts] = value, 0.0
@@ -522,7 +561,12 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
     memory.lost[b] = gone / total_weight
 
     # Update of the tracks, and new ones.
-    left = np.zeros(tracks)
+    left, joined = np.zeros(tracks), np.full(tracks, -1)
+    for j in range(rows):
+        if owner[j] >= 0:
+            m = partner[owner[j], j]
+            if m >= 0 and taken[m] < 0:
+                taken[m], joined[m], joined[owner[j]] = j, owner[j], m
     for p in range(parts):
         i = part_of[p]
         if i >= 0 and part_row[p] >= 0 and part_merged[p] < 0:
@@ -532,7 +576,21 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
     for m in range(tracks):
         if crowd.weight[b, m] <= 0.0:
             continue
-        if taken[m] >= 0:
+        if joined[m] >= 0:
+            crowd.hidden[b, m] = 0.0
+            crowd.weight[b, m] = 0.999
+            if joined[m] > m:
+                # Both are updated with the other one as it was predicted.
+                k = joined[m]
+                mean, color = crowd.mean[b, m].copy(), crowd.color[b, m].copy()
+                variance, color_variance = crowd.spread[b, m, 0], crowd.color_variance[b, m]
+                d = detections[taken[m]]
+                _correct_pair(
+                    crowd, b, m, crowd.mean[b, k], crowd.spread[b, k, 0], crowd.color[b, k], crowd.color_variance[b, k],
+                    d, rules,
+                )  # fmt: skip
+                _correct_pair(crowd, b, k, mean, variance, color, color_variance, d, rules)
+        elif taken[m] >= 0:
             d = detections[taken[m]]
             _correct(crowd, b, m, d[1], d[2], noise, d[5:8], rules.color_noise**2)
             crowd.width[b, m] *= np.exp(0.1 * np.log(max(np.sqrt(d[3] * d[4]), 1.0) / crowd.width[b, m]))
@@ -619,11 +677,9 @@ def _renew(b, detections, crowd, guesses, memory, rules, owner, born, parts, fea
             elif born[j] >= 0:
                 guesses.label[b, k] = born[j]
         elif j >= 0:
-            u, v = 2.0 * detections[j, 1] - crowd.mean[b, m, 0], 2.0 * detections[j, 2] - crowd.mean[b, m, 1]
-            color = 2.0 * detections[j, 5:8] - crowd.color[b, m]
-            _correct(
-                guesses, b, k, u, v, 4.0 * noise + crowd.spread[b, m, 0], color,
-                16.0 * rules.color_noise**2 + crowd.color_variance[b, m],
+            _correct_pair(
+                guesses, b, k, crowd.mean[b, m], crowd.spread[b, m, 0], crowd.color[b, m], crowd.color_variance[b, m],
+                detections[j], rules,
             )  # fmt: skip
         merged = False
         for other in range(used):
