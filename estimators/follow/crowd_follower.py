@@ -59,9 +59,12 @@ class CrowdFollower:
         size_noise: Standard deviation of the logarithm of a detection's width and height.
         detection: Probability that a person in view is detected who is neither covered nor near another one.
         births: Expected number of people who appear per frame.
-        hide_rate: Rate at which a person disappears behind something that is not tracked, 1/s.
-        show_rate: Rate at which such a person appears again, 1/s. Raising it gives up hidden people sooner.
-        turn_rate: Rate at which a person turns, stops or starts, 1/s.
+        hide_rate: Number of times that a person disappears under something that is not tracked, per width walked.
+        show_rate: Number of times that such a person appears again, per width walked. Raising it gives up hidden people
+            sooner who walk.
+        uncover_rate: The same for people who stand, 1/s.
+        turn_rate: Rate at which a person turns or starts, 1/s.
+        stop_rate: Rate at which a person stops, 1/s.
         leave_rate: Rate at which tracked people leave for good, 1/s.
         lose_rate: Rate at which a hidden person may get anywhere, 1/s. Raising it finds a lost person sooner by color
             alone, and confuses people of similar color sooner.
@@ -85,9 +88,11 @@ class CrowdFollower:
     size_noise: float = 0.14
     detection: float = 0.88
     births: float = 0.05
-    hide_rate: float = 0.2
-    show_rate: float = 1.6
+    hide_rate: float = 0.1
+    show_rate: float = 0.8
+    uncover_rate: float = 0.2
     turn_rate: float = 0.3
+    stop_rate: float = 0.1
     leave_rate: float = 0.02
     lose_rate: float = 0.1
     merge_distance: float = 0.8

@@ -54,7 +54,9 @@ class CrowdRules(NamedTuple):
     births: float
     hide_rate: float
     show_rate: float
+    uncover_rate: float
     turn_rate: float
+    stop_rate: float
     leave_rate: float
     lose_rate: float
     merge_distance: float
@@ -101,20 +103,22 @@ def _normal_share(x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _move(people, b, dt, acceleration, jitter, rules):  # type: ignore[no-untyped-def]
-    """Predict all people of a run by `dt` s. `jitter` is the variance of the camera's motion, px^2."""
-    q = acceleration * acceleration
-    hide, show = 1.0 - np.exp(-rules.hide_rate * dt), 1.0 - np.exp(-rules.show_rate * dt)
+def _move(people, b, dt, acceleration, width, rules):  # type: ignore[no-untyped-def]
+    """Predict all people of a run by `dt` s. Covers are places: people enter and leave them as they walk."""
+    q = (acceleration * width) ** 2
     for k in range(people.weight.shape[1]):
         if people.weight[b, k] <= 0.0:
             continue
         mean, spread = people.mean[b, k], people.spread[b, k]
         mean[0] += dt * mean[2]
         mean[1] += dt * mean[3]
-        spread[0] += dt * (2.0 * spread[1] + dt * spread[2]) + q * dt**3 / 3.0 + jitter
+        spread[0] += dt * (2.0 * spread[1] + dt * spread[2]) + q * dt**3 / 3.0
         spread[1] += dt * spread[2] + q * dt * dt / 2.0
         spread[2] += q * dt
         people.color_variance[b, k] += rules.color_drift**2
+        walked = dt * np.sqrt(mean[2] ** 2 + mean[3] ** 2 + 2.0 * spread[2]) / width
+        hide = 1.0 - np.exp(-rules.hide_rate * walked)
+        show = 1.0 - np.exp(-rules.show_rate * walked - rules.uncover_rate * dt)
         h = people.hidden[b, k]
         people.hidden[b, k] = h * (1.0 - show) + (1.0 - h) * hide
 
@@ -253,22 +257,24 @@ def _copy(source, i, target, b, k):  # type: ignore[no-untyped-def]
 def _turned(guesses, b, dt, width, rules):  # type: ignore[no-untyped-def]
     """Add hypotheses in which the person turns, stops or starts now, where there is room."""
     count = guesses.weight.shape[1]
-    turn = 1.0 - np.exp(-rules.turn_rate * dt)
     before = guesses.weight[b].copy()
     free = 0
-    for i in range(count):
-        if before[i] < 1e-3:
-            continue
-        while free < count and guesses.weight[b, free] > 0.0:
-            free += 1
-        if free == count:
-            return
-        _copy(guesses, i, guesses, b, free)
-        guesses.weight[b, free] = turn * before[i]
-        guesses.weight[b, i] = (1.0 - turn) * before[i]
-        guesses.mean[b, free, 2:] = 0.0
-        guesses.spread[b, free, 1] = 0.0
-        guesses.spread[b, free, 2] = (rules.speed * width) ** 2
+    for kind in range(2):
+        share = 1.0 - np.exp(-(rules.turn_rate if kind == 0 else rules.stop_rate) * dt)
+        deviation = rules.speed if kind == 0 else 0.1 * rules.speed
+        for i in range(count):
+            if before[i] < 1e-3:
+                continue
+            while free < count and guesses.weight[b, free] > 0.0:
+                free += 1
+            if free == count:
+                return
+            _copy(guesses, i, guesses, b, free)
+            guesses.weight[b, free] = share * before[i]
+            guesses.weight[b, i] -= share * before[i]
+            guesses.mean[b, free, 2:] = 0.0
+            guesses.spread[b, free, 1] = 0.0
+            guesses.spread[b, free, 2] = (deviation * width) ** 2
 
 
 @njit(cache=True, nogil=True)
@@ -284,9 +290,12 @@ def _register(crowd, b, detections, jitter, rules, shift):  # type: ignore[no-un
         jitter: Variance of the shift along each axis, px^2.
         rules: Parameters.
         shift: Output. Shape (2,), px.
+
+    Returns:
+        Variance of the shift that is left along each axis, px^2.
     """
     tracks, rows = crowd.weight.shape[1], detections.shape[0]
-    noise = rules.position_noise**2
+    noise, left = rules.position_noise**2, jitter
     alike = np.zeros((tracks, rows))
     for m in range(tracks):
         for j in range(rows):
@@ -295,27 +304,39 @@ def _register(crowd, b, detections, jitter, rules, shift):  # type: ignore[no-un
                 for channel in range(3):
                     off += (detections[j, 5 + channel] - crowd.color[b, m, channel]) ** 2
                 alike[m, j] = np.exp(-0.25 * off / (crowd.color_variance[b, m] + rules.color_noise**2))
-    best = -np.inf
-    for m in range(tracks):
+    best = 0.0
+    for m in range(-1, tracks):
         for j in range(rows):
-            if alike[m, j] < 0.05:
-                continue
-            du, dv = detections[j, 1] - crowd.mean[b, m, 0], detections[j, 2] - crowd.mean[b, m, 1]
+            if m < 0 and j > 0:
+                break
+            du, dv = 0.0, 0.0
+            if m >= 0:
+                if alike[m, j] < 0.05:
+                    continue
+                du, dv = detections[j, 1] - crowd.mean[b, m, 0], detections[j, 2] - crowd.mean[b, m, 1]
             score = -0.5 * (du * du + dv * dv) / jitter
             if score < -12.0:
                 continue
+            matched, sum_u, sum_v = 1.0 / jitter, 0.0, 0.0
             for k in range(tracks):
-                most = 0.0
+                most, best_u, best_v, precision = 0.0, 0.0, 0.0, 0.0
                 for i in range(rows):
-                    if alike[k, i] >= 0.05:
-                        eu = detections[i, 1] - crowd.mean[b, k, 0] - du
-                        ev = detections[i, 2] - crowd.mean[b, k, 1] - dv
-                        spread = 2.0 * noise + crowd.spread[b, k, 0]
-                        most = max(most, alike[k, i] * np.exp(-0.5 * (eu * eu + ev * ev) / spread))
+                    if alike[k, i] < 0.05:
+                        continue
+                    eu, ev = detections[i, 1] - crowd.mean[b, k, 0], detections[i, 2] - crowd.mean[b, k, 1]
+                    spread = 2.0 * noise + crowd.spread[b, k, 0]
+                    value = alike[k, i] * np.exp(-0.5 * ((eu - du) ** 2 + (ev - dv) ** 2) / spread)
+                    if value > most:
+                        most, best_u, best_v, precision = value, eu, ev, value / spread
                 score += 4.0 * most
-            if score > best:
+                matched += precision
+                sum_u += precision * best_u
+                sum_v += precision * best_v
+            if m < 0 or score > best:
                 best = score
-                shift[0], shift[1] = du, dv
+                shift[0], shift[1] = sum_u / matched, sum_v / matched
+                left = 1.0 / matched
+    return left
 
 
 @njit(cache=True, nogil=True)
@@ -367,14 +388,15 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
     width, size = memory.width[b], rules.image_width
     area = size * size
     noise = rules.position_noise**2
-    _move(crowd, b, dt, rules.crowd_acceleration * width, min(jitter, noise), rules)
-    _move(guesses, b, dt, rules.acceleration * width, min(jitter, noise), rules)
-    if jitter > noise:
+    _move(crowd, b, dt, rules.crowd_acceleration, width, rules)
+    _move(guesses, b, dt, rules.acceleration, width, rules)
+    if jitter > 0.0:
         shift = np.zeros(2)
-        _register(crowd, b, detections, jitter, rules, shift)
+        left = _register(crowd, b, detections, jitter, rules, shift)
         for people in (crowd, guesses):
             for axis in range(2):
                 people.mean[b, :, axis] += shift[axis]
+            people.spread[b, :, 0] += left
     _turned(guesses, b, dt, width, rules)
     stay = np.exp(-rules.leave_rate * dt)
 

@@ -19,6 +19,10 @@ from servotrack.estimators.jacobian.lifted import LiftedEstimate, LiftedKalman
 from servotrack.estimators.types import Array, FloatArray, Mask
 
 
+OPTICS_ERROR = 0.04
+"""Relative error of the image's motion by distortion, tilt and pixels that are not square."""
+
+
 class CrowdServoState(NamedTuple):
     """State of a `CrowdServo`, B runs.
 
@@ -79,8 +83,9 @@ class CrowdServo(FollowServo):
         before = np.where(first[:, None], after, state.frames.frame_joints[rows, best])
         elapsed = np.where(increment.fresh[rows, best], increment.time[rows, best], self.follower.period)
         arm = _Arm.of(state.servo.estimator, best, seen["goal"])
+        variance = arm.variance(before, after) + self._variance(seen, state, frames, after, before, arm)
         person, sighting = self.crowd.step(
-            state.person, detections, fresh, elapsed, arm.motion, before, after, arm.variance(before, after)
+            state.person, detections, fresh, elapsed, arm.motion, before, after, variance
         )
         servo, rate = self.controller.step(state.servo, _measurement(seen, sighting.features, sighting.visible))
         aimed = ~sighting.visible & (servo.supervisor.unseen > 1)
@@ -103,6 +108,26 @@ class CrowdServo(FollowServo):
             person,
             self.controller.initial(measurement),
         )
+
+    def _variance(
+        self, seen: Mapping[str, Any], state: CrowdServoState, frames: AlignmentState, after: Array, before: Array,
+        arm: _Arm,
+    ) -> Array:
+        """Variance of the image's motion along each axis by unknown latency and optics, shape (B,), px^2."""
+        bank = state.servo.estimator
+        weight = np.exp(bank.log_weight)
+        weight /= weight.sum(axis=-1, keepdims=True)
+        middle = seen["goal"][:, None]
+        best = arm.motion(middle, before, after)[:, 0] - seen["goal"]
+        variance = (OPTICS_ERROR * np.hypot(*best.T)) ** 2
+        for k in range(weight.shape[1]):
+            index = np.full(len(weight), k)
+            moved = _Arm.of(bank, index, seen["goal"]).motion(
+                middle, state.frames.frame_joints[:, k], frames.frame_joints[:, k]
+            )
+            off = moved[:, 0] - seen["goal"] - best
+            variance += 0.5 * weight[:, k] * (off**2).sum(axis=1)
+        return variance
 
     def _toward(
         self, seen: Mapping[str, Any], person: CrowdState, servo: ControllerState, frames: AlignmentState, increment: Any
