@@ -94,7 +94,7 @@ class CrowdFollower:
     turn_rate: float = 0.3
     stop_rate: float = 0.1
     leave_rate: float = 0.02
-    lose_rate: float = 0.1
+    lose_rate: float = 0.03
     merge_distance: float = 0.8
     cover_margin: float = 0.24
     color_outlier: float = 0.02

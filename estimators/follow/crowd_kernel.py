@@ -152,7 +152,11 @@ def _size_density(detection, width, height, noise):  # type: ignore[no-untyped-d
     """Density of the logarithms of a detection's width and height."""
     a = np.log(max(detection[3], 1.0) / width) / noise
     b = np.log(max(detection[4], 1.0) / height) / noise
-    return np.exp(-0.5 * (a * a + b * b)) / (2.0 * np.pi * noise * noise) + 1e-4
+    # Optics and merged or cut people: some sizes say little.
+    wide = (2.5 * noise) ** 2
+    return 0.9 * np.exp(-0.5 * (a * a + b * b)) / (2.0 * np.pi * noise * noise) + 0.1 * np.exp(
+        -0.5 * (a * a + b * b) * noise * noise / wide
+    ) / (2.0 * np.pi * wide)
 
 
 @njit(cache=True, nogil=True)
@@ -633,7 +637,8 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
         for m in range(tracks):
             if crowd.weight[b, m] < crowd.weight[b, slot]:
                 slot = m
-        r = birth[j] / (birth[j] + clutter[j])
+        # Even an unlikely person is tracked for a while: hypotheses there need another explanation than clutter.
+        r = max(birth[j] / (birth[j] + clutter[j]), 0.05)
         if crowd.weight[b, slot] >= r:
             continue
         d = detections[j]
