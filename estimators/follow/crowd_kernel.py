@@ -538,20 +538,20 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
                     part_weight[parts], part_hidden[parts] = value, 0.0
                     parts += 1
             for m in range(tracks):
-                if merged[m] < 0.02:
+                # Whoever has no track of their own cannot be told from anybody else under a shared detection.
+                if merged[m] < 0.02 or own < 0:
                     continue
                 if parts >= limit:
                     continue
                 chance_both = w * (1.0 - h) * merged[m] * (1.0 - cover) * view * rules.detection / rest
-                if own >= 0:
-                    evidence[own] += (
-                        crowd.weight[b, own]
-                        * chance_both
-                        * _pair_density(
-                            detections[j], guesses, i, crowd, m, crowd.color[b, own], crowd.color_variance[b, own], b,
-                            width, rules,
-                        )
-                    )  # fmt: skip
+                evidence[own] += (
+                    crowd.weight[b, own]
+                    * chance_both
+                    * _pair_density(
+                        detections[j], guesses, i, crowd, m, crowd.color[b, own], crowd.color_variance[b, own], b,
+                        width, rules,
+                    )
+                )  # fmt: skip
                 value = chance_both * _pair_density(
                     detections[j], guesses, i, crowd, m, guesses.color[b, i], guesses.color_variance[b, i], b, width,
                     rules,
