@@ -10,7 +10,7 @@ people who met is the right one is therefore decided when their colors and motio
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import NamedTuple
 
@@ -18,9 +18,10 @@ import numpy as np
 
 from servotrack.estimators.follow.crowd_kernel import CrowdMemory, CrowdRules, People, follow_crowd
 from servotrack.estimators.follow.ego_motion import EgoMotion
-from servotrack.estimators.follow.follower import Sighting, checked
+from servotrack.estimators.follow.follower import Sighting, checked, checked_rows
 from servotrack.estimators.stateful import copied
 from servotrack.estimators.types import Array, Mask
+from servotrack.estimators.validation import LIMITS, as_mask
 
 
 class CrowdState(NamedTuple):
@@ -29,7 +30,7 @@ class CrowdState(NamedTuple):
     Attributes:
         crowd: Tracks of all people.
         guesses: Hypotheses of the person to follow.
-        memory: What is remembered beside them.
+        memory: Color, place and counters beside them.
     """
 
     crowd: People
@@ -76,7 +77,10 @@ class CrowdFollower:
         first_color: Standard deviation of the color in the first picture, gray levels.
         first_people: Expected number of people in the first frame.
         tracks: Largest number of tracks.
-        hypotheses: Largest number of hypotheses of the person.
+        hypotheses: Largest number of hypotheses of the person. Computing time grows in proportion.
+
+    Raises:
+        ValueError: An argument is not positive and finite, or a probability is not below 1.
     """
 
     acceleration: float = 0.8
@@ -105,6 +109,15 @@ class CrowdFollower:
     tracks: int = 32
     hypotheses: int = 40
 
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0.0 < value < np.inf:
+                raise ValueError(f"{field.name} must be finite and > 0, got {value!r}")
+        for name in ("detection", "color_outlier", "clutter_rate"):
+            if not getattr(self, name) < 1.0:
+                raise ValueError(f"{name} must lie in (0, 1), got {getattr(self, name)!r}")
+
     @cached_property
     def _rules(self) -> CrowdRules:
         return CrowdRules(*(float(getattr(self, name)) for name in CrowdRules._fields))
@@ -122,6 +135,11 @@ class CrowdFollower:
             ValueError: As `PersonFollower.initial`.
         """
         runs = len(checked(detections))
+        place = checked_rows("place", place, (runs, 2), LIMITS.pixels)
+        width = checked_rows("width", width, (runs,), LIMITS.pixels)
+        color = checked_rows("color", color, (runs, 3), LIMITS.pixels)
+        if not (width > 0.0).all():
+            raise ValueError(f"width must be > 0 px, got {width.min():g}; pass the width of the person's box")
         crowd, guesses = self._nobody(runs, self.tracks), self._nobody(runs, self.hypotheses)
         for people in (crowd, guesses):
             people.mean[:, 0, :2] = place
@@ -176,9 +194,26 @@ class CrowdFollower:
             ego_motion: Predicted motion of points at rest in the image.
             joints_before: Joint angles at the last frame. Shape (B, n), rad.
             joints_after: Joint angles at this frame. Shape (B, n), rad.
-            ego_variance: Variance of that motion along each axis. Shape (B,), px^2.
+            ego_variance: Variance of that motion along each axis. Shape (B,), px^2. Raising it trusts the crowd
+                more, and the arm less, about the image's motion.
+
+        Returns:
+            The new state, and the image position of the person.
+
+        Raises:
+            ValueError: As `PersonFollower.step`.
         """
         detections = np.ascontiguousarray(checked(detections))
+        runs = state.place.shape[:1]
+        if detections.shape[:1] != runs:
+            raise ValueError(
+                f"detections must be of the state's {runs[0]} runs, got {len(detections)}; call initial for a new state"
+            )
+        fresh = as_mask("fresh", fresh)
+        if fresh.shape != runs:
+            raise ValueError(f"fresh must have shape {runs}, got {fresh.shape}; pass one truth value per run")
+        elapsed = checked_rows("elapsed", elapsed, runs, LIMITS.times)
+        ego_variance = checked_rows("ego_variance", ego_variance, runs, np.inf)
         new = copied(state)
         _carry(new, fresh, ego_motion, joints_before, joints_after)
         features, visible = np.zeros(new.place.shape), np.zeros(len(fresh), np.bool_)

@@ -69,7 +69,7 @@ class CrowdRules(NamedTuple):
 
 
 class CrowdMemory(NamedTuple):
-    """What a run remembers beside its people. Shapes (B, ...).
+    """Memory of B runs beside their people. Shapes (B, ...).
 
     Attributes:
         width: Width of the person to follow, px.
@@ -171,7 +171,8 @@ def _covers(mean, spread, own, crowd, b, width, rules, merged):  # type: ignore[
     """Probability that another track covers a person, or is detected as one with them.
 
     Args:
-        mean, spread: State of the person.
+        mean: Position and velocity of the person.
+        spread: Covariance of both.
         own: Label of the person's own track.
         crowd: Tracks.
         b: Run.
@@ -480,8 +481,8 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
     limit = 16 * count
     part_of, part_row, part_merged = np.empty(limit, np.int64), np.empty(limit, np.int64), np.empty(limit, np.int64)
     part_weight, part_hidden = np.empty(limit), np.empty(limit)
-    # Likelihood of the frame if the track that a hypothesis takes for the person is one of the others; motion counts the
-    # same for both, so that only the color decides.
+    # Likelihood of the frame if the track that a hypothesis takes for the person is one of the others. Motion counts
+    # the same for both, so that only the color decides.
     evidence, held, own_track = np.zeros(tracks), np.zeros(tracks), np.full(count, -1)
     parts = 0
     leak = 1.0 - np.exp(-rules.lose_rate * dt)
@@ -538,7 +539,7 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
                     part_weight[parts], part_hidden[parts] = value, 0.0
                     parts += 1
             for m in range(tracks):
-                # Whoever has no track of their own cannot be told from anybody else under a shared detection.
+                # A shared detection says that a second person is there, but only a track says which one.
                 if merged[m] < 0.02 or own < 0:
                     continue
                 if parts >= limit:
@@ -628,6 +629,10 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
             crowd.hidden[b, m] /= max(missing[m], 1e-12)
             if crowd.weight[b, m] < 0.005:
                 crowd.weight[b, m] = 0.0
+    second = np.full(rows, -2)
+    for j in range(rows):
+        if owner[j] >= 0 and joined[owner[j]] >= 0:
+            second[j] = crowd.label[b, joined[owner[j]]]
     unexplained, born = 0.0, np.full(rows, -1)
     for j in range(rows):
         if detections[j, 0] < 0.5 or owner[j] >= 0:
@@ -637,7 +642,7 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
         for m in range(tracks):
             if crowd.weight[b, m] < crowd.weight[b, slot]:
                 slot = m
-        # Even an unlikely person is tracked for a while: hypotheses there need another explanation than clutter.
+        # Even an unlikely person is tracked for a while, so that a hypothesis there competes with a track.
         r = max(birth[j] / (birth[j] + clutter[j]), 0.05)
         if crowd.weight[b, slot] >= r:
             continue
@@ -654,7 +659,7 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
         memory.next_label[b] += 1
     memory.clutter[b] += rules.clutter_rate * (unexplained - memory.clutter[b])
     _renew(
-        b, detections, crowd, guesses, memory, rules, owner, born,
+        b, detections, crowd, guesses, memory, rules, owner, second, born,
         (part_of[:parts], part_row[:parts], part_merged[:parts], part_weight[:parts] / total_weight,
          part_hidden[:parts]),
         features, visible,
@@ -662,7 +667,9 @@ def _follow_run(b, detections, dt, jitter, crowd, guesses, memory, rules, featur
 
 
 @njit(cache=True, nogil=True)
-def _renew(b, detections, crowd, guesses, memory, rules, owner, born, parts, features, visible):  # type: ignore[no-untyped-def]
+def _renew(  # type: ignore[no-untyped-def]
+    b, detections, crowd, guesses, memory, rules, owner, second, born, parts, features, visible
+):
     """Replace the hypotheses of a run by the most probable parts, merged where they are alike, and decide."""
     part_of, part_row, part_merged, part_weight, part_hidden = parts
     count, noise, width = guesses.weight.shape[1], rules.position_noise**2, memory.width[b]
@@ -699,7 +706,8 @@ def _renew(b, detections, crowd, guesses, memory, rules, owner, born, parts, fea
         if j >= 0 and m < 0:
             d = detections[j]
             _correct(guesses, b, k, d[1], d[2], noise, d[5:8], rules.color_noise**2)
-            if owner[j] >= 0:
+            # Of two tracks that share the detection, a hypothesis keeps its own one.
+            if owner[j] >= 0 and guesses.label[b, k] != second[j]:
                 guesses.label[b, k] = crowd.label[b, owner[j]]
             elif born[j] >= 0:
                 guesses.label[b, k] = born[j]

@@ -1,5 +1,4 @@
-"""Servo that follows one person by several hypotheses, with a bank of latencies for the servo and the camera's motion.
-"""
+"""Servo that follows one person by several hypotheses, with one bank of latencies for servo and ego-motion."""
 
 from __future__ import annotations
 
@@ -8,19 +7,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from servotrack.baselines.agents.follow.follow_servo import FollowServo, _measurement
+from servotrack.baselines.agents.follow.follow_servo import FollowServo, person_measurement
 from servotrack.baselines.agents.memory import remembered
 from servotrack.estimators.follow import LiftedMotion, PeopleFromAbove, patch_color
 from servotrack.estimators.follow.crowd_follower import CrowdFollower, CrowdState
-from servotrack.estimators.jacobian.alignment import Alignment, AlignmentState
+from servotrack.estimators.jacobian.alignment import AlignmentState
 from servotrack.estimators.jacobian.bank import BankState, HypothesisBank
 from servotrack.estimators.jacobian.controller import ControllerState, ServoController
 from servotrack.estimators.jacobian.lifted import LiftedEstimate, LiftedKalman
 from servotrack.estimators.types import Array, FloatArray, Mask
-
-
-OPTICS_ERROR = 0.04
-"""Relative error of the image's motion by distortion, tilt and pixels that are not square."""
 
 
 class CrowdServoState(NamedTuple):
@@ -51,18 +46,30 @@ class CrowdServo(FollowServo):
         controller: Servo on the person's features; its estimator is a `HypothesisBank` of `LiftedKalman`.
         crowd: Identifies the person among the detections.
         detector: Detects people if images are observed.
+        optics_error: Relative error of the image's predicted motion by distortion, tilt and pixels that are not square.
+            Raising it lets the crowd correct the motion more.
+
+    Raises:
+        ValueError: The controller's estimator is not a bank.
     """
 
     def __init__(
-        self, controller: ServoController, crowd: CrowdFollower | None = None, detector: PeopleFromAbove | None = None
+        self,
+        controller: ServoController,
+        crowd: CrowdFollower | None = None,
+        detector: PeopleFromAbove | None = None,
+        optics_error: float = 0.04,
     ) -> None:
         super().__init__(controller, detector=detector)
-        assert isinstance(controller.estimator, HypothesisBank)
+        if not isinstance(controller.estimator, HypothesisBank):
+            raise ValueError(
+                "controller.estimator must be a HypothesisBank of LiftedKalman, got "
+                f"{type(controller.estimator).__name__}; one latency is Latencies(ages=(0.0,))"
+            )
         self.bank: HypothesisBank[LiftedKalman] = controller.estimator
-        self.crowd = crowd or CrowdFollower()
-        self._alignment = Alignment()
+        self.crowd, self.optics_error = crowd or CrowdFollower(), optics_error
 
-    def predict(
+    def predict(  # type: ignore[override]
         self,
         observation: Mapping[str, Any],
         state: CrowdServoState | None = None,
@@ -76,7 +83,7 @@ class CrowdServo(FollowServo):
         stamp = seen["frame_time"][:, 0]
         fresh = stamp > state.frame_time
         best, rows = state.servo.estimator.log_weight.argmax(axis=-1), np.arange(len(stamp))
-        spread = self.bank.hypotheses.measurement(_measurement(seen, seen["goal"], fresh))
+        spread = self.bank.hypotheses.measurement(person_measurement(seen, seen["goal"], fresh))
         frames, increment = self._alignment.step(state.frames, spread)
         after = frames.frame_joints[rows, best]
         first = ~state.frames.seen[rows, best]
@@ -87,7 +94,7 @@ class CrowdServo(FollowServo):
         person, sighting = self.crowd.step(
             state.person, detections, fresh, elapsed, arm.motion, before, after, variance
         )
-        servo, rate = self.controller.step(state.servo, _measurement(seen, sighting.features, sighting.visible))
+        servo, rate = self.controller.step(state.servo, person_measurement(seen, sighting.features, sighting.visible))
         aimed = ~sighting.visible & (servo.supervisor.unseen > 1)
         if aimed.any():
             rate = np.where(aimed[:, None], self._toward(seen, person, servo, frames, increment), rate)
@@ -97,11 +104,11 @@ class CrowdServo(FollowServo):
         stamp = np.where(fresh, stamp, state.frame_time)
         return (action[0] if single else action), CrowdServoState(stamp, frames, person, servo)
 
-    def _initial(self, seen: Mapping[str, Any], detections: Array) -> CrowdServoState:
+    def _initial(self, seen: Mapping[str, Any], detections: Array) -> CrowdServoState:  # type: ignore[override]
         box = seen["target_box"]
         place, width = box[:, :2] + 0.5 * box[:, 2:], np.sqrt(np.maximum(box[:, 2] * box[:, 3], 1.0))
         person = self.crowd.initial(detections, place, width, patch_color(seen["target_patch"]))
-        measurement = _measurement(seen, place, np.zeros(len(place), np.bool_))
+        measurement = person_measurement(seen, place, np.zeros(len(place), np.bool_))
         return CrowdServoState(
             np.full(len(place), -np.inf),
             self._alignment.initial(self.bank.hypotheses.measurement(measurement)),
@@ -110,7 +117,12 @@ class CrowdServo(FollowServo):
         )
 
     def _variance(
-        self, seen: Mapping[str, Any], state: CrowdServoState, frames: AlignmentState, after: Array, before: Array,
+        self,
+        seen: Mapping[str, Any],
+        state: CrowdServoState,
+        frames: AlignmentState,
+        after: Array,
+        before: Array,
         arm: _Arm,
     ) -> Array:
         """Variance of the image's motion along each axis by unknown latency and optics, shape (B,), px^2."""
@@ -119,7 +131,7 @@ class CrowdServo(FollowServo):
         weight /= weight.sum(axis=-1, keepdims=True)
         middle = seen["goal"][:, None]
         best = arm.motion(middle, before, after)[:, 0] - seen["goal"]
-        variance = (OPTICS_ERROR * np.hypot(*best.T)) ** 2
+        variance = (self.optics_error * np.hypot(*best.T)) ** 2
         for k in range(weight.shape[1]):
             index = np.full(len(weight), k)
             moved = _Arm.of(bank, index, seen["goal"]).motion(
@@ -130,7 +142,12 @@ class CrowdServo(FollowServo):
         return variance
 
     def _toward(
-        self, seen: Mapping[str, Any], person: CrowdState, servo: ControllerState, frames: AlignmentState, increment: Any
+        self,
+        seen: Mapping[str, Any],
+        person: CrowdState,
+        servo: ControllerState,
+        frames: AlignmentState,
+        increment: Any,
     ) -> Array:
         """Joint rates toward the believed position of a person without a detection."""
         bank = servo.estimator
@@ -167,6 +184,7 @@ class _Arm(NamedTuple):
 
     @classmethod
     def of(cls, bank: BankState, best: Array, goal: Array) -> _Arm:
+        """Return the estimate of hypothesis `best`, shape (B,), of each run."""
         members, rows = bank.members, np.arange(len(best))
         weight = members.model_weight[rows, best]
         mean = np.einsum("bm,bms->bs", weight, members.mean[rows, best])
@@ -176,7 +194,5 @@ class _Arm(NamedTuple):
     def variance(self, before: Array, after: Array) -> Array:
         """Variance of the predicted motion of the image along each axis. Shape (B,), px^2."""
         turn = np.exp(1j * (after - before).sum(axis=1))
-        slope = np.stack(
-            [turn * np.exp(1j * before[:, 1]) - np.exp(1j * after[:, 1]), turn - 1.0], axis=-1
-        )
+        slope = np.stack([turn * np.exp(1j * before[:, 1]) - np.exp(1j * after[:, 1]), turn - 1.0], axis=-1)
         return 0.5 * np.einsum("bi,bij,bj->b", slope, self.covariance, slope.conj()).real
