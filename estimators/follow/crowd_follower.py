@@ -90,8 +90,8 @@ class CrowdFollower:
     color_noise: float = 9.0
     color_drift: float = 0.5
     size_noise: float = 0.14
-    detection: float = 0.88
-    births: float = 0.05
+    detection: float = 0.82
+    births: float = 0.2
     hide_rate: float = 0.1
     show_rate: float = 0.8
     uncover_rate: float = 0.2

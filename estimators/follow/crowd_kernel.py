@@ -286,7 +286,7 @@ def _turned(guesses, b, dt, width, rules):  # type: ignore[no-untyped-def]
 def _register(crowd, b, detections, jitter, rules, shift):  # type: ignore[no-untyped-def]
     """Find the shift of the whole image under which most tracks meet a detection of their color.
 
-    While arm and camera are hardly known, the predicted motion of the image is wrong by the same shift for everybody.
+    While arm and camera are hardly known, the predicted motion of the image is wrong by one shift of the whole image.
 
     Args:
         crowd: Tracks, predicted.

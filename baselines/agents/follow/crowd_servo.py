@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from servotrack.estimators.follow.crowd_follower import CrowdFollower, CrowdStat
 from servotrack.estimators.jacobian.alignment import AlignmentState
 from servotrack.estimators.jacobian.bank import BankState, HypothesisBank
 from servotrack.estimators.jacobian.controller import ControllerState, ServoController
+from servotrack.estimators.jacobian.laws import ControlLaw
 from servotrack.estimators.jacobian.lifted import LiftedEstimate, LiftedKalman
 from servotrack.estimators.types import Array, FloatArray, Mask
 
@@ -165,10 +166,11 @@ class CrowdServo(FollowServo):
         reach = np.abs(arm.motion.elbow) + np.abs(arm.motion.forearm)
         target = target * np.minimum(1.0, 0.98 * reach / np.maximum(np.abs(target), 1e-9))
         nothing = np.zeros(len(rows))
-        estimate = LiftedEstimate(
-            target, velocity[:, 0] + 1j * velocity[:, 1], nothing * 0j, elbow, forearm, nothing, nothing
-        )
-        return self.controller.law.rate(self.controller.law.initial(None), estimate)[1]
+        speed = velocity[:, 0] + 1j * velocity[:, 1]
+        still = np.zeros(len(rows), np.complex128)
+        estimate = LiftedEstimate(target.astype(np.complex128), speed, still, elbow, forearm + still, nothing, nothing)
+        law = cast(ControlLaw, self.controller.law)
+        return law.rate(law.initial(person_measurement(seen, place, nothing > 0.0)), estimate)[1]
 
 
 class _Arm(NamedTuple):

@@ -26,7 +26,8 @@ GRIDS: Mapping[str, Grid] = {
 
 CROWD_GRIDS: Mapping[str, Grid] = {
     "crowd-servo": {
-        "detection": (0.82, 0.88, 0.94),
+        "detection": (0.76, 0.82, 0.88, 0.94),
+        "births": (0.05, 0.2, 0.5),
         "position_noise": (3.0, 4.0, 5.0, 6.0),
         "color_noise": (7.0, 9.0, 12.0),
         "show_rate": (0.4, 0.8, 1.2),
