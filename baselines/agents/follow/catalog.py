@@ -16,7 +16,7 @@ from servotrack.estimators.jacobian import Supervisor
 
 NEVER = 1 << 40
 """Number of steps that no episode reaches."""
-PIXEL_NOISE = {"position_noise": 6.0, "color_noise": 14.0, "size_noise": 0.3}
+PIXEL_NOISE = {"position_noise": 6.0, "color_noise": 14.0, "color_drift": 1.5, "size_noise": 0.3}
 """Noise of detections in images, in the units of `CrowdFollower`."""
 UNSEEN_LIMIT = 60
 """Steps without the person after which the servo returns from the predicted to the last seen position."""
