@@ -28,7 +28,7 @@ from servotrack.envs.track.clutter.config import clutter_config
 from servotrack.envs.track.clutter.scene_model import scene_model_of
 from servotrack.envs.track.sonar import array_model
 from servotrack.envs.track.sonar.config import sonar_config
-from servotrack.estimators.follow import PersonFollower
+from servotrack.estimators.follow import CrowdFollower, PersonFollower
 from servotrack.estimators.jacobian import ServoController
 
 Grid = Mapping[str, Sequence[Any]]
@@ -113,6 +113,13 @@ FAMILIES = (
         lambda agent: PersonFollower(),
         _as_mapping,
         follow_grid.BORROWED,
+    ),
+    TuningFamily(
+        "PedestrianServo-v0",
+        (0, 1, 2, 3, 4, 5, 6),
+        follow_grid.CROWD_GRIDS,
+        lambda agent: CrowdFollower(),
+        _as_mapping,
     ),
 )
 """All families. Where two of them hold an agent of the same name, the first is the default."""

@@ -173,8 +173,8 @@ class PersonFollower:
         """
         detections = checked(detections)
         runs = (len(detections),)
-        place = _checked_rows("place", place, (*runs, 2), LIMITS.pixels)
-        color = _checked_rows("color", color, (*runs, 3), LIMITS.pixels).copy()
+        place = checked_rows("place", place, (*runs, 2), LIMITS.pixels)
+        color = checked_rows("color", color, (*runs, 3), LIMITS.pixels).copy()
         crowd = self.filter.initial(detections[:, :, _SEEN])
         for run, (table, middle) in enumerate(zip(detections, place, strict=True)):
             found = _nearest(table, middle[0], middle[1], color[run], self.near, 2.0 * self.first_color)
@@ -235,11 +235,11 @@ class PersonFollower:
         fresh = as_mask("fresh", fresh)
         if fresh.shape != runs:
             raise ValueError(f"fresh must have shape {runs}, got {fresh.shape}; pass one truth value per run")
-        elapsed = _checked_rows("elapsed", elapsed, runs, LIMITS.times)
+        elapsed = checked_rows("elapsed", elapsed, runs, LIMITS.times)
         joints_before = as_numbers("joints_before", joints_before)
         joints = (max(joints_before.shape[-1], 1),) if joints_before.ndim == 2 else (1,)
-        joints_before = _checked_rows("joints_before", joints_before, (*runs, *joints), LIMITS.angles)
-        joints_after = _checked_rows("joints_after", joints_after, (*runs, *joints), LIMITS.angles)
+        joints_before = checked_rows("joints_before", joints_before, (*runs, *joints), LIMITS.angles)
+        joints_after = checked_rows("joints_after", joints_after, (*runs, *joints), LIMITS.angles)
         moved = self._carried(state, elapsed, ego_motion, joints_before, joints_after)
         crowd, estimate = self.filter.step(moved.crowd, np.ascontiguousarray(detections[:, :, _SEEN]))
         new = moved._replace(
@@ -316,7 +316,7 @@ def checked(detections: Array) -> Array:
     return table
 
 
-def _checked_rows(name: str, value: ArrayLike, shape: tuple[int, ...], limit: float) -> Array:
+def checked_rows(name: str, value: ArrayLike, shape: tuple[int, ...], limit: float) -> Array:
     """Convert an argument with one row per run; raise ValueError for a wrong shape or bad values."""
     array = as_numbers(name, value)
     if array.shape != shape:

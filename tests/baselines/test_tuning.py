@@ -292,6 +292,7 @@ CHANGED = (
     ("kalman-hungarian", "PedestrianTracking-v0", {"confirm": 1, "misses": 30}, {"horizon": 60, "empty_frames": 0}),
     ("pmb", "PedestrianTracking-v0", {"birth": 0.1, "memory": 4.0}, {"horizon": 60, "empty_frames": 0}),
     ("phd-servo", "PedestrianServo-v0", {"alike": 12.0, "position_noise": 2.5}, {"horizon": 40}),
+    ("crowd-servo", "PedestrianServo-v0", {"detection": 0.88, "position_noise": 6.0}, {"horizon": 40}),
 )
 
 

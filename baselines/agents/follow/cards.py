@@ -34,6 +34,13 @@ def _ablation() -> tuple[AgentCard, ...]:
 
 
 CARDS = (
+    AgentCard(
+        "crowd-servo",
+        "servotrack.baselines.agents.follow.catalog:create_crowd_agent",
+        "structure",
+        "tracks of all people, several hypotheses of the person to follow, bank of latencies for servo and ego-motion",
+        worlds=frozenset({"follow"}),
+    ),
     _follow("phd-servo", "GM-PHD filter of all people with colors, lifted Kalman servo on the person to follow"),
     _follow(
         "nearest-servo", "nearest detection to the last one, Kalman filter servo", "model-free", identity="nearest"

@@ -127,14 +127,14 @@ class FollowServo:
         state = remembered(state, episode_start, (len(detections),), lambda: self._initial(seen, detections))
         stamp = seen["frame_time"][:, 0]
         fresh = stamp > state.frame_time
-        frames, increment = self._alignment.step(state.frames, _measurement(seen, seen["goal"], fresh))
+        frames, increment = self._alignment.step(state.frames, person_measurement(seen, seen["goal"], fresh))
         joints = state.frames.frame_joints, frames.frame_joints
         # Before the second frame there is no motion.
         first = ~state.frames.seen
         before = np.where(first[:, None], joints[1], joints[0])
         elapsed = np.where(increment.fresh, increment.time, self.follower.period)
         person, sighting = self._look(seen, state, detections, fresh, elapsed, before, joints[1])
-        measurement = _measurement(seen, sighting.features, sighting.visible)
+        measurement = person_measurement(seen, sighting.features, sighting.visible)
         servo, rate = self.controller.step(state.servo, measurement)
         action = (rate / self.controller.max_joint_rate).astype(np.float32)
         stamp = np.where(fresh, stamp, state.frame_time)
@@ -169,7 +169,7 @@ class FollowServo:
         place = box[:, :2] + 0.5 * box[:, 2:]
         person = self.follower.initial(detections, place, patch_color(seen["target_patch"]))
         nothing = np.zeros(len(place), np.bool_)
-        measurement = _measurement(seen, place, nothing)
+        measurement = person_measurement(seen, place, nothing)
         return FollowServoState(
             np.full(len(place), -np.inf),
             self._alignment.initial(measurement),
@@ -214,6 +214,6 @@ class FollowServo:
         return JacobianMotion(belief.jacobian) if isinstance(belief, KalmanState) else StillCamera()
 
 
-def _measurement(seen: Mapping[str, Any], features: Array, visible: Mask) -> Any:
+def person_measurement(seen: Mapping[str, Any], features: Array, visible: Mask) -> Any:
     """Return a servo's measurement with these features in the newest frame."""
     return servo_measurement({**seen, "features": features, "visible": visible[:, None]})

@@ -24,6 +24,19 @@ GRIDS: Mapping[str, Grid] = {
 }
 """Values tried, by agent and path into its `PersonFollower`."""
 
+CROWD_GRIDS: Mapping[str, Grid] = {
+    "crowd-servo": {
+        "detection": (0.76, 0.82, 0.88, 0.94),
+        "births": (0.05, 0.2, 0.5),
+        "position_noise": (3.0, 4.0, 5.0, 6.0),
+        "color_noise": (7.0, 9.0, 12.0),
+        "show_rate": (0.4, 0.8, 1.2),
+        "turn_rate": (0.15, 0.3, 0.6),
+        "lose_rate": (0.01, 0.03, 0.1),
+    },
+}
+"""Values tried, by agent and path into its `CrowdFollower`."""
+
 BORROWED: Mapping[str, str] = {
     "phd-servo-told-jacobian": "phd-servo",
     "phd-servo-told-detections": "phd-servo",
