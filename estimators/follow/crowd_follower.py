@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from servotrack.estimators.follow.crowd_kernel import CrowdMemory, CrowdRules, People, follow_crowd
+from servotrack.estimators.follow.crowd_kernel import follow_crowd
+from servotrack.estimators.follow.crowd_people import CrowdMemory, CrowdRules, People
 from servotrack.estimators.follow.ego_motion import EgoMotion
 from servotrack.estimators.follow.follower import Sighting, checked, checked_rows
 from servotrack.estimators.stateful import copied
