@@ -80,7 +80,7 @@ def draw_outfits(config: FollowConfig, streams: Streams, crowd: Crowd) -> Outfit
 def _dress(seed, look_alikes, people):  # type: ignore[no-untyped-def]
     """Draw the appearance of all people, (P, OUTFIT_NUMBERS), zeros before, from one stream."""
     state, alike = np.zeros(6, np.uint64), np.zeros(len(people), np.bool_)
-    start_stream(seed, FollowStream.OUTFITS, state)
+    start_stream(seed, FollowStream.OUTFITS.value, state)
     for person in range(len(people)):
         alike[person] = draw_share(state) < look_alikes
     for person in range(len(people)):

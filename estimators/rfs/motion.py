@@ -172,8 +172,8 @@ def turn(rate: float, dt: float) -> Array:
     """Transition of [x, vx, y, vy] in a turn at `rate` rad/s over `dt` seconds. Shape (4, 4)."""
     angle = rate * dt
     # sin(a)/w and (1 - cos(a))/w without a difference of nearly equal numbers at a small rate.
-    along = dt * float(np.sinc(angle / math.pi))
-    across = dt * float(np.sinc(0.5 * angle / math.pi)) * math.sin(0.5 * angle)
+    along = dt * _sinc(angle)
+    across = dt * _sinc(0.5 * angle) * math.sin(0.5 * angle)
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[1.0, along, 0.0, -across], [0.0, c, 0.0, -s], [0.0, across, 1.0, along], [0.0, s, 0.0, c]])
 
@@ -183,7 +183,7 @@ def _turning_noise(rate: float, dt: float) -> Array:
     angle = rate * dt
     lag = _lag_of_sine(angle)
     position, turned = 2.0 * dt**3 * lag, dt**2 * angle * lag
-    mixed = 0.5 * (dt * float(np.sinc(0.5 * angle / math.pi))) ** 2
+    mixed = 0.5 * (dt * _sinc(0.5 * angle)) ** 2
     return np.array(
         [
             [position, mixed, 0.0, turned],
@@ -192,6 +192,11 @@ def _turning_noise(rate: float, dt: float) -> Array:
             [turned, 0.0, mixed, dt],
         ]
     )
+
+
+def _sinc(angle: float) -> float:
+    """Compute sin(a) / a. NumPy's own has other last bits in other versions."""
+    return math.sin(angle) / angle if angle != 0.0 else 1.0
 
 
 def _lag_of_sine(angle: float) -> float:
