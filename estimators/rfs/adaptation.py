@@ -20,12 +20,14 @@ existence times the probability that its target was born there, as of its first 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from servotrack.estimators.compilation import njit
+from servotrack.estimators.elementary import exponential
 from servotrack.estimators.rfs.pmb_kernel import Tally
 from servotrack.estimators.types import Array, Labels
 
@@ -185,8 +187,8 @@ class SensorAdaptation:
                 age=age,
             )
         # Early scans were weighed by poor estimates, so the memory starts short and grows by a scan per scan.
-        kept = np.exp(-1.0 / np.minimum(self.memory, 2.0 * state.scans))
-        lasting = np.exp(-1.0 / self.memory)
+        kept = exponential(-1.0 / np.minimum(self.memory, 2.0 * state.scans))
+        lasting = math.exp(-1.0 / self.memory)
         # Without targets nothing is learned of p_D, so the density widens to the trust of the start and no further.
         total = state.found + state.missed
         held = np.maximum(kept, np.minimum(1.0, self.target_trust / total))

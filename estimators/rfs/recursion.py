@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
+from servotrack.estimators.elementary import power
 from servotrack.estimators.rfs.birth import (
     Birth,
     BirthMixture,
@@ -386,7 +387,8 @@ class _Power:
     share: float
 
     def __call__(self, states: Array) -> Array:
-        return as_numbers("what the function survival returns", self.probability(states)) ** self.share
+        values = as_numbers("what the function survival returns", self.probability(states))
+        return power(values, np.full(values.shape, self.share))
 
 
 def checked_values(name: str, values: ArrayLike, number: int, top: float) -> Array:
