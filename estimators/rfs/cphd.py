@@ -16,12 +16,12 @@ from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.birth import BirthMixture
 from servotrack.estimators.rfs.capacity import intensity_outgrew, warn_of_cap
 from servotrack.estimators.rfs.extraction import MAP, RULES, Rule, extract_intensity
-from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
+from servotrack.estimators.rfs.gaussians import Pairs, weigh_pairs
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, scratch_mixture
-from servotrack.estimators.rfs.phd import predict_intensity
+from servotrack.estimators.rfs.phd import keep_corrected, predict_intensity
 from servotrack.estimators.rfs.pmb_kernel import SMALLEST_EVIDENCE
 from servotrack.estimators.rfs.recursion import GaussianSetFilter, check_positive_definite
-from servotrack.estimators.rfs.reduction import Candidates, Components, Reduction, reduce_mixture
+from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.sets import HELD, Extraction, Scan, empty_extraction
 from servotrack.estimators.types import Array, Labels
 
@@ -247,9 +247,7 @@ def _update(  # type: ignore[no-untyped-def]
     sum_j e_j(xi) n! / (n - j - u)! <1 - p_D, v>^(n - j - u) / <1, v>^n, with xi_z = <p_D g_z, v> / kappa(z).
     `expected` receives the expected number of targets before the reduction, shape (B,).
     """
-    m, n = model.observation.shape
     z, number, clutter, excess = scan
-    innovation = np.empty(m)
     positive_definite = True
     for b in range(predicted.weight.shape[0]):
         count = predicted.number[b]
@@ -292,42 +290,12 @@ def _update(  # type: ignore[no-untyped-def]
             cardinality[b, 0] = 1.0
         for j in range(number[b]):
             unexplained[b, j] = max(1.0 - share[j] * ratio[j], 0.0)
-        weight = np.empty(count + pairs)
-        mean = np.empty((count + pairs, n + m))
-        source = np.empty(count + pairs, np.int64)
-        group = np.empty(count + pairs, np.int64)
-        label = np.empty(count + pairs, np.int64)
-        kept = 0
-        for i in range(count):
-            left = undetected * (1.0 - detection[b, i]) * predicted.weight[b, i]
-            if left > limits.prune:
-                weight[kept], source[kept], group[kept], label[kept] = left, i, -1, predicted.label[b, i]
-                mean[kept] = predicted.mean[b, i]
-                kept += 1
+        left = undetected * (1.0 - detection[b, :count]) * predicted.weight[b, :count]
         for p in range(pairs):
-            i, j = component[p], measurement[p]
-            value = share[j] * likelihood[p]
-            if value > limits.prune:
-                weight[kept], source[kept], group[kept] = value, part[p], j
-                label[kept] = predicted.label[b, i] if predicted.label[b, i] > 0 else next_label[b] + j
-                detected_mean(model, predicted.mean[b, i], gain[part[p]], z[b, j], innovation, mean[kept])
-                kept += 1
+            likelihood[p] *= share[measurement[p]]
+        seen_pairs = Pairs(component, measurement, likelihood, part, gain)
+        expected[b] = keep_corrected(model, predicted, b, z[b], seen_pairs, left, posterior, limits, next_label[b], out)
         next_label[b] += number[b]
-        expected[b] = weight[:kept].sum()
-        candidates = Candidates(weight[:kept], mean[:kept], source[:kept], group[:kept], label[:kept])
-        room = Components(out.weight[b], out.mean[b], out.covariance[b], out.detected[b], out.label[b])
-        out.number[b] = reduce_mixture(
-            model.pairwise,
-            n,
-            candidates,
-            np.arange(kept),
-            predicted.covariance[b],
-            posterior,
-            limits,
-            limits.components,
-            room,
-            0,
-        )
     return positive_definite
 
 

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.definite import LEAST_SHARE, is_definite, repair
 from servotrack.estimators.rfs.range_bearing import linearized_range_bearing, unscented_range_bearing
-from servotrack.estimators.types import Array, Mask
+from servotrack.estimators.types import Array, Labels, Mask
 
 LINEAR, EXTENDED, UNSCENTED, FUNCTION = 0, 1, 2, 3
 """Kinds of measurement: linear, range and bearing by an extended or an unscented transform, or a caller's function."""
@@ -53,6 +53,24 @@ class PackedModel(NamedTuple):
     measurement_noise: Array
     sensor: Array
     angular: Mask
+
+
+class Pairs(NamedTuple):
+    """Pairs of a component and a measurement in its gate.
+
+    Attributes:
+        component: Index of the component. Shape (P,).
+        measurement: Index of the measurement. Shape (P,).
+        likelihood: Likelihood, times p_D and the component's weight where these are known. Shape (P,).
+        part: Row of each pair in `gain` and in the posterior covariances. Shape (P,).
+        gain: Gains. Shape (parts, n, m).
+    """
+
+    component: Labels
+    measurement: Labels
+    likelihood: Array
+    part: Labels
+    gain: Array
 
 
 def pack_model(

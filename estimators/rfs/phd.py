@@ -15,7 +15,7 @@ from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.birth import BirthMixture
 from servotrack.estimators.rfs.capacity import intensity_outgrew
 from servotrack.estimators.rfs.extraction import RULES, extract_intensity
-from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
+from servotrack.estimators.rfs.gaussians import Pairs, detected_mean, weigh_pairs
 from servotrack.estimators.rfs.mixture import (
     Mixture,
     append_births,
@@ -113,9 +113,7 @@ def _update_intensity(  # type: ignore[no-untyped-def]
 
     `expected` receives the expected number of targets before the reduction, shape (B,).
     """
-    m, n = model.observation.shape
     z, number, clutter, excess = scan
-    innovation = np.empty(m)
     positive_definite = True
     for b in range(predicted.weight.shape[0]):
         count = predicted.number[b]
@@ -131,39 +129,65 @@ def _update_intensity(  # type: ignore[no-untyped-def]
             evidence[measurement[p]] += likelihood[p]
         for j in range(number[b]):
             unexplained[b, j] = clutter[b, j] / evidence[j] if evidence[j] > 0.0 else 1.0
-        weight = np.empty(count + pairs)
-        mean = np.empty((count + pairs, n + m))
-        source = np.empty(count + pairs, np.int64)
-        group = np.empty(count + pairs, np.int64)
-        label = np.empty(count + pairs, np.int64)
-        total = 0
-        for i in range(count):
-            missed = (1.0 - detection[b, i]) * predicted.weight[b, i]
-            if missed > limits.prune:
-                weight[total], source[total], group[total], label[total] = missed, i, -1, predicted.label[b, i]
-                mean[total] = predicted.mean[b, i]
-                total += 1
+        left = (1.0 - detection[b, :count]) * predicted.weight[b, :count]
         for p in range(pairs):
-            i, j = component[p], measurement[p]
-            if likelihood[p] > limits.prune * evidence[j]:
-                weight[total], source[total], group[total] = likelihood[p] / evidence[j], part[p], j
-                label[total] = predicted.label[b, i] if predicted.label[b, i] > 0 else next_label[b] + j
-                detected_mean(model, predicted.mean[b, i], gain[part[p]], z[b, j], innovation, mean[total])
-                total += 1
+            if evidence[measurement[p]] > 0.0:
+                likelihood[p] /= evidence[measurement[p]]
+        seen = Pairs(component, measurement, likelihood, part, gain)
+        expected[b] = keep_corrected(model, predicted, b, z[b], seen, left, posterior, limits, next_label[b], out)
         next_label[b] += number[b]
-        expected[b] = weight[:total].sum()
-        candidates = Candidates(weight[:total], mean[:total], source[:total], group[:total], label[:total])
-        room = Components(out.weight[b], out.mean[b], out.covariance[b], out.detected[b], out.label[b])
-        out.number[b] = reduce_mixture(
-            model.pairwise,
-            n,
-            candidates,
-            np.arange(total),
-            predicted.covariance[b],
-            posterior,
-            limits,
-            limits.components,
-            room,
-            0,
-        )
     return positive_definite
+
+
+@njit(cache=True, nogil=True)
+def keep_corrected(model, predicted, b, z, seen, left, posterior, limits, next_label, out):  # type: ignore[no-untyped-def]
+    """Write the components of run b that were missed or corrected by a measurement, reduced.
+
+    Args:
+        model: The packed model.
+        predicted: The predicted intensity, a `Mixture`.
+        b: The run.
+        z: Measurements. Shape (Z, m).
+        seen: `Pairs`, with the weights of the corrected components as their likelihoods.
+        left: Weights of the missed components. Shape (J,).
+        posterior: Covariances after a detection. Shape (parts, n, n).
+        limits: A `Limits`.
+        next_label: Identity of a component without one that the first measurement corrects.
+        out: A `Mixture` to write to.
+
+    Returns:
+        Expected number of targets before the reduction, without what is pruned.
+    """
+    m, n = model.observation.shape
+    count, pairs = left.shape[0], seen.component.shape[0]
+    weight, mean = np.empty(count + pairs), np.empty((count + pairs, n + m))
+    source, group = np.empty(count + pairs, np.int64), np.empty(count + pairs, np.int64)
+    label, innovation = np.empty(count + pairs, np.int64), np.empty(m)
+    total = 0
+    for i in range(count):
+        if left[i] > limits.prune:
+            weight[total], source[total], group[total], label[total] = left[i], i, -1, predicted.label[b, i]
+            mean[total] = predicted.mean[b, i]
+            total += 1
+    for p in range(pairs):
+        if seen.likelihood[p] > limits.prune:
+            i, j = seen.component[p], seen.measurement[p]
+            weight[total], source[total], group[total] = seen.likelihood[p], seen.part[p], j
+            label[total] = predicted.label[b, i] if predicted.label[b, i] > 0 else next_label + j
+            detected_mean(model, predicted.mean[b, i], seen.gain[seen.part[p]], z[j], innovation, mean[total])
+            total += 1
+    candidates = Candidates(weight[:total], mean[:total], source[:total], group[:total], label[:total])
+    room = Components(out.weight[b], out.mean[b], out.covariance[b], out.detected[b], out.label[b])
+    out.number[b] = reduce_mixture(
+        model.pairwise,
+        n,
+        candidates,
+        np.arange(total),
+        predicted.covariance[b],
+        posterior,
+        limits,
+        limits.components,
+        room,
+        0,
+    )
+    return weight[:total].sum()

@@ -3,35 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.bernoulli import normalize, owners_and_detection, rows_by_key
-from servotrack.estimators.rfs.gaussians import SMALLEST_LIKELIHOOD, detected_mean, weigh_pairs
+from servotrack.estimators.rfs.gaussians import SMALLEST_LIKELIHOOD, Pairs, detected_mean, weigh_pairs
 from servotrack.estimators.rfs.hypotheses import Outcomes, associate, merge_equal, select
 from servotrack.estimators.rfs.pmb_kernel import track_pairs
 from servotrack.estimators.rfs.reduction import Candidates, Components, reduce_mixture
-from servotrack.estimators.types import Array, Labels
-
-
-class Pairs(NamedTuple):
-    """Pairs of a component and a measurement in its gate.
-
-    Attributes:
-        component: Index of the component. Shape (P,).
-        measurement: Index of the measurement. Shape (P,).
-        likelihood: Likelihood, times p_D and the component's weight. Shape (P,).
-        part: Row of each pair in `gain` and in the posterior covariances. Shape (P,).
-        gain: Gains. Shape (parts, n, m).
-    """
-
-    component: Labels
-    measurement: Labels
-    likelihood: Array
-    part: Labels
-    gain: Array
 
 
 @njit(cache=True, nogil=True)
