@@ -267,7 +267,7 @@ def run_again(submission: Submission, verdict: Verdict, players: Sequence[Player
 
     Args:
         submission: The submission.
-        verdict: Its verdict, with the cells replayed.
+        verdict: Verdict of the submission, with the cells replayed.
         players: Separate runs of the agent, each with a memory of its own.
         nonce: Number of the fresh seeds.
         fresh: Fresh episodes in each cell; 0 for none.
