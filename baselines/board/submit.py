@@ -82,9 +82,7 @@ def registered_candidate(name: str, authors: str) -> Candidate:
 
     if name.partition("+")[0] not in AGENTS:
         near = difflib.get_close_matches(name, AGENTS, n=1)
-        remedy = (
-            f"did you mean {near[0]!r}?" if near else "submit agents of your own as a program (--command) or as ONNX"
-        )
+        remedy = f"did you mean {near[0]!r}?" if near else "submit agents of your own as ONNX or by --command"
         raise ValueError(f"the package has no agent {name!r}; {remedy}")
     card = agent_card(name)
     fields = {"name": name, "parameters": dict(card.parameters), "servotrack": servotrack.__version__}
