@@ -1,0 +1,162 @@
+"""Search of a structure within a budget of environment steps: races of random candidates, then of small changes.
+
+A race is sequential halving (Z. Karnin, T. Koren and O. Somekh, Almost optimal exploration in multi-armed bandits,
+ICML 2013) with thirds instead of halves: all candidates play a few episodes, the best third plays on. The first race is
+between random draws. Every further one is between the winner so far and small changes of it, on new seeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from servotrack.baselines.agents.protocol import AgentCard
+from servotrack.baselines.evaluation import seeds as seed_ranges
+from servotrack.baselines.evaluation.evaluate import run_episodes
+from servotrack.baselines.tuning.search import Measured, episode_cost
+from servotrack.baselines.tuning.structures import Structure, StructureSpace
+from servotrack.baselines.worlds import world_of_id
+from servotrack.estimators.types import Array
+
+FIRST_RACE = 0.4
+"""Share of the budget of the race between random draws."""
+FURTHER_RACES = 4
+RIVALS = 9
+"""Candidates of a further race, the winner so far included."""
+KEPT = 3
+"""One candidate of so many goes on to the next heat."""
+FIRST_RIVALS = ((3_000_000, 243), (300_000, 81), (0, 27))
+"""Random draws of the first race, by the least budget in environment steps."""
+
+
+@dataclass
+class Race:
+    """One race.
+
+    Attributes:
+        candidates: The structures.
+        costs: Mean cost of each candidate over the episodes that it played; see `episode_cost`.
+        episodes: Number of episodes that each candidate played; the same for all that reached the last heat.
+        steps: Environment steps of all its episodes.
+    """
+
+    candidates: list[Structure]
+    costs: list[float]
+    episodes: list[int]
+    steps: int
+
+    @property
+    def winner(self) -> Structure:
+        """Best candidate among those that played most."""
+        most = max(self.episodes)
+        finalists = [i for i, played in enumerate(self.episodes) if played == most]
+        return self.candidates[min(finalists, key=lambda i: self.costs[i])]
+
+
+@dataclass
+class StructureSearch:
+    """Record of a search.
+
+    Attributes:
+        races: The races in order.
+    """
+
+    races: list[Race] = field(default_factory=list)
+
+    @property
+    def chosen(self) -> Structure:
+        """Winner of the last race."""
+        return self.races[-1].winner
+
+    @property
+    def steps(self) -> int:
+        """Environment steps of all races."""
+        return sum(race.steps for race in self.races)
+
+    def as_record(self) -> list[dict[str, Any]]:
+        """Return the races as JSON can hold them: costs of all candidates, and the winner; seeds give the others."""
+        return [
+            {
+                "winner": race.winner,
+                "costs": [round(cost, 3) for cost in race.costs],
+                "episodes": race.episodes,
+                "steps": race.steps,
+            }
+            for race in self.races
+        ]
+
+
+Play = Callable[[Structure, Sequence[int]], Measured]
+"""Plays one episode of a candidate per seed."""
+
+
+def player(env_id: str, env_kwargs: Mapping[str, Any], card: Callable[[Structure], AgentCard]) -> Play:
+    """Return the function that plays candidates in one environment.
+
+    Args:
+        env_id: Gymnasium id.
+        env_kwargs: Arguments of the environment.
+        card: Returns the card of a candidate.
+    """
+    world = world_of_id(env_id)
+
+    def play(structure: Structure, seeds: Sequence[int]) -> Measured:
+        rows, _ = run_episodes(env_id, card(structure), seeds, env_kwargs)
+        return Measured(np.array([episode_cost(world, row) for row in rows]), sum(row["length"] for row in rows))
+
+    return play
+
+
+def search_structure(
+    space: StructureSpace, play: Play, budget: int, episode_steps: int, rng: np.random.Generator
+) -> StructureSearch:
+    """Search a space within a budget of environment steps, on seeds of the tune range.
+
+    Args:
+        space: The candidates. No default of a shipped agent takes part: its search would have to be counted.
+        play: Plays one episode of a candidate per seed.
+        budget: Environment steps of all episodes together. Larger budgets try more candidates on more episodes.
+        episode_steps: Steps of a full episode; episodes that end early cost less.
+        rng: Draws candidates and seeds.
+
+    Raises:
+        ValueError: A budget below one episode for each of the first candidates.
+    """
+    rivals = next(count for least, count in FIRST_RIVALS if budget >= least)
+    if FIRST_RACE * budget < 2 * rivals * episode_steps:
+        raise ValueError(
+            f"budget must be at least {int(2 * rivals * episode_steps / FIRST_RACE)} steps for episodes of "
+            f"{episode_steps} steps, got {budget}"
+        )
+    search = StructureSearch()
+    drawn = [space.draw(rng) for _ in range(rivals)]
+    search.races.append(_race(drawn, play, int(FIRST_RACE * budget), episode_steps, rng))
+    for left in range(FURTHER_RACES, 0, -1):
+        best = search.chosen
+        changed = [space.changed(best, rng) for _ in range(RIVALS - 1)]
+        share = (budget - search.steps) // left
+        if share < RIVALS * episode_steps:
+            break
+        search.races.append(_race([best, *changed], play, share, episode_steps, rng))
+    return search
+
+
+def _race(candidates: list[Structure], play: Play, budget: int, episode_steps: int, rng: np.random.Generator) -> Race:
+    """Let candidates play in heats on common seeds, of which each goes on with the best third."""
+    costs: list[Array] = [np.zeros(0) for _ in candidates]
+    heats = max(1, round(np.log(len(candidates)) / np.log(KEPT)))
+    running, steps = list(range(len(candidates))), 0
+    for left in range(heats, 0, -1):
+        count = (budget - steps) // left // (len(running) * episode_steps)
+        if count < 1:
+            break
+        seeds = (seed_ranges.TUNE.start + rng.choice(len(seed_ranges.TUNE), count, replace=False)).tolist()
+        for i in running:
+            played = play(candidates[i], seeds)
+            costs[i], steps = np.concatenate([costs[i], played.costs]), steps + played.steps
+        running = sorted(running, key=lambda i: costs[i].mean())[: max(1, len(running) // KEPT)]
+    means = [float(one.mean()) if len(one) else float("inf") for one in costs]
+    return Race(candidates, means, [len(one) for one in costs], steps)
