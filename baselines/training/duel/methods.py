@@ -42,6 +42,12 @@ def _encoding(trial: Trial, cell: Cell) -> dict[str, Any]:
     return {"kind": "servo", **({} if known == "known" else {"ages": [0.2, 1.2, 2.2]})}
 
 
+def _identified(trial: Trial, cell: Cell) -> dict[str, Any]:
+    """Return the encoding with the estimate of a shipped filter, which adds no steps to the budget."""
+    names = ["lifted-kf", "latency-bank-lifted-kf"]
+    return {**_encoding(trial, cell), "identifier": trial.suggest_categorical("identifier", names)}
+
+
 def _raw(trial: Trial) -> dict[str, Any]:
     """Return the last observations as they are, scaled by the bounds of their space."""
     return {"kind": "flat", "frames": trial.suggest_categorical("frames", [2, 4, 8])}
@@ -141,6 +147,11 @@ LEARNED: Mapping[str, LearnedMethod] = {
         "PPO on the last raw observations, settings searched",
         "observations",
         _ppo(lambda trial, cell: _raw(trial), "ppo-raw"),
+    ),
+    "ppo-identified": LearnedMethod(
+        "PPO on the encoded image error and a lifted Kalman filter's estimate, settings searched",
+        "observations",
+        _ppo(_identified, "ppo-identified"),
     ),
     "recurrent-ppo": LearnedMethod("recurrent PPO on raw observations, settings searched", "observations", _recurrent),
     "sac": LearnedMethod("SAC on the encoded image error, settings searched", "observations", _off_policy("sac")),
