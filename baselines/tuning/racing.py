@@ -7,17 +7,22 @@ between random draws. Every further one is between the winner so far and small c
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from servotrack.baselines.agents.protocol import AgentCard
 from servotrack.baselines.evaluation import seeds as seed_ranges
-from servotrack.baselines.evaluation.evaluate import run_episodes
+from servotrack.baselines.evaluation.episodes import full_episode_steps
+from servotrack.baselines.evaluation.evaluate import make_vector, run_episodes
+from servotrack.baselines.evaluation.provenance import provenance
+from servotrack.baselines.reporting.files import atomic_path
 from servotrack.baselines.tuning.search import Measured, episode_cost
-from servotrack.baselines.tuning.structures import Structure, StructureSpace
+from servotrack.baselines.tuning.structures import Structure, StructureSpace, structures_for
 from servotrack.baselines.worlds import world_of_id
 from servotrack.estimators.types import Array
 
@@ -110,6 +115,40 @@ def player(env_id: str, env_kwargs: Mapping[str, Any], card: Callable[[Structure
     return play
 
 
+def search_cell(
+    env_id: str, level: int, budget: int, run: int = 0, on_episodes: Callable[[int], None] = lambda steps: None
+) -> StructureSearch:
+    """Search the structure of a classical agent for one world and level.
+
+    Args:
+        env_id: Gymnasium id; see `structures_for`.
+        level: Level of the environment.
+        budget: Environment steps of all episodes together.
+        run: Number of the run; candidates and seeds derive from it.
+        on_episodes: Called with the environment steps taken so far.
+
+    Raises:
+        ValueError: A world without a search space, or a budget that is too small.
+    """
+    space, env_kwargs = structures_for(env_id), {"level": level}
+    env = make_vector(env_id, 1, env_kwargs, privileged=False)
+    try:
+        episode_steps = full_episode_steps(env)
+    finally:
+        env.close()
+    assert episode_steps is not None, "worlds with a search space have a limit of steps"
+    inner, taken = player(env_id, env_kwargs, space.card), 0
+
+    def play(structure: Structure, seeds: Sequence[int]) -> Measured:
+        nonlocal taken
+        played = inner(structure, seeds)
+        taken += played.steps
+        on_episodes(taken)
+        return played
+
+    return search_structure(space, play, budget, episode_steps, np.random.default_rng([run, level, budget]))
+
+
 def search_structure(
     space: StructureSpace, play: Play, budget: int, episode_steps: int, rng: np.random.Generator
 ) -> StructureSearch:
@@ -160,3 +199,22 @@ def _race(candidates: list[Structure], play: Play, budget: int, episode_steps: i
         running = sorted(running, key=lambda i: costs[i].mean())[: max(1, len(running) // KEPT)]
     means = [float(one.mean()) if len(one) else float("inf") for one in costs]
     return Race(candidates, means, [len(one) for one in costs], steps)
+
+
+def write_search(search: StructureSearch, path: Path, arguments: Mapping[str, Any]) -> None:
+    """Write a search as JSON: `chosen`, `steps`, `races`, arguments and provenance.
+
+    Args:
+        search: The search.
+        path: File to write.
+        arguments: Arguments of the search.
+
+    Raises:
+        StorageError: The file cannot be written.
+    """
+    document = {
+        "format": "servotrack-structure", "format_version": 1, "arguments": dict(arguments), "steps": search.steps,
+        "chosen": search.chosen, "races": search.as_record(), "provenance": provenance(),
+    }  # fmt: skip
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")

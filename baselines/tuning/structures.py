@@ -12,6 +12,7 @@ import numpy as np
 from servotrack.baselines.agents.protocol import AgentCard
 from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.tuning.families import family_of
+from servotrack.baselines.worlds import world_of_id
 
 Structure = dict[str, Any]
 """Description of a candidate, as JSON can hold it."""
@@ -221,3 +222,24 @@ class GridStructures:
         """Return the agent's card with other values; see `StructureSpace.card`."""
         card = family_of(structure["agent"], self.env_id).insert(agent_card(structure["agent"]), structure["values"])
         return replace(card, name="structured")
+
+
+FOLLOWERS = ("phd-servo", "crowd-servo")
+"""Classical agents that follow one person of many; their hyper-parameters have grids."""
+
+
+def structures_for(env_id: str) -> StructureSpace:
+    """Return the search space of classical agents in a world.
+
+    Args:
+        env_id: Gymnasium id.
+
+    Raises:
+        ValueError: A world without one.
+    """
+    kind = world_of_id(env_id).kind
+    if kind == "servo":
+        return ServoStructures()
+    if kind == "follow":
+        return GridStructures(env_id, FOLLOWERS)
+    raise ValueError(f"env_id must be that of a planar servo or of the follow world, got {env_id!r}")

@@ -8,19 +8,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.training.duel.cells import Cell
 from servotrack.baselines.training.duel.learned import train_within
 from servotrack.baselines.training.duel.methods import CLASSICAL, LEARNED, REFERENCES
 from servotrack.baselines.training.duel.rows import DuelRow, path_of, save
-from servotrack.baselines.tuning.racing import player, search_structure
-from servotrack.baselines.tuning.structures import GridStructures, ServoStructures, StructureSpace
-
-FOLLOWERS = ("phd-servo", "crowd-servo")
-"""Classical agents that follow one person of many; their hyper-parameters have grids."""
+from servotrack.baselines.tuning.racing import search_cell
+from servotrack.baselines.tuning.structures import structures_for
 
 
 @dataclass(frozen=True)
@@ -99,11 +94,8 @@ def run_row(cell: Cell, method: str, budget: int, run: int, folder: Path) -> Due
         agent = agent_card(method)
         information = agent.information
     elif method == CLASSICAL:
-        space = structures_of(cell)
-        play = player(cell.env_id, cell.env_kwargs, space.card)
-        rng = np.random.default_rng([run, cell.level, budget])
-        found = search_structure(space, play, budget, cell.episode_steps, rng)
-        agent, search, chosen = space.card(found.chosen), found.as_record(), found.chosen
+        found = search_cell(cell.env_id, cell.level, budget, run)
+        agent, search, chosen = structures_for(cell.env_id).card(found.chosen), found.as_record(), found.chosen
         steps = {"search": found.steps, "training": 0}
     else:
         trained = train_within(LEARNED[method], cell, budget, run, folder)
@@ -116,19 +108,6 @@ def run_row(cell: Cell, method: str, budget: int, run: int, folder: Path) -> Due
     )  # fmt: skip
     shutil.rmtree(folder, ignore_errors=True)
     return row
-
-
-def structures_of(cell: Cell) -> StructureSpace:
-    """Return the search space of the classical method in a cell.
-
-    Raises:
-        ValueError: A world without one.
-    """
-    if cell.world.kind == "servo":
-        return ServoStructures()
-    if cell.world.kind == "follow":
-        return GridStructures(cell.env_id, FOLLOWERS)
-    raise ValueError(f"the classical method needs a servo or a follow world, got {cell.env_id}")
 
 
 def cells_of(texts: Sequence[str]) -> tuple[Cell, ...]:
