@@ -162,12 +162,13 @@ def search_structure(
         rng: Draws candidates and seeds.
 
     Raises:
-        ValueError: A budget below one episode for each of the first candidates.
+        ValueError: A budget too small for the first race.
     """
     rivals = next(count for least, count in FIRST_RIVALS if budget >= least)
-    if FIRST_RACE * budget < 2 * rivals * episode_steps:
+    least = _least_race(rivals, episode_steps)
+    if int(FIRST_RACE * budget) < least:
         raise ValueError(
-            f"budget must be at least {int(2 * rivals * episode_steps / FIRST_RACE)} steps for episodes of "
+            f"budget must be at least {int(np.ceil(least / FIRST_RACE))} environment steps, for episodes of "
             f"{episode_steps} steps, got {budget}"
         )
     search = StructureSearch()
@@ -177,7 +178,7 @@ def search_structure(
         best = search.chosen
         changed = [space.changed(best, rng) for _ in range(RIVALS - 1)]
         share = (budget - search.steps) // left
-        if share < RIVALS * episode_steps:
+        if share < _least_race(RIVALS, episode_steps):
             break
         search.races.append(_race([best, *changed], play, share, episode_steps, rng))
     return search
@@ -186,19 +187,25 @@ def search_structure(
 def _race(candidates: list[Structure], play: Play, budget: int, episode_steps: int, rng: np.random.Generator) -> Race:
     """Let candidates play in heats on common seeds, of which each goes on with the best third."""
     costs: list[Array] = [np.zeros(0) for _ in candidates]
-    heats = max(1, round(np.log(len(candidates)) / np.log(KEPT)))
     running, steps = list(range(len(candidates))), 0
-    for left in range(heats, 0, -1):
+    for left in range(_heats(len(candidates)), 0, -1):
         count = (budget - steps) // left // (len(running) * episode_steps)
-        if count < 1:
-            break
         seeds = (seed_ranges.TUNE.start + rng.choice(len(seed_ranges.TUNE), count, replace=False)).tolist()
         for i in running:
             played = play(candidates[i], seeds)
             costs[i], steps = np.concatenate([costs[i], played.costs]), steps + played.steps
         running = sorted(running, key=lambda i: costs[i].mean())[: max(1, len(running) // KEPT)]
-    means = [float(one.mean()) if len(one) else float("inf") for one in costs]
-    return Race(candidates, means, [len(one) for one in costs], steps)
+    return Race(candidates, [float(one.mean()) for one in costs], [len(one) for one in costs], steps)
+
+
+def _heats(candidates: int) -> int:
+    """Return the number of heats that leave one candidate, each with the best third of the one before."""
+    return max(1, round(np.log(candidates) / np.log(KEPT)))
+
+
+def _least_race(candidates: int, episode_steps: int) -> int:
+    """Return the steps of the smallest race: each heat has those of one episode of every candidate."""
+    return _heats(candidates) * candidates * episode_steps
 
 
 def write_search(search: StructureSearch, path: Path, arguments: Mapping[str, Any]) -> None:
