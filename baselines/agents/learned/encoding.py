@@ -272,6 +272,7 @@ class Identified(PlainAnswers):
         own, row = self.encoding.step(memory.own, observation, action)
         controller, measurement = self.servo.controller, servo_measurement(observation)
         state, estimate = controller.estimator.step(memory.estimator, measurement)  # type: ignore[arg-type]
+        assert controller.law is not None, "servos of the catalog have a law of their own"
         period, jacobian = controller.law.period, estimate.jacobian
         inverse = damped_inverse(jacobian[..., :-1], IDENTIFIED_DAMPING)
         motion = -np.einsum("...ij,...j->...i", inverse, estimate.predict_error(np.zeros(inverse.shape[:-1]), period))

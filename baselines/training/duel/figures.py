@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -67,7 +68,7 @@ def draw_budgets(entries: Sequence[Entry], path: Path) -> None:
                 axes.set_ylim(-0.05 if row else min(-0.05, axes.get_ylim()[0]), 1.05 if row else None)
         grid[0, 0].set_ylabel("score")
         grid[1, 0].set_ylabel("success")
-        shown: dict[str, object] = {}
+        shown: dict[str, Any] = {}
         for axes in grid.flat:
             for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
                 shown.setdefault(label, handle)
