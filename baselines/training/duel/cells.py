@@ -34,7 +34,7 @@ class Cell:
 
     Attributes:
         env_id: Gymnasium id.
-        level: Its level.
+        level: Level of the world.
     """
 
     env_id: str

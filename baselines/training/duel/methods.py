@@ -12,7 +12,7 @@ from servotrack.baselines.training.duel.cells import Cell
 from servotrack.baselines.training.settings import TrainingSettings, load_settings
 
 Information = Literal["observations", "simulator"]
-"""What a method sees while it is trained or tuned: observations and scores; or also the simulator's state."""
+"""Data that a method sees while it is trained or tuned: observations and scores; or also the simulator's state."""
 
 Suggest = Callable[[Trial, Cell], TrainingSettings]
 
@@ -23,7 +23,7 @@ class LearnedMethod:
 
     Attributes:
         summary: One line.
-        information: What it sees in training. When it acts, every method sees observations only.
+        information: Data that it sees in training. When it acts, every method sees observations only.
         suggest: Settings of one trial of the search; `n_timesteps` is set by the budget.
         fixed: True for settings that are not searched: the whole budget goes into training.
     """

@@ -21,7 +21,7 @@ class DuelRow:
         env_id: Gymnasium id.
         level: Level.
         method: Name of the method, or of a reference agent.
-        information: What the method sees in training.
+        information: Data that the method sees in training.
         budget: Environment steps that it may take; 0 for a reference agent.
         run: Number of the run.
         steps: Environment steps taken: `search` and `training`.

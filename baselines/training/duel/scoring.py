@@ -21,7 +21,7 @@ class Entry:
     Attributes:
         cell: The cell.
         method: Name of the method.
-        information: What the method sees in training.
+        information: Data that the method sees in training.
         budget: Environment steps of each run; 0 for a reference agent.
         scores: Scores, shape (N, K).
         successes: 1 for a successful episode, shape (N, K).
