@@ -13,7 +13,7 @@ from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.reporting.embed import embed
 from servotrack.baselines.running.stopping import program
 from servotrack.baselines.training.duel.figures import draw_budgets, draw_profiles
-from servotrack.baselines.training.duel.methods import CLASSICAL, LEARNED, REFERENCES
+from servotrack.baselines.training.duel.methods import CLASSICAL, LEARNED, SHIPPED
 from servotrack.baselines.training.duel.report import markdown, trained_entries
 from servotrack.baselines.training.duel.rows import load_rows
 from servotrack.baselines.training.duel.running import DuelPlan, cells_of, run_duel
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     run = commands.add_parser("run", help="run the rows that the folder does not hold yet")
     run.add_argument("folder", type=Path, help="folder of rows")
     run.add_argument("--cells", nargs="+", default=list(CELLS), metavar="ID:LEVEL")
-    run.add_argument("--methods", nargs="+", default=[*REFERENCES, CLASSICAL, *LEARNED])
+    run.add_argument("--methods", nargs="+", default=[*sorted(SHIPPED), CLASSICAL, *LEARNED])
     run.add_argument("--budgets", nargs="+", type=int, default=list(BUDGETS), metavar="STEPS")
     run.add_argument("--runs", type=int, default=10, help="number of runs (default 10)")
     report = commands.add_parser("report", help="write tables and figures from the rows")

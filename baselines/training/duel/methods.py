@@ -26,12 +26,14 @@ class LearnedMethod:
         information: Data that it sees in training. When it acts, every method sees observations only.
         suggest: Settings of one trial of the search; `n_timesteps` is set by the budget.
         fixed: True for settings that are not searched: the whole budget goes into training.
+        worlds: Kinds of worlds that the method supports.
     """
 
     summary: str
     information: Information
     suggest: Suggest
     fixed: bool = False
+    worlds: frozenset[str] = frozenset({"servo"})
 
 
 def _encoding(trial: Trial, cell: Cell) -> dict[str, Any]:
@@ -131,17 +133,21 @@ def _student(trial: Trial, cell: Cell) -> TrainingSettings:
     return TrainingSettings("student", "student", n_envs=16, encoding=encoding, hyper_parameters=numbers)
 
 
-def _shipped(recipe: str) -> Suggest:
-    return lambda trial, cell: load_settings(cell.env_id, recipe, cell.level)
+def _shipped(trial: Trial, cell: Cell) -> TrainingSettings:
+    return load_settings(cell.env_id, "follower" if cell.world.kind == "follow" else "ppo", cell.level)
 
 
 CLASSICAL = "classical"
 """Name of the classical method: `search_structure` over filters, target models, ages, law and probing."""
 
+_BOTH = frozenset({"servo", "follow"})
+
 LEARNED: Mapping[str, LearnedMethod] = {
-    "ppo": LearnedMethod("PPO on the encoded image error, settings searched", "observations", _ppo(_encoding, "ppo")),
+    "ppo": LearnedMethod(
+        "PPO on the encoded image error, settings searched", "observations", _ppo(_encoding, "ppo"), worlds=_BOTH
+    ),
     "ppo-fixed": LearnedMethod(
-        "PPO on the encoded image error with the package's settings", "observations", _shipped("ppo"), fixed=True
+        "PPO on the encoded image error with the package's settings", "observations", _shipped, True, _BOTH
     ),
     "ppo-raw": LearnedMethod(
         "PPO on the last raw observations, settings searched",
@@ -162,5 +168,18 @@ LEARNED: Mapping[str, LearnedMethod] = {
 }
 """Learned methods by name."""
 
-REFERENCES = ("random", "oracle", "kf", "latency-bank-lifted-kf", "latency-bank-agile-kf")
-"""Agents as shipped, without any budget in the cell; the first two are the anchors of the score."""
+REFERENCES: Mapping[str, tuple[str, ...]] = {
+    "servo": ("random", "oracle", "kf", "latency-bank-lifted-kf", "latency-bank-agile-kf"),
+    "follow": ("random", "phd-servo", "crowd-servo"),
+}
+"""Agents as shipped, without any budget in the cell, by kind of world; the anchors of the score are among them."""
+SHIPPED = frozenset().union(*REFERENCES.values())
+"""Names of all agents of `REFERENCES`."""
+
+
+def supports(method: str, cell: Cell) -> bool:
+    """Return True if a method or a reference agent takes part in a cell."""
+    kind = cell.world.kind
+    if method in LEARNED:
+        return kind in LEARNED[method].worlds
+    return method == CLASSICAL or method in REFERENCES.get(kind, ())

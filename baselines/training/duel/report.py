@@ -16,7 +16,7 @@ from servotrack.baselines.evaluation.statistics import (
 )
 from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.training.comparison import MIN_RUNS
-from servotrack.baselines.training.duel.methods import CLASSICAL, REFERENCES
+from servotrack.baselines.training.duel.methods import CLASSICAL, SHIPPED
 from servotrack.baselines.training.duel.scoring import Entry
 
 
@@ -194,4 +194,4 @@ def _steps(budget: int) -> str:
 
 def trained_entries(entries: Sequence[Entry]) -> list[Entry]:
     """Return the entries that have a budget."""
-    return [entry for entry in entries if entry.method not in REFERENCES]
+    return [entry for entry in entries if entry.method not in SHIPPED]

@@ -12,7 +12,7 @@ from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.training.duel.cells import Cell
 from servotrack.baselines.training.duel.learned import train_within
-from servotrack.baselines.training.duel.methods import CLASSICAL, LEARNED, REFERENCES
+from servotrack.baselines.training.duel.methods import CLASSICAL, LEARNED, SHIPPED, supports
 from servotrack.baselines.training.duel.rows import DuelRow, path_of, save
 from servotrack.baselines.tuning.racing import search_cell
 from servotrack.baselines.tuning.structures import structures_for
@@ -24,7 +24,7 @@ class DuelPlan:
 
     Attributes:
         cells: The cells.
-        methods: Names of methods: `CLASSICAL`, a key of `LEARNED`, or an agent of `REFERENCES`.
+        methods: Names of methods: `CLASSICAL`, a key of `LEARNED`, or one of `SHIPPED`.
         budgets: Environment steps of each run, search included.
         runs: Numbers of the runs. Reference agents have one, number 0.
     """
@@ -36,7 +36,7 @@ class DuelPlan:
 
     def __post_init__(self) -> None:
         """Check names and numbers."""
-        known = (CLASSICAL, *LEARNED, *REFERENCES)
+        known = (CLASSICAL, *LEARNED, *sorted(SHIPPED))
         if strange := [name for name in self.methods if name not in known]:
             raise ValueError(f"methods must be of {', '.join(known)}, got {strange[0]!r}")
         for name, values, least in (("budgets", self.budgets, 1), ("runs", self.runs, 0)):
@@ -44,15 +44,24 @@ class DuelPlan:
                 raise ValueError(f"{name} must be whole numbers >= {least}, at least one, got {values}")
 
     def rows(self) -> list[tuple[Cell, str, int, int]]:
-        """Return cell, method, budget and run of each row: references first, then run by run, small budgets first."""
-        shipped = [(cell, name, 0, 0) for cell in self.cells for name in self.methods if name in REFERENCES]
-        trained = [name for name in self.methods if name not in REFERENCES]
+        """Return cell, method, budget and run of each row: references first, then run by run, small budgets first.
+
+        Methods that do not support a cell are left out there.
+        """
+        shipped = [
+            (cell, name, 0, 0)
+            for cell in self.cells
+            for name in self.methods
+            if name in SHIPPED and supports(name, cell)
+        ]
+        trained = [name for name in self.methods if name not in SHIPPED]
         return shipped + [
             (cell, name, budget, run)
             for run in self.runs
             for budget in sorted(self.budgets)
             for cell in self.cells
             for name in trained
+            if supports(name, cell)
         ]
 
 
@@ -90,7 +99,7 @@ def run_row(cell: Cell, method: str, budget: int, run: int, folder: Path) -> Due
     """
     origin, begin = provenance(), time.process_time()
     information, search, chosen, steps = "observations", [], {}, {"search": 0, "training": 0}
-    if method in REFERENCES:
+    if method in SHIPPED:
         agent = agent_card(method)
         information = agent.information
     elif method == CLASSICAL:

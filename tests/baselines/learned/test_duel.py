@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -78,7 +79,7 @@ def test_finished_rows_are_kept(tmp_path: Path, few_episodes: None) -> None:
         ({"runs": (-1,)}, "runs must be"),
     ],
 )
-def test_a_bad_plan_is_refused(changes: dict, text: str) -> None:
+def test_a_bad_plan_is_refused(changes: dict[str, Any], text: str) -> None:
     good = DuelPlan((REACH,), ("random",), (1000,), (0,))
     with pytest.raises(ValueError, match=text):
         replace(good, **changes)
@@ -174,3 +175,12 @@ def test_a_cell_without_anchors_has_no_scores(rows: Path) -> None:
 def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ResultsError, match="holds no rows of a duel"):
         load_rows(tmp_path)
+
+
+def test_methods_take_part_where_they_are_supported() -> None:
+    follow = cells.Cell("PedestrianServo-v0", 2)
+    plan = DuelPlan((REACH, follow), ("oracle", "phd-servo", CLASSICAL, "ppo", "student"), (1000,), (0,))
+    assert [(cell.env_id == REACH.env_id, method) for cell, method, _, _ in plan.rows()] == [
+        (True, "oracle"), (False, "phd-servo"),
+        (True, CLASSICAL), (True, "ppo"), (True, "student"), (False, CLASSICAL), (False, "ppo"),
+    ]  # fmt: skip
