@@ -10,11 +10,12 @@ import numpy as np
 
 from servotrack.baselines.evaluation.statistics import crossed_mean, performance_profile
 from servotrack.baselines.reporting.figure import STYLE, save_figure
-from servotrack.baselines.training.duel.methods import CLASSICAL, LEARNED
+from servotrack.baselines.training.duel.methods import CLASSICAL, LEARNED, SHIPPED_PREFIX
 from servotrack.baselines.training.duel.scoring import Entry
 
 _COLORS = ("#222222", "#1f8a70", "#7bc8b4", "#c8553d", "#e3a18f", "#3d6cb9", "#8a5fb0", "#b08d2f", "#777777")
 _MARKERS = "osD^v<>P"
+_ANCHORS = ("random", "oracle")
 
 
 def _look(method: str) -> tuple[str, str]:
@@ -53,13 +54,21 @@ def draw_budgets(entries: Sequence[Entry], path: Path) -> None:
                         steps, values, np.maximum(ends, 0.0), color=color, marker=marker, markersize=4, linewidth=1.2,
                         elinewidth=0.8, capsize=2, label=method,
                     )  # fmt: skip
-                shipped = [e for e in here if not e.budget and e.method not in ("random", "oracle", "kf")]
-                if shipped:
-                    best = max(shipped, key=lambda entry: float(getattr(entry, part).mean()))
-                    value = float(getattr(best, part).mean())
-                    axes.axhline(
-                        value, color="#999999", linestyle="--", linewidth=0.9, label=f"as shipped: {best.method}"
-                    )
+                for learned, dashes in ((False, "--"), (True, ":")):
+                    shipped = [
+                        entry
+                        for entry in here
+                        if not entry.budget
+                        and entry.method not in _ANCHORS
+                        and entry.method.startswith(SHIPPED_PREFIX) == learned
+                    ]
+                    if shipped:
+                        best = max(shipped, key=lambda entry: float(getattr(entry, part).mean()))
+                        name = best.method.removeprefix(SHIPPED_PREFIX)
+                        value = float(getattr(best, part).mean())
+                        axes.axhline(
+                            value, color="#999999", linestyle=dashes, linewidth=0.9, label=f"as shipped: {name}"
+                        )
                 axes.set_xscale("log")
                 if row == 0:
                     axes.set_title(f"{cell.env_id}, {cell.level}")

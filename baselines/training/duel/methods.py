@@ -8,6 +8,8 @@ from typing import Any, Literal
 
 from optuna.trial import Trial
 
+from servotrack.baselines.agents.protocol import AgentCard
+from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.training.duel.cells import Cell
 from servotrack.baselines.training.settings import TrainingSettings, load_settings
 
@@ -169,11 +171,20 @@ LEARNED: Mapping[str, LearnedMethod] = {
 """Learned methods by name."""
 
 REFERENCES: Mapping[str, tuple[str, ...]] = {
-    "servo": ("random", "oracle", "kf", "latency-bank-lifted-kf", "latency-bank-agile-kf"),
-    "follow": ("random", "phd-servo", "crowd-servo"),
+    "servo": (
+        "random",
+        "oracle",
+        "kf",
+        "latency-bank-lifted-kf",
+        "latency-bank-agile-kf",
+        "shipped-ppo",
+        "shipped-hybrid",
+    ),
+    "follow": ("random", "phd-servo", "crowd-servo", "shipped-follower"),
 }
-"""Agents as shipped, without any budget in the cell, by kind of world; the anchors of the score are among them."""
-SHIPPED = frozenset().union(*REFERENCES.values())
+"""Agents as shipped, without a budget in the cell, by kind of world; the anchors of the score are among them."""
+SHIPPED_PREFIX = "shipped-"
+SHIPPED = frozenset(name for names in REFERENCES.values() for name in names)
 """Names of all agents of `REFERENCES`."""
 
 
@@ -182,4 +193,12 @@ def supports(method: str, cell: Cell) -> bool:
     kind = cell.world.kind
     if method in LEARNED:
         return kind in LEARNED[method].worlds
-    return method == CLASSICAL or method in REFERENCES.get(kind, ())
+    if method not in SHIPPED:
+        return method == CLASSICAL
+    trained_in = shipped_card(method).trained_in
+    return method in REFERENCES.get(kind, ()) and (trained_in is None or cell.title in trained_in)
+
+
+def shipped_card(name: str) -> AgentCard:
+    """Return the card of a reference agent, whose name says `shipped-` where a method has the same name."""
+    return agent_card(name.removeprefix(SHIPPED_PREFIX))

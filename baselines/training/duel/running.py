@@ -8,11 +8,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.training.duel.cells import Cell
 from servotrack.baselines.training.duel.learned import train_within
-from servotrack.baselines.training.duel.methods import CLASSICAL, LEARNED, SHIPPED, supports
+from servotrack.baselines.training.duel.methods import CLASSICAL, LEARNED, SHIPPED, shipped_card, supports
 from servotrack.baselines.training.duel.rows import DuelRow, path_of, save
 from servotrack.baselines.tuning.racing import search_cell
 from servotrack.baselines.tuning.structures import structures_for
@@ -100,7 +99,7 @@ def run_row(cell: Cell, method: str, budget: int, run: int, folder: Path) -> Due
     origin, begin = provenance(), time.process_time()
     information, search, chosen, steps = "observations", [], {}, {"search": 0, "training": 0}
     if method in SHIPPED:
-        agent = agent_card(method)
+        agent = shipped_card(method)
         information = agent.information
     elif method == CLASSICAL:
         found = search_cell(cell.env_id, cell.level, budget, run)
