@@ -13,7 +13,7 @@ from servotrack.baselines.reporting.figure import STYLE, save_figure
 from servotrack.baselines.training.duel.methods import CLASSICAL, LEARNED, SHIPPED_PREFIX
 from servotrack.baselines.training.duel.scoring import Entry
 
-_COLORS = ("#222222", "#1f8a70", "#7bc8b4", "#c8553d", "#e3a18f", "#3d6cb9", "#8a5fb0", "#b08d2f", "#777777")
+_COLORS = ("#222222", "#1f8a70", "#7bc8b4", "#c8553d", "#e3a18f", "#3d6cb9", "#8a5fb0", "#b08d2f", "#d14f9a")
 _MARKERS = "osD^v<>P"
 _ANCHORS = ("random", "oracle")
 
@@ -36,6 +36,7 @@ def draw_budgets(entries: Sequence[Entry], path: Path) -> None:
     from matplotlib.figure import Figure
 
     cells = sorted({entry.cell for entry in entries}, key=lambda cell: (cell.env_id, cell.level))
+    budgets = [entry.budget for entry in entries if entry.budget]
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(2.5 * len(cells) + 0.6, 4.6), layout="constrained")
         grid = figure.subplots(2, len(cells), squeeze=False, sharex="col")
@@ -64,14 +65,13 @@ def draw_budgets(entries: Sequence[Entry], path: Path) -> None:
                     ]
                     if shipped:
                         best = max(shipped, key=lambda entry: float(getattr(entry, part).mean()))
-                        name = best.method.removeprefix(SHIPPED_PREFIX)
                         value = float(getattr(best, part).mean())
-                        axes.axhline(
-                            value, color="#999999", linestyle=dashes, linewidth=0.9, label=f"as shipped: {name}"
-                        )
+                        label = f"best {'learned' if learned else 'classical'} agent as shipped"
+                        axes.axhline(value, color="#999999", linestyle=dashes, linewidth=0.9, label=label)
                 axes.set_xscale("log")
+                axes.set_xlim(0.7 * min(budgets), 1.4 * max(budgets))
                 if row == 0:
-                    axes.set_title(f"{cell.env_id}, {cell.level}")
+                    axes.set_title(f"{cell.env_id}\nlevel {cell.level}")
                 else:
                     axes.set_xlabel("environment steps")
                 axes.set_ylim(-0.05 if row else min(-0.05, axes.get_ylim()[0]), 1.05 if row else None)
