@@ -37,7 +37,7 @@ class EpisodeRecorder:
     def __init__(self, seeds: Sequence[int], env: Any, observation: Any) -> None:
         self._seeds = list(seeds)
         rows = len(self._seeds)
-        self.max_steps = _max_steps(env)
+        self.max_steps = full_episode_steps(env)
         self.ended: Mask = np.zeros(rows, dtype=bool)
         self._alive: Mask = np.ones(rows, dtype=bool)
         self._returns = np.zeros(rows)
@@ -84,8 +84,8 @@ def _final_success(info: Mapping[str, Any], row: int) -> bool | None:
     return None
 
 
-def _max_steps(env: Any) -> int | None:
-    """Steps of a full episode: those that the environment says, or those that the id was registered with."""
+def full_episode_steps(env: Any) -> int | None:
+    """Return the steps of a full episode: those that the environment says, or those of its registration."""
     if (declared := getattr(env.unwrapped, "episode_steps", None)) is not None:
         return int(declared)
     own = None if env.spec is None else env.spec.max_episode_steps

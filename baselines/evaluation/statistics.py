@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from servotrack.estimators.types import Array
@@ -130,6 +130,116 @@ def crossed_difference(
     chosen_episodes = rng.integers(b.size, size=(resamples, b.size))
     means = np.array([difference[r][:, e].mean() for r, e in zip(chosen_runs, chosen_episodes, strict=True)])
     return _percentiles(means, float(difference.mean()), confidence)
+
+
+def _runs(values: ArrayLike, name: str) -> Array:
+    runs = np.asarray(values, dtype=np.float64)
+    if runs.ndim != 2 or runs.size == 0 or not np.isfinite(runs).all():
+        raise ValueError(
+            f"{name} must have shape (runs, episodes), not empty and finite, got {runs.shape}; give one row per run"
+        )
+    return runs
+
+
+def _drawn_runs(count: int, resamples: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Share of each run in each resample, shape (resamples, count)."""
+    return rng.multinomial(count, np.full(count, 1.0 / count), size=resamples) / count
+
+
+def crossed_mean(values: ArrayLike, confidence: float = 0.95, resamples: int = RESAMPLES) -> Interval:
+    """Mean over training runs and episodes; the bootstrap resamples both, crossed.
+
+    Args:
+        values: One number per training run and episode. Shape (runs, k). With one run only episodes are resampled.
+        confidence: Confidence of the percentile interval.
+        resamples: Number of bootstrap resamples.
+
+    Raises:
+        ValueError: Another shape, empty or not finite.
+    """
+    runs = _runs(values, "values")
+    rng = np.random.default_rng(RESAMPLING_SEED)
+    weights = _drawn_runs(len(runs), resamples, rng)
+    episodes = _drawn_runs(runs.shape[1], resamples, rng)
+    means = ((weights @ runs) * episodes).sum(axis=1)
+    return _percentiles(means, float(runs.mean()), confidence)
+
+
+def crossed_methods_difference(
+    values: ArrayLike, reference: ArrayLike, confidence: float = 0.95, resamples: int = RESAMPLES
+) -> Interval:
+    """Mean of one method minus that of another, both over training runs and episodes; both are resampled, crossed.
+
+    Runs are resampled for each method by itself, episodes for both together, because they are the same seeds.
+
+    Args:
+        values: One number per run and episode. Shape (runs, k).
+        reference: The same of the other method, with any number of runs. Shape (other runs, k).
+        confidence: Confidence of the percentile interval.
+        resamples: Number of bootstrap resamples.
+
+    Raises:
+        ValueError: Other shapes, empty or not finite.
+    """
+    a, b = _runs(values, "values"), _runs(reference, "reference")
+    if a.shape[1] != b.shape[1]:
+        raise ValueError(f"values and reference must be paired by seed, got {a.shape[1]} and {b.shape[1]} episodes")
+    rng = np.random.default_rng(RESAMPLING_SEED)
+    means = _drawn_runs(len(a), resamples, rng) @ a - _drawn_runs(len(b), resamples, rng) @ b
+    episodes = _drawn_runs(a.shape[1], resamples, rng)
+    return _percentiles((means * episodes).sum(axis=1), float(a.mean() - b.mean()), confidence)
+
+
+def probability_of_improvement(
+    tasks: Sequence[ArrayLike], references: Sequence[ArrayLike], confidence: float = 0.95, resamples: int = RESAMPLES
+) -> Interval:
+    """Probability that a run of one method beats a run of another, mean over tasks; ties count one half.
+
+    Source: R. Agarwal et al., Deep reinforcement learning at the edge of the statistical precipice, NeurIPS 2021. The
+    bootstrap resamples the runs of each method inside each task.
+
+    Args:
+        tasks: Scores of the runs, one array per task; larger is better.
+        references: The same of the other method, for the same tasks.
+        confidence: Confidence of the percentile interval.
+        resamples: Number of bootstrap resamples.
+
+    Raises:
+        ValueError: No tasks, different numbers of tasks, or scores that are not finite.
+    """
+    if not tasks or len(tasks) != len(references):
+        raise ValueError(f"tasks and references must be as many, at least one, got {len(tasks)} and {len(references)}")
+    rng, value, estimates = np.random.default_rng(RESAMPLING_SEED), 0.0, np.zeros(resamples)
+    for i, (task, reference) in enumerate(zip(tasks, references, strict=True)):
+        a, b = _sample(task, f"tasks[{i}]"), _sample(reference, f"references[{i}]")
+        wins = (a[:, None] > b).astype(np.float64) + 0.5 * (a[:, None] == b)
+        weights = _drawn_runs(len(a), resamples, rng)[:, None] @ wins @ _drawn_runs(len(b), resamples, rng)[..., None]
+        value, estimates = value + float(wins.mean()), estimates + weights[:, 0, 0]
+    return _percentiles(estimates / len(tasks), value / len(tasks), confidence)
+
+
+def performance_profile(tasks: Sequence[ArrayLike], thresholds: ArrayLike) -> Array:
+    """Share of runs and episodes whose score is above each threshold, mean over tasks.
+
+    Source: E. Dolan and J. More, Benchmarking optimization software with performance profiles, 2002; for scores as in
+    R. Agarwal et al., NeurIPS 2021.
+
+    Args:
+        tasks: Scores of each task, of any shape.
+        thresholds: Ascending thresholds. Shape (t,).
+
+    Returns:
+        Shares in [0, 1]. Shape (t,).
+
+    Raises:
+        ValueError: No tasks, or scores that are not finite.
+    """
+    if not tasks:
+        raise ValueError("tasks must hold at least one task, got none")
+    levels = _sample(thresholds, "thresholds")
+    samples = [np.sort(_sample(np.ravel(task), f"tasks[{i}]")) for i, task in enumerate(tasks)]
+    above = [1.0 - np.searchsorted(sample, levels, side="right") / sample.size for sample in samples]
+    return np.mean(above, axis=0)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from servotrack.baselines.training.jacobian import train_jacobian
 from servotrack.baselines.training.marker import train_marker_network
-from servotrack.baselines.training.progress import PeriodicEvaluation
+from servotrack.baselines.training.progress import Evaluation
 from servotrack.baselines.training.reinforcement import reinforce
 from servotrack.baselines.training.run import Entry, TrainingCurve, TrainingRun, TrainingTask
 from servotrack.baselines.training.set_prediction import train_set_predictor
@@ -15,7 +15,7 @@ from servotrack.baselines.training.student import train_student
 
 def train(
     task: TrainingTask,
-    evaluation: PeriodicEvaluation,
+    evaluation: Evaluation,
     on_steps: Callable[[int], None] = lambda steps: None,
     on_entry: Callable[[Entry], None] = lambda entry: None,
 ) -> TrainingCurve:

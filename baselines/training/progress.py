@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 from servotrack.baselines.agents.protocol import AgentCard
 from servotrack.baselines.agents.registry import AGENTS
@@ -18,6 +18,21 @@ FIRST_SEED = 60_000
 """First seed in the tune range, apart from the seeds of tests and of `servotrack tune`."""
 CLASSICAL = ("kf", "lifted-kf", "latency-bank-lifted-kf", "gm-phd", "pmb", "phd-servo")
 """Agents that are evaluated for comparison, in the worlds that they support."""
+
+
+class Evaluation(Protocol):
+    """Evaluation of a policy whenever a training measures it."""
+
+    def measure(self, agent: AgentCard) -> dict[str, float]:
+        """Return the numbers that the learning curve keeps; none is possible."""
+
+
+class NoEvaluation:
+    """Evaluation that plays no episode, for trainings whose environment steps are all counted."""
+
+    def measure(self, agent: AgentCard) -> dict[str, float]:
+        """Return nothing; see `Evaluation.measure`."""
+        return {}
 
 
 class PeriodicEvaluation:

@@ -30,7 +30,7 @@ from servotrack.baselines.training.checkpoint import (
     write_checkpoint,
 )
 from servotrack.baselines.training.export import Exportable, write_agent
-from servotrack.baselines.training.progress import PeriodicEvaluation
+from servotrack.baselines.training.progress import Evaluation
 from servotrack.baselines.training.settings import TrainingSettings
 from servotrack.baselines.worlds import describe_environment, kind_of_id, plain
 
@@ -75,7 +75,7 @@ class TrainingCurve:
 
     Attributes:
         entries: One per evaluation: `steps`, `seconds` of training without the evaluations, and the numbers of
-            `PeriodicEvaluation`.
+            `Evaluation`.
         provenance: Versions, machine, command, creation time (UTC).
         interruptions: Number of times that the run was resumed.
     """
@@ -110,7 +110,7 @@ class TrainingRun:
     def __init__(
         self,
         task: TrainingTask,
-        evaluation: PeriodicEvaluation,
+        evaluation: Evaluation,
         on_steps: Callable[[int], None] = lambda steps: None,
         on_entry: Callable[[Entry], None] = lambda entry: None,
     ) -> None:

@@ -18,16 +18,19 @@ from servotrack.baselines.agents.tuning_record import Candidate, TunedAgent, Tun
 from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.evaluation.evaluate import run_episodes
 from servotrack.baselines.evaluation.provenance import provenance
+from servotrack.baselines.evaluation.results import Row
 from servotrack.baselines.evaluation.statistics import bootstrap_mean
 from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.tuning.families import Grid, common_family, family_of
-from servotrack.baselines.worlds import plain, world_of_id
+from servotrack.baselines.worlds import World, plain, world_of_id
 from servotrack.estimators.types import Array
 
 FIRST_SEED = 50_000
 """First seed in the tune range, apart from its beginning, where tests and manual trials take theirs."""
 EPISODES = 16
 """Default number of seeds per level."""
+FAILURE_COST = 3.0
+"""Cost of a failed episode, beside its error."""
 SMALLEST_ERROR = 1e-12
 """Bound of an error before its logarithm is taken."""
 RESAMPLES = 20_000
@@ -70,7 +73,7 @@ class TuningProtocol:
     env_id: str = "UncalibServo-v0"
     levels: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
     seeds: tuple[int, ...] = field(default_factory=lambda: tuple(seed_ranges.take("tune", EPISODES, FIRST_SEED)))
-    failure_cost: float = 3.0
+    failure_cost: float = FAILURE_COST
     error_rate: float = 0.05
     least_gain: float = 0.02
     passes: int = 2
@@ -97,17 +100,27 @@ class TuningProtocol:
         return plain(asdict(self))
 
 
+def episode_cost(world: World, row: Row, failure_cost: float = FAILURE_COST) -> float:
+    """Return the cost of an episode that searches minimize; see `TuningProtocol`.
+
+    Args:
+        world: Record of the kind of world.
+        row: Row of the episode.
+        failure_cost: Cost added for a failed episode. Larger values prefer fewer failures to smaller errors.
+    """
+    value = row[world.headline.column]
+    cost = -value if world.headline.high_is_good else float(np.log(max(value, SMALLEST_ERROR)))
+    return cost + failure_cost * (not row.get("success", True))
+
+
 def measure(agent: str, values: Values, protocol: TuningProtocol) -> Measured:
     """Run an agent's episodes with other values than its defaults, as the evaluator runs them."""
     card = family_of(agent, protocol.env_id).insert(agent_card(agent), values)
-    metric = world_of_id(protocol.env_id).headline
+    world = world_of_id(protocol.env_id)
     costs, steps = [], 0
     for level in protocol.levels:
         rows, _ = run_episodes(protocol.env_id, card, protocol.seeds, {"level": level})
-        for row in rows:
-            value = row[metric.column]
-            cost = -value if metric.high_is_good else np.log(max(value, SMALLEST_ERROR))
-            costs.append(cost + protocol.failure_cost * (not row.get("success", True)))
+        costs += [episode_cost(world, row, protocol.failure_cost) for row in rows]
         steps += sum(row["length"] for row in rows)
     return Measured(np.array(costs), steps)
 

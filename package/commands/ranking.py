@@ -179,9 +179,24 @@ def tune(
         typer.Option(help="World to tune in. Default: the first in which all agents are tuned; pmb has two."),
     ] = None,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Record to write. Agents that an earlier record holds are skipped.")
-    ] = DEFAULT_RESULTS / "tuning.json",
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Record to write. Agents that an earlier record holds are skipped. Default: results/tuning.json, or "
+            "results/structure.json with a budget.",
+        ),
+    ] = None,
     episodes: Annotated[int, typer.Option("--episodes", "-n", min=1, help="Tune seeds per level.")] = 16,
+    budget: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Search the structure of a classical agent in one world and level with so many environment steps.",
+        ),
+    ] = None,
+    level: Annotated[int, typer.Option(min=0, help="Level of the search with a budget.")] = 3,
+    run: Annotated[int, typer.Option(min=0, help="Number of the run with a budget; its seeds derive from it.")] = 0,
     into: Annotated[
         Path | None,
         typer.Option(
@@ -190,14 +205,23 @@ def tune(
     ] = None,
     table_format: TableFormat = "table",
 ) -> None:
-    """Search the hyper-parameters of agents of one world on tune seeds, and count the environment steps."""
+    """Search the hyper-parameters of agents of one world on tune seeds, and count the environment steps.
+
+    With --budget, the search draws whole agents: filter, target models, latency hypotheses, law, probing, all numbers.
+    """
+    if budget is not None:
+        if agents or into is not None:
+            raise typer.BadParameter("--budget draws agents by itself; leave out the names of agents and --into")
+        _tune_structure(env or "UncalibServo-v0", level, budget, run, output or DEFAULT_RESULTS / "structure.json")
+        return
+    output = output or DEFAULT_RESULTS / "tuning.json"
     from servotrack.baselines.agents.servo.tuning_grid import GRIDS
     from servotrack.baselines.evaluation import seeds
     from servotrack.baselines.reporting.embed import embed
     from servotrack.baselines.reporting.terminal import print_tables, progress_bars
     from servotrack.baselines.running.stopping import GO_ON, keeping
     from servotrack.baselines.tuning.search import FIRST_SEED, default_protocol
-    from servotrack.baselines.tuning.search import tune as run
+    from servotrack.baselines.tuning.search import tune as search
     from servotrack.baselines.tuning.table import markdown_tuning, tuning_grid
 
     screen = console(table_format)
@@ -211,11 +235,28 @@ def tune(
 
         # The newest bar is that of the agent whose search was interrupted.
         with keeping(lambda: f"{max(len(bars) - 1, 0)} of {len(names)} agents searched; {GO_ON}"):
-            record = run(names, output, protocol, on_agent=on_agent, on_candidate=lambda: progress.advance(bars[-1]))
+            record = search(names, output, protocol, on_agent=on_agent, on_candidate=lambda: progress.advance(bars[-1]))
     print_tables(screen, {str(output): tuning_grid(record)})
     if into is not None:
         own = f"<!-- {output.stem}:begin -->" in into.read_text(encoding="utf-8")
         embed(markdown_tuning(record), into, output.stem if own else "tuning")
+
+
+def _tune_structure(env_id: str, level: int, budget: int, run: int, output: Path) -> None:
+    """Search a structure, print the chosen one and write the record."""
+    from servotrack.baselines.reporting.terminal import progress_bars
+    from servotrack.baselines.tuning.racing import search_cell, write_search
+
+    find_user_modules(env_id)
+    if output.exists():
+        raise ValueError(f"output must be a new file, got {output}; choose another --output or move it away")
+    screen = console()
+    with progress_bars() as progress:
+        bar = progress.add_task(f"{env_id}, level {level}", total=budget)
+        found = search_cell(env_id, level, budget, run, lambda taken: progress.update(bar, completed=taken))
+    write_search(found, output, {"env_id": env_id, "level": level, "budget": budget, "run": run})
+    screen.print(f"{found.steps:,} environment steps; cost {min(found.races[-1].costs):.3f}: {found.chosen}")
+    screen.print(str(output), soft_wrap=True)
 
 
 def _show(

@@ -127,3 +127,51 @@ def test_one_run_is_no_claim_about_training() -> None:
         statistics.crossed_difference(np.ones((1, 3)), np.ones(3))
     with pytest.raises(ValueError, match="paired by seed"):
         statistics.crossed_difference(np.ones((2, 3)), np.ones(4))
+
+
+def test_crossed_mean_is_wider_than_an_interval_over_episodes_alone_where_runs_differ() -> None:
+    rng = np.random.default_rng(4)
+    values = rng.normal(0.0, 1.0, (10, 1)) + rng.normal(0.0, 0.1, (10, 100))
+    crossed, pooled = statistics.crossed_mean(values), statistics.bootstrap_mean(values.ravel())
+    assert crossed.value == pytest.approx(values.mean())
+    assert crossed.high - crossed.low > 3.0 * (pooled.high - pooled.low)
+
+
+def test_crossed_mean_covers_the_mean_about_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(5)
+    covered = 0
+    for _ in range(200):
+        values = 1.0 + rng.normal(0.0, 0.5, (10, 1)) + rng.normal(0.0, 0.5, 40) + rng.normal(0.0, 0.5, (10, 40))
+        _, low, high = statistics.crossed_mean(values, confidence=0.9, resamples=400)
+        covered += low <= 1.0 <= high
+    # 180 for an exact interval; ten runs are few for a percentile bootstrap.
+    assert covered > 165
+
+
+def test_difference_of_methods_is_paired_by_episode() -> None:
+    rng = np.random.default_rng(6)
+    difficulty = rng.normal(0.0, 10.0, 60)
+    a = difficulty + 0.5 + rng.normal(0.0, 0.2, (5, 60))
+    b = difficulty + rng.normal(0.0, 0.2, (7, 60))
+    difference = statistics.crossed_methods_difference(a, b)
+    assert 0.4 < difference.low < difference.value < difference.high < 0.6
+    with pytest.raises(ValueError, match="paired by seed"):
+        statistics.crossed_methods_difference(a, b[:, 1:])
+    with pytest.raises(ValueError, match=r"shape \(runs, episodes\)"):
+        statistics.crossed_mean(np.zeros(3))
+
+
+def test_probability_of_improvement_counts_pairs_and_halves_ties() -> None:
+    found = statistics.probability_of_improvement([[1.0, 3.0], [5.0, 5.0]], [[2.0, 0.0], [5.0, 5.0]])
+    # First task: 1 > 0, 3 > 2, 3 > 0 of four pairs; second task: only ties.
+    assert found.value == pytest.approx((0.75 + 0.5) / 2)
+    assert found.low <= found.value <= found.high
+    with pytest.raises(ValueError, match="as many"):
+        statistics.probability_of_improvement([[1.0]], [])
+
+
+def test_performance_profile_falls_from_one_to_zero() -> None:
+    profile = statistics.performance_profile([[0.0, 1.0], [[0.5, 0.5]]], [-1.0, 0.0, 0.5, 0.9, 1.0])
+    assert profile.tolist() == [1.0, 0.75, 0.25, 0.25, 0.0]
+    with pytest.raises(ValueError, match="at least one task"):
+        statistics.performance_profile([], [0.0])

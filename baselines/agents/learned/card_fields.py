@@ -28,7 +28,8 @@ _LAGS = Many(Whole(1, 1000), 0, 32, ascending=True)
 _AGES = Many(Number(0.0, 6.0), 1, 16)
 _KINDS = ("flat", "raw", "servo", "steering", "marker", "jacobian", "set")
 _OF_FEATURES: Mapping[str, Rule] = {
-    "kind": Choice(_KINDS), "frames": Whole(1, 64), "residual": _SERVO, "eyes": _EYES, "follower": _FOLLOWER
+    "kind": Choice(_KINDS), "frames": Whole(1, 64), "residual": _SERVO, "identifier": _SERVO, "eyes": _EYES,
+    "follower": _FOLLOWER,
 }  # fmt: skip
 
 ENCODINGS: Mapping[str, Record] = {

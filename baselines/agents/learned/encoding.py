@@ -18,7 +18,13 @@ from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
 from servotrack.baselines.agents.registry import create_agent
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo, servo_measurement
 from servotrack.baselines.agents.servo.pixel_servo import PIXEL_KEYS, MarkerFeatures, MarkerMemory
+from servotrack.estimators.jacobian.laws import damped_inverse
 from servotrack.estimators.types import FloatArray, Mask
+
+JACOBIAN_UNIT = 300.0
+"""Unit of an identified Jacobian in a row, px/rad and px/s."""
+IDENTIFIED_DAMPING = 0.03
+"""Singular value, relative to the largest, below which an identified Jacobian's inverse is damped."""
 
 
 @dataclass(frozen=True)
@@ -219,6 +225,65 @@ class Residual(PlainAnswers):
         return memory, memory.action + answer
 
 
+class IdentifiedMemory(NamedTuple):
+    """Memory of `Identified`.
+
+    Attributes:
+        own: Memory of the encoding.
+        estimator: State of the Jacobian estimator.
+    """
+
+    own: Any
+    estimator: Any
+
+
+@dataclass(frozen=True)
+class Identified(PlainAnswers):
+    """Appends what a classical servo's estimator has identified to another encoding's rows.
+
+    These are the error at present (2, hundreds of px), the total image Jacobian (6, in `JACOBIAN_UNIT`), and the action
+    that would remove the error in one period (2, clipped to [-2, 2]). The estimator runs online; nothing of it is
+    trained. Law, probing and supervisor of the servo are not used: exploration is up to the network.
+
+    Attributes:
+        encoding: Encoding of the rows.
+        servo: The classical agent.
+    """
+
+    encoding: Encoding
+    servo: JacobianServo
+
+    @property
+    def size(self) -> int:
+        """Length of a row: the encoding's, and 10 numbers of a planar arm."""
+        return self.encoding.size + 10
+
+    def initial(self, observation: Any) -> IdentifiedMemory:
+        """Return the memory before an episode; see `Encoding.initial`."""
+        measurement: Any = servo_measurement(observation)
+        return IdentifiedMemory(
+            self.encoding.initial(observation), self.servo.controller.estimator.initial(measurement)
+        )
+
+    def step(
+        self, memory: IdentifiedMemory, observation: Any, action: FloatArray
+    ) -> tuple[IdentifiedMemory, FloatArray]:
+        """Process one observation; see `Encoding.step`."""
+        own, row = self.encoding.step(memory.own, observation, action)
+        controller, measurement = self.servo.controller, servo_measurement(observation)
+        state, estimate = controller.estimator.step(memory.estimator, measurement)  # type: ignore[arg-type]
+        assert controller.law is not None, "servos of the catalog have a law of their own"
+        period, jacobian = controller.law.period, estimate.jacobian
+        inverse = damped_inverse(jacobian[..., :-1], IDENTIFIED_DAMPING)
+        motion = -np.einsum("...ij,...j->...i", inverse, estimate.predict_error(np.zeros(inverse.shape[:-1]), period))
+        found = [
+            estimate.error / 100.0,
+            jacobian.reshape(len(row), -1) / JACOBIAN_UNIT,
+            np.clip(motion / (controller.max_joint_rate * period), -2.0, 2.0),
+        ]
+        return IdentifiedMemory(own, state), np.concatenate([row, *found], axis=1).astype(np.float32)
+
+
 class MarkerEncodingMemory(NamedTuple):
     """Memory of `MarkerEncoding`.
 
@@ -278,9 +343,10 @@ def create_encoding(settings: Mapping[str, Any], env: Any, folder: Path | None =
 
     Args:
         settings: `kind` ("servo", "steering", "flat" or "raw"); `frames`, number of rows to stack, 1 for none;
-            `residual`, name of a classical servo whose action the network corrects; `eyes`, name of a marker network
-            for image observations; `follower`, name of an agent that identifies the person to follow; and the arguments
-            of the kind. They may come from a file: names are those of fixed tables, never `module:callable` or a path.
+            `residual`, name of a classical servo whose action the network corrects; `identifier`, name of a classical
+            servo whose estimate is appended to the rows; `eyes`, name of a marker network for image observations;
+            `follower`, name of an agent that identifies the person to follow; and the arguments of the kind. They may
+            come from a file: names are those of fixed tables, never `module:callable` or a path.
         env: A Gymnasium environment or vector environment.
         folder: Folder of the card, which is searched for marker networks before the package's own.
 
@@ -309,6 +375,7 @@ def create_encoding(settings: Mapping[str, Any], env: Any, folder: Path | None =
 def _of_features(settings: Mapping[str, Any], env: Any, space: spaces.Space[Any]) -> Encoding:
     given = dict(settings)
     kind, frames, residual = given.pop("kind", "flat"), given.pop("frames", 1), given.pop("residual", None)
+    identifier = given.pop("identifier", None)
     if kind == "servo":
         encoding: Encoding = ServoEncoding(**given)
         ServoEncoding.check(space)
@@ -325,9 +392,13 @@ def _of_features(settings: Mapping[str, Any], env: Any, space: spaces.Space[Any]
         raise ValueError(f"encoding must be of kind servo, steering, flat or raw, got {kind!r}")
     if frames != 1:
         encoding = Stacked(encoding, frames)
-    if residual is None:
-        return encoding
-    servo = create_agent(residual, env)
+    if identifier is not None:
+        encoding = Identified(encoding, _servo_named(identifier, "identifier", env))
+    return encoding if residual is None else Residual(encoding, _servo_named(residual, "residual", env))
+
+
+def _servo_named(name: str, field: str, env: Any) -> JacobianServo:
+    servo = create_agent(name, env)
     if not isinstance(servo, JacobianServo):
-        raise ValueError(f"residual must name a classical servo of features, got {residual!r}")
-    return Residual(encoding, servo)
+        raise ValueError(f"{field} must name a classical servo of features, got {name!r}")
+    return servo

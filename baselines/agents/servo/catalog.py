@@ -136,15 +136,31 @@ def create_servo_agent(
     Raises:
         ValueError: An environment that is not a servo, or `values` that do not fit the estimator.
     """
+    return create_controlled(env, estimator, lambda limit: servo_controller(estimator, law, limit, values))
+
+
+def create_controlled(
+    env: Any, name: str, controller: Callable[[float], ServoController]
+) -> JacobianServo | PixelServo:
+    """Create the agent of a controller; a marker detector comes first where images are observed.
+
+    Args:
+        env: A servo environment or vector environment.
+        name: Name of the agent, for errors.
+        controller: Creates the controller for a joint rate limit, rad/s.
+
+    Raises:
+        ValueError: An environment that is not a servo.
+    """
     space = getattr(env, "single_observation_space", env.observation_space)
     max_joint_rate = public_attribute(env, "max_joint_rate")
     keys = set(getattr(space, "spaces", ()))
     sees_pixels = keys.issuperset(PIXEL_KEYS)
     if max_joint_rate is None or not (sees_pixels or keys.issuperset(OBSERVATION_KEYS)):
-        name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
+        called = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
         raise ValueError(
-            f"agent {estimator!r} needs an environment with max_joint_rate and the observations "
-            f"{', '.join(OBSERVATION_KEYS)} (or image); {name} lacks them: choose UncalibServo-v0, or another agent"
+            f"agent {name!r} needs an environment with max_joint_rate and the observations "
+            f"{', '.join(OBSERVATION_KEYS)} (or image); {called} lacks them: choose UncalibServo-v0, or another agent"
         )
-    servo = JacobianServo(servo_controller(estimator, law, float(max_joint_rate), values))
+    servo = JacobianServo(controller(float(max_joint_rate)))
     return PixelServo(servo) if sees_pixels else servo

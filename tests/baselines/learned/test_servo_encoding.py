@@ -13,6 +13,7 @@ import servotrack  # noqa: F401
 from servotrack.baselines.agents.learned.encoding import FlatEncoding, ResidualMemory, Stacked, create_encoding
 from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
 from servotrack.baselines.agents.registry import create_agent
+from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo, servo_measurement
 
 CLEAN = {
     "distortion": 0.0, "tilt": 0.0, "aspect": 0.0, "principal_offset": 0.0, "pixel_noise": 0.0, "camera_size": 4096,
@@ -142,3 +143,36 @@ def test_other_worlds_are_refused() -> None:
         create_encoding({"kind": "servo"}, gym.make("ClutterTracking-v0"))
     with pytest.raises(ValueError, match="bounded"):
         FlatEncoding.of(gym.spaces.Box(-np.inf, np.inf, (2,)))
+
+
+def test_identified_rows_end_with_the_estimate_of_the_servo() -> None:
+    env = gym.make_vec("UncalibServo-v0", num_envs=3, level=2)
+    encoding = create_encoding({"kind": "servo", "identifier": "lifted-kf"}, env)
+    servo = create_agent("lifted-kf", env)
+    assert isinstance(servo, JacobianServo)
+    observation, _ = env.reset(seed=[7, 8, 9])
+    memory, state = encoding.initial(observation), servo.controller.estimator.initial(servo_measurement(observation))
+    action = np.zeros((3, 2), np.float32)
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        memory, rows = encoding.step(memory, observation, action)
+        state, estimate = servo.controller.estimator.step(state, servo_measurement(observation))
+        action = rng.uniform(-0.2, 0.2, (3, 2)).astype(np.float32)
+        observation, *_ = env.step(action)
+    assert rows.shape == (3, encoding.size) == (3, ServoEncoding().size + 10)
+    np.testing.assert_allclose(rows[:, -10:-8], estimate.error / 100.0, rtol=1e-5)
+    np.testing.assert_allclose(rows[:, -8:-2], estimate.jacobian.reshape(3, 6) / 300.0, rtol=1e-4, atol=1e-6)
+    # The last entries are the action that moves the image by the error and the target's drift in one period.
+    motion = rows[:, -2:] * servo.controller.max_joint_rate * 0.05
+    inside = np.abs(rows[:, -2:]).max(axis=1) < 2.0
+    left = np.einsum("nij,nj->ni", estimate.jacobian[..., :2], motion) + estimate.predict_error(np.zeros((3, 2)), 0.05)
+    assert inside.any()
+    assert np.abs(left[inside]).max() < 1.0
+    env.close()
+
+
+def test_an_identifier_must_be_a_servo() -> None:
+    env = gym.make_vec("UncalibServo-v0", num_envs=1)
+    with pytest.raises(ValueError, match="identifier"):
+        create_encoding({"kind": "servo", "identifier": "ppo"}, env)
+    env.close()
