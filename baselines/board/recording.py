@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.baselines.agents.protocol import AgentCard
+from servotrack.baselines.agents.random import RandomAgent
 from servotrack.baselines.agents.registry import create_agent
 from servotrack.baselines.board.action_grid import ActionGrid
 from servotrack.baselines.board.replay import Episode
@@ -34,8 +35,14 @@ class AgentPlayer:
     def __init__(self, card: AgentCard) -> None:
         self.card = card
 
-    def play(self, suite: Suite, cell: SuiteCell, seeds: Sequence[int]) -> list[Episode]:
+    def play(self, suite: Suite, cell: SuiteCell, seeds: Sequence[int], first: int = 0) -> list[Episode]:
         """Act in one episode per seed and return its actions; see `Player`.
+
+        Args:
+            suite: The suite.
+            cell: The cell.
+            seeds: Seeds.
+            first: Number of the first one among all seeds of the cell, which the random agent's actions depend on.
 
         Raises:
             ValueError: An agent that does not fit the cell, or an action that is not finite.
@@ -44,6 +51,8 @@ class AgentPlayer:
         try:
             grid = ActionGrid.of(env.single_action_space, suite.grid)
             agent = create_agent(self.card, env)
+            if isinstance(agent, RandomAgent):
+                agent.rows = np.arange(first, first + len(seeds))
             observation, _ = env.reset(seed=list(seeds))
             state: Any = None
             starts: Mask = np.ones(len(seeds), dtype=bool)

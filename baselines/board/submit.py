@@ -7,12 +7,13 @@ import difflib
 import hashlib
 import json
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from joblib import delayed
 
 from servotrack.baselines.agents.learned.card import load_card
 from servotrack.baselines.agents.learned.shipped import shipped_cards
@@ -22,7 +23,7 @@ from servotrack.baselines.board.arithmetic import arithmetic_digest
 from servotrack.baselines.board.card import FILE_NAME, MOST_FILES, NAME, sealed_card
 from servotrack.baselines.board.message_agent import MessageAgent
 from servotrack.baselines.board.recording import AgentPlayer, Player
-from servotrack.baselines.board.replay import ReplayError, replayed
+from servotrack.baselines.board.replay import Episode, ReplayError, replayed
 from servotrack.baselines.board.sealed_seeds import agent_digest, sealed_seeds
 from servotrack.baselines.board.submission import (
     AGENT,
@@ -35,11 +36,13 @@ from servotrack.baselines.board.submission import (
 )
 from servotrack.baselines.board.suites import Suite, SuiteCell
 from servotrack.baselines.board.trace_files import Trace, encoded
+from servotrack.baselines.evaluation.bench import TASK_EPISODES
 from servotrack.baselines.evaluation.evaluate import time_steps
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.results import Row
 from servotrack.baselines.reporting.files import read_bounded, temporary_folder_in
 from servotrack.baselines.running.stopping import undisturbed
+from servotrack.baselines.running.workers import in_workers, on_cluster
 
 AGENT_FILE = "agent.json"
 """File that stands for an agent of this package."""
@@ -228,9 +231,9 @@ def submit(
             _write(staged / AGENT / name, content, executable=candidate.kind == "command")
         listed: dict[str, dict[str, str]] = {}
         with _player(candidate, staged / AGENT) as player:
-            for cell in chosen:
-                sealed = sealed_seeds(digest, suite.name, cell.name, cell.sealed)
-                contents = recorded(player, suite, cell, sealed)
+            seeds = [[*cell.public_seeds, *sealed_seeds(digest, suite.name, cell.name, cell.sealed)] for cell in chosen]
+            for cell, episodes in zip(chosen, _played(player, suite, chosen, seeds), strict=True):
+                contents = recorded(suite, cell, episodes)
                 for name, content in zip(cell_files(cell.name), contents, strict=True):
                     _write(staged / name, content)
                 rows_digest, trace_digest = (hashlib.sha256(content).hexdigest() for content in contents)
@@ -257,10 +260,34 @@ def submit(
             staged.replace(folder)
 
 
-def recorded(player: Player, suite: Suite, cell: SuiteCell, sealed: Sequence[int]) -> tuple[bytes, bytes]:
-    """Record a cell and return the contents of its two files, rows and trace."""
-    seeds = [*cell.public_seeds, *sealed]
-    episodes = player.play(suite, cell, seeds)
+def _played(
+    player: Player, suite: Suite, cells: Sequence[SuiteCell], seeds: Sequence[Sequence[int]]
+) -> Iterator[list[Episode]]:
+    """Play cell by cell, on a cluster in tasks of `TASK_EPISODES`; a program runs on this machine."""
+    if not (on_cluster() and isinstance(player, AgentPlayer)):
+        for cell, of_cell in zip(cells, seeds, strict=True):
+            yield player.play(suite, cell, of_cell)
+        return
+    firsts = [range(0, len(of_cell), TASK_EPISODES) for of_cell in seeds]
+    calls = (
+        delayed(_played_task)(player.card, suite, cell, of_cell[first : first + TASK_EPISODES], first)
+        for cell, of_cell, begins in zip(cells, seeds, firsts, strict=True)
+        for first in begins
+    )
+    parts = in_workers(calls, -1, ordered=True)
+    for begins in firsts:
+        yield [episode for _ in begins for episode in next(parts)]
+
+
+def _played_task(card: AgentCard, suite: Suite, cell: SuiteCell, seeds: Sequence[int], first: int) -> list[Episode]:
+    """Play some episodes of a cell on a worker, which must register the ids first."""
+    import servotrack  # noqa: F401
+
+    return AgentPlayer(card).play(suite, cell, seeds, first)
+
+
+def recorded(suite: Suite, cell: SuiteCell, episodes: Sequence[Episode]) -> tuple[bytes, bytes]:
+    """Replay a cell, public seeds first, and return the contents of its two files, rows and trace."""
     rows: list[Row] = []
     for row in replayed(suite, cell, episodes):
         if isinstance(row, ReplayError):

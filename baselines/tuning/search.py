@@ -6,12 +6,14 @@ the grid with the others held, on the same episodes for all, and moves only if a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Generator, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from joblib import delayed
 
 from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.agents.tuning_record import Candidate, TunedAgent, TuningRecord, Values, resume_record
@@ -21,6 +23,7 @@ from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.results import Row
 from servotrack.baselines.evaluation.statistics import bootstrap_mean
 from servotrack.baselines.reporting.files import ResultsError
+from servotrack.baselines.running.workers import in_workers
 from servotrack.baselines.tuning.families import Grid, common_family, family_of
 from servotrack.baselines.worlds import World, plain, world_of_id
 from servotrack.estimators.types import Array
@@ -115,18 +118,42 @@ def episode_cost(world: World, row: Row, failure_cost: float = FAILURE_COST) -> 
 
 def measure(agent: str, values: Values, protocol: TuningProtocol) -> Measured:
     """Run an agent's episodes with other values than its defaults, as the evaluator runs them."""
+    return next(measure_all(agent, [values], protocol))
+
+
+def measure_all(
+    agent: str, settings: Sequence[Values], protocol: TuningProtocol, jobs: int = 1
+) -> Generator[Measured, None, None]:
+    """Measure several settings in worker processes or on a cluster; yield them in their order.
+
+    Args:
+        agent: Name of the agent.
+        settings: Values of its hyper-parameters.
+        protocol: Episodes.
+        jobs: Processes; 1 runs the episodes in this process.
+    """
+    calls = (
+        delayed(_measure_level)(agent, values, protocol, level) for values in settings for level in protocol.levels
+    )
+    parts = in_workers(calls, jobs, ordered=True)
+    for _ in settings:
+        costs, steps = zip(*itertools.islice(parts, len(protocol.levels)), strict=True)
+        yield Measured(np.concatenate(costs), sum(steps))
+
+
+def _measure_level(agent: str, values: Values, protocol: TuningProtocol, level: int) -> Measured:
+    """Run the episodes of one level. A worker must register the ids first."""
+    import servotrack  # noqa: F401
+
     card = family_of(agent, protocol.env_id).insert(agent_card(agent), values)
     world = world_of_id(protocol.env_id)
-    costs, steps = [], 0
-    for level in protocol.levels:
-        rows, _ = run_episodes(protocol.env_id, card, protocol.seeds, {"level": level})
-        costs += [episode_cost(world, row, protocol.failure_cost) for row in rows]
-        steps += sum(row["length"] for row in rows)
-    return Measured(np.array(costs), steps)
+    rows, _ = run_episodes(protocol.env_id, card, protocol.seeds, {"level": level})
+    costs = np.array([episode_cost(world, row, protocol.failure_cost) for row in rows])
+    return Measured(costs, sum(row["length"] for row in rows))
 
 
 def coordinate_search(
-    evaluate: Callable[[Values], Measured],
+    evaluate: Callable[[Sequence[Values]], Iterable[Measured]],
     start: Values,
     grid: Grid,
     *,
@@ -138,7 +165,7 @@ def coordinate_search(
     """Search a grid one hyper-parameter at a time; every setting is measured at most once.
 
     Args:
-        evaluate: Measures a setting.
+        evaluate: Measures settings, which may run at the same time, and yields the results in their order.
         start: Initial value of each hyper-parameter.
         grid: Values to try, by hyper-parameter.
         error_rate: See `TuningProtocol`.
@@ -156,31 +183,32 @@ def coordinate_search(
     measured: dict[tuple[float, ...], Measured] = {}
     candidates: list[Candidate] = []
 
-    def better(values: Values, incumbent: Values | None) -> bool:
-        key = tuple(values[name] for name in grid)
-        known = key in measured
-        if not known:
-            measured[key] = evaluate(values)
-        costs, steps = measured[key]
-        if incumbent is None:
-            difference = None
-        else:
-            reference = measured[tuple(incumbent[name] for name in grid)].costs
-            difference = bootstrap_mean(costs - reference, confidence, RESAMPLES)._asdict()
-        if not known:
-            candidates.append(Candidate(dict(values), float(costs.mean()), difference, steps))
+    def place(values: Values) -> tuple[float, ...]:
+        return tuple(values[name] for name in grid)
+
+    def gain(values: Values, incumbent: Values) -> dict[str, float]:
+        difference = measured[place(values)].costs - measured[place(incumbent)].costs
+        return bootstrap_mean(difference, confidence, RESAMPLES)._asdict()
+
+    def measure_new(settings: Sequence[Values], incumbent: Values | None) -> None:
+        new = [values for values in settings if place(values) not in measured]
+        for values, found in zip(new, evaluate(new), strict=True):
+            measured[place(values)] = found
+            difference = None if incumbent is None else gain(values, incumbent)
+            candidates.append(Candidate(dict(values), float(found.costs.mean()), difference, found.steps))
             if on_candidate:
                 on_candidate()
-        return difference is not None and difference["high"] < 0.0 and difference["value"] <= -least_gain
 
     best = dict(start)
-    better(best, None)
+    measure_new([best], None)
     for _ in range(passes):
         before = best
         for name, choices in grid.items():
             others = [{**best, name: choice} for choice in choices if choice != best[name]]
-            winners = [values for values in others if better(values, best)]
-            best = min(winners, key=lambda v: measured[tuple(v[n] for n in grid)].costs.mean(), default=best)
+            measure_new(others, best)
+            gains = [gain(values, best) for values in others]
+            winners = [v for v, g in zip(others, gains, strict=True) if g["high"] < 0.0 and g["value"] <= -least_gain]
+            best = min(winners, key=lambda v: measured[place(v)].costs.mean(), default=best)
         if best == before:
             break
     return TunedAgent({name: list(choices) for name, choices in grid.items()}, dict(start), candidates, best)
@@ -220,6 +248,7 @@ def tune(
     path: Path,
     protocol: TuningProtocol,
     *,
+    jobs: int = 1,
     on_agent: Callable[[str, int], None] | None = None,
     on_candidate: Callable[[], None] | None = None,
 ) -> TuningRecord:
@@ -229,6 +258,7 @@ def tune(
         agents: Names of agents that have a grid.
         path: The record, saved after every agent.
         protocol: Episodes and rule of the search.
+        jobs: Processes that measure the values of one hyper-parameter at the same time.
         on_agent: Called with every agent's name before its search, and the settings of one pass; 0 if it is done.
         on_candidate: Called after every measured setting.
 
@@ -252,7 +282,7 @@ def tune(
         # Taken before the search, so that it describes the sources that the search runs.
         record_of_run = provenance()
         tuned = coordinate_search(
-            lambda values, name=name: measure(name, values, protocol),  # type: ignore[misc]
+            lambda settings, name=name: measure_all(name, settings, protocol, jobs),  # type: ignore[misc]
             start,
             family.grids[name],
             error_rate=protocol.error_rate,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from servotrack.commands.terms import TableFormat, console
+from servotrack.commands.terms import Backend, Scheduler, TableFormat, console
 
 if TYPE_CHECKING:
     from servotrack.baselines.board.submit import Candidate
@@ -46,11 +46,15 @@ def submit(
         list[str] | None,
         typer.Option("--cell", help="Cell to record, such as UncalibServo-v0,level=3. Repeatable. Default: all."),
     ] = None,
+    backend: Backend = "processes",
+    scheduler: Scheduler = None,
 ) -> None:
     """Run an agent in a frozen suite and write a submission: its files, rows and action traces."""
     from servotrack.baselines.board import submit as making
     from servotrack.baselines.board.suites import load_suite
+    from servotrack.baselines.evaluation.provenance import code_version
     from servotrack.baselines.reporting.terminal import progress_bars
+    from servotrack.baselines.running.clusters import computing_on
     from servotrack.baselines.running.stopping import keeping
 
     if (agent is None) == (command is None):
@@ -68,7 +72,11 @@ def submit(
         candidate = making.registered_candidate(str(agent), authors)
     chosen = making.chosen_cells(candidate, frozen, cells or ())
     folder = output or Path("leaderboard") / frozen.name / candidate.name
-    with progress_bars() as progress, keeping(lambda: "nothing was written; run the same command again"):
+    with (
+        computing_on(backend, scheduler, code_version),
+        progress_bars() as progress,
+        keeping(lambda: "nothing was written; run the same command again"),
+    ):
         bar = progress.add_task(candidate.name, total=len(chosen))
         making.submit(candidate, frozen, folder, chosen, lambda cell: progress.advance(bar))
     screen = console()

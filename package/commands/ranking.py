@@ -197,6 +197,9 @@ def tune(
     ] = None,
     level: Annotated[int, typer.Option(min=0, help="Level of the search with a budget.")] = 3,
     run: Annotated[int, typer.Option(min=0, help="Number of the run with a budget; its seeds derive from it.")] = 0,
+    jobs: Jobs = 1,
+    backend: Backend = "processes",
+    scheduler: Scheduler = None,
     into: Annotated[
         Path | None,
         typer.Option(
@@ -217,8 +220,10 @@ def tune(
     output = output or DEFAULT_RESULTS / "tuning.json"
     from servotrack.baselines.agents.servo.tuning_grid import GRIDS
     from servotrack.baselines.evaluation import seeds
+    from servotrack.baselines.evaluation.provenance import code_version
     from servotrack.baselines.reporting.embed import embed
     from servotrack.baselines.reporting.terminal import print_tables, progress_bars
+    from servotrack.baselines.running.clusters import computing_on
     from servotrack.baselines.running.stopping import GO_ON, keeping
     from servotrack.baselines.tuning.search import FIRST_SEED, default_protocol
     from servotrack.baselines.tuning.search import tune as search
@@ -227,7 +232,7 @@ def tune(
     screen = console(table_format)
     names = agents or list(GRIDS)
     protocol = default_protocol(names, seeds.take("tune", episodes, FIRST_SEED), env)
-    with progress_bars() as progress:
+    with computing_on(backend, scheduler, code_version), progress_bars() as progress:
         bars: list[Any] = []
 
         def on_agent(name: str, candidates: int) -> None:
@@ -235,7 +240,14 @@ def tune(
 
         # The newest bar is that of the agent whose search was interrupted.
         with keeping(lambda: f"{max(len(bars) - 1, 0)} of {len(names)} agents searched; {GO_ON}"):
-            record = search(names, output, protocol, on_agent=on_agent, on_candidate=lambda: progress.advance(bars[-1]))
+            record = search(
+                names,
+                output,
+                protocol,
+                jobs=jobs,
+                on_agent=on_agent,
+                on_candidate=lambda: progress.advance(bars[-1]),
+            )
     print_tables(screen, {str(output): tuning_grid(record)})
     if into is not None:
         own = f"<!-- {output.stem}:begin -->" in into.read_text(encoding="utf-8")

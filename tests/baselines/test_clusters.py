@@ -13,14 +13,18 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from clusters import dask_cluster, end_at_once, fail_with, halves, ray_cluster, square_slowly, version_in_tests
 from joblib import delayed
 
+from servotrack.baselines.board.submit import registered_candidate, submit
+from servotrack.baselines.board.suites import load_suite
 from servotrack.baselines.papers.parts import PartTask, compute_parts, read_part, setting_of
 from servotrack.baselines.running.clusters import check_shared, computing_on
 from servotrack.baselines.running.stopping import WorkerLostError
 from servotrack.baselines.running.workers import in_workers
+from servotrack.baselines.tuning.search import TuningProtocol, default_values, measure_all
 
 pytest.importorskip("distributed")
 pytest.importorskip("ray")
@@ -178,3 +182,26 @@ def test_bad_arguments_are_refused(
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(ValueError, match=message), computing_on(backend, scheduler):
         pass
+
+
+def test_a_search_on_a_cluster_chooses_the_same(cluster: tuple[str, str]) -> None:
+    protocol = TuningProtocol(levels=(0, 1), seeds=(100_500, 100_501))
+    settings = [default_values("broyden"), {**default_values("broyden"), "rate": 0.7}]
+    here = list(measure_all("broyden", settings, protocol))
+    with computing_on(*cluster):
+        there = list(measure_all("broyden", settings, protocol))
+    for ours, theirs in zip(here, there, strict=True):
+        assert ours.steps == theirs.steps
+        np.testing.assert_array_equal(ours.costs, theirs.costs)
+
+
+def test_a_submission_from_a_cluster_has_the_same_actions(cluster: tuple[str, str], tmp_path: Path) -> None:
+    suite = load_suite("2027a")
+    cells = [suite.cell("UncalibServo-v0,level=3")]
+    candidate = registered_candidate("random", "")
+    submit(candidate, suite, tmp_path / "here", cells)
+    with computing_on(*cluster):
+        submit(candidate, suite, tmp_path / "there", cells)
+    for part in ("rows", "traces"):
+        (here,), (there,) = ((tmp_path / place / part).iterdir() for place in ("here", "there"))
+        assert here.read_bytes() == there.read_bytes()

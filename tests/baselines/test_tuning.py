@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -38,18 +39,19 @@ TOY = {"x": (0.0, 1.0, 2.0, 3.0), "y": (-1.0, 0.0, 1.0)}
 SHORT = TuningProtocol(levels=(0, 1), seeds=(100_500, 100_501))
 
 
-def bowl(values: dict[str, float]) -> Measured:
+def bowl(settings: Sequence[dict[str, float]]) -> Iterator[Measured]:
     """Least at x = 2, y = x - 1; the episodes differ from each other far more than the settings do."""
     offset = np.random.default_rng(0).normal(0.0, 100.0, 30)
-    return Measured(offset + (values["x"] - 2.0) ** 2 + 0.9 * (values["y"] - values["x"] + 1.0) ** 2, 7)
+    for values in settings:
+        yield Measured(offset + (values["x"] - 2.0) ** 2 + 0.9 * (values["y"] - values["x"] + 1.0) ** 2, 7)
 
 
 def test_search_finds_the_optimum_and_measures_nothing_twice() -> None:
     asked: list[dict[str, float]] = []
 
-    def evaluate(values: dict[str, float]) -> Measured:
-        asked.append(values)
-        return bowl(values)
+    def evaluate(settings: Sequence[dict[str, float]]) -> Iterator[Measured]:
+        asked.extend(settings)
+        return bowl(settings)
 
     found = coordinate_search(evaluate, {"x": 0.0, "y": -1.0}, TOY, passes=5)
     assert found.chosen == {"x": 2.0, "y": 1.0}
@@ -68,10 +70,11 @@ def test_noise_and_gains_of_nothing_change_no_default() -> None:
     rng = np.random.default_rng(1)
     noise = {x: rng.normal(0.0, 1.0, 96) for x in TOY["x"]}
     grid = {"x": TOY["x"]}
-    assert coordinate_search(lambda v: Measured(noise[v["x"]], 1), {"x": 1.0}, grid).chosen == {"x": 1.0}
+    assert coordinate_search(lambda s: [Measured(noise[v["x"]], 1) for v in s], {"x": 1.0}, grid).chosen == {"x": 1.0}
     slope = {"x": 1.0}, grid
-    assert coordinate_search(lambda v: Measured(np.full(9, -0.001 * v["x"]), 1), *slope).chosen == {"x": 1.0}
-    assert coordinate_search(lambda v: Measured(np.full(9, -0.1 * v["x"]), 1), *slope).chosen == {"x": 3.0}
+    for factor, chosen in ((-0.001, 1.0), (-0.1, 3.0)):
+        found = coordinate_search(lambda s, f=factor: [Measured(np.full(9, f * v["x"]), 1) for v in s], *slope)  # type: ignore[misc]
+        assert found.chosen == {"x": chosen}
 
 
 def test_a_start_off_the_grid_is_refused() -> None:
@@ -119,11 +122,14 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Instead of episodes, a cost that does not depend on the values; the list tells who was measured."""
     calls: list[str] = []
 
-    def fake(agent: str, values: dict[str, float], protocol: TuningProtocol) -> Measured:
-        calls.append(agent)
-        return Measured(np.zeros(4), 10)
+    def fake(
+        agent: str, settings: Sequence[dict[str, float]], protocol: TuningProtocol, jobs: int
+    ) -> Iterator[Measured]:
+        for _ in settings:
+            calls.append(agent)
+            yield Measured(np.zeros(4), 10)
 
-    monkeypatch.setattr(tuning, "measure", fake)
+    monkeypatch.setattr(tuning, "measure_all", fake)
     return calls
 
 

@@ -227,7 +227,11 @@ def test_actions_that_no_agent_gave_are_found_by_running_it(
     frozen = load_suite(str(suite))
     sealed = [episode.seed for episode in read_submission(path, frozen).cells[0].episodes("sealed")]
     # The oracle's actions and their true rows under the name of the Kalman filter.
-    rows, trace = recorded(AgentPlayer(agent_card("oracle")), frozen, frozen.cells[0], sealed)
+    rows, trace = recorded(
+        frozen,
+        frozen.cells[0],
+        AgentPlayer(agent_card("oracle")).play(frozen, frozen.cells[0], [*frozen.cells[0].public_seeds, *sealed]),
+    )
     path = folder(resealed({**original, ROWS: rows, TRACE: trace}))
     assert judged(path, suite).badge == "replayed"
     verdict = judged(path, suite, run=True)
