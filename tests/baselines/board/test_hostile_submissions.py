@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from board_cases import CELL, ROWS, TRACE, judged, resealed, write_contents, write_suite
+from board_cases import CELL, ROWS, TRACE, judged, resealed, rows_content, write_contents, write_suite
 
 from servotrack.baselines.board.submission import read_submission
 from servotrack.baselines.board.suites import load_suite
@@ -40,7 +40,7 @@ def _rows(change: Callable[[dict[str, Any]], Any]) -> Change:
     def changed(content: bytes) -> bytes:
         document = json.loads(content)
         change(document)
-        return json.dumps(document).encode()
+        return rows_content(document)
 
     return _file(ROWS, changed)
 
@@ -135,6 +135,8 @@ CHANGES: dict[str, Change] = {
     "a version that never was": _file(AGENT, lambda content: content.replace(b'"0.', b'"0.4711.')),
     "a version that is free text": _file(AGENT, lambda content: content.replace(b'"0.', b'"lucky-4711-')),
     # Rows
+    "another spacing of rows": _file(ROWS, lambda content: content.replace(b", ", b",", 1)),
+    "a number written otherwise": _file(ROWS, lambda content: content.replace(b"[200000, ", b"[200000.0, ", 1)),
     "a better score": _row("public", "steady", lambda value: value * 0.9),
     "a score better by the last bit": _row("sealed", "steady", lambda value: float(np.nextafter(value, 0.0))),
     "a success": _row("public", "success", lambda value: not value),
@@ -188,6 +190,10 @@ def test_hostile_submissions_are_caught(
     assert verdict.badge == "self-reported"
     assert verdict.refused or any(cell.detail for cell in verdict.cells.values())
     assert len(verdict.refused) < 1000
+
+
+def test_the_tests_write_rows_as_submit_does(original: Contents) -> None:
+    assert rows_content(json.loads(original[ROWS])) == original[ROWS]
 
 
 def test_what_is_not_a_file_is_refused(folder: Callable[[Contents], Path], original: Contents, suite: Path) -> None:
