@@ -274,3 +274,36 @@ def test_the_child_process_gives_the_same_verdicts(tmp_path: Path, original: Con
     assert verdicts["honest"].badge == "replayed"
     for k in range(len(names)):
         assert verdicts[f"kf-{k}"] == judged(tmp_path / "board" / f"kf-{k}", suite)
+
+
+@pytest.mark.parametrize(
+    ("code", "seconds", "message"),
+    [
+        ("import os; os.kill(os.getpid(), 9)", 60.0, "ended with code"),
+        ("raise SystemExit('out of order')", 60.0, "ended with code 1: out of order"),
+        ("print('x' * 5_000_000)", 60.0, "no proper answer .*more than 4000000 bytes"),
+        ("print('[' * 5000)", 60.0, "no proper answer .*nested deeper"),
+        ("print('[]')", 60.0, "about other folders"),
+        ("print('[{}]')", 60.0, "no proper answer .*folder is missing"),
+        ("import time; time.sleep(60)", 0.5, "took more than 0.5 s"),
+    ],
+)
+def test_a_child_process_that_was_taken_over_gives_no_verdict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, seconds: float, message: str
+) -> None:
+    from servotrack.baselines.board import verify as module
+    from servotrack.baselines.reporting.files import ResultsError
+
+    monkeypatch.setattr(module, "_CHILD", ("-I", "-c", code))
+    (tmp_path / "kf").mkdir()
+    with pytest.raises(ResultsError, match=message):
+        verify([tmp_path / "kf"], seconds=seconds)
+
+
+def test_without_bubblewrap_limits_hold(
+    folder: Callable[[Contents], Path], original: Contents, suite: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from servotrack.baselines.board import verify as module
+
+    monkeypatch.setattr(module, "bubblewrap", lambda: None)
+    assert verify([folder(original)], str(suite))[0].badge == "replayed"
