@@ -275,7 +275,7 @@ class ServoWorld:
         return self.config.warmup + self.config.horizon
 
     def privileged(self) -> dict[str, Array]:
-        """Additional observations for oracles and the informed bound, arrays of N rows.
+        """Additional observations for agents that see the truth, arrays of N rows.
 
         Returns:
             `true_jacobian` (N, 2, 3) at the current time, px/rad and px/s; `true_camera` (N, CAMERA_SIZE), packed as in
