@@ -69,8 +69,8 @@ class Anchoring:
         """Return a sentence for each agent that has no score because the anchors lack some of its episodes."""
         lack, them = ("lacks", "it") if self.bound else ("lack", "them")
         return [
-            f"No score for {cell.agent}: {' and '.join(self._agents)} {lack} {lacking} of its {len(cell.rows)} episodes; "
-            f"evaluate {them} on as many."
+            f"No score for {cell.agent}: {' and '.join(self._agents)} {lack} {lacking} of its {len(cell.rows)} "
+            f"episodes; evaluate {them} on as many."
             for cell in cells
             if (lacking := len(set(cell.seeds) - self.seeds))
         ]

@@ -106,7 +106,7 @@ def separation_line(task: TaskSummary) -> list[str]:
 
 def ladder_text(cells: Sequence[CellResults], episodes: int, source: str) -> str:
     """Both tables of all ids, as Markdown."""
-    parts = []
+    parts, near = [], f"within {100 * (1 - NEAR_BEST):.0f} %"
     for env_id in dict.fromkeys(cell.env_id for cell in cells):
         own = [cell for cell in cells if cell.env_id == env_id]
         tasks = summarize(own)
@@ -116,16 +116,12 @@ def ladder_text(cells: Sequence[CellResults], episodes: int, source: str) -> str
             1,
         )
         separation = Grid(
-            [
-                "level", "best", "score", f"place {PLACE}", "its score", "apart", f"within {100 * (1 - NEAR_BEST):.0f} %",
-                "at zero", "separates",
-            ],
+            ["level", "best", "score", f"place {PLACE}", "its score", "apart", near, "at zero", "separates"],
             [separation_line(task) for task in tasks],
             1,
-        )  # fmt: skip
+        )
         parts.append(f"### {env_id}\n\n{as_markdown(bounds)}\n\n{as_markdown(separation)}")
     count = sum(WORLDS["servo"].kind in card.worlds for card in AGENTS.values())
-    near = f"within {100 * (1 - NEAR_BEST):.0f} %"
     parts.append(
         f"{count} agents, those of learned ones that were trained at a level; {episodes} episodes each. Upper tables: "
         "mean steady error, brackets 95 % intervals. The best agent is the one of least mean error without privilege. "
