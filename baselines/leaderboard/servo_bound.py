@@ -1,8 +1,8 @@
 """A bound on the servo's steady error: the column "x bound" divides by it, and the score is 1 there.
 
-The controller of the bound knows camera, links, latency, gains, noise levels, which frames are outliers, and the law
-that its target is drawn from. Its filter has exactly that law, and its arm has no limit of rate. What is left is what
-no causal controller can know in time:
+The controller of the bound knows camera, links, latency, gains, noise levels, which frames are outliers, when something
+knocks the camera, and the law that its target is drawn from. Its filter has exactly that law, its encoders are prompt,
+and its arm has neither a lag nor a limit of rate. What is left is what no causal controller can know in time:
 
 - the noise on the joint rates of the last period, of which the motors act on all but the first substep;
 - the joints and the target, from noisy encoders and from frames that are noisy, late or lost. A target along waves has
@@ -34,7 +34,7 @@ from servotrack.baselines.leaderboard.servo_targets import (
     wave_knowledge,
     waypoint_knowledge,
 )
-from servotrack.envs.servo.episode import Episode, ServoStreams, draw_episode, sample_times
+from servotrack.envs.servo.episode import Episode, ServoStreams, draw_episode, knocked_camera, sample_times
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.streams import Stream
 from servotrack.envs.servo.targets import LEAD, PERIOD
@@ -126,8 +126,13 @@ def _group_bounds(config: ServoConfig, seeds: Sequence[int]) -> Array:
     )
     joints = joints_above(paths, links)
     arm = arm_jacobians(joints, links)
+    struck = np.array([episode.knocked_at for episode in episodes])[:, None] <= np.arange(len(times))
+    knocked = np.stack([knocked_camera(episode.camera, episode.knock) for episode in episodes])
+    cameras = np.where(struck[..., None], knocked[:, None], cameras[:, None])
     seen_joints, seen_place = _image_slopes(cameras, links, joints, paths)
-    acted = (PERIOD - PERIOD / config.substeps) ** 2 * noise[:, 1] ** 2
+    # A lag passes the rest of the noise on later, when it counts as known. Play in the gears may swallow it.
+    passed = -math.expm1(-PERIOD / config.actuator_lag) if config.actuator_lag else 1.0
+    acted = (passed * (PERIOD - PERIOD / config.substeps)) ** 2 * noise[:, 1] ** 2 * (config.backlash == 0.0)
     encoders = np.maximum(noise[:, 0], _EXACT) ** 2
 
     # The state: the joints at the newest samples, the last one first, and what is unknown of the target.
@@ -196,9 +201,9 @@ def arm_jacobians(joints: Array, links: Array) -> Array:
 def _image_slopes(cameras: Array, links: Array, joints: Array, paths: Array) -> tuple[Array, Array]:
     """Slopes of the features of a target at its goal by joint angles, px/rad, and place, px/m. Shape (E, K, 2, 2)."""
     shape = paths.shape[:2]
-    camera, link = (np.broadcast_to(part[:, None], (*shape, part.shape[-1])) for part in (cameras, links))
+    link = np.broadcast_to(links[:, None], (*shape, 2))
     east, north = (
-        image_jacobian(camera, link, joints, paths[..., :2], np.broadcast_to(along, (*shape, 2)))
+        image_jacobian(cameras, link, joints, paths[..., :2], np.broadcast_to(along, (*shape, 2)))
         for along in ([1.0, 0.0], [0.0, 1.0])
     )
     return east[..., :2], np.stack([east[..., 2], north[..., 2]], axis=-1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -173,6 +174,14 @@ def draw_noise(config: ServoConfig, streams: ServoStreams) -> Noise:
         knocked_at=knocked_at,
         knock=knock,
     )
+
+
+def knocked_camera(camera: Array, knock: float) -> Array:
+    """Return a packed camera (CAMERA_SIZE,) that was turned about its axis by `knock`, rad."""
+    turned = camera.copy()
+    cosine, sine = math.cos(knock), math.sin(knock)
+    turned[5:7] = camera[5] * cosine - camera[6] * sine, camera[6] * cosine + camera[5] * sine
+    return turned
 
 
 def _whole(streams: ServoStreams, stream: Stream, bounds: Range) -> int:

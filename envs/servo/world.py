@@ -18,6 +18,7 @@ from servotrack.envs.servo.episode import (
     ServoStreams,
     draw_episode,
     draw_noise,
+    knocked_camera,
     loses_frames,
     samples,
 )
@@ -247,10 +248,7 @@ class ServoWorld:
     def _load_noise(self, row: int, noise: Noise | Episode) -> None:
         self.latency[row], self.noise_levels[row] = noise.latency, noise.noise_levels
         self._constants["encoder_age"][row], self._constants["knocked_at"][row] = noise.encoder_age, noise.knocked_at
-        knocked = self.cameras[row].copy()
-        cosine, sine = math.cos(noise.knock), math.sin(noise.knock)
-        knocked[5:7] = knocked[5] * cosine - knocked[6] * sine, knocked[6] * cosine + knocked[5] * sine
-        self._constants["knocked"][row] = knocked
+        self._constants["knocked"][row] = knocked_camera(self.cameras[row], noise.knock)
         for name in ("feature_noise", "rate_noise", "encoder_noise", "dropped"):
             table = getattr(self._tables, name)
             if table.shape[1]:
