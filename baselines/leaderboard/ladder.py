@@ -11,7 +11,6 @@ from rich.console import Console
 
 from servotrack.baselines.agents.registry import AGENTS
 from servotrack.baselines.evaluation.bench import run_suite, suite_of
-from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.evaluation.results import CellResults, ResultsFolder
 from servotrack.baselines.evaluation.statistics import bootstrap_mean
 from servotrack.baselines.leaderboard.anchoring import bounds_of, column_of
@@ -139,18 +138,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--episodes", type=int, default=100, help="seeds of each level (default 100)")
     parser.add_argument("--split", default="tune", choices=("tune", "test"), help="seed range (default tune)")
     parser.add_argument("--results", type=Path, default=Path("results/ladder"), help="folder of the episodes")
+    parser.add_argument("--tables", action="store_true", help="only the tables, from what the folder holds")
     parser.add_argument("--write", type=Path, help="page with the marks servo-ladder:begin and :end")
     given = parser.parse_args(arguments)
     if given.episodes < 2:
         parser.error(f"--episodes must be at least 2, got {given.episodes}")
     with program("finished episodes are kept; run the same command again"):
-        cells = [
-            cell
-            for env_id in ENV_IDS
-            for cell in ladder_cells(env_id, given.results / env_id, given.episodes, given.split)
-        ]
-        options = f"--episodes {given.episodes} --split {given.split}"
-        text = ladder_text(cells, given.episodes, f"`scripts/servo-ladder {options}`, servotrack {code_version()}")
+        cells = []
+        for env_id in ENV_IDS:
+            folder = given.results / env_id
+            if given.tables:
+                cells += [cell for cell in ResultsFolder(folder).load_all() if cell.env_id == env_id]
+            else:
+                cells += ladder_cells(env_id, folder, given.episodes, given.split)
+        source = f"`scripts/servo-ladder --episodes {given.episodes} --split {given.split}`"
+        versions = ", ".join(sorted({f"servotrack {cell.provenance['versions']['servotrack']}" for cell in cells}))
+        text = ladder_text(cells, given.episodes, f"{source}, episodes by {versions}")
         Console(soft_wrap=True, highlight=False).print(text, markup=False)
         if given.write:
             embed(text, given.write, "servo-ladder")
