@@ -14,7 +14,7 @@ from servotrack.baselines.agents.random import RandomAgent
 from servotrack.baselines.agents.registry import AGENTS, LAWS, agent_card, create_agent
 from servotrack.baselines.agents.servo.catalog import ESTIMATORS
 from servotrack.baselines.agents.servo.catalog import LAWS as LAW_CLASSES
-from servotrack.baselines.agents.servo.informed_settings import SETTINGS
+from servotrack.baselines.agents.servo.informed_settings import FILTERS
 from servotrack.baselines.evaluation.evaluate import make_single, make_vector
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.estimators.jacobian import ParticleJacobian
@@ -140,7 +140,7 @@ def test_an_agent_s_old_name_leads_to_the_new_one() -> None:
 def test_the_informed_agent_has_a_filter_for_every_law_of_a_target(target: str) -> None:
     env = make_single(SERVO, {"level": 3, "target": target}, privileged=True)
     agent = create_agent("informed", env)
-    assert agent.controller.estimator == SETTINGS[target].estimator  # type: ignore[attr-defined]
+    assert agent.controller.estimator == FILTERS[target]  # type: ignore[attr-defined]
     observation, _ = env.reset(seed=100_000)
     action, _ = agent.predict(observation)
     assert action.shape == (2,)

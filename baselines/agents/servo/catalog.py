@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from servotrack.baselines.agents.hyper_parameters import with_values
 from servotrack.baselines.agents.servo.anchors import FixedJacobian, OracleJacobian
-from servotrack.baselines.agents.servo.informed_settings import SETTINGS
+from servotrack.baselines.agents.servo.informed_settings import FILTERS
 from servotrack.baselines.agents.servo.jacobian_servo import OBSERVATION_KEYS, JacobianServo
 from servotrack.baselines.agents.servo.pixel_servo import PIXEL_KEYS, PixelServo
 from servotrack.baselines.worlds import public_attribute
@@ -17,6 +17,7 @@ from servotrack.estimators.jacobian import (
     BroydenJacobian,
     CorrentropyNoise,
     DampedLeastSquares,
+    ElbowLaw,
     Excitation,
     KalmanJacobian,
     LevelKalmanJacobian,
@@ -157,9 +158,7 @@ def create_servo_agent(
 
 
 def _matched(controller: ServoController, target: str) -> ServoController:
-    """Give an informed controller the filter of its target's law, and the gain of its one-step law."""
-    setting = SETTINGS.get(target)
-    if setting is None:
-        return controller
-    law = setting.law if isinstance(controller.law, OneStepExact) else controller.law
-    return replace(controller, estimator=cast("JacobianEstimator", setting.estimator), law=law)
+    """Give an informed controller its target's filter, and inverse kinematics instead of the one-step law."""
+    estimator = cast("JacobianEstimator", FILTERS.get(target, controller.estimator))
+    law = ElbowLaw() if isinstance(controller.law, OneStepExact) else controller.law
+    return replace(controller, estimator=estimator, law=law)
