@@ -105,6 +105,18 @@ def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
     return Grid(headings, rows, 2)
 
 
+def overview_grids(tasks: Sequence[TaskSummary]) -> list[tuple[str, Grid]]:
+    """A title and an overview for each id that has scores; ids are not mixed, because their levels differ."""
+    by_id: dict[str, list[TaskSummary]] = {}
+    for task in tasks:
+        if any(row.score for row in task.rows):
+            by_id.setdefault(task.env_id, []).append(task)
+    title = "mean score · success in percent"
+    if len(by_id) == 1:
+        return [(title.capitalize(), overview_grid(tasks))]
+    return [(f"{env_id}: {title}", overview_grid(of_id)) for env_id, of_id in by_id.items()]
+
+
 def headline_grid(tasks: Sequence[TaskSummary]) -> Grid:
     """Agents against the levels of one world that has no score: the mean of what ranks them in every cell.
 
@@ -203,10 +215,9 @@ def markdown_overview(
         results_stamp: Digest of the results (`summary.stamp`), which the figure of the same results carries too.
     """
     parts = [f"<!-- results {results_stamp} -->\n"] if results_stamp else []
-    overview = overview_grid(tasks)
-    if overview.rows:
+    for title, overview in overview_grids(tasks):
         parts.append(
-            f"{as_markdown(overview)}\nMean score · success in percent, up to {_most_episodes(tasks)} episodes each. "
+            f"{as_markdown(overview)}\n{markdown_text(title)}, up to {_most_episodes(tasks)} episodes each. "
             f"{SAME_NOTE} "
             f"Written by {markdown_code(command)}. {note_of(tasks)}\n"
         )
@@ -228,9 +239,8 @@ def _most_episodes(tasks: Sequence[TaskSummary]) -> int:
 def markdown_report(tasks: Sequence[TaskSummary], command: str) -> str:
     """The whole leaderboard: the overview where there are scores, then every task."""
     parts = ["# Leaderboard\n", f"Written by {markdown_code(command)}. {note_of(tasks)}\n"]
-    overview = overview_grid(tasks)
-    if overview.rows:
-        parts.append("## Overview\n\nMean score · success in percent. " + SAME_NOTE + "\n\n" + as_markdown(overview))
+    for title, overview in overview_grids(tasks):
+        parts.append(f"## Overview\n\n{markdown_text(title)}. {SAME_NOTE}\n\n{as_markdown(overview)}")
     for title, grid in headline_grids(tasks):
         parts.append(f"## {markdown_text(title)}\n\n{as_markdown(grid)}")
     for task in tasks:
