@@ -1,4 +1,4 @@
-"""How far the levels of the servo worlds separate agents, and how far the agents are from the bound."""
+"""Separation of agents by the levels of the servo worlds, and their distance from the bound."""
 
 from __future__ import annotations
 
@@ -47,8 +47,9 @@ def ranked(task: TaskSummary) -> list[AgentSummary]:
     """Agents without privilege that have skill, best first; of agents equal to the bit only the first."""
     rows: list[AgentSummary] = []
     for row in task.rows:
-        known = any(row.scores is not None and np.array_equal(row.scores, other.scores) for other in rows)
-        if row.score is not None and not row.privileged and row.agent != "random" and not known:
+        if row.scores is None or row.privileged or row.agent == "random":
+            continue
+        if not any(other.scores is not None and np.array_equal(row.scores, other.scores) for other in rows):
             rows.append(row)
     return rows
 
@@ -138,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--episodes", type=int, default=100, help="seeds of each level (default 100)")
     parser.add_argument("--split", default="tune", choices=("tune", "test"), help="seed range (default tune)")
     parser.add_argument("--results", type=Path, default=Path("results/ladder"), help="folder of the episodes")
-    parser.add_argument("--tables", action="store_true", help="only the tables, from what the folder holds")
+    parser.add_argument("--tables", nargs="+", type=Path, help="only the tables, from what these folders hold")
     parser.add_argument("--write", type=Path, help="page with the marks servo-ladder:begin and :end")
     given = parser.parse_args(arguments)
     if given.episodes < 2:
@@ -146,11 +147,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with program("finished episodes are kept; run the same command again"):
         cells = []
         for env_id in ENV_IDS:
-            folder = given.results / env_id
-            if given.tables:
-                cells += [cell for cell in ResultsFolder(folder).load_all() if cell.env_id == env_id]
-            else:
-                cells += ladder_cells(env_id, folder, given.episodes, given.split)
+            if given.tables is None:
+                cells += ladder_cells(env_id, given.results / env_id, given.episodes, given.split)
+            for folder in given.tables or ():
+                cells += ResultsFolder(folder / env_id).load_all()
         source = f"`scripts/servo-ladder --episodes {given.episodes} --split {given.split}`"
         versions = ", ".join(sorted({f"servotrack {cell.provenance['versions']['servotrack']}" for cell in cells}))
         text = ladder_text(cells, given.episodes, f"{source}, episodes by {versions}")

@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
+from numpy.typing import NDArray
 from scipy.special import ive
 
 from servotrack.baselines.evaluation.servo_scores import STEADY_AFTER
@@ -209,8 +210,8 @@ def _image_slopes(cameras: Array, links: Array, joints: Array, paths: Array) -> 
     return east[..., :2], np.stack([east[..., 2], north[..., 2]], axis=-1)
 
 
-def _turned(matrices: Array) -> Array:
-    return matrices.transpose(0, 2, 1)
+def _turned(matrices: NDArray[np.floating[Any]]) -> Array:
+    return np.asarray(matrices.transpose(0, 2, 1), dtype=np.float64)
 
 
 def _updated(P: Array, H: Array, R: Array, rows: Mask) -> Array:

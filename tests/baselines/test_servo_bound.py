@@ -30,7 +30,7 @@ from servotrack.envs.servo.targets import PERIOD
 SERVO, REACH = "UncalibServo-v0", "UncalibServoReach-v0"
 LEVELS = range(len(LEVEL_NAMES))
 STRONG = ("lifted-kf-swinging", "latency-bank-lifted-kf", "latency-bank-agile-kf", "ppo", "hybrid", "informed")
-TUNE = take("tune", 40, 90_000)
+TUNE = take("tune", 20, 90_000)
 
 
 def bounds(env_id: str, kwargs: dict[str, Any], seeds: list[int]) -> Any:

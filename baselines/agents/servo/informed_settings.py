@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from servotrack.baselines.agents.hyper_parameters import with_values
 from servotrack.estimators.jacobian.informed import InformedKalman
 from servotrack.estimators.jacobian.lifted import LiftedKalman, TargetModel
 
@@ -22,7 +23,8 @@ def _swings(rates: np.ndarray, jerk: float) -> tuple[TargetModel, ...]:
 
 def _known(models: tuple[TargetModel, ...], **values: float) -> InformedKalman:
     # The geometry is known, so nothing of it drifts.
-    return InformedKalman(LiftedKalman(models=models, drift=0.0, **{"optics_error": 0.0, **values}))
+    known = LiftedKalman(models=models, drift=0.0, optics_error=0.0)
+    return InformedKalman(with_values(known, values))
 
 
 _REST = _known(
