@@ -201,12 +201,15 @@ def _correct(memory, newest, columns, frames, settings, row, h):  # type: ignore
     index = np.flatnonzero(newest[2][0])
     count = len(index)
     total, right = np.zeros((count, count)), np.empty((count, 1))
+    for a in range(size):
+        for c in range(count):
+            scaled = frames * columns[a, index[c]]
+            for d in range(count):
+                total[c, d] += scaled * columns[a, index[d]]
     for c in range(count):
         i = index[c]
         right[c, 0] = residual[i]
-        for d in range(c + 1):
-            for a in range(size):
-                total[c, d] += frames * columns[a, i] * columns[a, index[d]]
+        for d in range(c):
             total[d, c] = total[c, d]
         total[c, c] += 1.0 / row_terms(residual[i], newest[2][0, i], memory.noise[row], settings)[1]
     eliminate(total, right)
