@@ -18,7 +18,7 @@ from servotrack.estimators.jacobian.bank import EstimatorBankState, check_memory
 from servotrack.estimators.jacobian.chain import ChainJacobian, ChainState, checked_points
 from servotrack.estimators.jacobian.chain_bank_kernel import BankReadings, step_bank
 from servotrack.estimators.jacobian.chain_estimate import ChainEstimate
-from servotrack.estimators.jacobian.chain_records import ChainMemory, ChainSettings
+from servotrack.estimators.jacobian.chain_records import ChainSettings
 from servotrack.estimators.jacobian.contract import ServoMeasurement
 from servotrack.estimators.types import Array, Mask
 
@@ -87,11 +87,11 @@ class ChainBank:
         alone = self.chain.initial(measurement)
         axis, count = np.ndim(measurement.time), self.count
         members = _mapped(alone, lambda each: np.repeat(np.expand_dims(each, axis), count, axis))
-        moves = members.chain.moves.copy()
+        moves, clock = members.chain.moves.copy(), members.chain.clock.copy()
         moves[..., len(self.plays) :] = True
         # One fit at a time: chains take turns.
-        turns = np.broadcast_to(np.arange(count, dtype=np.float64), moves.shape).copy()
-        members = members._replace(chain=members.chain._replace(moves=moves, turn=turns))
+        clock[..., 0] = np.arange(count)
+        members = members._replace(chain=members.chain._replace(moves=moves, clock=clock))
         return EstimatorBankState(members, np.zeros((*np.shape(measurement.time), count)))
 
     def step(

@@ -309,10 +309,7 @@ def descent(factor, slope, step):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def unwhiten(factor, step):  # type: ignore[no-untyped-def]
     """Solve R x = z in place. Shapes (N, N) and (N,)."""
-    size = step.shape[0]
-    # By columns: along a row, each difference would wait for the one before.
-    for a in range(size):
-        step[a] /= factor[a, a]
-        value = step[a]
-        for k in range(a + 1, size):
-            step[k] -= factor[k, a] * value
+    for k in range(step.shape[0]):
+        for a in range(k):
+            step[k] -= factor[k, a] * step[a]
+        step[k] /= factor[k, k]

@@ -44,14 +44,6 @@ def foresee(seen_joints, seen_features, jacobian, joints):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True)
-def add_squares(columns, first, sums):  # type: ignore[no-untyped-def]
-    """Add the squared lengths of columns, from the first one on, to sums in place. Shapes (N, r) and (m,)."""
-    for a in range(columns.shape[0]):
-        for i in range(sums.shape[0]):
-            sums[i] += columns[a, first + i] ** 2
-
-
-@njit(cache=True, nogil=True)
 def score_frame(memory, frame, settings, output, newest, old, row):  # type: ignore[no-untyped-def]
     """Score the prediction of a new frame by the chain so far, beside that of the linear filter.
 
@@ -70,11 +62,6 @@ def score_frame(memory, frame, settings, output, newest, old, row):  # type: ign
     whiten(memory.factor[row], columns)
     fading = math.exp(-frame.duration[row] / settings.offset_time)
     rows = target_derivatives(parameters, derivatives, n, memory.motion[row]) if moves else np.empty((m, 6))
-    variances = memory.white[row] + memory.offset_variance[row]
-    if moves:
-        for i in range(m):
-            variances[i] += spread(rows, memory.motion_covariance[row], 0, i)
-    add_squares(columns, 0, variances)
     innovations = np.zeros(m)
     squares, linear, both = 0.0, 0.0, 0
     normalized, density, used, bare = 0.0, 0.0, 0, 0.0
@@ -83,7 +70,11 @@ def score_frame(memory, frame, settings, output, newest, old, row):  # type: ign
             continue
         innovation = newest[1][0, i] - predicted[i] - fading * memory.offset[row, i]
         innovations[i] = innovation
-        variance = variances[i]
+        variance = memory.white[row] + memory.offset_variance[row, i]
+        if moves:
+            variance += spread(rows, memory.motion_covariance[row], 0, i)
+        for a in range(size):
+            variance += columns[a, i] ** 2
         normalized += innovation * innovation / variance
         density -= 0.5 * (innovation * innovation / variance + math.log(2.0 * math.pi * variance))
         # An offset that follows what a wrong chain leaves would hide that it is wrong.
@@ -180,11 +171,11 @@ def write_present(memory, frame, settings, output, row):  # type: ignore[no-unty
             for j in range(k + 1):
                 for i in range(m):
                     spreads[k, j, i] += columns[a, k * m + i] * columns[a, j * m + i]
-    totals = memory.offset_variance[row].copy()
-    add_squares(columns, m * n, totals)
     for i in range(m):
         output.features[row, i] += memory.offset[row, i]
-        total = totals[i]
+        total = memory.offset_variance[row, i]
+        for a in range(size):
+            total += columns[a, m * n + i] ** 2
         if moves:
             total += spread(rows, doubt, 0, i) + age * age * spread(rows, doubt, 6, i)
         output.variance[row, i] = total

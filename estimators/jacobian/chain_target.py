@@ -121,14 +121,11 @@ def correct_target(memory, innovations, used, rows, columns, settings, row):  # 
             for b in range(6):
                 right[c, a] += covariance[a, b] * rows[index[c], b]
         right[c, 12] = innovations[index[c]]
-    uncertain = np.zeros((count, count))
-    for a in range(columns.shape[0]):
-        for c in range(count):
-            for d in range(count):
-                uncertain[c, d] += columns[a, index[c]] * columns[a, index[d]]
     for c in range(count):
         for d in range(c + 1):
-            own, carried = uncertain[c, d], 0.0
+            own, carried = 0.0, 0.0
+            for a in range(columns.shape[0]):
+                own += columns[a, index[c]] * columns[a, index[d]]
             for a in range(6):
                 carried += rows[index[c], a] * right[d, a]
             if c == d:
@@ -183,23 +180,19 @@ def _shrink(covariance, gains, rows, index, noise):  # type: ignore[no-untyped-d
         for b in range(6):
             for c in range(count):
                 kept[a, b] -= gains[c, a] * rows[index[c], b]
-    # The innermost loops are over columns, so that no sum waits for its last term.
     for a in range(12):
-        for c in range(12):
-            for b in range(12):
+        for b in range(12):
+            for c in range(12):
                 half[a, b] += kept[a, c] * covariance[c, b]
-    whole, across = np.zeros((12, 12)), kept.T.copy()
     for a in range(12):
-        for c in range(12):
-            for b in range(12):
-                whole[a, b] += half[a, c] * across[c, b]
-        for c in range(count):
-            for d in range(count):
-                share = gains[c, a] * noise[c, d]
-                for b in range(12):
-                    whole[a, b] += share * gains[d, b]
         for b in range(a + 1):
-            covariance[a, b], covariance[b, a] = whole[a, b], whole[a, b]
+            value = 0.0
+            for c in range(12):
+                value += half[a, c] * kept[b, c]
+            for c in range(count):
+                for d in range(count):
+                    value += gains[c, a] * noise[c, d] * gains[d, b]
+            covariance[a, b], covariance[b, a] = value, value
 
 
 @njit(cache=True, nogil=True)
