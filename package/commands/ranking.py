@@ -10,10 +10,12 @@ import typer
 
 from servotrack.commands.terms import (
     DEFAULT_RESULTS,
+    Backend,
     Episodes,
     Jobs,
     Level,
     Results,
+    Scheduler,
     Settings,
     Split,
     TableFormat,
@@ -103,6 +105,8 @@ def bench(
     episodes: Episodes = 100,
     split: Split = "test",
     jobs: Jobs = -1,
+    backend: Backend = "processes",
+    scheduler: Scheduler = None,
     video: Annotated[bool, typer.Option(help="Write a video of the best agent at level 3.")] = True,
     table_format: TableFormat = "table",
 ) -> None:
@@ -111,10 +115,12 @@ def bench(
     Finished cells are skipped.
     """
     from servotrack.baselines.evaluation.bench import run_suite, suite_of
+    from servotrack.baselines.evaluation.provenance import code_version
     from servotrack.baselines.evaluation.results import ResultsFolder
     from servotrack.baselines.leaderboard.index import write_index
     from servotrack.baselines.leaderboard.summary import summarize
     from servotrack.baselines.reporting.terminal import progress_bars
+    from servotrack.baselines.running.clusters import computing_on
 
     screen = console(table_format)
     ids = words(env)
@@ -126,7 +132,7 @@ def bench(
     output = results or DEFAULT_RESULTS / "bench" / ids[0].rpartition(":")[2].replace("/", "-")
     folder = ResultsFolder(output)
     folder.check_writable()
-    with progress_bars() as progress:
+    with computing_on(backend, scheduler, code_version), progress_bars() as progress:
         cells = run_suite(suite, folder, episodes=episodes, split=split, jobs=jobs, progress=progress)
     tasks = summarize(cells)
     film = _film_best(tasks, output) if video else None
