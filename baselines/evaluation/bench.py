@@ -52,37 +52,37 @@ def default_agents(env_id: str = "UncalibServo-v0") -> list[str]:
 
 
 def suite_of(
-    env_id: str,
+    env_id: str | Sequence[str],
     agents: Sequence[str] | None = None,
     levels: Sequence[int] | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> list[Cell]:
-    """Agents against levels of one world.
+    """Agents against levels of one world, or of several.
 
     Args:
-        env_id: Gymnasium id.
-        agents: Names; None for all that are measured in this world by default.
+        env_id: Gymnasium id, or several.
+        agents: Names; None for all that are measured in a world by default.
         levels: None for `DEFAULT_LEVELS`, or for the world as it is where it has no levels.
-        settings: Arguments of the environment besides its level.
+        settings: Arguments of the environments besides their level.
 
     Raises:
-        ValueError: An unknown agent, a level that the environment does not have, or nothing to do.
+        ValueError: An unknown agent, a level that an environment does not have, or nothing to do.
     """
-    names = list(agents) if agents else default_agents(env_id)
-    for name in names:
+    for name in agents or ():
         agent_card(name)
-    given = dict(settings or {})
-    if levels is None:
-        levels = DEFAULT_LEVELS if _has_levels(env_id) else ()
-    elif not levels:
+    if levels is not None and not levels:
         raise ValueError("levels must hold at least one level, got none")
-    worlds = [{"level": level, **given} for level in levels] or [given]
-    for kwargs in worlds:
-        # Now, not after minutes of the levels before it: making one says what is wrong with it.
-        gym.make(env_id, **kwargs).close()
-    cells = [Cell(env_id, name, kwargs) for kwargs in worlds for name in names if _has_network(name, env_id, kwargs)]
+    given, cells, worlds = dict(settings or {}), [], []
+    for each in [env_id] if isinstance(env_id, str) else env_id:
+        own = levels or (DEFAULT_LEVELS if _has_levels(each) else ())
+        for kwargs in [{"level": level, **given} for level in own] or [given]:
+            # Now, not after minutes of the levels before it: making one says what is wrong with it.
+            gym.make(each, **kwargs).close()
+            worlds.append(describe_environment(each, kwargs))
+            names = list(agents) if agents else default_agents(each)
+            cells += [Cell(each, name, kwargs) for name in names if _has_network(name, each, kwargs)]
     if missing := sorted(set(agents or ()) - {cell.agent for cell in cells}):
-        raise ValueError(f"{', '.join(missing)} was trained in none of {', '.join(map(str, worlds))} of {env_id}")
+        raise ValueError(f"{', '.join(missing)} was trained in none of {', '.join(worlds)}")
     return cells
 
 
