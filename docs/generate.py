@@ -82,7 +82,7 @@ class Animation(NamedTuple):
 
 PICTURES = (
     Picture("servo.png", "UncalibServo-v0", {"level": 3}, "lifted-kf", 160),
-    Picture("pedestrian-servo.png", "PedestrianServo-v0", {"level": 2, "lamps": 2, "umbrellas": 1}, "phd-servo", 70),
+    Picture("pedestrian-servo.png", "PedestrianServo-v0", {"level": 2, "lamps": 2, "umbrellas": 1}, "crowd-servo", 70),
     Picture("clutter-tracking.png", "ClutterTracking-v0", {}, "pmb", 88),
     Picture("pedestrians.png", "PedestrianTracking-v0", {"level": 1}, "pmb", 150),
     Picture("sonar.png", "SonarTracking-v0", {"level": 3}, "hmm-row", 184),
@@ -97,7 +97,7 @@ ANIMATIONS = {
     "UncalibServoReach-v0": Animation({"level": 3}, "lifted-kf", frames=50, every=2),
     "UncalibServoPixels-v0": Animation({"level": 3}, "lifted-kf", frames=72),
     "UncalibServo3D-v0": Animation({"level": 3, "arm": "so101"}, "any-arm", frames=60),
-    "PedestrianServo-v0": Animation({"level": 2}, "phd-servo", frames=50),
+    "PedestrianServo-v0": Animation({"level": 2}, "crowd-servo", frames=50),
     "ClutterTracking-v0": Animation({}, "pmb", first=20, frames=60, every=1, duration=120),
     "RecordedPoints-v0": Animation({"lag": 8}, "trajectory-pmb", frames=50, every=1, duration=150),
     "PedestrianTracking-v0": Animation({"level": 1}, "pmb", first=40, frames=40, every=5, duration=160),
