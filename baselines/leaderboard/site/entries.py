@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from servotrack.baselines.agents.registry import AGENTS, agent_card, create_agent
+from servotrack.baselines.board.action_grid import ActionGrid
+from servotrack.baselines.board.replay import make_replay_env
+from servotrack.baselines.board.submission import CARD, Submission, SubmittedCell, read_submission
+from servotrack.baselines.evaluation import statistics
 from servotrack.baselines.evaluation.evaluate import make_vector
 from servotrack.baselines.evaluation.results import CellResults, ResultsFolder
+from servotrack.baselines.leaderboard.summary import AgentSummary, TaskSummary, summarize
 from servotrack.baselines.reporting.files import ResultsError
 from servotrack.estimators.types import Array
 
@@ -28,10 +33,13 @@ class Entry:
 
     Attributes:
         suite: Name of the suite, "" for results outside a suite.
-        cell: Results.
+        cell: Results; those of a submission hold its public and its sealed episodes.
         proof: Check behind the rows.
         stale: True if the package's rollouts have changed since the rows were made.
         actions: Source of the episodes' actions.
+        traced: True if `actions` reads a trace of every episode, False if it runs the agent.
+        scores: Scores of the episodes by the suite's frozen anchors, shape (rows,); None: by the agents of the table.
+        sealed: Seeds that follow from the agent's files.
     """
 
     suite: str
@@ -39,23 +47,67 @@ class Entry:
     proof: Proof
     stale: bool
     actions: ActionsOf
+    traced: bool = False
+    scores: Array | None = None
+    sealed: frozenset[int] = frozenset()
 
 
 def entries_of(folder: Path) -> list[Entry]:
-    """Read a folder of results, or a folder of such folders as `servotrack bench` makes them.
+    """Read a folder of submissions, of results, or of folders of results as `servotrack bench` makes them.
+
+    Submissions lie in SUITE/AGENT; see `servotrack.baselines.board.submission`.
 
     Raises:
-        ResultsError: There are no results, or a file is damaged.
+        ResultsError: There are neither, or a file is damaged.
     """
+    if cards := sorted(folder.glob(f"*/*/{CARD}")):
+        return [entry for card in cards for entry in _submitted_entries(read_submission(card.parent))]
     folders = [folder] if any(folder.glob("*/*.json")) else sorted({p.parents[1] for p in folder.glob("*/*/*.json")})
     if not folders:
-        raise ResultsError(f"{folder} holds no results; run `servotrack bench` first")
+        raise ResultsError(f"{folder} holds no submissions and no results; run `servotrack bench` first")
     return [
         Entry("", cell, "self-reported", False, rerun_actions)
         for results in folders
         for cell in ResultsFolder(results).load_all()
         if cell.rows
     ]
+
+
+def _submitted_entries(submission: Submission) -> list[Entry]:
+    entries = []
+    parts = zip(submission.cells, submission.results("public"), submission.results("sealed"), strict=True)
+    for submitted, public, sealed in parts:
+        cell = replace(public, rows=[*public.rows, *sealed.rows])
+        entries.append(
+            Entry(
+                submission.suite.name,
+                cell,
+                "self-reported",
+                submitted.cell.is_stale(),
+                _traced_actions(submission, submitted),
+                True,
+                submitted.cell.scores(cell.rows),
+                frozenset(sealed.seeds),
+            )
+        )
+    return entries
+
+
+def _traced_actions(submission: Submission, submitted: SubmittedCell) -> ActionsOf:
+    def actions(cell: CellResults, seeds: Sequence[int]) -> Mapping[int, Array]:
+        env = make_replay_env(submitted.cell, 1)
+        try:
+            grid = ActionGrid.of(env.single_action_space, submission.suite.grid)
+        finally:
+            env.close()
+        wanted = set(seeds)
+        return {
+            episode.seed: np.asarray(grid.actions(episode.points), dtype=np.float64)
+            for episode in submitted.episodes()
+            if episode.seed in wanted
+        }
+
+    return actions
 
 
 def rerun_actions(cell: CellResults, seeds: Sequence[int]) -> Mapping[int, Array]:
@@ -88,3 +140,26 @@ def rerun_actions(cell: CellResults, seeds: Sequence[int]) -> Mapping[int, Array
     finally:
         env.close()
     return {seed: np.stack(rows) for seed, rows in zip(seeds, taken, strict=True)}
+
+
+def summaries_of(entries: Sequence[Entry]) -> list[TaskSummary]:
+    """Summarize the entries of one suite; scores are those of the suite's frozen anchors where it has some."""
+    by_cell = {(entry.cell.environment, entry.cell.agent): entry for entry in entries}
+    return [
+        _rescored(task, {row.agent: by_cell[task.environment, row.agent] for row in task.rows})
+        for task in summarize([entry.cell for entry in entries])
+    ]
+
+
+def _rescored(task: TaskSummary, entries: Mapping[str, Entry]) -> TaskSummary:
+    if any(entry.scores is None for entry in entries.values()):
+        return task
+
+    def rescored(row: AgentSummary) -> AgentSummary:
+        scores = entries[row.agent].scores
+        assert scores is not None
+        worst = statistics.worst_tenth(scores, high_is_bad=False)
+        return replace(row, scores=scores, score=statistics.bootstrap_mean(scores), worst_score=worst)
+
+    rows = sorted(map(rescored, task.rows), key=lambda row: -row.score.value if row.score else 0.0)
+    return replace(task, rows=tuple(rows), notes=tuple(note for note in task.notes if "score" not in note.lower()))

@@ -18,7 +18,7 @@ from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.types import Array
 
 SAME_ROW = 1e-6
-"""Largest difference between the error of a replay and that of its row, m. Replays beyond it belong to other code."""
+"""Largest difference between the numbers of a replay and those of its row, as between mathematics libraries."""
 
 
 @dataclass(frozen=True)
@@ -62,20 +62,31 @@ def can_replay(cell: CellResults) -> bool:
     return cell.kind == "servo"
 
 
-def replay(cell: CellResults, actions: Mapping[int, Array]) -> tuple[dict[int, Motion], dict[int, Scene]]:
+@dataclass(frozen=True)
+class Replay:
+    """Episodes of an agent in one environment, stepped again from their actions.
+
+    Attributes:
+        motions: By seed. Episodes that differ from their rows are left out.
+        scenes: By seed.
+        faithful: True if every row of the results was recomputed, each number to within `SAME_ROW`.
+    """
+
+    motions: dict[int, Motion]
+    scenes: dict[int, Scene]
+    faithful: bool
+
+
+def replay(cell: CellResults, actions: Mapping[int, Array]) -> Replay:
     """Step the cell's environment with recorded actions; nothing of the agent is run.
 
     Args:
         cell: Results; names the environment. Its rows are compared with the replayed ones.
         actions: Actions by seed, each (length, 2).
-
-    Returns:
-        Motions and scenes by seed. Episodes whose steady error differs from the row's by more than `SAME_ROW` are left
-        out.
     """
     seeds = [seed for seed in actions if len(actions[seed])]
     if not seeds:
-        return {}, {}
+        return Replay({}, {}, False)
     lengths = np.array([len(actions[seed]) for seed in seeds])
     commands = np.zeros((len(seeds), lengths.max(), 2))
     for row, seed in enumerate(seeds):
@@ -90,24 +101,24 @@ def replay(cell: CellResults, actions: Mapping[int, Array]) -> tuple[dict[int, M
         seen = np.zeros((len(seeds), lengths.max() + 1))
         joints[:, 0], seen[:, 0] = world.joints, world.visible
         for step in range(lengths.max()):
-            if recorder.finished:
-                break
             observation, reward, terminated, truncated, info = env.step(commands[:, step])
             recorder.record(observation, reward, terminated | truncated, info)
             joints[:, step + 1], seen[:, step + 1] = world.joints, world.visible
-        if not recorder.finished:
-            return {}, {}
         rows = recorder.rows()
     finally:
         env.close()
     given = {row["seed"]: row for row in cell.rows}
-    found = {}
-    for index, (seed, row) in enumerate(zip(seeds, rows, strict=True)):
-        length = row["length"]
-        # In the step of its end a row of a vector environment may already hold the next episode's start.
-        if seed in given and abs(row["steady"] - given[seed]["steady"]) <= SAME_ROW and length <= lengths[index]:
-            found[seed] = Motion(joints[index, : length + 1], seen[index, : length + 1])
-    return found, {seed: scene for seed, scene in zip(seeds, scenes, strict=True) if seed in found}
+    same = {
+        seed: Motion(joints[k, : row["length"] + 1], seen[k, : row["length"] + 1])
+        for k, (seed, row) in enumerate(zip(seeds, rows, strict=True))
+        if seed in given and row["length"] == lengths[k] and _is_same(row, given[seed])
+    }
+    kept = {seed: scene for seed, scene in zip(seeds, scenes, strict=True) if seed in same}
+    return Replay(same, kept, set(same) == set(given))
+
+
+def _is_same(row: Mapping[str, Any], given: Mapping[str, Any]) -> bool:
+    return row.keys() == given.keys() and all(abs(row[name] - given[name]) <= SAME_ROW for name in row)
 
 
 def _scene(world: ServoWorld, row: int) -> Scene:
@@ -136,7 +147,10 @@ def chosen_seeds(values: Mapping[int, float], high_is_good: bool, shared: Sequen
 
 
 def pack(
-    motions: Mapping[str, Mapping[int, Motion]], labels: Mapping[str, Mapping[int, list[str]]], scenes: Mapping[int, Scene]
+    motions: Mapping[str, Mapping[int, Motion]],
+    labels: Mapping[str, Mapping[int, list[str]]],
+    scenes: Mapping[int, Scene],
+    values: Mapping[str, Mapping[int, float]],
 ) -> dict[str, Any]:
     """Pack the replays of one task.
 
@@ -144,6 +158,7 @@ def pack(
         motions: Motions by agent and seed.
         labels: Labels of those to keep, by agent and seed, see `chosen_seeds`.
         scenes: Scenes by seed.
+        values: Headline measure by agent and seed.
 
     Returns:
         A document for the page: `scenes`, `replays`, `curves` and their `samples`.
@@ -162,6 +177,7 @@ def pack(
             "agent": agent,
             "seed": seed,
             "labels": names,
+            "value": _short([values[agent][seed]])[0],
             "joints": _pair(packer, motions[agent][seed].joints, ANGLE_STEP),
             "unseen": _runs(motions[agent][seed].seen == 0.0),
         }
@@ -192,7 +208,13 @@ def pack_race(
         if len(noise[seed]):
             packed[str(seed)]["noise"] = _pair(packer, noise[seed], RATE_STEP)
     replays = [
-        {"agent": agent, "seed": seed, "labels": [], "joints": _pair(packer, of_agent[seed].joints, ANGLE_STEP), "unseen": []}
+        {
+            "agent": agent,
+            "seed": seed,
+            "labels": [],
+            "joints": _pair(packer, of_agent[seed].joints, ANGLE_STEP),
+            "unseen": [],
+        }
         for agent, of_agent in motions.items()
         for seed in scenes
     ]

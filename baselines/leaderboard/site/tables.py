@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from servotrack.baselines.evaluation.statistics import Interval
+from servotrack.baselines.evaluation.statistics import Interval, bootstrap_mean
 from servotrack.baselines.leaderboard.site.entries import Entry
 from servotrack.baselines.leaderboard.summary import AgentSummary, TaskSummary, overall
 from servotrack.baselines.worlds import RankingMetric
@@ -50,9 +51,10 @@ def overall_table(tasks: Sequence[TaskSummary]) -> list[dict[str, Any]]:
 
 
 def episode_values(task: TaskSummary, entries: Mapping[str, Entry]) -> dict[str, Any]:
-    """Headline measure of every episode, for comparisons by seed: `seeds`, and values by agent with None for gaps."""
+    """Headline measure of every episode on a seed that several agents met: `seeds`, values by agent, None for gaps."""
     column = task.world.headline.column
-    seeds = sorted({seed for row in task.rows for seed in row.seeds})
+    met = Counter(seed for row in task.rows for seed in row.seeds)
+    seeds = sorted(seed for seed, agents in met.items() if agents > 1 or len(task.rows) == 1)
     values = {}
     for row in task.rows:
         by_seed = {episode["seed"]: episode.get(column) for episode in entries[row.agent].cell.rows}
@@ -111,12 +113,23 @@ def _row(row: AgentSummary, entry: Entry) -> dict[str, Any]:
         "success": _interval(row.success),
         "return": _interval(row.mean_return),
         "measures": {column: _interval(mean) for column, mean in row.measures.items()},
-        "difference": None if difference is None else [_number(v) for v in (difference.value, difference.low, difference.high)],
+        "difference": None
+        if difference is None
+        else [_number(difference.value), _number(difference.low), _number(difference.high)],
+        "sealed": _sealed(row, entry),
         "p": _number(row.adjusted_p),
         "overBound": _number(row.over_bound),
         "stepSeconds": _number(row.step_seconds),
         "tuningSteps": row.tuning_steps,
     }
+
+
+def _sealed(row: AgentSummary, entry: Entry) -> list[float | None] | None:
+    """Mean score on the seeds that follow from the agent's files."""
+    if not entry.sealed or row.scores is None:
+        return None
+    scores = [score for seed, score in zip(row.seeds, row.scores.tolist(), strict=True) if seed in entry.sealed]
+    return _interval(bootstrap_mean(scores))
 
 
 def _interval(interval: Interval | None) -> list[float | None] | None:

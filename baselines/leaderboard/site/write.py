@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -13,11 +13,12 @@ import gymnasium as gym
 import numpy as np
 
 from servotrack.baselines.evaluation.results import CellResults
+from servotrack.baselines.evaluation.servo_scores import LOST_ERROR
 from servotrack.baselines.leaderboard.anchoring import column_of, find_anchors
 from servotrack.baselines.leaderboard.site import replays
-from servotrack.baselines.leaderboard.site.entries import Entry
+from servotrack.baselines.leaderboard.site.entries import Entry, summaries_of
 from servotrack.baselines.leaderboard.site.tables import agent_facts, episode_values, overall_table, task_table
-from servotrack.baselines.leaderboard.summary import TaskSummary, stamp, summarize
+from servotrack.baselines.leaderboard.summary import TaskSummary, stamp
 from servotrack.baselines.reporting.files import atomic_path
 
 LARGEST_SITE = 1_450_000
@@ -91,8 +92,10 @@ def write_site(
     tasks: list[_Task] = []
     for suite in dict.fromkeys(entry.suite for entry in entries):
         of_suite = [entry for entry in entries if entry.suite == suite]
-        summaries = summarize([entry.cell for entry in of_suite])
-        made = [_Task(summary, _entries_of(summary, of_suite), f"task-{len(tasks) + k}") for k, summary in enumerate(summaries)]
+        made = [
+            _Task(summary, _entries_of(summary, of_suite), f"task-{len(tasks) + k}")
+            for k, summary in enumerate(summaries_of(of_suite))
+        ]
         tasks += made
         suites.append((suite, made))
     for task in tasks:
@@ -120,15 +123,18 @@ def _entries_of(summary: TaskSummary, entries: Sequence[Entry]) -> dict[str, Ent
 
 
 def _add_motions(task: _Task, on_cell: Callable[[str], None]) -> None:
-    """Replay the episodes of a task that may be shown."""
+    """Replay the episodes of a task: all that have traces, which proves its rows, else those that may be shown."""
     if not replays.can_replay(task.cell):
         return
     for agent, labels in task.labels(MOST_SHARED).items():
         on_cell(f"{agent} in {task.summary.environment}")
         entry = task.entries[agent]
-        actions = entry.actions(entry.cell, list(labels))
-        task.motions[agent], scenes = replays.replay(entry.cell, actions)
-        task.scenes |= scenes
+        seeds = entry.cell.seeds if entry.traced else list(labels)
+        made = replays.replay(entry.cell, entry.actions(entry.cell, seeds))
+        task.motions[agent] = {seed: made.motions[seed] for seed in labels if seed in made.motions}
+        task.scenes |= {seed: made.scenes[seed] for seed in task.motions[agent]}
+        if entry.traced and made.faithful and entry.proof == "self-reported":
+            task.entries[agent] = replace(entry, proof="replayed")
 
 
 def _board(
@@ -199,7 +205,7 @@ def _race(tasks: Sequence[_Task]) -> dict[str, Any] | None:
                 **replays.pack_race({seed: task.scenes[seed] for seed in seeds}, motions, noise),
             }
         )
-    return {"racers": list(RACERS), "courses": courses} if courses else None
+    return {"racers": list(RACERS), "lost": LOST_ERROR, "courses": courses} if courses else None
 
 
 def _log_anchors(task: _Task) -> list[float] | None:
@@ -218,7 +224,8 @@ def _chunks_within(tasks: Sequence[_Task], room: int) -> dict[str, str]:
         files = {}
         for task in tasks:
             document = episode_values(task.summary, task.entries)
-            document |= replays.pack(task.motions, task.labels(shared), task.scenes)
+            values = {agent: task.values(agent) for agent in task.entries}
+            document |= replays.pack(task.motions, task.labels(shared), task.scenes, values)
             files[f"data/{task.chunk}.js"] = _script(task.chunk, document)
         if sum(map(len, files.values())) <= room:
             break
@@ -231,9 +238,10 @@ def _script(name: str, document: Mapping[str, Any]) -> str:
     All text is ASCII, and no name in it can end a script element or start a comment.
     """
     text = json.dumps(document, separators=(",", ":"), allow_nan=False)
-    for sign in "<>&":
+    for sign in "<>&'":
         text = text.replace(sign, f"\\u{ord(sign):04x}")
-    return f"servotrack.deliver({json.dumps(name)},{text});\n"
+    quoted = text.replace("\\", "\\\\")
+    return f"servotrack.deliver('{name}','{quoted}');\n"
 
 
 def _asset(name: str) -> str:

@@ -3,7 +3,8 @@
   "use strict";
   const ns = window.servotrack;
   const { h, plots } = ns;
-  const FOREST = 210, ROW = 26;
+  const FOREST = 180, ROW = 26;
+  const HEAT = [0.5, 1.0]; // scores without color, with the fullest
   const COMPUTE = [["", "any compute"], ["5e-5", "≤ 50 µs a step"], ["2e-4", "≤ 200 µs a step"], ["5e-4", "≤ 500 µs a step"]];
   const TUNING = [["", "any tuning"], ["0", "no tuning"], ["1e6", "≤ 1 M steps"]];
   const kept = { hidden: new Set(), compute: "", tuning: "", search: "", sort: {} };
@@ -41,13 +42,14 @@
     if (task.scored) columns.push({ key: "score", title: "score", sort: (row) => row.score?.[0], cell: (row) => spread(row.score, 2), high: true });
     const main = task.scored ? (row) => row.score : (row) => row.measures[task.headline]?.map((value) => (value === null ? null : value * headline.factor));
     columns.push({ key: "forest", forest: main, high: task.scored || headline.highIsGood, digits: task.scored ? 2 : headline.digits, title: task.scored ? "score, 95 % interval" : `${headline.heading} ${headline.unit}, 95 % interval` });
+    if (world.replays) columns.push({ key: "watch", title: "watch", class: "watch", cell: (row) => ["best", "median", "worst"].map((which, k) => [k ? " " : "", h("a", { href: ns.address("watch", { ...where.names, agent: row.agent, episode: which }), "aria-label": `Watch ${row.agent}'s ${which} episode` }, which)]) });
     if (task.rows.some((row) => row.success)) columns.push({ key: "success", title: "success %", sort: (row) => row.success?.[0], cell: (row) => interval(row.success, 0, 100), high: true });
     for (const measure of [headline, ...others]) columns.push({ key: measure.column, title: `${measure.heading} ${measure.unit}`, sort: (row) => row.measures[measure.column]?.[0], cell: (row) => interval(row.measures[measure.column], measure.digits, measure.factor), high: measure.highIsGood });
     if (task.scored) columns.push({ key: "worst", title: "worst tenth", hint: "mean score of the worst tenth of the episodes", sort: (row) => row.worst, cell: (row) => ns.fixed(row.worst, 2), high: true });
+    if (task.rows.some((row) => row.sealed)) columns.push({ key: "sealed", title: "sealed seeds", hint: "mean score on seeds that follow from the agent's files, which nobody can have tuned on", sort: (row) => row.sealed?.[0], cell: (row) => interval(row.sealed, 2), high: true });
     if (reference) columns.push({ key: "difference", title: `− ${task.reference} ${headline.unit}`, hint: "mean difference by seed; * below p = 0.05 after Holm's correction", sort: (row) => row.difference?.[0], high: headline.highIsGood,
       cell: (row) => row.difference && `${row.difference[0] > 0 ? "+" : ""}${ns.fixed(row.difference[0] * headline.factor, headline.digits)}${row.p !== null && row.p < 0.05 ? " *" : ""}` });
     columns.push(...costColumns());
-    if (world.replays) columns.push({ key: "watch", title: "watch", class: "watch", cell: (row) => ["best", "median", "worst"].map((which, k) => [k ? " " : "", h("a", { href: ns.address("watch", { ...where.names, agent: row.agent, episode: which }), "aria-label": `Watch ${row.agent}'s ${which} episode` }, which)]) });
     return columns;
   }
 
@@ -59,7 +61,7 @@
   }
 
   function shade(value) {
-    const share = Math.min(Math.max(value, 0), 1);
+    const share = Math.min(Math.max((value - HEAT[0]) / (HEAT[1] - HEAT[0]), 0), 1);
     return `heat heat-${Math.round(share * 10)}`;
   }
 
@@ -76,7 +78,7 @@
     const scored = world.overall.length > 0;
     const columns = [];
     if (scored) {
-      columns.push({ key: "score", title: "all levels", hint: "interquartile mean over all episodes", sort: (row) => row.score?.[0], cell: (row) => spread(row.score, 2), high: true });
+      columns.push({ key: "score", title: "all levels", hint: "interquartile mean over all episodes", sort: (row) => row.score?.[0], cell: (row) => interval(row.score, 2), high: true });
       columns.push({ key: "forest", forest: (row) => row.score, high: true, digits: 2, title: "score, 95 % interval" });
     }
     for (const task of world.tasks) {
@@ -157,8 +159,8 @@
       suites.length > 1 && h("nav", { class: "tabs", "aria-label": "Suites" }, suites.map((given) => link(given.name || "results", { suite: given.name }, given === suite))),
       suite.worlds.length > 1 && h("nav", { class: "tabs", "aria-label": "Worlds" }, suite.worlds.map((given) => link(given.name, { ...base, world: given.name }, given === world))),
       h("nav", { class: "tabs levels", "aria-label": "Levels" },
-        world.tasks.length > 1 && link("all levels", { ...base, world: world.name }, !task),
-        world.tasks.map((given) => link(given.level === null ? given.label : given.label, { ...base, world: world.name, task: given.name }, given === task))));
+        world.tasks.length > 1 && view !== "watch" && view !== "compare" && link("all levels", { ...base, world: world.name }, !task),
+        world.tasks.map((given) => link(given.label, { ...base, world: world.name, task: given.name }, given === task))));
   }
 
   function note(where) {

@@ -70,7 +70,7 @@
 
   // Grid lines of the floor in the image: arrays of pixels.
   function lines(camera, at, size) {
-    const reach = Math.min(Math.max((1.5 * size * camera[4]) / camera[0], 0.4), 2.4);
+    const reach = Math.min(Math.max((2.6 * size * camera[4]) / camera[0], 0.4), 4);
     const spacing = reach <= 1.6 ? GRID : 2 * GRID;
     const each = Math.ceil(reach / spacing), half = each * spacing, samples = camera[16] ? 25 : 13;
     const cx = Math.round(at.x / spacing) * spacing, cy = Math.round(at.y / spacing) * spacing;

@@ -51,7 +51,7 @@
     // Agents that no cheaper one surpasses, without those that see the truth.
     let best = good ? -Infinity : Infinity;
     const front = [];
-    for (const row of rows.filter((one) => !one.privileged).sort((p, q) => p.cost - q.cost || (good ? q.value[0] - p.value[0] : p.value[0] - q.value[0]))) {
+    for (const row of rows.filter((one) => !one.privileged && one.value[0] >= range[0] && one.value[0] <= range[1]).sort((p, q) => p.cost - q.cost || (good ? q.value[0] - p.value[0] : p.value[0] - q.value[0]))) {
       if (good ? row.value[0] > best : row.value[0] < best) { front.push(row); best = row.value[0]; }
     }
     if (front.length > 1) svg.append(s("path", { class: "front", d: front.map((row, k) => (k ? `H${x(row.cost)}V${clip(row.value[0])}` : `M${x(row.cost)} ${clip(row.value[0])}`)).join("") + `H${BOX.right}` }));

@@ -6,7 +6,9 @@
   const waiting = new Map();
   const decoded = new Map();
 
-  ns.deliver = (name, content) => {
+  // The text is JSON. A literal would let an agent called __proto__ change the prototype.
+  ns.deliver = (name, text) => {
+    const content = JSON.parse(text);
     documents.set(name, content);
     waiting.get(name)?.(content);
     waiting.delete(name);

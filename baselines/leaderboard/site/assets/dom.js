@@ -22,7 +22,7 @@
   const h = (tag, properties, ...children) => fill(document.createElement(tag), properties, children);
   const s = (tag, properties, ...children) => fill(document.createElementNS(SVG, tag), properties, children);
 
-  const fixed = (value, digits) => (value === null || value === undefined ? "" : value.toFixed(digits).replace("-", "−"));
+  const fixed = (value, digits) => (value === null || value === undefined ? "" : (Number(value.toFixed(digits)) === 0 ? (0).toFixed(digits) : value.toFixed(digits).replace("-", "−")));
 
   function count(value) {
     if (value === null || value === undefined) return "?";
@@ -58,7 +58,7 @@
   function badge(row) {
     const proof = row.proof in PROOFS ? row.proof : "self-reported";
     return [
-      h("span", { class: `badge ${proof}`, title: PROOFS[proof][1] }, h("span", { "aria-hidden": "true" }, PROOFS[proof][0]), " ", proof),
+      h("span", { class: `badge ${proof}`, title: PROOFS[proof][1] }, h("span", { "aria-hidden": "true" }, PROOFS[proof][0]), h("span", { class: "word" }, ` ${proof}`)),
       row.stale && [" ", h("span", { class: "badge stale", title: "The package's rollouts have changed since: the numbers belong to an earlier version." }, "stale")],
     ];
   }

@@ -37,6 +37,10 @@
     leave = made.leave ?? null;
     main.replaceChildren(...[made.node].flat().filter(Boolean));
     main.dataset.view = where.view;
+    for (const strip of document.querySelectorAll(".tabs")) {
+      const current = strip.querySelector("[aria-current]");
+      if (current) strip.scrollLeft = current.offsetLeft - strip.offsetLeft - (strip.clientWidth - current.offsetWidth) / 2;
+    }
     document.title = `${made.title} · servotrack board`;
     navigation(where);
     if (moved && !first) { main.focus({ preventScroll: true }); if (where.view !== show.view) scrollTo(0, 0); }
@@ -47,7 +51,10 @@
 
   function navigation({ view, names, parameters }) {
     const links = Object.entries(VIEWS).filter(([name]) => (name !== "race" || ns.raceable()) && (name !== "watch" || replayable())).map(([name, text]) => h("a", { href: ns.address(name, name === "race" || name === "proof" ? {} : { ...names, ...(name === "watch" ? { agent: parameters.get("agent") } : {}) }), "aria-current": name === view ? "page" : null }, text));
-    document.getElementById("views").replaceChildren(...links);
+    const bar = document.getElementById("views");
+    bar.replaceChildren(...links);
+    const current = bar.querySelector("[aria-current]");
+    if (current) bar.scrollLeft = current.offsetLeft - bar.offsetLeft - (bar.clientWidth - current.offsetWidth) / 2;
   }
 
   const button = document.getElementById("scheme");

@@ -74,7 +74,7 @@
     function tick(now) {
       if (gone) return;
       if (playing) {
-        at = Math.min(at + (speed * Math.min(now - before, 100)) / 1000 / ns.arm.PERIOD, last);
+        at = Math.min(at + (speed * Math.min(Math.max(now - before, 0), 100)) / 1000 / ns.arm.PERIOD, last);
         before = now;
         draw();
         if (at >= last) pause();

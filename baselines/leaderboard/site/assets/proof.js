@@ -26,10 +26,10 @@
         h("dl", { class: "facts" }, Object.entries(ns.CLASSES).map(([name, text]) => [h("dt", {}, ns.dot(name), name), h("dd", {}, text)])),
         h("h2", {}, "Rows"),
         h("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Provenance" }, h("table", { class: "board slim left" },
-          h("thead", {}, h("tr", {}, ["agent", "proof", "episodes", "made", "version", "engine", "machine", "description"].map((title) => h("th", { scope: "col" }, title)))),
+          h("thead", {}, h("tr", {}, ["agent", "proof", "description", "episodes", "made", "version", "machine"].map((title) => h("th", { scope: "col" }, title)))),
           h("tbody", {}, [...agents.values()].map((row) => {
             const facts = board.agents[row.agent] ?? {};
-            return h("tr", {}, h("th", { scope: "row" }, ns.dot(row.information), row.agent), h("td", {}, ns.badge(row)), h("td", {}, `${row.episodes} in ${row.cells} cells`), h("td", {}, (facts.created ?? "").slice(0, 10)), h("td", {}, facts.version), h("td", {}, facts.engine), h("td", {}, facts.machine), h("td", { class: "text" }, facts.summary));
+            return h("tr", {}, h("th", { scope: "row" }, ns.dot(row.information), row.agent), h("td", {}, ns.badge(row)), h("td", { class: "text" }, facts.summary), h("td", {}, `${row.episodes} in ${row.cells} ${row.cells === 1 ? "cell" : "cells"}`), h("td", {}, (facts.created ?? "").slice(0, 10)), h("td", {}, facts.version), h("td", {}, [facts.machine.split("-")[0], facts.engine].filter(Boolean).join(", ")));
           })))),
       ],
     };

@@ -20,9 +20,11 @@
 
   const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
 
-  // Errors as the benchmark counts them; null before 3 s.
-  function counted(errors, scene, until) {
+  // Errors as the benchmark counts them, those after an early end as large as its last one or `lost`; null before 3 s.
+  function counted(errors, scene, until, lost) {
     const late = Array.from(errors.slice(scene.warmup + STEADY, until + 1));
+    const missing = until + 1 - Math.max(errors.length, scene.warmup + STEADY);
+    if (missing > 0) late.push(...new Array(missing).fill(Math.max(errors[errors.length - 1], lost)));
     if (!late.length) return null;
     const sorted = [...late].sort((a, b) => a - b), place = 0.95 * (sorted.length - 1), k = Math.floor(place);
     const p95 = sorted[k] + (place - k) * ((sorted[k + 1] ?? sorted[k]) - sorted[k]);
@@ -58,7 +60,7 @@
     // State of the run: "waiting" (the rivals drive alone), "counting", "running", "over".
     let phase = "waiting", arm, joints, tools, errors, pointer = null, since = 0, sample = 0, frame = 0, gone = false, idle = performance.now();
     const held = new Set();
-    const stats = (ns.raceStats = { frames: 0, started: 0, ended: 0, slowest: 0 });
+    const stats = (ns.raceStats = { frames: 0, started: 0, ended: 0, slowest: 0, drawing: 0 });
 
     const canvases = player.stage("Race");
     const overlay = h("div", { class: "overlay" });
@@ -145,13 +147,14 @@
       return { now, late, node: h("tr", {}, h("th", { scope: "row" }, h("span", { class: `key ${tint}` }, name)), now, late) };
     });
     const standings = h("table", { class: "standings" }, h("caption", { class: "visually-hidden" }, "Errors of the racers"), h("thead", {}, h("tr", {}, ["", "now", "mean after 3 s"].map((title) => h(title ? "th" : "td", title ? { scope: "col" } : {}, title)))), h("tbody", {}, lanes.map((lane) => lane.node)));
+    lens.before(standings);
     let written = -1;
     function board(at) {
       const k = Math.floor(at);
       if (k === written) return;
       written = k;
       [phase === "waiting" ? null : errors, ...rivals.map((replay) => replay.errors)].forEach((values, n) => {
-        const sum = values && counted(values, scene, Math.min(k, values.length - 1));
+        const sum = values && counted(values, scene, k, race.lost);
         lanes[n].now.textContent = values ? ns.length(values[Math.min(k, values.length - 1)]) : "–";
         lanes[n].late.textContent = sum ? ns.length(sum.steady) : "–";
       });
@@ -160,7 +163,7 @@
     function tick(now) {
       if (gone) return;
       if (phase === "waiting") {
-        if (!ns.calm()) draw(((now - idle) / 1000 / arms.PERIOD) % steps);
+        if (!ns.calm()) draw((Math.max(0, now - idle) / 1000 / arms.PERIOD) % steps);
       } else if (phase === "running") {
         if (stats.frames) stats.slowest = Math.max(stats.slowest, now - stats.last);
         stats.last = now;
@@ -168,8 +171,10 @@
         sample = Math.max(0, (now - since) / 1000 / arms.PERIOD);
         // A page in the background gets no frames: the race waits for it.
         if (sample > joints.length + 10) { since += (sample - joints.length) * arms.PERIOD * 1000; sample = joints.length; }
+        const begun = performance.now();
         while (joints.length - 1 < Math.min(Math.floor(sample) + 1, steps)) advance();
         draw(Math.min(sample, steps));
+        stats.drawing += performance.now() - begun;
         if (sample >= steps) finish();
       }
       frame = requestAnimationFrame(tick);
@@ -198,7 +203,7 @@
         phase = "running";
         live.textContent = "Go";
         since = performance.now();
-        Object.assign(stats, { frames: 0, started: since, ended: 0, slowest: 0 });
+        Object.assign(stats, { frames: 0, started: since, ended: 0, slowest: 0, drawing: 0 });
       };
       count();
       canvases.floor.focus({ preventScroll: true });
@@ -209,11 +214,11 @@
       stats.ended = performance.now();
       canvases.node.classList.remove("only-camera", "running");
       above.append(overlay);
-      const mine = counted(errors, scene, steps);
-      const others = rivals.map((replay) => counted(replay.errors, scene, replay.length - 1));
+      const mine = counted(errors, scene, steps, race.lost);
+      const others = rivals.map((replay) => counted(replay.errors, scene, steps, race.lost));
       const anchors = entry.anchors;
       const score = (error) => (anchors ? Math.log(anchors[0] / error) / Math.log(anchors[0] / anchors[1]) : null);
-      const list = [["you", mine.steady, mine.success, TINTS[0]], ...race.racers.map((name, n) => [name, others[n]?.steady ?? Infinity, others[n]?.success, TINTS[n + 1]])].sort((p, q) => p[1] - q[1]);
+      const list = [["you", mine.steady, mine.success, TINTS[0]], ...race.racers.map((name, n) => [name, others[n].steady, others[n].success, TINTS[n + 1]])].sort((p, q) => p[1] - q[1]);
       const place = list.findIndex(([name]) => name === "you");
       const ahead = list[0][0] === "you" ? list[1] : list[0];
       const ratio = Math.max(mine.steady, ahead[1]) / Math.min(mine.steady, ahead[1]);
@@ -286,7 +291,7 @@
       node: [
         h("div", { class: "lede" }, h("h1", {}, "Race the filter"), h("p", {}, `Keep your tool on the orange target for ${Math.round((steps - scene.warmup) * arms.PERIOD * 10) / 10} seconds. `, h("span", { class: "key second" }, race.racers[0]), " and ", h("span", { class: "key third" }, race.racers[1]), " drove the same arm after the same target, and saw it only through an uncalibrated camera.")),
         h("div", { class: "filters" }, modes, levels, seeds), hint,
-        h("div", { class: "racing" }, canvases.node, standings), live,
+        canvases.node, live,
         h("p", { class: "note" }, "The physics is the benchmark's own, computed in this page: a solver with the same operations in the same order, which differs from the package by less than a billionth of a radian. Errors count after 3 s, as on the board."),
       ],
       leave() {

@@ -2,8 +2,8 @@
 (function () {
   "use strict";
   const ns = window.servotrack;
-  // The floor's window in units of the arm's reach, as in the package's own pictures.
-  const SIDE = 1.5, LEFT = -0.36, BOTTOM = -0.52;
+  // The floor's window in units of the arm's reach: most of what the tool can reach.
+  const SIDE = 1.72, LEFT = -0.62, BOTTOM = -0.64;
   const TRAIL = 126; // samples of a trail
   const BANDS = 7;
   const DECADES = [-4, 0]; // 0.1 mm to 1 m
@@ -21,7 +21,7 @@
 
   // Context of a canvas in CSS pixels, resized to the screen's.
   function context(canvas) {
-    const ratio = Math.min(window.devicePixelRatio || 1, 2.5);
+    const ratio = Math.min(window.devicePixelRatio || 1, 2);
     const width = canvas.clientWidth, height = canvas.clientHeight;
     if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
       canvas.width = Math.round(width * ratio);
@@ -134,19 +134,19 @@
       disc(pen, tool, 0.019 * size, c.ivory);
       return;
     }
+    // Two translucent strokes look like a soft shadow, at a tenth of the time of a blurred one.
     pen.save();
-    pen.shadowColor = c.shadow;
-    pen.shadowBlur = 10;
-    pen.shadowOffsetX = 4;
-    pen.shadowOffsetY = 6;
-    pen.strokeStyle = c.ink;
+    pen.translate(4, 6);
+    pen.strokeStyle = c.shadow;
     pen.lineCap = pen.lineJoin = "round";
-    pen.lineWidth = 0.05 * size;
-    pen.beginPath();
-    pen.moveTo(...base);
-    pen.lineTo(...elbow);
-    pen.lineTo(...tool);
-    pen.stroke();
+    for (const width of [0.085, 0.055]) {
+      pen.lineWidth = width * size;
+      pen.beginPath();
+      pen.moveTo(...base);
+      pen.lineTo(...elbow);
+      pen.lineTo(...tool);
+      pen.stroke();
+    }
     pen.restore();
     disc(pen, base, 0.08 * size, c["floor-ink"]);
     disc(pen, base, 0.08 * size - 1.4, c["floor-lit"]);
@@ -273,7 +273,7 @@
   function errors(canvas, { scene, series, now, steps }) {
     const { pen, width, height } = context(canvas);
     if (!width) return;
-    const c = colors(), left = 46, right = 8, top = 8, bottom = 20;
+    const c = colors(), left = 54, right = 8, top = 8, bottom = 20;
     const x = (k) => left + ((width - left - right) * k) / steps;
     const y = (error) => {
       const decade = Math.log10(Math.min(Math.max(error, 10 ** DECADES[0]), 10 ** DECADES[1]));

@@ -4,8 +4,6 @@
   const ns = window.servotrack;
   const { h } = ns;
 
-  const value = (task, content, agent, seed) => content.values[agent]?.[content.seeds.indexOf(seed)] ?? null;
-
   // A sentence on an episode for everybody, and all that a screen reader gets of it.
   function describe(replay, name) {
     const { errors, scene } = replay, late = errors.slice(Math.min(scene.warmup + 61, errors.length - 1));
@@ -25,7 +23,7 @@
     own.sort((a, b) => order(a) - order(b) || a.seed - b.seed);
     const other = where.parameters.get("with");
     const links = own.map((given) => h("li", {}, h("a", { href: ns.address("watch", { ...where.names, agent, seed: given.seed, with: other }), "aria-current": given === replay ? "true" : null },
-      h("span", { class: "which" }, given.labels.join(", ") || "shared"), h("span", {}, `seed ${given.seed}`), h("span", { class: "value" }, ns.withUnit(value(task, content, agent, given.seed), measure)))));
+      h("span", { class: "which" }, given.labels.join(", ") || "shared"), h("span", {}, `seed ${given.seed}`), h("span", { class: "value" }, ns.withUnit(given.value, measure)))));
     const rivals = task.rows.map((row) => row.agent).filter((name) => name !== agent && content.replays.some((given) => given.agent === name && given.seed === replay.seed));
     const against = ns.parts.select("Compare with", [["", "nobody"], ...rivals.map((name) => [name, name])], rivals.includes(other) ? other : "", (name) => { location.hash = ns.address("watch", { ...where.names, agent, seed: replay.seed, with: name }); });
     const agents = ns.parts.select("Agent", task.rows.filter((row) => content.replays.some((given) => given.agent === row.agent)).map((row) => [row.agent, row.agent]), agent, (name) => { location.hash = ns.address("watch", { ...where.names, agent: name, seed: content.replays.some((given) => given.agent === name && given.seed === replay.seed) ? replay.seed : null, episode: "worst" }); });
