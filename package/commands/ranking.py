@@ -159,7 +159,9 @@ def leaderboard(
 
     if site is not None:
         if any(option is not None for option in (output, into, figure)) or details:
-            raise ValueError("--site writes the site alone; run the command again without --site for tables and figures")
+            raise ValueError(
+                "--site writes the site alone; run the command again without --site for tables and figures"
+            )
         _write_site(results, site, console(table_format))
         return
     cells = ResultsFolder(results).load_all()

@@ -50,6 +50,9 @@
     if (reference) columns.push({ key: "difference", title: `− ${task.reference} ${headline.unit}`, hint: "mean difference by seed; * below p = 0.05 after Holm's correction", sort: (row) => row.difference?.[0], high: headline.highIsGood,
       cell: (row) => row.difference && `${row.difference[0] > 0 ? "+" : ""}${ns.fixed(row.difference[0] * headline.factor, headline.digits)}${row.p !== null && row.p < 0.05 ? " *" : ""}` });
     columns.push(...costColumns());
+    // On a narrow screen the links come before the wide figure.
+    const links = columns.find((column) => column.key === "watch");
+    if (links && innerWidth <= 640) columns.splice(1, 0, ...columns.splice(columns.indexOf(links), 1));
     return columns;
   }
 

@@ -3,24 +3,24 @@
   "use strict";
   const ns = window.servotrack;
   const { h, s, plots } = ns;
-  const WIDTH = 620, HEIGHT = 560, BOX = { left: 64, right: 604, top: 28, bottom: 500 };
-
   function chart(where, content, a, b, pairs, measure) {
     const { task } = where;
+    const width = Math.max(330, Math.min(620, innerWidth - 32)), height = 0.92 * width;
+    const box = { left: 64, right: width - 14, top: 28, bottom: height - 48 };
     const positive = pairs.every((pair) => pair.x > 0 && pair.y > 0);
     const all = pairs.flatMap((pair) => [pair.x, pair.y]).map((value) => value * measure.factor);
     const low = Math.min(...all), high = Math.max(...all);
     const log = positive && high / low > 5;
     const range = log ? [low / 1.15, high * 1.15] : [low - 0.05 * (high - low || 1), high + 0.05 * (high - low || 1)];
     const make = log ? plots.logarithmic : plots.linear;
-    const x = make(...range, BOX.left, BOX.right), y = make(...range, BOX.bottom, BOX.top);
+    const x = make(...range, box.left, box.right), y = make(...range, box.bottom, box.top);
     const ticks = log ? plots.logTicks(...range) : plots.ticks(...range, 6);
     const text = (value) => String(Number(value.toPrecision(3)));
-    const svg = s("svg", { class: "chart", viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "group", "aria-label": `Scatter plot of ${a} and ${b} over seeds` });
-    plots.axes(svg, { box: BOX, x, y, xTicks: ticks, yTicks: ticks, xTitle: `${a}, ${measure.heading} ${measure.unit}`, yTitle: `${b}, ${measure.heading} ${measure.unit}`, xText: text, yText: text });
+    const svg = s("svg", { class: "chart", viewBox: `0 0 ${width} ${height}`, role: "group", "aria-label": `Scatter plot of ${a} and ${b} over seeds` });
+    plots.axes(svg, { box, x, y, xTicks: ticks, yTicks: ticks, xTitle: `${a}, ${measure.heading} ${measure.unit}`, yTitle: `${b}, ${measure.heading} ${measure.unit}`, xText: text, yText: text });
     svg.append(s("line", { class: "diagonal", x1: x(range[0]), y1: y(range[0]), x2: x(range[1]), y2: y(range[1]) }));
     const corner = measure.highIsGood ? [b, a] : [a, b];
-    svg.append(s("text", { class: "hint", x: BOX.left + 10, y: BOX.top + 18 }, `${corner[0]} better`), s("text", { class: "hint", x: BOX.right - 10, y: BOX.bottom - 10, "text-anchor": "end" }, `${corner[1]} better`));
+    svg.append(s("text", { class: "hint", x: box.left + 10, y: box.top + 18 }, `${corner[0]} better`), s("text", { class: "hint", x: box.right - 10, y: box.bottom - 10, "text-anchor": "end" }, `${corner[1]} better`));
     const hint = h("p", { class: "hover", "aria-hidden": "true" }, "Filled points can be watched.");
     for (const pair of [...pairs].sort((p, q) => p.watch.length - q.watch.length)) {
       const label = `seed ${pair.seed}: ${a} ${ns.withUnit(pair.x, measure)}, ${b} ${ns.withUnit(pair.y, measure)}`;

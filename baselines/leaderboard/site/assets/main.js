@@ -68,6 +68,14 @@
     return;
   }
   ns.refresh = () => show(false);
+  // Figures are drawn for the width of the window.
+  let width = innerWidth, later = 0;
+  window.addEventListener("resize", () => {
+    if (innerWidth === width) return;
+    width = innerWidth;
+    clearTimeout(later);
+    later = setTimeout(() => { if (["board", "compare", "compute"].includes(here().view)) ns.refresh(); }, 200);
+  });
   window.addEventListener("hashchange", () => { if (!location.hash || location.hash.startsWith("#/")) show(true); });
   document.getElementById("origin").replaceChildren(h("p", {}, "Written by ", h("code", {}, board.command), ` from results ${board.stamp}. All numbers come from the rows of single episodes; nothing on this page is loaded from elsewhere.`));
   show(false);

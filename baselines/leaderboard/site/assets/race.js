@@ -122,22 +122,25 @@
       return spots;
     }
 
-    // The stick: a ring in the middle, and the command as a line from it.
+    // The middle of the stick: that of the floor, or the goal in the camera's view.
+    const middle = (width) => (mode === "camera" ? scene.goal.map((value) => (value * width) / scene.size) : [width / 2, width / 2]);
+
+    // The stick: a ring about its middle, and the command as a line from it.
     function stick() {
       if (phase !== "running" || mode === "point") return;
       const canvas = mode === "camera" ? canvases.camera : canvases.floor, pen = canvas.getContext("2d"), c = paint.colors();
-      const width = canvas.clientWidth, action = command(), reach = STICK * width;
+      const width = canvas.clientWidth, action = command(), reach = STICK * width, [u, v] = middle(width);
       pen.strokeStyle = mode === "camera" ? c["lens-ink"] : c.ink;
       pen.globalAlpha = 0.55;
       pen.lineWidth = 1.2;
       pen.beginPath();
-      pen.arc(width / 2, width / 2, reach, 0, 2 * Math.PI);
+      pen.arc(u, v, reach, 0, 2 * Math.PI);
       pen.stroke();
       pen.lineWidth = 3;
       pen.lineCap = "round";
       pen.beginPath();
-      pen.moveTo(width / 2, width / 2);
-      pen.lineTo(width / 2 + action[0] * reach, width / 2 - action[1] * reach);
+      pen.moveTo(u, v);
+      pen.lineTo(u + action[0] * reach, v - action[1] * reach);
       pen.stroke();
       pen.globalAlpha = 1;
     }
@@ -207,6 +210,7 @@
       };
       count();
       canvases.floor.focus({ preventScroll: true });
+      overlay.parentNode.scrollIntoView({ block: "nearest", behavior: ns.calm() ? "auto" : "smooth" });
     }
 
     function finish() {
@@ -222,7 +226,8 @@
       const place = list.findIndex(([name]) => name === "you");
       const ahead = list[0][0] === "you" ? list[1] : list[0];
       const ratio = Math.max(mine.steady, ahead[1]) / Math.min(mine.steady, ahead[1]);
-      const verdict = place === 0 ? "You win. The board wants you." : place === 1 ? `Second: ${ahead[0]} was ${ratio.toFixed(1)} times closer.` : `Third: ${ahead[0]} was ${ratio.toFixed(1)} times closer.`;
+      const times = (value) => value.toFixed(value < 20 ? 1 : 0);
+      const verdict = place === 0 ? "You win. The board wants you." : place === 1 ? `Second: ${ahead[0]} was ${times(ratio)} times closer.` : `Third: ${ahead[0]} was ${times(ratio)} times closer.`;
       live.textContent = `Finished. ${verdict} Your mean error is ${ns.length(mine.steady)}.`;
       const next = course.seeds[(course.seeds.indexOf(seed) + 1) % course.seeds.length];
       overlay.hidden = false;
@@ -237,8 +242,9 @@
     function aim(event) {
       const canvas = mode === "camera" ? canvases.camera : canvases.floor, box = canvas.getBoundingClientRect();
       const spot = [event.clientX - box.left, event.clientY - box.top], reach = STICK * box.width;
+      const [u, v] = middle(box.width);
       const clip = (value) => Math.min(Math.max(value, -1), 1);
-      pointer = { floor: paint.window(scene.links, box.width).from(spot), stick: [clip((spot[0] - box.width / 2) / reach), clip((box.width / 2 - spot[1]) / reach)] };
+      pointer = { floor: paint.window(scene.links, box.width).from(spot), stick: [clip((spot[0] - u) / reach), clip((v - spot[1]) / reach)] };
     }
     for (const canvas of [canvases.floor, canvases.camera]) {
       canvas.addEventListener("pointermove", aim);
