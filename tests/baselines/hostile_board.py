@@ -31,7 +31,7 @@ def hostile_entries() -> list[Entry]:
             rows = [{"seed": seed, "return": float(seed + place), "length": 5} for seed in range(4)]
             card = {"summary": name, "information": name, "requires": [], "tuning_steps": place}
             record = {"versions": {"servotrack": name}, "machine": {"system": name}, "created": name}
-            cell = CellResults(env_id, {"level": number, "x": name}, name, card, 5, rows, [1e-4], record)
+            cell = CellResults(env_id, {"level": number, "x": NAMES[number]}, name, card, 5, rows, [1e-4], record)
             entries.append(Entry(NAMES[0], cell, name, True, lambda cell, seeds: {}))  # type: ignore[arg-type]
     return entries
 

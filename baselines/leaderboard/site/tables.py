@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from servotrack.baselines.evaluation.statistics import Interval, bootstrap_mean
@@ -16,12 +16,15 @@ from servotrack.envs.servo.levels import LEVEL_NAMES
 _DIGITS = 5
 
 
-def task_table(task: TaskSummary, entries: Mapping[str, Entry]) -> dict[str, Any]:
+def task_table(
+    task: TaskSummary, entries: Mapping[str, Entry], watchable: Mapping[str, Collection[str]]
+) -> dict[str, Any]:
     """One task for the page.
 
     Args:
         task: Its summary.
         entries: Entries of its agents by name.
+        watchable: Labels of the replays by agent, see `chosen_seeds`.
     """
     measures = {measure.column: measure for measure in task.world.shown}
     return {
@@ -33,7 +36,7 @@ def task_table(task: TaskSummary, entries: Mapping[str, Entry]) -> dict[str, Any
         "headline": task.world.headline.column,
         "measures": [_measure(measure) for measure in measures.values()],
         "notes": list(task.notes),
-        "rows": [_row(row, entries[row.agent]) for row in task.rows],
+        "rows": [{**_row(row, entries[row.agent]), "watch": sorted(watchable.get(row.agent, ()))} for row in task.rows],
     }
 
 

@@ -130,7 +130,7 @@ def _add_motions(task: _Task, on_cell: Callable[[str], None]) -> None:
         on_cell(f"{agent} in {task.summary.environment}")
         entry = task.entries[agent]
         seeds = entry.cell.seeds if entry.traced else list(labels)
-        made = replays.replay(entry.cell, entry.actions(entry.cell, seeds))
+        made = replays.replay(entry.cell, entry.actions(entry.cell, sorted(seeds)))
         task.motions[agent] = {seed: made.motions[seed] for seed in labels if seed in made.motions}
         task.scenes |= {seed: made.scenes[seed] for seed in task.motions[agent]}
         if entry.traced and made.faithful and entry.proof == "self-reported":
@@ -168,10 +168,18 @@ def _worlds(tasks: Sequence[_Task]) -> list[dict[str, Any]]:
                 "replays": replays.can_replay(members[0].cell),
                 "anchors": None if anchors is None else [anchors.lower, anchors.upper, anchors.upper_knows],
                 "overall": overall_table([task.summary for task in members]) if len(members) > 1 else [],
-                "tasks": [{**task_table(task.summary, task.entries), "chunk": task.chunk} for task in members],
+                "tasks": [{**_table(task), "chunk": task.chunk} for task in members],
             }
         )
     return worlds
+
+
+def _table(task: _Task) -> dict[str, Any]:
+    watchable = {
+        agent: {name for seed, names in labels.items() if seed in task.motions.get(agent, {}) for name in names}
+        for agent, labels in task.labels(0).items()
+    }
+    return task_table(task.summary, task.entries, watchable)
 
 
 def _race(tasks: Sequence[_Task]) -> dict[str, Any] | None:
