@@ -8,12 +8,15 @@ from typing import Annotated
 
 import typer
 
+from servotrack.commands.joining import submit, verify
 from servotrack.commands.learning import agents, compare, export, train
 from servotrack.commands.papers import reproduce
 from servotrack.commands.ranking import bench, evaluate, leaderboard, tune
 from servotrack.commands.watching import play, render, track
 
-COMMANDS = (evaluate, bench, leaderboard, tune, reproduce, train, export, agents, compare, track, render, play)
+COMMANDS = (
+    evaluate, bench, leaderboard, submit, verify, tune, reproduce, train, export, agents, compare, track, render, play
+)  # fmt: skip
 
 CONTEXT = {"help_option_names": ["-h", "--help"]}
 

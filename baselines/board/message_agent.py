@@ -12,7 +12,6 @@ import contextlib
 import json
 import os
 import queue
-import shutil
 import signal
 import subprocess
 import tempfile
@@ -44,6 +43,7 @@ LONGEST_LINE = 65_536
 """Largest accepted length of an answer, bytes."""
 _SHOWN = 200
 _ERRORS_KEPT = 2000
+_TURN = 0.2
 
 
 class MessageError(ResultsError):
@@ -71,7 +71,7 @@ class MessageAgent:
         prepare: Callable[[], None] | None = None,
     ) -> None:
         self._command, self._until = list(command), time.monotonic() + seconds
-        self._errors = tempfile.TemporaryFile()
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115
         self.answer_seconds: list[float] = []
         try:
             self._process = subprocess.Popen(
@@ -88,7 +88,9 @@ class MessageAgent:
             reason = getattr(error, "strerror", None) or error
             raise MessageError(f"{self._command[0]!r} cannot be started ({reason}); check --command") from error
         self._lines: queue.Queue[bytes] = queue.Queue(maxsize=4)
-        threading.Thread(target=self._read, name="servotrack-agent", daemon=True).start()
+        self._closing = threading.Event()
+        self._reader = threading.Thread(target=self._read, name="servotrack-agent", daemon=True)
+        self._reader.start()
 
     def __enter__(self) -> MessageAgent:
         return self
@@ -98,10 +100,12 @@ class MessageAgent:
 
     def close(self) -> None:
         """End the program, by force if it does not leave."""
-        with contextlib.suppress(OSError, ValueError):
+        assert self._process.stdin is not None and self._process.stdout is not None
+        with contextlib.suppress(MessageError):
             self._send({"message": "end"})
-            assert self._process.stdin is not None
+        with contextlib.suppress(OSError):
             self._process.stdin.close()
+        self._closing.set()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(LEAVING)
         with contextlib.suppress(OSError):
@@ -110,6 +114,8 @@ class MessageAgent:
             else:
                 self._process.kill()
         self._process.wait()
+        self._reader.join(LEAVING)
+        self._process.stdout.close()
         self._errors.close()
 
     def play(self, suite: Suite, cell: SuiteCell, seeds: Sequence[int]) -> list[Episode]:
@@ -179,7 +185,7 @@ class MessageAgent:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(0.2)
         code = self._process.poll()
-        text = f"{shutil.which(self._command[0]) and Path(self._command[0]).name or self._command[0]} {what} ({place})"
+        text = f"the agent {what} ({place})"
         if code is not None:
             text += f"; exit code {code}"
         self._errors.seek(0, os.SEEK_END)
@@ -191,11 +197,16 @@ class MessageAgent:
         stream = self._process.stdout
         assert stream is not None
         with contextlib.suppress(OSError, ValueError):
-            while line := stream.readline(LONGEST_LINE):
-                self._lines.put(line)
-                if not line.endswith(b"\n"):
-                    return
-        self._lines.put(b"")
+            while self._put(stream.readline(LONGEST_LINE)):
+                pass
+
+    def _put(self, line: bytes) -> bool:
+        """Hand over a line, waiting for its turn, and return True if more may follow."""
+        while not self._closing.is_set():
+            with contextlib.suppress(queue.Full):
+                self._lines.put(line, timeout=_TURN)
+                return line.endswith(b"\n")
+        return False
 
 
 def _environment(suite: Suite, cell: SuiteCell, env: Any) -> dict[str, Any]:

@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 
 from servotrack.baselines.agents.learned.card import load_card
+from servotrack.baselines.agents.learned.shipped import shipped_cards
 from servotrack.baselines.agents.protocol import AgentCard
 from servotrack.baselines.agents.registry import agent_card
+from servotrack.baselines.board.arithmetic import arithmetic_digest
 from servotrack.baselines.board.card import FILE_NAME, MOST_FILES, NAME, sealed_card
 from servotrack.baselines.board.message_agent import MessageAgent
 from servotrack.baselines.board.recording import AgentPlayer, Player
@@ -40,6 +42,8 @@ from servotrack.baselines.running.stopping import undisturbed
 
 AGENT_FILE = "agent.json"
 """File that stands for an agent of this package."""
+ARITHMETIC = "arithmetic"
+"""Entry of a card's machine for the digest of its floating-point results."""
 LONGEST_RUN = 3600.0
 """Time that a program has for all episodes of a suite, s."""
 
@@ -68,7 +72,7 @@ class Candidate:
 
 
 def registered_candidate(name: str, authors: str) -> Candidate:
-    """Return one of the package's agents; its file is its name, its settings and the package's version.
+    """Return one of the package's agents; its file is its name, settings, networks' digests, and the package's version.
 
     Raises:
         ValueError: No such agent.
@@ -77,6 +81,8 @@ def registered_candidate(name: str, authors: str) -> Candidate:
 
     card = agent_card(name)
     fields = {"name": name, "parameters": dict(card.parameters), "servotrack": servotrack.__version__}
+    if networks := {path.name: learned.sha256 for path, learned in shipped_cards().items() if learned.name == name}:
+        fields["networks"] = networks
     content = (json.dumps(fields, sort_keys=True, indent=1) + "\n").encode("ascii")
     claims = _claims(card, authors)
     made_for = None if card.trained_in is None else frozenset(card.trained_in)
@@ -227,6 +233,7 @@ def submit(
                 on_cell(cell.name)
             seconds = _step_seconds(candidate, player, chosen[len(chosen) // 2])
         record = provenance()
+        record["machine"][ARITHMETIC] = arithmetic_digest()
         fields = {
             "suite": suite.name,
             "name": candidate.name,

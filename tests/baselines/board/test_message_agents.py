@@ -1,0 +1,154 @@
+"""Programs that speak messages: the examples in three languages, and what goes wrong with others."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from board_cases import EXAMPLES, judged, program, submitted
+
+from servotrack.baselines.board import message_agent
+from servotrack.baselines.board.message_agent import MessageError
+from servotrack.baselines.board.sandbox import bubblewrap
+from servotrack.baselines.board.submission import read_submission
+from servotrack.baselines.board.submit import command_candidate
+from servotrack.baselines.board.suites import load_suite
+
+LOOP = "import json, sys\nfor line in sys.stdin:\n    m = json.loads(line)\n    if 'observation' not in m: continue\n"
+STILL = LOOP + "    print([0.0, 0.0], flush=True)\n"
+needs_bubblewrap = pytest.mark.skipif(bubblewrap() is None, reason="bubblewrap makes no namespaces here")
+
+
+def test_the_examples_give_the_same_actions_in_three_languages(tmp_path: Path, suite: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    commands = {"py": "python agent.py"}
+    if shutil.which("node"):
+        commands["js"] = "node agent.js"
+    if shutil.which("cc"):
+        source = str(EXAMPLES / "agent.c")
+        subprocess.run(["cc", "-O2", "-ffp-contract=off", "-o", "agent", source], check=True, timeout=60)
+        commands["c"] = "./agent"
+    for language in commands.keys() - {"c"}:
+        shutil.copy(EXAMPLES / f"agent.{language}", tmp_path)
+    frozen = load_suite(str(suite))
+    played = {}
+    for language, command in commands.items():
+        folder = submitted(tmp_path / "out" / language, frozen, command_candidate(command, f"my-{language}", "tests"))
+        submission = read_submission(folder, frozen)
+        played[language] = [episode.points for episode in submission.cells[0].episodes("public")]
+        assert (judged(folder, suite).badge, submission.information) == ("replayed", "undeclared")
+    for points in played.values():
+        assert all(np.array_equal(a, b) for a, b in zip(points, played["py"], strict=True))
+
+
+@needs_bubblewrap
+def test_programs_run_again_in_a_namespace(tmp_path: Path, suite: Path) -> None:
+    folder = submitted(tmp_path / "out", suite, program(tmp_path / "agent.py", STILL))
+    verdict = judged(folder, suite, run=True, program=True, nonce="1", fresh=2)
+    assert verdict.badge == "re-run"
+    assert next(iter(verdict.cells.values())).fresh is not None
+
+
+FORBIDDEN = [
+    "import socket; socket.create_connection(('127.0.0.1', 9), 2)",
+    "import socket; socket.getaddrinfo('localhost.example', 80)",
+    f"open({__file__!r})",
+    "open('/etc/passwd')",
+    "open('note', 'w')",
+    "open('/usr/note', 'w')",
+    "import os; os.kill(os.getppid() if os.getppid() > 1 else 10**6, 0)",
+    "b = bytearray(5_000_000_000)",
+    "open('/tmp/large', 'wb').write(bytes(2_000_000))",
+]
+
+
+@needs_bubblewrap
+def test_a_namespace_has_no_network_no_files_and_little_memory(tmp_path: Path, suite: Path) -> None:
+    # Outside, where it is submitted, the program stays still. Inside it says what it could do by another action.
+    text = f"""
+import os
+allowed = []
+for attempt in {FORBIDDEN!r} if os.getcwd() == "/agent" else []:
+    try:
+        exec(attempt)
+        allowed.append(attempt)
+    except BaseException:
+        pass
+if allowed:
+    raise SystemExit(str(allowed))
+"""
+    folder = submitted(tmp_path / "out", suite, program(tmp_path / "agent.py", text + STILL))
+    verdict = judged(folder, suite, run=True, program=True)
+    assert verdict.badge == "re-run", verdict.notes
+    free = f"import os\nif os.getcwd() == '/agent': raise SystemExit('inside')\n{STILL}"
+    folder = submitted(tmp_path / "other", suite, program(tmp_path / "agent.py", free))
+    verdict = judged(folder, suite, run=True, program=True)
+    assert "wrote to stderr: inside" in verdict.notes[0]
+    assert verdict.badge == "replayed"
+
+
+def test_an_agent_that_recognizes_its_seeds_is_noticed(tmp_path: Path, suite: Path) -> None:
+    from servotrack.baselines.board.verification import CellVerdict, Verdict, _judge_fresh
+
+    folder = submitted(tmp_path / "out", suite)
+    submission = read_submission(folder, load_suite(str(suite)))
+    name = submission.cells[0].cell.name
+    scores = submission.cells[0].cell.scores([row for rows in submission.cells[0].rows.values() for row in rows])
+    error = float(scores.std() / np.sqrt(len(scores)))
+    for gap, suspicious in ((3.0, False), (8.0, True)):
+        fresh = (float(scores.mean()) - gap * error, error)
+        verdict = Verdict("kf", cells={name: CellVerdict("equal", fresh=fresh)})
+        _judge_fresh(submission, verdict)
+        assert bool(verdict.notes) == suspicious
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "the agent ended .*exit code 0"),
+        ("import sys; sys.exit('no model found')", "the agent ended .*exit code 1; it wrote to stderr: no model found"),
+        (LOOP + "    print('[0.0', flush=True)", "answered '\\[0.0'"),
+        (LOOP + "    print('[0.0, NaN]', flush=True)", "NaN is not a number of JSON"),
+        (LOOP + "    print('[0.0, 1e999]', flush=True)", "too large for a number"),
+        (LOOP + "    print('[0.0]', flush=True)", "an action is a list of 2 numbers"),
+        (LOOP + "    print('[true, false]', flush=True)", "an action is a list of 2 numbers"),
+        (LOOP + "    print('{}', flush=True)", "an action is a list of 2 numbers"),
+        (LOOP + "    print('\\x1b[31m', flush=True)", "answered '"),
+        (LOOP + "    print('[' * 10**5, flush=True)", "more than 65536 bytes"),
+        (LOOP + "    print([0.0, 0.0], end='', flush=True); sys.exit()", "without end"),
+        (LOOP + "    sys.stdout.buffer.write(b'\\xff\\n'); sys.stdout.flush()", "answered '"),
+        (LOOP + "    print([0.0, 0.0], flush=True); sys.exit(3)", "step 1.*exit code 3"),
+    ],
+)
+def test_failures_name_cell_episode_and_step(tmp_path: Path, suite: Path, text: str, message: str) -> None:
+    with pytest.raises(MessageError, match=message) as caught:
+        submitted(tmp_path / "out", suite, program(tmp_path / "agent.py", text))
+    assert "UncalibServo-v0,horizon=66,level=3, episode 0" in str(caught.value)
+    assert str(caught.value).isprintable()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["agent.py"]
+
+
+def test_silence_ends(tmp_path: Path, suite: Path, monkeypatch) -> None:
+    monkeypatch.setattr(message_agent, "STARTING", 0.5)
+    begin = time.monotonic()
+    with pytest.raises(MessageError, match=r"no answer within 0\.5 s; write one line per message and flush stdout"):
+        submitted(tmp_path / "out", suite, program(tmp_path / "agent.py", LOOP + "    pass\n"))
+    assert time.monotonic() - begin < 20.0
+
+
+def test_commands_must_have_files(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=r"must name a file of the agent, got 'python agent\.py'"):
+        command_candidate("python agent.py", "x", "")
+    with pytest.raises(ValueError, match="must name a program"):
+        command_candidate(" ", "x", "")
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "agent.py").write_text(folder)
+    with pytest.raises(ValueError, match="different names"):
+        command_candidate("python a/agent.py", "x", "", [Path("b/agent.py")])
+    assert command_candidate("python a/agent.py", "x", "").entry == ["python", "./agent.py"]
