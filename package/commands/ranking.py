@@ -146,6 +146,10 @@ def leaderboard(
         Path | None,
         typer.Option(help="Write a static site with replays into this folder instead. Submissions are replayed."),
     ] = None,
+    verdicts: Annotated[
+        Path | None,
+        typer.Option(help="With --site: file of `servotrack verify --output`. Default: verdicts.json in the folder."),
+    ] = None,
     table_format: TableFormat = "table",
 ) -> None:
     """Write tables, figure and page from a folder of results, or a site from results or submissions (SUITE/AGENT)."""
@@ -162,8 +166,10 @@ def leaderboard(
             raise ValueError(
                 "--site writes the site alone; run the command again without --site for tables and figures"
             )
-        _write_site(results, site, console(table_format))
+        _write_site(results, verdicts, site, console(table_format))
         return
+    if verdicts is not None:
+        raise ValueError("--verdicts needs --site: only the site shows badges")
     cells = ResultsFolder(results).load_all()
     tasks = summarize(cells)
     film = results / "best.webm"
@@ -223,12 +229,12 @@ def tune(
         embed(markdown_tuning(record), into, output.stem if own else "tuning")
 
 
-def _write_site(source: Path, folder: Path, screen: Screen) -> None:
+def _write_site(source: Path, verdicts: Path | None, folder: Path, screen: Screen) -> None:
     from servotrack.baselines.leaderboard.site.entries import entries_of
     from servotrack.baselines.leaderboard.site.write import write_site
     from servotrack.baselines.reporting.terminal import command_line, progress_bars
 
-    entries = entries_of(source)
+    entries = entries_of(source, verdicts)
     with progress_bars() as progress:
         bar = progress.add_task("episodes", total=len(entries))
         paths = write_site(entries, folder, command_line(), lambda name: progress.advance(bar))

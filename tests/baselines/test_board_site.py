@@ -52,9 +52,9 @@ def site(results: Path) -> Path:
 def delivered(path: Path) -> dict[str, Any]:
     """The document that a script hands to the page."""
     text = path.read_text(encoding="ascii")
-    name, content = re.fullmatch(r"servotrack\.deliver\('([a-z0-9-]+)','(.*)'\);\n", text).groups()  # type: ignore[union-attr]
-    assert name == path.stem
-    return json.loads(content.replace("\\\\", "\\"))
+    found = re.fullmatch(r"servotrack\.deliver\('([a-z0-9-]+)','([A-Za-z0-9+/=]*)'\);\n", text)
+    assert found is not None and found[1] == path.stem
+    return json.loads(zlib.decompress(base64.b64decode(found[2])))
 
 
 def unpacked(document: dict[str, Any]) -> list[np.ndarray]:
@@ -63,8 +63,11 @@ def unpacked(document: dict[str, Any]) -> list[np.ndarray]:
     words = planes[: len(planes) // 2] | (planes[len(planes) // 2 :] << 8)
     bends = (words >> 1) ^ -(words & 1)
     curves, at = [], 0
-    for first, length, step in document["curves"]:
-        curves.append((first + np.cumsum(np.cumsum(bends[at : at + length]))) * step)
+    for first, length, step, order in document["curves"]:
+        values = bends[at : at + length]
+        for _ in range(order):
+            values = np.cumsum(values)
+        curves.append((first + values) * step)
         at += length
     return curves
 
@@ -117,8 +120,7 @@ def test_the_site_is_whole_and_small(site: Path) -> None:
 
 def test_rows_have_scores_intervals_and_proof(site: Path) -> None:
     rows = {
-        row["agent"]: row
-        for row in delivered(site / "data" / "board.js")["suites"][0]["worlds"][0]["tasks"][0]["rows"]
+        row["agent"]: row for row in delivered(site / "data" / "board.js")["suites"][0]["worlds"][0]["tasks"][0]["rows"]
     }
     assert set(rows) == set(AGENTS)
     assert rows["oracle"]["score"][0] == pytest.approx(1.0)
@@ -182,8 +184,6 @@ def test_traces_prove_rows(results: Path, tmp_path: Path) -> None:
 def test_hostile_names_stay_text(tmp_path: Path) -> None:
     write_site(hostile_entries(), tmp_path, NAMES[0])
     for path in (tmp_path / "data").iterdir():
-        text = path.read_text(encoding="ascii")
-        assert not set("<>&\n") & set(text[:-1]) and text.count("'") == 4
         delivered(path)
     board = delivered(tmp_path / "data" / "board.js")
     assert set(NAMES) == {row["agent"] for row in board["suites"][0]["worlds"][0]["tasks"][0]["rows"]}

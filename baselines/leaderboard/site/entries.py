@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -13,6 +12,8 @@ from servotrack.baselines.agents.registry import AGENTS, agent_card, create_agen
 from servotrack.baselines.board.action_grid import ActionGrid
 from servotrack.baselines.board.replay import make_replay_env
 from servotrack.baselines.board.submission import CARD, Submission, SubmittedCell, read_submission
+from servotrack.baselines.board.verification import Badge, Verdict
+from servotrack.baselines.board.verify import read_verdicts
 from servotrack.baselines.evaluation import statistics
 from servotrack.baselines.evaluation.evaluate import make_vector
 from servotrack.baselines.evaluation.results import CellResults, ResultsFolder
@@ -20,8 +21,10 @@ from servotrack.baselines.leaderboard.summary import AgentSummary, TaskSummary, 
 from servotrack.baselines.reporting.files import ResultsError
 from servotrack.estimators.types import Array
 
-Proof = Literal["replayed", "re-run", "self-reported"]
+Proof = Badge
 """Check behind a row: its trace was replayed, its agent was run again, or neither."""
+VERDICTS = "verdicts.json"
+"""Name of the file of verdicts beside the suites."""
 
 ActionsOf = Callable[[CellResults, Sequence[int]], Mapping[int, Array]]
 """Function that returns the actions of episodes by seed, each (length, n); seeds without a trace are left out."""
@@ -52,16 +55,23 @@ class Entry:
     sealed: frozenset[int] = frozenset()
 
 
-def entries_of(folder: Path) -> list[Entry]:
+def entries_of(folder: Path, verdicts: Path | None = None) -> list[Entry]:
     """Read a folder of submissions, of results, or of folders of results as `servotrack bench` makes them.
 
     Submissions lie in SUITE/AGENT; see `servotrack.baselines.board.submission`.
+
+    Args:
+        folder: The folder.
+        verdicts: File that `servotrack verify --output` wrote, which says whose agents were run again; None for
+            `verdicts.json` in the folder, if there is one.
 
     Raises:
         ResultsError: There are neither, or a file is damaged.
     """
     if cards := sorted(folder.glob(f"*/*/{CARD}")):
-        return [entry for card in cards for entry in _submitted_entries(read_submission(card.parent))]
+        path = verdicts or folder / VERDICTS
+        found = read_verdicts(path) if verdicts or path.exists() else {}
+        return [entry for card in cards for entry in _submitted_entries(read_submission(card.parent), found)]
     folders = [folder] if any(folder.glob("*/*.json")) else sorted({p.parents[1] for p in folder.glob("*/*/*.json")})
     if not folders:
         raise ResultsError(f"{folder} holds no submissions and no results; run `servotrack bench` first")
@@ -73,8 +83,9 @@ def entries_of(folder: Path) -> list[Entry]:
     ]
 
 
-def _submitted_entries(submission: Submission) -> list[Entry]:
+def _submitted_entries(submission: Submission, verdicts: Mapping[str, Verdict]) -> list[Entry]:
     entries = []
+    verdict = verdicts.get(submission.seal)
     parts = zip(submission.cells, submission.results("public"), submission.results("sealed"), strict=True)
     for submitted, public, sealed in parts:
         cell = replace(public, rows=[*public.rows, *sealed.rows])
@@ -82,7 +93,7 @@ def _submitted_entries(submission: Submission) -> list[Entry]:
             Entry(
                 submission.suite.name,
                 cell,
-                "self-reported",
+                _proof(verdict, submitted.cell.name),
                 submitted.cell.is_stale(),
                 _traced_actions(submission, submitted),
                 True,
@@ -91,6 +102,12 @@ def _submitted_entries(submission: Submission) -> list[Entry]:
             )
         )
     return entries
+
+
+def _proof(verdict: Verdict | None, cell: str) -> Proof:
+    """Badge of a cell by a verdict about the whole submission."""
+    confirmed = verdict is not None and cell in verdict.cells and verdict.cells[cell].state in ("equal", "close")
+    return verdict.badge if verdict is not None and verdict.is_confirmed and confirmed else "self-reported"
 
 
 def _traced_actions(submission: Submission, submitted: SubmittedCell) -> ActionsOf:

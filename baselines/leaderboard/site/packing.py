@@ -1,4 +1,4 @@
-"""Sampled curves in few bytes: rounded, second differences, byte planes, zlib, Base64. JavaScript reads all of it."""
+"""Sampled curves in few bytes: rounded, differences, byte planes, zlib, Base64. JavaScript reads all of it."""
 
 from __future__ import annotations
 
@@ -15,17 +15,19 @@ PLACE_STEP = 2e-5
 RATE_STEP = 1e-4
 """Rounding of noise on joint rates, rad/s."""
 _LARGEST = 2**15
+_HIGHEST_ORDER = 3
+"""Highest order of differences that is tried; the one with the smallest numbers is kept."""
 
 
 class Packer:
     """Gathers curves into one text.
 
     Attributes:
-        curves: First value in steps, number of samples and step of each curve, in the order of `add`.
+        curves: First value in steps, number of samples, step and order of differences of each curve, as added.
     """
 
     def __init__(self) -> None:
-        self.curves: list[tuple[int, int, float]] = []
+        self.curves: list[tuple[int, int, float, int]] = []
         self._words: list[np.ndarray] = []
 
     def add(self, values: ArrayLike, step: float) -> int:
@@ -46,12 +48,16 @@ class Packer:
         if not np.isfinite(samples).all() or np.abs(samples).max() > 1e6 * step * _LARGEST:
             raise ValueError(f"values must be finite and at most {1e6 * step * _LARGEST:g}, got {samples}")
         rounded = np.rint(samples / step).astype(np.int64)
-        bends = np.diff(np.diff(rounded, prepend=rounded[0]), prepend=0)
+        orders = [rounded - rounded[0]]
+        for _ in range(_HIGHEST_ORDER):
+            orders.append(np.diff(orders[-1], prepend=0))
+        order = min(range(1, _HIGHEST_ORDER + 1), key=lambda order: int(np.abs(orders[order]).sum()))
+        bends = orders[order]
         if np.abs(bends).max() >= _LARGEST:
             raise ValueError(f"values must bend by less than {step * _LARGEST:g} per sample, got {samples}")
         # Zigzag: small numbers of both signs have an empty high byte.
         self._words.append(((bends << 1) ^ (bends >> 63)).astype(np.uint16))
-        self.curves.append((int(rounded[0]), len(rounded), step))
+        self.curves.append((int(rounded[0]), len(rounded), step, order))
         return len(self.curves) - 1
 
     def text(self) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
@@ -16,7 +18,7 @@ from servotrack.baselines.evaluation.results import CellResults
 from servotrack.baselines.evaluation.servo_scores import LOST_ERROR
 from servotrack.baselines.leaderboard.anchoring import column_of, find_anchors
 from servotrack.baselines.leaderboard.site import replays
-from servotrack.baselines.leaderboard.site.entries import Entry, summaries_of
+from servotrack.baselines.leaderboard.site.entries import Entry, Proof, summaries_of
 from servotrack.baselines.leaderboard.site.tables import agent_facts, episode_values, overall_table, task_table
 from servotrack.baselines.leaderboard.summary import TaskSummary, stamp
 from servotrack.baselines.reporting.files import atomic_path
@@ -133,8 +135,9 @@ def _add_motions(task: _Task, on_cell: Callable[[str], None]) -> None:
         made = replays.replay(entry.cell, entry.actions(entry.cell, sorted(seeds)))
         task.motions[agent] = {seed: made.motions[seed] for seed in labels if seed in made.motions}
         task.scenes |= {seed: made.scenes[seed] for seed in task.motions[agent]}
-        if entry.traced and made.faithful and entry.proof == "self-reported":
-            task.entries[agent] = replace(entry, proof="replayed")
+        if entry.traced:
+            proof: Proof = "re-run" if entry.proof == "re-run" else "replayed"
+            task.entries[agent] = replace(entry, proof=proof if made.faithful else "self-reported")
 
 
 def _board(
@@ -243,13 +246,11 @@ def _chunks_within(tasks: Sequence[_Task], room: int) -> dict[str, str]:
 def _script(name: str, document: Mapping[str, Any]) -> str:
     """A document as a script that hands it over: pages from file:// may load scripts, but no data.
 
-    All text is ASCII, and no name in it can end a script element or start a comment.
+    It is compressed JSON in Base64, so that no name in it can end a string or an element.
     """
     text = json.dumps(document, separators=(",", ":"), allow_nan=False)
-    for sign in "<>&'":
-        text = text.replace(sign, f"\\u{ord(sign):04x}")
-    quoted = text.replace("\\", "\\\\")
-    return f"servotrack.deliver('{name}','{quoted}');\n"
+    packed = base64.b64encode(zlib.compress(text.encode("ascii"), 9)).decode("ascii")
+    return f"servotrack.deliver('{name}','{packed}');\n"
 
 
 def _asset(name: str) -> str:

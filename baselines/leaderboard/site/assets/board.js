@@ -3,7 +3,7 @@
   "use strict";
   const ns = window.servotrack;
   const { h, plots } = ns;
-  const FOREST = 180, ROW = 26;
+  const FOREST = 156, ROW = 26;
   const HEAT = [0.5, 1.0]; // scores without color, with the fullest
   const COMPUTE = [["", "any compute"], ["5e-5", "≤ 50 µs a step"], ["2e-4", "≤ 200 µs a step"], ["5e-4", "≤ 500 µs a step"]];
   const TUNING = [["", "any tuning"], ["0", "no tuning"], ["1e6", "≤ 1 M steps"]];

@@ -6,9 +6,15 @@
   const waiting = new Map();
   const decoded = new Map();
 
-  // The text is JSON. A literal would let an agent called __proto__ change the prototype.
+  async function inflate(text) {
+    const bytes = Uint8Array.from(atob(text), (sign) => sign.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+    return new Uint8Array(await new Response(stream).arrayBuffer());
+  }
+
+  // The text is compressed JSON in Base64.
   ns.deliver = (name, text) => {
-    const content = JSON.parse(text);
+    const content = inflate(text).then((bytes) => JSON.parse(new TextDecoder().decode(bytes)));
     documents.set(name, content);
     waiting.get(name)?.(content);
     waiting.delete(name);
@@ -16,7 +22,7 @@
 
   // The document of data/NAME.js, loaded once.
   function load(name) {
-    if (documents.has(name)) return Promise.resolve(documents.get(name));
+    if (documents.has(name)) return documents.get(name);
     if (!/^[a-z0-9-]+$/.test(name)) return Promise.reject(new Error(`no such data: ${name}`));
     return new Promise((resolve, reject) => {
       waiting.set(name, resolve);
@@ -30,25 +36,18 @@
     });
   }
 
-  async function inflate(text) {
-    const bytes = Uint8Array.from(atob(text), (sign) => sign.charCodeAt(0));
-    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-    return new Uint8Array(await new Response(stream).arrayBuffer());
-  }
-
-  // Curves of a document: second differences, zigzag, low bytes before high ones.
+  // Curves of a document: differences of some order, zigzag, low bytes before high ones.
   async function curves(content) {
     const planes = await inflate(content.samples);
     const total = planes.length / 2;
     let at = 0;
-    return content.curves.map(([first, length, step]) => {
-      const values = new Float64Array(length);
-      let value = first, slope = 0;
+    return content.curves.map(([first, length, step, order]) => {
+      const values = new Float64Array(length), sums = new Array(order).fill(0);
       for (let k = 0; k < length; k++, at++) {
         const word = planes[at] | (planes[total + at] << 8);
-        slope += (word >>> 1) ^ -(word & 1);
-        value += slope;
-        values[k] = value * step;
+        let value = (word >>> 1) ^ -(word & 1);
+        for (let n = 0; n < order; n++) value = sums[n] += value;
+        values[k] = (first + value) * step;
       }
       return values;
     });
@@ -86,5 +85,8 @@
     return decoded.get(name);
   }
 
-  ns.data = { load, unpack, unpacked, board: () => documents.get("board") };
+  let board = null;
+  const ready = async () => (board = await documents.get("board"));
+
+  ns.data = { load, unpack, unpacked, ready, board: () => board };
 })();

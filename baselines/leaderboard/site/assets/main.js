@@ -1,10 +1,10 @@
 // Addresses, navigation, and the frame around all views.
-(function () {
+(async function () {
   "use strict";
   const ns = window.servotrack;
   const { h } = ns;
   const VIEWS = { board: "Board", watch: "Watch", compare: "Compare", compute: "Cost", race: "Race the filter", proof: "Proof" };
-  const board = ns.data.board();
+  const board = await ns.data.ready();
   const main = document.getElementById("main");
   let leave = null, turn = 0, first = true;
 
