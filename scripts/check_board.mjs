@@ -166,7 +166,7 @@ if (existsSync(hostile)) {
   await tab.goto(base);
   const addresses = await tab.evaluate(() => {
     const ns = globalThis.servotrack;
-    return ns.data.board().suites.flatMap((suite) => suite.worlds.flatMap((world) => world.tasks.flatMap((task) => ["board", "compare", "compute", "watch", "proof"].map((view) => ns.address(view, { suite: suite.name, world: world.name, task: task.name, agent: task.rows[0].agent, a: task.rows[0].agent })))));
+    return ns.data.board().suites.flatMap((suite) => suite.worlds.flatMap((world) => world.tasks.flatMap((task) => task.rows.flatMap((row) => ["board", "compare", "compute", "watch", "proof"].map((view) => ns.address(view, { suite: suite.name, world: world.name, task: task.name, agent: row.agent, a: row.agent }))))));
   });
   for (const hash of addresses) {
     await open(tab, base, hash);
