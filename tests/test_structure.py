@@ -15,7 +15,8 @@ FOLDERS = {
     "servotrack.estimators": "estimators",
     "servotrack.baselines": "baselines",
 }
-MOST_ARROWS = 40
+MOST_ARROWS = 48
+"""Four for each room at most."""
 MOST_POSITIONAL = 12
 MOST_NUMBERS = 40
 ESTIMATOR_NAMES = {"estimator", "tracker", "detector", "filter", "inner"}
@@ -100,7 +101,7 @@ def test_rooms_of_baselines_are_few_and_their_arrows_run_one_way() -> None:
         if (here := room(name)) is not None:
             rooms[here] |= {there for other in imported if (there := room(other)) not in (None, here)}  # type: ignore[misc]
     assert len(rooms) <= 12, sorted(rooms)
-    assert sum(map(len, rooms.values())) < MOST_ARROWS
+    assert sum(map(len, rooms.values())) <= MOST_ARROWS
     assert list(circles(rooms)) == []
 
 

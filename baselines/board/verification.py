@@ -29,6 +29,8 @@ TOLERANCE = 1e-6
 """Largest relative difference between rows of machines whose arithmetic differs; see `arithmetic_digest`."""
 SUSPICIOUS = 4.0
 """Standard errors by which scores on known seeds may exceed those on fresh ones before the verdict says so."""
+EARLIER_VERSIONS = ("0.1.0",)
+"""Versions of this package that made submissions of its own agents, besides the present one."""
 _LONGEST_TEXT = 400
 
 
@@ -145,9 +147,9 @@ def _check_registered(submission: Submission) -> None:
     own = registered_candidate(submission.name, "")
     version = json.loads(content.decode("ascii"))["servotrack"] if _is_plain_json(content) else None
     expected = json.loads(own.files[AGENT_FILE].decode("ascii"))
-    # The seeds follow from these bytes: nothing in them may be free to choose, but for the number of a version.
+    # The seeds follow from these bytes: nothing in them may be free to choose.
     text = json.dumps({**expected, "servotrack": version}, sort_keys=True, indent=1) + "\n"
-    is_version = isinstance(version, str) and len(version) <= 20 and all(part.isdigit() for part in version.split("."))
+    is_version = version in (*EARLIER_VERSIONS, expected["servotrack"])
     if name != submission.name or len(submission.agent_files) != 1 or not is_version or content != text.encode("ascii"):
         raise ValueError(f"{AGENT_FILE} must hold name, settings and version of {submission.name} and nothing else")
     if {**own.claims, "authors": ""} != {
@@ -265,7 +267,7 @@ def run_again(submission: Submission, verdict: Verdict, players: Sequence[Player
 
     Args:
         submission: The submission.
-        verdict: Its verdict, with the cells replayed.
+        verdict: Verdict of the submission, with the cells replayed.
         players: Separate runs of the agent, each with a memory of its own.
         nonce: Number of the fresh seeds.
         fresh: Fresh episodes in each cell; 0 for none.

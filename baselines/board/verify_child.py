@@ -33,7 +33,7 @@ _RUNS = 2
 
 @dataclass(frozen=True)
 class Order:
-    """What to verify.
+    """Request of a verification.
 
     Attributes:
         folders: Folders of submissions.
