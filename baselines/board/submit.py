@@ -149,7 +149,13 @@ def command_candidate(
             f"--command must name a file of the agent, got {command!r}; start it as ./agent or python agent.py, or "
             "give its files with --file"
         )
-    plain: dict[str, Any] = {"summary": "", "information": "undeclared", "requires": [], "tuning_steps": None, "authors": authors}
+    plain: dict[str, Any] = {
+        "summary": "",
+        "information": "undeclared",
+        "requires": [],
+        "tuning_steps": None,
+        "authors": authors,
+    }
     return Candidate(name, "command", entry, contents, {**plain, **(claims or {})})
 
 

@@ -12,11 +12,11 @@ from servotrack.baselines.agents.registry import AGENTS, agent_card, create_agen
 from servotrack.baselines.board.action_grid import ActionGrid
 from servotrack.baselines.board.replay import make_replay_env
 from servotrack.baselines.board.submission import CARD, Submission, SubmittedCell, read_submission
-from servotrack.baselines.board.verification import Badge, Verdict
+from servotrack.baselines.board.verification import Badge, CellVerdict, Verdict
 from servotrack.baselines.board.verify import read_verdicts
 from servotrack.baselines.evaluation import statistics
 from servotrack.baselines.evaluation.evaluate import make_vector
-from servotrack.baselines.evaluation.results import CellResults, ResultsFolder
+from servotrack.baselines.evaluation.results import CellResults, ResultsFolder, Row
 from servotrack.baselines.leaderboard.summary import AgentSummary, TaskSummary, summarize
 from servotrack.baselines.reporting.files import ResultsError
 from servotrack.estimators.types import Array
@@ -24,7 +24,7 @@ from servotrack.estimators.types import Array
 Proof = Badge
 """Check behind a row: its trace was replayed, its agent was run again, or neither."""
 VERDICTS = "verdicts.json"
-"""Name of the file of verdicts beside the suites."""
+"""Name of the file of verdicts beside the submissions of a suite."""
 
 ActionsOf = Callable[[CellResults, Sequence[int]], Mapping[int, Array]]
 """Function that returns the actions of episodes by seed, each (length, n); seeds without a trace are left out."""
@@ -36,13 +36,15 @@ class Entry:
 
     Attributes:
         suite: Name of the suite, "" for results outside a suite.
-        cell: Results; those of a submission hold its public and its sealed episodes.
+        cell: Results; those of a submission hold its episodes on public seeds.
         proof: Check behind the rows.
         stale: True if the package's rollouts have changed since the rows were made.
         actions: Source of the episodes' actions.
         traced: True if `actions` reads a trace of every episode, False if it runs the agent.
         scores: Scores of the episodes by the suite's frozen anchors, shape (rows,); None: by the agents of the table.
-        sealed: Seeds that follow from the agent's files.
+        sealed: Rows of the episodes on seeds that follow from the agent's files.
+        sealed_scores: Scores of these episodes, shape (len(sealed),).
+        fresh: Mean score on seeds that the verifier drew, and its standard error; None if the agent was not run.
     """
 
     suite: str
@@ -52,7 +54,9 @@ class Entry:
     actions: ActionsOf
     traced: bool = False
     scores: Array | None = None
-    sealed: frozenset[int] = frozenset()
+    sealed: Sequence[Row] = ()
+    sealed_scores: Array | None = None
+    fresh: tuple[float, float] | None = None
 
 
 def entries_of(folder: Path, verdicts: Path | None = None) -> list[Entry]:
@@ -63,14 +67,15 @@ def entries_of(folder: Path, verdicts: Path | None = None) -> list[Entry]:
     Args:
         folder: The folder.
         verdicts: File that `servotrack verify --output` wrote, which says whose agents were run again; None for
-            `verdicts.json` in the folder, if there is one.
+            `verdicts.json` in the folder of each suite, if there is one.
 
     Raises:
         ResultsError: There are neither, or a file is damaged.
     """
     if cards := sorted(folder.glob(f"*/*/{CARD}")):
-        path = verdicts or folder / VERDICTS
-        found = read_verdicts(path) if verdicts or path.exists() else {}
+        found: dict[str, Verdict] = {}
+        for path in [verdicts] if verdicts else sorted(folder.glob(f"*/{VERDICTS}")):
+            found |= read_verdicts(path)
         return [entry for card in cards for entry in _submitted_entries(read_submission(card.parent), found)]
     folders = [folder] if any(folder.glob("*/*.json")) else sorted({p.parents[1] for p in folder.glob("*/*/*.json")})
     if not folders:
@@ -88,26 +93,28 @@ def _submitted_entries(submission: Submission, verdicts: Mapping[str, Verdict]) 
     verdict = verdicts.get(submission.seal)
     parts = zip(submission.cells, submission.results("public"), submission.results("sealed"), strict=True)
     for submitted, public, sealed in parts:
-        cell = replace(public, rows=[*public.rows, *sealed.rows])
+        confirmed = _confirmed(verdict, submitted.cell.name)
         entries.append(
             Entry(
                 submission.suite.name,
-                cell,
-                _proof(verdict, submitted.cell.name),
+                public,
+                "self-reported" if verdict is None or confirmed is None else verdict.badge,
                 submitted.cell.is_stale(),
                 _traced_actions(submission, submitted),
-                True,
-                submitted.cell.scores(cell.rows),
-                frozenset(sealed.seeds),
+                traced=True,
+                scores=submitted.cell.scores(public.rows),
+                sealed=sealed.rows,
+                sealed_scores=submitted.cell.scores(sealed.rows),
+                fresh=None if confirmed is None else confirmed.fresh,
             )
         )
     return entries
 
 
-def _proof(verdict: Verdict | None, cell: str) -> Proof:
-    """Badge of a cell by a verdict about the whole submission."""
-    confirmed = verdict is not None and cell in verdict.cells and verdict.cells[cell].state in ("equal", "close")
-    return verdict.badge if verdict is not None and verdict.is_confirmed and confirmed else "self-reported"
+def _confirmed(verdict: Verdict | None, cell: str) -> CellVerdict | None:
+    """Verdict of a cell, if it and the whole submission were confirmed."""
+    found = None if verdict is None or not verdict.is_confirmed else verdict.cells.get(cell)
+    return found if found is not None and found.state in ("equal", "close") else None
 
 
 def _traced_actions(submission: Submission, submitted: SubmittedCell) -> ActionsOf:

@@ -36,7 +36,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Scene:
-    """What all agents meet in the episode of a seed.
+    """Conditions of the episode of a seed, the same for all agents.
 
     Attributes:
         links: Link lengths, shape (2,), m.
@@ -67,8 +67,8 @@ class Replay:
     """Episodes of an agent in one environment, stepped again from their actions.
 
     Attributes:
-        motions: By seed. Episodes that differ from their rows are left out.
-        scenes: By seed.
+        motions: Motions by seed. Episodes that differ from their rows are left out.
+        scenes: Scenes by seed.
         faithful: True if every row of the results was recomputed, each number to within `SAME_ROW`.
     """
 
@@ -124,8 +124,8 @@ def _is_same(row: Mapping[str, Any], given: Mapping[str, Any]) -> bool:
 def _scene(world: ServoWorld, row: int) -> Scene:
     config = world.config
     path = world.paths[row, LEAD : LEAD + world.episode_steps + 1, :2].copy()
-    constants = (world.links[row], world.cameras[row], world.goal[row], world.gain[row])
-    return Scene(*(value.copy() for value in constants), path, config.warmup, config.camera_size)
+    links, camera, goal, gain = (part[row].copy() for part in (world.links, world.cameras, world.goal, world.gain))
+    return Scene(links, camera, goal, gain, path, config.warmup, config.camera_size)
 
 
 def chosen_seeds(values: Mapping[int, float], high_is_good: bool, shared: Sequence[int]) -> dict[int, list[str]]:

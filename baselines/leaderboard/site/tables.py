@@ -22,7 +22,7 @@ def task_table(
     """One task for the page.
 
     Args:
-        task: Its summary.
+        task: Summary of the task.
         entries: Entries of its agents by name.
         watchable: Labels of the replays by agent, see `chosen_seeds`.
     """
@@ -66,7 +66,7 @@ def episode_values(task: TaskSummary, entries: Mapping[str, Entry]) -> dict[str,
 
 
 def agent_facts(entries: Iterable[Entry]) -> dict[str, Any]:
-    """What the page says about each agent, by name: card and provenance of one of its cells."""
+    """Card and provenance of each agent by name, from one of its cells."""
     facts: dict[str, Any] = {}
     for entry in entries:
         record = entry.cell.provenance
@@ -110,7 +110,7 @@ def _row(row: AgentSummary, entry: Entry) -> dict[str, Any]:
         "privileged": row.privileged,
         "proof": entry.proof,
         "stale": entry.stale,
-        "episodes": row.episodes,
+        "episodes": row.episodes + len(entry.sealed),
         "score": _interval(row.score),
         "worst": _number(row.worst_score),
         "success": _interval(row.success),
@@ -119,7 +119,8 @@ def _row(row: AgentSummary, entry: Entry) -> dict[str, Any]:
         "difference": None
         if difference is None
         else [_number(difference.value), _number(difference.low), _number(difference.high)],
-        "sealed": _sealed(row, entry),
+        "sealed": _sealed(entry),
+        "fresh": None if entry.fresh is None else _number(entry.fresh[0]),
         "p": _number(row.adjusted_p),
         "overBound": _number(row.over_bound),
         "stepSeconds": _number(row.step_seconds),
@@ -127,12 +128,9 @@ def _row(row: AgentSummary, entry: Entry) -> dict[str, Any]:
     }
 
 
-def _sealed(row: AgentSummary, entry: Entry) -> list[float | None] | None:
+def _sealed(entry: Entry) -> list[float | None] | None:
     """Mean score on the seeds that follow from the agent's files."""
-    if not entry.sealed or row.scores is None:
-        return None
-    scores = [score for seed, score in zip(row.seeds, row.scores.tolist(), strict=True) if seed in entry.sealed]
-    return _interval(bootstrap_mean(scores))
+    return None if entry.sealed_scores is None else _interval(bootstrap_mean(entry.sealed_scores))
 
 
 def _interval(interval: Interval | None) -> list[float | None] | None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import json
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -131,13 +132,14 @@ def _add_motions(task: _Task, on_cell: Callable[[str], None]) -> None:
     for agent, labels in task.labels(MOST_SHARED).items():
         on_cell(f"{agent} in {task.summary.environment}")
         entry = task.entries[agent]
-        seeds = entry.cell.seeds if entry.traced else list(labels)
-        made = replays.replay(entry.cell, entry.actions(entry.cell, sorted(seeds)))
+        whole = dataclasses.replace(entry.cell, rows=[*entry.cell.rows, *entry.sealed])
+        seeds = whole.seeds if entry.traced else list(labels)
+        made = replays.replay(whole, entry.actions(whole, sorted(seeds)))
         task.motions[agent] = {seed: made.motions[seed] for seed in labels if seed in made.motions}
         task.scenes |= {seed: made.scenes[seed] for seed in task.motions[agent]}
         if entry.traced:
             proof: Proof = "re-run" if entry.proof == "re-run" else "replayed"
-            task.entries[agent] = replace(entry, proof=proof if made.faithful else "self-reported")
+            task.entries[agent] = dataclasses.replace(entry, proof=proof if made.faithful else "self-reported")
 
 
 def _board(

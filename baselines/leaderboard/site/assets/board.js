@@ -47,6 +47,7 @@
     for (const measure of [headline, ...others]) columns.push({ key: measure.column, title: `${measure.heading} ${measure.unit}`, sort: (row) => row.measures[measure.column]?.[0], cell: (row) => interval(row.measures[measure.column], measure.digits, measure.factor), high: measure.highIsGood });
     if (task.scored) columns.push({ key: "worst", title: "worst tenth", hint: "mean score of the worst tenth of the episodes", sort: (row) => row.worst, cell: (row) => ns.fixed(row.worst, 2), high: true });
     if (task.rows.some((row) => row.sealed)) columns.push({ key: "sealed", title: "sealed seeds", hint: "mean score on seeds that follow from the agent's files, which nobody can have tuned on", sort: (row) => row.sealed?.[0], cell: (row) => interval(row.sealed, 2), high: true });
+    if (task.rows.some((row) => row.fresh !== null)) columns.push({ key: "fresh", title: "fresh seeds", hint: "mean score on seeds that the verifier drew, where the agent was run again", sort: (row) => row.fresh, cell: (row) => ns.fixed(row.fresh, 2), high: true });
     if (reference) columns.push({ key: "difference", title: `− ${task.reference} ${headline.unit}`, hint: "mean difference by seed; * below p = 0.05 after Holm's correction", sort: (row) => row.difference?.[0], high: headline.highIsGood,
       cell: (row) => row.difference && `${row.difference[0] > 0 ? "+" : ""}${ns.fixed(row.difference[0] * headline.factor, headline.digits)}${row.p !== null && row.p < 0.05 ? " *" : ""}` });
     columns.push(...costColumns());
