@@ -78,12 +78,15 @@
     for (let axis = 0; axis < 2; axis++) {
       for (let k = -each; k <= each; k++) {
         const line = [];
+        let near = false;
         for (let j = 0; j < samples; j++) {
           const along = -half + (2 * half * j) / (samples - 1);
           const pixel = axis ? project(camera, at, cx + along, cy + k * spacing) : project(camera, at, cx + k * spacing, cy + along);
-          if (pixel && pixel[0] > -size && pixel[0] < 2 * size && pixel[1] > -size && pixel[1] < 2 * size) line.push(pixel);
+          if (!pixel || pixel[0] <= -size || pixel[0] >= 2 * size || pixel[1] <= -size || pixel[1] >= 2 * size) continue;
+          line.push(pixel);
+          near ||= Math.abs(pixel[0] / size - 0.5) < 1 && Math.abs(pixel[1] / size - 0.5) < 1;
         }
-        if (line.length > 1) found.push(line);
+        if (near && line.length > 1) found.push(line);
       }
     }
     return found;

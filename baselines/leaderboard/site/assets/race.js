@@ -108,11 +108,13 @@
       const view = ns.camera.pose(scene.camera, scene.links, here);
       const seen = ns.camera.project(scene.camera, view, ...target);
       paint.camera(canvases.camera, { scene, joints: here, target, targetTrail: phase === "running" ? trailOf(seen) : [], unseen: false });
+      stick();
+      if (!stats.picture) stats.picture = performance.now();
+      if (phase === "running" && Math.floor(at) === written) return;
+      // What follows changes with the samples, 20 times a second.
       const series = rivals.map((replay, n) => ({ errors: replay.errors, tint: ns.color(TINTS[n + 1]) })).reverse();
       paint.errors(canvases.errors, { scene, steps, now: at, series: phase === "waiting" ? series : [...series, { errors: errors.slice(0, Math.floor(at) + 1), tint: ns.color(TINTS[0]) }] });
-      if (phase !== "waiting") stick(at);
-      board(at);
-      if (!stats.picture) stats.picture = performance.now();
+      board(Math.floor(at));
     }
 
     let spots = [];
@@ -152,9 +154,7 @@
     const standings = h("table", { class: "standings" }, h("caption", { class: "visually-hidden" }, "Errors of the racers"), h("thead", {}, h("tr", {}, ["", "now", "mean after 3 s"].map((title) => h(title ? "th" : "td", title ? { scope: "col" } : {}, title)))), h("tbody", {}, lanes.map((lane) => lane.node)));
     lens.before(standings);
     let written = -1;
-    function board(at) {
-      const k = Math.floor(at);
-      if (k === written) return;
+    function board(k) {
       written = k;
       [phase === "waiting" ? null : errors, ...rivals.map((replay) => replay.errors)].forEach((values, n) => {
         const sum = values && counted(values, scene, k, race.lost);
