@@ -55,7 +55,7 @@ class MessageAgent:
 
     Args:
         command: The program and its arguments.
-        folder: Working directory of the program.
+        folder: Working directory of the program; None for the present one.
         seconds: Longest time for all episodes together, s.
         prepare: Called in the new process before the program starts, to set limits; None for none.
 

@@ -26,6 +26,9 @@ from servotrack.estimators.kernel_folder import VARIABLE, kernel_folder
 
 PACKAGES = ("servotrack", "servotrack.envs", "servotrack.estimators", "servotrack.baselines")
 _SYSTEM = ("/usr", "/bin", "/lib", "/lib64", "/lib32", "/etc/ld.so.cache", "/etc/alternatives")
+_NAMESPACES = ("--unshare-all", "--die-with-parent", "--new-session")
+_EMPTY = ("--proc", "/proc", "--dev", "/dev", "--remount-ro", "/dev", "--size", "16000000", "--tmpfs", "/tmp")
+"""Options for a new /proc and /dev, and an empty /tmp of 16 MB."""
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 _STARTING = 20.0
 """Time within which bubblewrap shows that it works, s."""
@@ -72,7 +75,7 @@ def bubblewrap() -> str | None:
     if path is None:
         return None
     try:
-        command = [path, "--unshare-all", "--ro-bind", "/", "/", "--", "/bin/true"]
+        command = [path, *_NAMESPACES, "--ro-bind", "/", "/", *_EMPTY, "--", "/bin/true"]
         done = subprocess.run(command, capture_output=True, timeout=_STARTING, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return None
@@ -96,12 +99,12 @@ def confined(command: Sequence[str], folders: Mapping[str, Path], working: str) 
     program = bubblewrap()
     if program is None:
         raise RuntimeError("bubblewrap is not installed or may not make namespaces here")
-    line = [program, "--unshare-all", "--die-with-parent", "--new-session", "--clearenv"]
+    line = [program, *_NAMESPACES, "--clearenv"]
     for name, value in inner_environment().items():
         line += ["--setenv", name, value]
     for path in _visible():
         line += ["--ro-bind-try", path, path]
-    line += ["--proc", "/proc", "--dev", "/dev", "--tmpfs", "/tmp"]
+    line += _EMPTY
     for inside, outside in folders.items():
         line += ["--ro-bind", str(outside), inside]
     return [*line, "--chdir", working, "--", *command]

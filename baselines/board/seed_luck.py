@@ -1,9 +1,9 @@
 """Gain by lucky sealed seeds: `python -m servotrack.baselines.board.seed_luck AGENT` searches 10,000 variants.
 
-A comment in an agent's file changes its digest, and with it its sealed seeds. Authors may try many comments and keep the
-luckiest. The gain is the score of the luckiest variant minus the mean score of all. Each cell has a pool of episodes on
-sealed seeds, from which every variant draws its own; running all variants in full would take hours and give the same
-distribution.
+A comment in an agent's file changes its digest, and with it its sealed seeds. Authors may try many comments and keep
+the luckiest. The gain is the score of the luckiest variant minus the mean score of all. Each cell has a pool of
+episodes on sealed seeds, from which every variant draws its own; running all variants in full would take hours and give
+the same distribution.
 """
 
 from __future__ import annotations

@@ -14,9 +14,11 @@ import os
 import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Literal, get_args
+
+import numpy as np
 
 from servotrack.baselines.agents.protocol import Information
 from servotrack.baselines.agents.registry import AGENTS
@@ -25,6 +27,7 @@ from servotrack.baselines.board.replay import Episode
 from servotrack.baselines.board.sealed_seeds import agent_digest, sealed_seeds
 from servotrack.baselines.board.suites import MOST_EPISODES, Suite, SuiteCell, load_suite
 from servotrack.baselines.board.trace_files import LARGEST_TRACE, Trace, decoded
+from servotrack.baselines.evaluation.evaluate import make_vector
 from servotrack.baselines.evaluation.results import CellResults, Row
 from servotrack.baselines.evaluation.results_format import FIELDS, check_fields
 from servotrack.baselines.reporting.files import ResultsError, read_bounded
@@ -259,18 +262,14 @@ def _read_cell(folder: Path, card: Mapping[str, Any], suite: Suite, cell: SuiteC
 
 def action_width(cell: SuiteCell) -> int:
     """Return the number of components of an action in a cell."""
-    return _WIDTHS.setdefault(cell.env_id, _action_width(cell))
+    return _action_width(cell.env_id, json.dumps(cell.env_kwargs))
 
 
-_WIDTHS: dict[str, int] = {}
-
-
-def _action_width(cell: SuiteCell) -> int:
-    from servotrack.baselines.board.replay import make_replay_env
-
-    env = make_replay_env(cell, 1)
+@lru_cache(maxsize=64)
+def _action_width(env_id: str, env_kwargs: str) -> int:
+    env = make_vector(env_id, 1, json.loads(env_kwargs), privileged=False)
     try:
-        return int(env.single_action_space.shape[0])
+        return int(np.prod(env.single_action_space.shape))
     finally:
         env.close()
 

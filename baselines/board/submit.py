@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import hashlib
 import json
 import shlex
@@ -16,7 +17,7 @@ import numpy as np
 from servotrack.baselines.agents.learned.card import load_card
 from servotrack.baselines.agents.learned.shipped import shipped_cards
 from servotrack.baselines.agents.protocol import AgentCard
-from servotrack.baselines.agents.registry import agent_card
+from servotrack.baselines.agents.registry import AGENTS, agent_card
 from servotrack.baselines.board.arithmetic import arithmetic_digest
 from servotrack.baselines.board.card import FILE_NAME, MOST_FILES, NAME, sealed_card
 from servotrack.baselines.board.message_agent import MessageAgent
@@ -79,6 +80,10 @@ def registered_candidate(name: str, authors: str) -> Candidate:
     """
     import servotrack
 
+    if name.partition("+")[0] not in AGENTS:
+        near = difflib.get_close_matches(name, AGENTS, n=1)
+        remedy = f"did you mean {near[0]!r}?" if near else "submit agents of your own as ONNX or by --command"
+        raise ValueError(f"the package has no agent {name!r}; {remedy}")
     card = agent_card(name)
     fields = {"name": name, "parameters": dict(card.parameters), "servotrack": servotrack.__version__}
     if networks := {path.name: learned.sha256 for path, learned in shipped_cards().items() if learned.name == name}:
@@ -149,14 +154,8 @@ def command_candidate(
             f"--command must name a file of the agent, got {command!r}; start it as ./agent or python agent.py, or "
             "give its files with --file"
         )
-    plain: dict[str, Any] = {
-        "summary": "",
-        "information": "undeclared",
-        "requires": [],
-        "tuning_steps": None,
-        "authors": authors,
-    }
-    return Candidate(name, "command", entry, contents, {**plain, **(claims or {})})
+    plain: dict[str, Any] = {"summary": "", "information": "undeclared", "requires": [], "tuning_steps": None}
+    return Candidate(name, "command", entry, contents, {**plain, "authors": authors, **(claims or {})})
 
 
 def _add_file(contents: dict[str, bytes], path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -91,7 +92,7 @@ class SuiteCell:
 
     def is_stale(self) -> bool:
         """True if this package's world behaves differently from that of the frozen suite."""
-        return _behavior(self.env_id, tuple(sorted(self.env_kwargs.items()))) != self.behavior
+        return _behavior(self.env_id, json.dumps(self.env_kwargs)) != self.behavior
 
     def scores(self, rows: Sequence[Mapping[str, Any]]) -> Array:
         """Scores of episodes: 0 at the error of an agent without skill, 1 at that of the one with the true Jacobian.
@@ -155,9 +156,19 @@ def load_suite(name: str) -> Suite:
     Raises:
         ResultsError: No such suite, or a file that is not one.
     """
-    path = Path(name) if name.endswith(".yaml") else FOLDER / f"{name}.yaml"
-    if not name.endswith(".yaml") and name not in suite_names():
+    if name.endswith(".yaml"):
+        return _read_suite(Path(name))
+    if name not in suite_names():
         raise ResultsError(f"no suite is called {name!r}; known are {', '.join(suite_names())}")
+    return _known_suite(name)
+
+
+@lru_cache(maxsize=8)
+def _known_suite(name: str) -> Suite:
+    return _read_suite(FOLDER / f"{name}.yaml")
+
+
+def _read_suite(path: Path) -> Suite:
     document = read_strict_yaml(path)
     try:
         _SUITE.check(document, "")
@@ -180,8 +191,8 @@ def _check_cells(cells: Sequence[SuiteCell]) -> None:
 
 
 @lru_cache(maxsize=64)
-def _behavior(env_id: str, arguments: tuple[tuple[str, Any], ...]) -> str:
-    return behavior_of(env_id, dict(arguments))
+def _behavior(env_id: str, env_kwargs: str) -> str:
+    return behavior_of(env_id, json.loads(env_kwargs))
 
 
 def behavior_of(env_id: str, env_kwargs: Mapping[str, Any]) -> str:

@@ -44,7 +44,6 @@ class Order:
         nonce: Number of the fresh seeds.
         fresh: Fresh episodes in each cell.
         seconds: Longest time of a program for all its episodes, s.
-        confine: False runs a program without a namespace, within its limits only.
     """
 
     folders: Sequence[str]
@@ -55,7 +54,6 @@ class Order:
     nonce: str = ""
     fresh: int = 0
     seconds: float = 600.0
-    confine: bool = True
 
 
 def verify_all(order: Order) -> list[Verdict]:
@@ -90,15 +88,11 @@ def _players(submission: Submission, order: Order) -> Iterator[list[Player]]:
     if submission.kind != "command":
         yield [agent_player(submission) for _ in range(_RUNS)]
         return
-    if bubblewrap() is None and order.confine:
+    if bubblewrap() is None:
         raise MessageError("bubblewrap is needed to run a foreign program; install it (apt install bubblewrap)")
-    command, folder = list(submission.card["agent"]["entry"]), submission.folder / AGENT
-    line = confined(command, {"/agent": folder}, "/agent") if order.confine else command
+    line = confined(submission.card["agent"]["entry"], {"/agent": submission.folder / AGENT}, "/agent")
     with contextlib.ExitStack() as stack:
-        agents = [
-            MessageAgent(line, None if order.confine else folder, order.seconds, limited(PROGRAM_LIMITS))
-            for _ in range(_RUNS)
-        ]
+        agents = [MessageAgent(line, None, order.seconds, limited(PROGRAM_LIMITS)) for _ in range(_RUNS)]
         for agent in agents:
             stack.enter_context(agent)
         yield list(agents)
