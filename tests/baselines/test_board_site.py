@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import zlib
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,9 @@ from recorded_arms import STEPS, recorded_arms
 from typer.testing import CliRunner
 
 from servotrack.__main__ import app
+from servotrack.baselines.board.submission import read_submission
+from servotrack.baselines.board.verification import CellVerdict, Verdict
+from servotrack.baselines.board.verify import write_verdicts
 from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.leaderboard.site import replays
@@ -27,7 +31,8 @@ from servotrack.baselines.leaderboard.site.packing import ANGLE_STEP, Packer
 from servotrack.baselines.leaderboard.site.write import LARGEST_SITE, SCRIPTS, write_site
 from servotrack.baselines.reporting.files import ResultsError
 
-ASSETS = Path(__file__).parents[2] / "baselines" / "leaderboard" / "site" / "assets"
+ASSETS = Path(str(resources.files("servotrack.baselines.leaderboard.site").joinpath("assets")))
+SUBMISSION = Path(__file__).parents[2] / "leaderboard" / "2027a" / "kf"
 SEEDS = [200_000, 200_001, 200_002]
 AGENTS = ("random", "oracle", "lifted-kf", "ppo")
 _NODE = shutil.which("node")
@@ -157,6 +162,26 @@ def test_a_race_has_both_opponents_on_every_seed(site: Path) -> None:
     pairs = {(replay["agent"], replay["seed"]) for replay in course["replays"]}
     assert pairs == {(agent, seed) for agent in race["racers"] for seed in course["seeds"]}
     assert course["anchors"][0] > course["anchors"][1] > 0.0
+
+
+@pytest.mark.skipif(not SUBMISSION.is_dir(), reason="needs leaderboard/ of the repository")
+def test_submissions_have_the_badge_that_the_verifier_gave(tmp_path: Path) -> None:
+    folder = tmp_path / "2027a" / "kf"
+    shutil.copytree(SUBMISSION, folder)
+    before = entries_of(tmp_path)
+    assert {entry.proof for entry in before} == {"self-reported"} and all(entry.traced for entry in before)
+    cells = {
+        entry.cell.environment: CellVerdict("equal", {"public": 0.9, "sealed": 0.9}, fresh=(0.8, 0.01))
+        for entry in before[1:]
+    }
+    cells[before[0].cell.environment] = CellVerdict("skipped")
+    seal = read_submission(folder).seal
+    write_verdicts([Verdict("kf", "kf", "registered", "2027a", seal, "re-run", cells=cells)], tmp_path / "v.json")
+    first, *others = entries_of(tmp_path, tmp_path / "v.json")
+    assert first.proof == "self-reported" and {entry.proof for entry in others} == {"re-run"}
+    assert others[0].fresh == (0.8, 0.01)
+    whole = replace(first.cell, rows=[*first.cell.rows, *first.sealed])
+    assert first.sealed and replays.replay(whole, first.actions(whole, whole.seeds)).faithful
 
 
 def test_changed_rows_are_not_replayed(results: Path) -> None:

@@ -127,10 +127,10 @@ def _entries_of(summary: TaskSummary, entries: Sequence[Entry]) -> dict[str, Ent
 
 def _add_motions(task: _Task, on_cell: Callable[[str], None]) -> None:
     """Replay the episodes of a task: all that have traces, which proves its rows, else those that may be shown."""
-    if not replays.can_replay(task.cell):
-        return
     for agent, labels in task.labels(MOST_SHARED).items():
         on_cell(f"{agent} in {task.summary.environment}")
+        if not replays.can_replay(task.cell):
+            continue
         entry = task.entries[agent]
         whole = dataclasses.replace(entry.cell, rows=[*entry.cell.rows, *entry.sealed])
         seeds = whole.seeds if entry.traced else list(labels)

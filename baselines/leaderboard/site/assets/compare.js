@@ -21,7 +21,7 @@
     svg.append(s("line", { class: "diagonal", x1: x(range[0]), y1: y(range[0]), x2: x(range[1]), y2: y(range[1]) }));
     const corner = measure.highIsGood ? [b, a] : [a, b];
     svg.append(s("text", { class: "hint", x: box.left + 10, y: box.top + 18 }, `${corner[0]} better`), s("text", { class: "hint", x: box.right - 10, y: box.bottom - 10, "text-anchor": "end" }, `${corner[1]} better`));
-    const hint = h("p", { class: "hover", "aria-hidden": "true" }, "Filled points can be watched.");
+    const hint = h("p", { class: "hover", "aria-hidden": "true" }, pairs.some((pair) => pair.watch.length) ? "Filled points can be watched." : "");
     for (const pair of [...pairs].sort((p, q) => p.watch.length - q.watch.length)) {
       const label = `seed ${pair.seed}: ${a} ${ns.withUnit(pair.x, measure)}, ${b} ${ns.withUnit(pair.y, measure)}`;
       const point = s("circle", { class: `point${pair.watch.length ? " live" : ""}`, cx: x(pair.x * measure.factor), cy: y(pair.y * measure.factor), r: pair.watch.length ? 5.5 : 3.5 });
@@ -75,7 +75,7 @@
     return {
       title: `${a} and ${b}`,
       node: [
-        h("div", { class: "lede" }, h("h1", {}, "Compare two agents"), h("p", {}, `Every point is one seed of level ${task.label}: the same arm, camera and target for both. Filled points lead to the episode.`)),
+        h("div", { class: "lede" }, h("h1", {}, "Compare two agents"), h("p", {}, `Every point is one seed of ${where.world.name}, level ${task.label}: the same episode for both.${content.replays.length ? " Filled points lead to it." : ""}`)),
         ns.parts.tabs({ ...where }, "compare", { a, b }),
         h("div", { class: "pair" }, h("label", {}, h("span", { class: "soft" }, "across"), ns.parts.select("First agent", options, a, choose("a"))), h("label", {}, h("span", { class: "soft" }, "upward"), ns.parts.select("Second agent", options, b, choose("b")))),
         pairs.length ? h("div", { class: "comparing" }, h("figure", {}, chart(where, content, a, b, pairs, measure)), h("div", {}, verdict(a, b, pairs, measure), list)) : h("p", {}, "These agents have no seed in common."),

@@ -16,7 +16,7 @@
     camera: ["camera only", "What the agents see: the target, and the ring it belongs into. You command joint rates, without knowing how the camera is mounted."],
   };
   const TINTS = ["tool", "second", "third"];
-  const kept = { mode: "point" };
+  const kept = { mode: "point", best: new Map() };
 
   const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
 
@@ -229,12 +229,15 @@
       const times = (value) => value.toFixed(value < 20 ? 1 : 0);
       const verdict = place === 0 ? "You win. The board wants you." : place === 1 ? `Second: ${ahead[0]} was ${times(ratio)} times closer.` : `Third: ${ahead[0]} was ${times(ratio)} times closer.`;
       live.textContent = `Finished. ${verdict} Your mean error is ${ns.length(mine.steady)}.`;
+      const own = `${entry.task} ${seed} ${mode}`, before = kept.best.get(own);
+      kept.best.set(own, Math.min(mine.steady, before ?? Infinity));
       const next = course.seeds[(course.seeds.indexOf(seed) + 1) % course.seeds.length];
       overlay.hidden = false;
       const again = h("button", { type: "button", class: "primary", onclick: start }, "Again");
       overlay.replaceChildren(h("div", { class: "card" }, h("h2", {}, verdict),
         h("table", { class: "standings" }, h("thead", {}, h("tr", {}, ["", "mean after 3 s", "score", "success"].map((title) => h(title ? "th" : "td", title ? { scope: "col" } : {}, title)))),
           h("tbody", {}, list.map(([name, error, success, tint]) => h("tr", { class: name === "you" ? "you" : null }, h("th", { scope: "row" }, h("span", { class: `key ${tint}` }, name)), h("td", {}, ns.length(error)), h("td", {}, ns.fixed(score(error), 2)), h("td", {}, success ? "yes" : "no"))))),
+        before !== undefined && h("p", { class: "soft" }, mine.steady < before ? `Better than your ${ns.length(before)} before.` : `Your best here: ${ns.length(before)}.`),
         h("p", { class: "buttons" }, again, h("a", { class: "button", href: ns.address("race", { course: entry.task, seed: next, mode }) }, "Next episode"))));
       again.focus({ preventScroll: true });
     }
