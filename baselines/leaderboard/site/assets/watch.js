@@ -39,7 +39,7 @@
     const content = await ns.data.unpacked(task.chunk);
     const given = where.parameters;
     const mine = (agent) => content.replays.filter((replay) => replay.agent === agent);
-    const agent = mine(given.get("agent")).length ? given.get("agent") : content.replays[0]?.agent;
+    const agent = mine(given.get("agent")).length ? given.get("agent") : (task.rows.find((row) => !row.privileged && mine(row.agent).length)?.agent ?? content.replays[0]?.agent);
     if (!agent) return { node: [ns.parts.tabs(where, "watch"), h("p", {}, "No episode of this task can be watched.")], title: "Watch" };
     const wanted = Number(given.get("seed")), which = given.get("episode") || "worst";
     const replay = mine(agent).find((one) => given.get("seed") && one.seed === wanted) ?? mine(agent).find((one) => one.labels.includes(which)) ?? mine(agent)[0];
