@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from functools import lru_cache
 
 import numpy as np
 
+_SCALAR_FUNCTIONS = (math.sin, math.cos, math.exp, math.log, math.atan)
+"""Functions of the system's mathematics library, which compiled kernels call."""
 _FUNCTIONS = (np.sin, np.cos, np.tan, np.exp, np.log, np.sqrt, np.arctan, np.log1p)
 _SIZE = 1000
 _MATRICES = 8
@@ -22,6 +25,7 @@ def arithmetic_digest() -> str:
     values, others = draws.uniform(0.01, 6.0, (2, _SIZE))
     matrices = draws.normal(size=(2, _MATRICES, _MATRICES))
     results = [function(values) for function in _FUNCTIONS]
+    results += [np.array([function(value) for value in values]) for function in _SCALAR_FUNCTIONS]
     results += [np.hypot(values, others), np.arctan2(values, others), np.power(values, others)]
     results += [matrices[0] @ matrices[1], np.linalg.solve(matrices[0], matrices[1])]
     digest = hashlib.sha256()

@@ -106,7 +106,7 @@ def confined(command: Sequence[str], folders: Mapping[str, Path], working: str) 
         line += ["--ro-bind-try", path, path]
     line += _EMPTY
     for inside, outside in folders.items():
-        line += ["--ro-bind", str(outside), inside]
+        line += ["--ro-bind-try", str(outside), inside]
     return [*line, "--chdir", working, "--", *command]
 
 

@@ -317,6 +317,8 @@ def _parsed_rows(content: bytes, card: Mapping[str, Any], cell: SuiteCell) -> di
         check_fields({name: getattr(results, name) for name in FIELDS})
         if any(type(row["length"]) is not int or row["length"] > LONGEST_EPISODE for row in rows[part]):
             raise ValueError(f"lengths in {part} must be whole numbers up to {LONGEST_EPISODE}")
+    if not rows["public"] or content != rows_text(cell, rows):
+        raise ValueError("rows must have the spacing and order that `servotrack submit` writes")
     return rows
 
 

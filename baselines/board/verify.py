@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import random
 import secrets
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, get_args
+from typing import IO, Any, get_args
 
 from servotrack.baselines.agents.learned.field_rules import Choice, Many, Number, Record, Text
 from servotrack.baselines.board.card import Optional, Table
 from servotrack.baselines.board.sandbox import bubblewrap, confined, inner_environment
 from servotrack.baselines.board.submission import CARD
-from servotrack.baselines.board.suites import load_suite
+from servotrack.baselines.board.suites import load_suite, suite_names
 from servotrack.baselines.board.verification import Badge, CellState, CellVerdict, Verdict
 from servotrack.baselines.board.verify_child import Order
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.reporting.files import ResultsError, atomic_path, read_document
+from servotrack.baselines.reporting.plain_text import printable
 from servotrack.baselines.reporting.strict import parse_json
 
 LONGEST = 1800.0
@@ -126,6 +130,7 @@ def _answered(folders: Sequence[Path], order: Order, seconds: float) -> list[Ver
     # A foreign program gets a namespace of its own. Its parent stays outside, for namespaces do not nest everywhere.
     inside = bubblewrap() is not None and not order.program
     if inside:
+        _compile_kernels()
         places = {f"/submissions/{k}/{folder.name}": folder.absolute() for k, folder in enumerate(folders)}
         if order.suite is not None:
             places["/suite.yaml"] = Path(order.suite).absolute()
@@ -137,19 +142,57 @@ def _answered(folders: Sequence[Path], order: Order, seconds: float) -> list[Ver
         fields["suite"] = None if order.suite is None else str(Path(order.suite).absolute())
         command = [sys.executable, *_CHILD]
     with tempfile.TemporaryDirectory() as empty, tempfile.TemporaryFile() as said:
-        try:
-            done = subprocess.run(
-                command, input=json.dumps(fields).encode("ascii") + b"\n", stdout=subprocess.PIPE, stderr=said,
-                timeout=seconds, cwd=empty, env=inner_environment(), check=False,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired as error:
-            raise ResultsError(f"verification took more than {seconds:g} s; verify fewer folders at once") from error
+        code, answer = _run(command, json.dumps(fields).encode("ascii") + b"\n", seconds, empty, said)
         said.seek(0)
         words = said.read()[-2000:].decode("utf-8", "replace").strip().splitlines()
-    if done.returncode:
+    if code:
         reason = words[-1] if words else "without a word"
-        raise ResultsError(f"the process that verifies ended with code {done.returncode}: {reason[:300]}")
-    return _checked(done.stdout, folders)
+        raise ResultsError(f"the process that verifies ended with code {code}: {printable(reason[:300])}")
+    return _checked(answer, folders)
+
+
+@lru_cache(maxsize=1)
+def _compile_kernels() -> None:
+    """Compile the kernels of the servo worlds, if need be: a confined process can read but not keep them."""
+    load_suite(suite_names()[0]).cells[0].is_stale()
+
+
+def _run(command: Sequence[str], order: bytes, seconds: float, folder: str, said: IO[bytes]) -> tuple[int, bytes]:
+    """Run a child process and return its exit code and the beginning of its answer.
+
+    Raises:
+        ResultsError: It takes longer than `seconds`, or says more than `LARGEST_ANSWER`.
+    """
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said, cwd=folder, env=inner_environment()
+    )
+    assert process.stdin is not None and process.stdout is not None
+    late = threading.Event()
+
+    def end() -> None:
+        late.set()
+        process.kill()
+
+    timer = threading.Timer(seconds, end)
+    timer.daemon = True
+    timer.start()
+    answer = b""
+    try:
+        with contextlib.suppress(OSError):
+            process.stdin.write(order)
+            process.stdin.close()
+        answer = process.stdout.read(LARGEST_ANSWER + 1)
+        if len(answer) <= LARGEST_ANSWER:
+            process.wait()
+    finally:
+        timer.cancel()
+        # It has ended, says too much, or this process is being stopped.
+        process.kill()
+        process.stdout.close()
+        code = process.wait()
+    if late.is_set():
+        raise ResultsError(f"verification took more than {seconds:g} s; verify fewer folders at once")
+    return code if len(answer) <= LARGEST_ANSWER else 0, answer
 
 
 def _checked(answer: bytes, folders: Sequence[Path]) -> list[Verdict]:

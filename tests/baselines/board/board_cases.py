@@ -68,6 +68,17 @@ def write_contents(folder: Path, contents: Mapping[str, bytes]) -> Path:
     return folder
 
 
+def rows_content(document: Mapping[str, Any]) -> bytes:
+    """Return the content of a file of rows in the form that `submit` writes, also for rows that are none."""
+    lines = [
+        f'"{name}": [\n  ' + ",\n  ".join(json.dumps(row) for row in value) + "\n ]"
+        if name in ("public", "sealed") and isinstance(value, list)
+        else f"{json.dumps(name)}: {json.dumps(value)}"
+        for name, value in document.items()
+    ]
+    return ("{\n " + ",\n ".join(lines) + "\n}\n").encode("ascii")
+
+
 def resealed(contents: Mapping[str, bytes], **changes: Any) -> dict[str, bytes]:
     """Return contents whose card has fields changed, and the digests of all files and its seal computed anew."""
     card: dict[str, Any] = {**json.loads(contents["card.json"]), **changes}

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from board_cases import ROWS, TRACE, contents_of, judged, resealed, submitted, write_contents, write_suite
+from board_cases import ROWS, TRACE, contents_of, judged, resealed, rows_content, submitted, write_contents, write_suite
 
 import servotrack
 from servotrack.baselines.board.submit import network_candidate
@@ -58,7 +58,7 @@ class Tampering:
     def _rows(self, change: Callable[[dict[str, Any]], None]) -> Contents:
         document = json.loads(self.original[ROWS])
         change(document)
-        return resealed({**self.original, ROWS: json.dumps(document).encode()})
+        return resealed({**self.original, ROWS: rows_content(document)})
 
     def value_of_a_row(self) -> Contents:
         def change(document: dict[str, Any]) -> None:
@@ -210,6 +210,8 @@ class Mutations:
                 case _:
                     outer[key] = self.pick(self.VALUES)
         try:
+            if isinstance(document, dict) and "columns" in document:
+                return rows_content(document)
             return json.dumps(document, indent=1, sort_keys=True).encode("ascii")
         except (ValueError, RecursionError):
             return content

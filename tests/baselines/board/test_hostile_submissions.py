@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from board_cases import CELL, ROWS, TRACE, judged, resealed, write_contents, write_suite
+from board_cases import CELL, ROWS, TRACE, judged, resealed, rows_content, write_contents, write_suite
 
 from servotrack.baselines.board.submission import read_submission
 from servotrack.baselines.board.suites import load_suite
@@ -40,7 +40,7 @@ def _rows(change: Callable[[dict[str, Any]], Any]) -> Change:
     def changed(content: bytes) -> bytes:
         document = json.loads(content)
         change(document)
-        return json.dumps(document).encode()
+        return rows_content(document)
 
     return _file(ROWS, changed)
 
@@ -122,7 +122,8 @@ CHANGES: dict[str, Change] = {
     "another format": _card(format="servotrack-results"),
     "another version": _card(format_version=2),
     "a true version": _card(format_version=True),
-    "a network that is none": _card(agent={"kind": "network", "entry": ["agent.json"], "files": {}}),
+    "a network that is none": _card(name="x", agent={"kind": "network", "entry": ["agent.json"], "files": {}}),
+    "a network that is missing": _card(name="x", agent={"kind": "network", "entry": ["x.json"], "files": {}}),
     "a command with a path": _card(name="x", agent={"kind": "command", "entry": ["/bin/sh"], "files": {}}),
     "a command that climbs": _card(name="x", agent={"kind": "command", "entry": ["../sh"], "files": {}}),
     "less information than used": _claims(information="undeclared"),
@@ -135,6 +136,8 @@ CHANGES: dict[str, Change] = {
     "a version that never was": _file(AGENT, lambda content: content.replace(b'"0.', b'"0.4711.')),
     "a version that is free text": _file(AGENT, lambda content: content.replace(b'"0.', b'"lucky-4711-')),
     # Rows
+    "another spacing of rows": _file(ROWS, lambda content: content.replace(b", ", b",", 1)),
+    "a number written otherwise": _file(ROWS, lambda content: content.replace(b"[200000, ", b"[200000.0, ", 1)),
     "a better score": _row("public", "steady", lambda value: value * 0.9),
     "a score better by the last bit": _row("sealed", "steady", lambda value: float(np.nextafter(value, 0.0))),
     "a success": _row("public", "success", lambda value: not value),
@@ -188,6 +191,10 @@ def test_hostile_submissions_are_caught(
     assert verdict.badge == "self-reported"
     assert verdict.refused or any(cell.detail for cell in verdict.cells.values())
     assert len(verdict.refused) < 1000
+
+
+def test_the_tests_write_rows_as_submit_does(original: Contents) -> None:
+    assert rows_content(json.loads(original[ROWS])) == original[ROWS]
 
 
 def test_what_is_not_a_file_is_refused(folder: Callable[[Contents], Path], original: Contents, suite: Path) -> None:
@@ -268,3 +275,36 @@ def test_the_child_process_gives_the_same_verdicts(tmp_path: Path, original: Con
     assert verdicts["honest"].badge == "replayed"
     for k in range(len(names)):
         assert verdicts[f"kf-{k}"] == judged(tmp_path / "board" / f"kf-{k}", suite)
+
+
+@pytest.mark.parametrize(
+    ("code", "seconds", "message"),
+    [
+        ("import os; os.kill(os.getpid(), 9)", 60.0, "ended with code"),
+        ("raise SystemExit('out of order')", 60.0, "ended with code 1: out of order"),
+        ("print('x' * 5_000_000)", 60.0, "no proper answer .*more than 4000000 bytes"),
+        ("print('[' * 5000)", 60.0, "no proper answer .*nested deeper"),
+        ("print('[]')", 60.0, "about other folders"),
+        ("print('[{}]')", 60.0, "no proper answer .*folder is missing"),
+        ("import time; time.sleep(60)", 0.5, "took more than 0.5 s"),
+    ],
+)
+def test_a_child_process_that_was_taken_over_gives_no_verdict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, seconds: float, message: str
+) -> None:
+    from servotrack.baselines.board import verify as module
+    from servotrack.baselines.reporting.files import ResultsError
+
+    monkeypatch.setattr(module, "_CHILD", ("-I", "-c", code))
+    (tmp_path / "kf").mkdir()
+    with pytest.raises(ResultsError, match=message):
+        verify([tmp_path / "kf"], seconds=seconds)
+
+
+def test_without_bubblewrap_limits_hold(
+    folder: Callable[[Contents], Path], original: Contents, suite: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from servotrack.baselines.board import verify as module
+
+    monkeypatch.setattr(module, "bubblewrap", lambda: None)
+    assert verify([folder(original)], str(suite))[0].badge == "replayed"
