@@ -54,14 +54,16 @@ class RankingMetric:
 
 @dataclass(frozen=True)
 class ScoreAnchors:
-    """Agents between which an error is scaled to a score: 0 is the error of `lower`, 1 that of `upper`.
+    """Errors between which an error is scaled to a score: 0 is the error of `lower`, 1 a bound or the error of `upper`.
 
     Attributes:
         column: Error in the rows of results; smaller is better.
         lower: Agent without skill.
-        upper: Agent that knows the system.
-        bound: Agent whose mean error the column "x bound" divides by.
+        upper: Agent that knows the system. Its error is the score 1 where no `EpisodeBound` of the column exists.
         upper_knows: Knowledge of `upper`, for captions.
+        bound: Agent whose mean error the column "x bound" divides by; None where an `EpisodeBound` is divided by.
+        resolution: Error that is added to all errors before their logarithm is taken, in the column's unit. It keeps a
+            bound of zero finite; raising it weakens differences between small errors.
         least_share: Share of the smallest error of `upper`'s episodes that an episode counts at least. Its logarithm
             would let a single tiny error carry the mean of all episodes; raising it weakens single episodes.
     """
@@ -69,18 +71,20 @@ class ScoreAnchors:
     column: str
     lower: str
     upper: str
-    bound: str
     upper_knows: str
+    bound: str | None = None
+    resolution: float = 0.0
     least_share: float = 1e-3
 
 
 @dataclass(frozen=True)
 class EpisodeBound:
-    """A number of every episode that no agent without the truth can go below on average.
+    """A number of every episode that no agent can go below on average unless it sees the truth.
 
     Attributes:
         env_id: Id of its environment.
         column: Column in the rows of results that it bounds.
+        heading: Name of the column in captions.
         values: "module:callable" called with the environment's arguments and seeds; returns a list of floats.
         meaning: Knowledge of the agent of the bound, for captions.
         episodes: Largest number of an agent's episodes that the column "x bound" is taken over. Raising it takes time.
@@ -88,6 +92,7 @@ class EpisodeBound:
 
     env_id: str
     column: str
+    heading: str
     values: str
     meaning: str
     episodes: int = 100
@@ -107,7 +112,7 @@ class World:
         cards: "module:attribute" of the kind's agent cards.
         metrics: Metrics shown before the headline.
         anchors: Agents that scale errors to scores; None where the world has no score.
-        bound: Bound of the column "x bound" where the world has no anchors; None without one.
+        bounds: Bounds of the column "x bound", at most one for an id. One of the anchors' column is the score 1.
         ranges: Lowest and highest possible value of columns in the rows of results; results outside are refused.
     """
 
@@ -120,13 +125,17 @@ class World:
     cards: str | None = None
     metrics: tuple[RankingMetric, ...] = ()
     anchors: ScoreAnchors | None = None
-    bound: EpisodeBound | None = None
+    bounds: tuple[EpisodeBound, ...] = ()
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def shown(self) -> tuple[RankingMetric, ...]:
         """All metrics in the order of the table's columns."""
         return (*self.metrics, self.headline)
+
+    def bound_of(self, env_id: str) -> EpisodeBound | None:
+        """Return the bound of an id's episodes, None without one."""
+        return next((bound for bound in self.bounds if bound.env_id == env_id), None)
 
     def load_recorder(self) -> Callable[..., Any] | None:
         """Return the score recorder's factory, None where returns and successes are all there is."""
@@ -156,7 +165,21 @@ WORLDS: Mapping[str, World] = {
             "ukf",
             f"{_RECORDERS}.servo_scores:ServoScoreRecorder",
             f"{_AGENTS}.servo.cards:CARDS",
-            anchors=ScoreAnchors("steady", "random", "oracle", "informed-bound", "analytic Jacobian"),
+            anchors=ScoreAnchors("steady", "random", "oracle", "analytic Jacobian", resolution=1e-4),
+            bounds=tuple(
+                EpisodeBound(
+                    env_id,
+                    "steady",
+                    "steady error",
+                    f"servotrack.baselines.leaderboard.servo_bound:{values}",
+                    "a controller that knows camera, arm, noise and the law of the target, but not the future",
+                    episodes=200,
+                )
+                for env_id, values in (
+                    ("UncalibServo-v0", "episode_bounds"),
+                    ("UncalibServoReach-v0", "reach_bounds"),
+                )
+            ),
             ranges={
                 **dict.fromkeys(("transient", "p95", "feature_error"), _SIZE),
                 "steady": _DISTANCE,
@@ -171,11 +194,14 @@ WORLDS: Mapping[str, World] = {
             f"{_RECORDERS}.set_scores:SetScoreRecorder",
             f"{_AGENTS}.clutter.cards:CARDS",
             (RankingMetric("ospa", "OSPA", "m"),),
-            bound=EpisodeBound(
-                "ClutterTracking-v0",
-                "ospa",
-                "servotrack.baselines.leaderboard.clutter_bound:episode_bounds",
-                "who knows the motion, who exists and which measurement is whose",
+            bounds=(
+                EpisodeBound(
+                    "ClutterTracking-v0",
+                    "ospa",
+                    "OSPA",
+                    "servotrack.baselines.leaderboard.clutter_bound:episode_bounds",
+                    "an agent that knows the motion, who exists and which measurement is whose",
+                ),
             ),
             ranges=_SET_RANGES,
         ),
@@ -219,11 +245,14 @@ WORLDS: Mapping[str, World] = {
             f"{_RECORDERS}.set_scores:SetScoreRecorder",
             f"{_AGENTS}.sonar.cards:CARDS",
             (_RIGHT_COUNT, RankingMetric("ospa", "OSPA", "deg")),
-            bound=EpisodeBound(
-                "SonarTracking-v0",
-                "ospa",
-                "servotrack.baselines.leaderboard.sonar_bound:episode_bounds",
-                "who knows who exists and what each target sounds like",
+            bounds=(
+                EpisodeBound(
+                    "SonarTracking-v0",
+                    "ospa",
+                    "OSPA",
+                    "servotrack.baselines.leaderboard.sonar_bound:episode_bounds",
+                    "an agent that knows who exists and what each target sounds like",
+                ),
             ),
             ranges=_SET_RANGES,
         ),
@@ -257,7 +286,7 @@ WORLDS: Mapping[str, World] = {
                 RankingMetric("settle", "settled after", "s", digits=1),
                 RankingMetric("tip", "tip", "mm", 1e3, 2),
             ),
-            anchors=ScoreAnchors("hold", "random", "joint-oracle", "joint-oracle", "joint angles of the goal"),
+            anchors=ScoreAnchors("hold", "random", "joint-oracle", "joint angles of the goal", "joint-oracle"),
             ranges=dict.fromkeys(("settle", "hold", "tip", "feature_error"), _SIZE),
         ),
         World(

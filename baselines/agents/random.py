@@ -18,12 +18,17 @@ class RandomAgent:
         env: A Gymnasium environment or vector environment; only its spaces are read.
         seed: Seed of the actions.
 
+    Attributes:
+        rows: Numbers of the rows of a batch; None: 0, 1, and so on. The evaluator gives an episode the same number
+            whichever others run beside it.
+
     Raises:
         ValueError: An action space that is neither a bounded `Box` nor `Discrete`.
     """
 
     def __init__(self, env: Any, seed: int = 0) -> None:
         self.seed = seed
+        self.rows: NDArray[np.int64] | None = None
         self.action_space: gym.Space[Any] = getattr(env, "single_action_space", env.action_space)
         self.observation_space: gym.Space[Any] = getattr(env, "single_observation_space", env.observation_space)
         space = self.action_space
@@ -47,10 +52,13 @@ class RandomAgent:
         batch = _batch_shape(observation, self.observation_space)
         draws = np.random.Generator(np.random.Philox(key=self.seed, counter=[0, 0, 0, step]))
         space = self.action_space
+        # Draws come row by row, so that those of a row do not depend on the rows after it.
+        drawn = batch if self.rows is None else (int(self.rows.max()) + 1,)
+        chosen: Any = ... if self.rows is None else self.rows
         if isinstance(space, gym.spaces.Discrete):
-            return (space.start + draws.integers(space.n, size=batch)).astype(space.dtype), step + 1
+            return (space.start + draws.integers(space.n, size=drawn)[chosen]).astype(space.dtype), step + 1
         assert isinstance(space, gym.spaces.Box)
-        uniform = draws.random((*batch, *space.shape))
+        uniform = draws.random((*drawn, *space.shape))[chosen]
         return (space.low + uniform * (space.high - space.low)).astype(space.dtype), step + 1
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import importlib
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,9 @@ _CARDS = [card for world in WORLDS.values() if world.cards for card in load(worl
 AGENTS: dict[str, AgentCard] = {card.name: card for card in (RANDOM, *_CARDS, *shipped_agents())}
 """Every agent by name: the random one, then those of each kind of world, then the shipped learned ones."""
 
+RENAMED: Mapping[str, str] = {"informed-bound": "informed"}
+"""New names by old names, which stay for one release with a DeprecationWarning."""
+
 
 def agent_card(name: str) -> AgentCard:
     """The card of an agent.
@@ -45,6 +49,10 @@ def agent_card(name: str) -> AgentCard:
     if ":" in name:
         return _foreign_card(name)
     base, plus, law = name.partition("+")
+    if base in RENAMED:
+        warnings.warn(f"agent {base!r} is now called {RENAMED[base]!r}", DeprecationWarning, stacklevel=2)
+        base = RENAMED[base]
+        name = f"{base}{plus}{law}"
     if base not in AGENTS:
         raise ValueError(f"no agent is called {base!r}{_suggestion(base, tuple(AGENTS))}")
     card = AGENTS[base]

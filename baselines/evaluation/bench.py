@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import inspect
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,11 +21,13 @@ from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.results import CellResults, ResultsFolder
 from servotrack.baselines.running.stopping import GO_ON, keeping
-from servotrack.baselines.running.workers import in_workers
+from servotrack.baselines.running.workers import in_workers, on_cluster
 from servotrack.baselines.worlds import describe_environment, kind_of_id
 
 DEFAULT_LEVELS = (0, 1, 2, 3, 4, 5)
 DEFAULT_EPISODES = 100
+TASK_EPISODES = 25
+"""Episodes of one task on a cluster: what the loss of a worker costs."""
 
 
 @dataclass(frozen=True)
@@ -49,37 +52,37 @@ def default_agents(env_id: str = "UncalibServo-v0") -> list[str]:
 
 
 def suite_of(
-    env_id: str,
+    env_id: str | Sequence[str],
     agents: Sequence[str] | None = None,
     levels: Sequence[int] | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> list[Cell]:
-    """Agents against levels of one world.
+    """Agents against levels of one world, or of several.
 
     Args:
-        env_id: Gymnasium id.
-        agents: Names; None for all that are measured in this world by default.
+        env_id: Gymnasium id, or several.
+        agents: Names; None for all that are measured in a world by default.
         levels: None for `DEFAULT_LEVELS`, or for the world as it is where it has no levels.
-        settings: Arguments of the environment besides its level.
+        settings: Arguments of the environments besides their level.
 
     Raises:
-        ValueError: An unknown agent, a level that the environment does not have, or nothing to do.
+        ValueError: An unknown agent, a level that an environment does not have, or nothing to do.
     """
-    names = list(agents) if agents else default_agents(env_id)
-    for name in names:
+    for name in agents or ():
         agent_card(name)
-    given = dict(settings or {})
-    if levels is None:
-        levels = DEFAULT_LEVELS if _has_levels(env_id) else ()
-    elif not levels:
+    if levels is not None and not levels:
         raise ValueError("levels must hold at least one level, got none")
-    worlds = [{"level": level, **given} for level in levels] or [given]
-    for kwargs in worlds:
-        # Now, not after minutes of the levels before it: making one says what is wrong with it.
-        gym.make(env_id, **kwargs).close()
-    cells = [Cell(env_id, name, kwargs) for kwargs in worlds for name in names if _has_network(name, env_id, kwargs)]
+    given, cells, worlds = dict(settings or {}), [], []
+    for each in [env_id] if isinstance(env_id, str) else env_id:
+        own = levels or (DEFAULT_LEVELS if _has_levels(each) else ())
+        for kwargs in [{"level": level, **given} for level in own] or [given]:
+            # Now, not after minutes of the levels before it: making one says what is wrong with it.
+            gym.make(each, **kwargs).close()
+            worlds.append(describe_environment(each, kwargs))
+            names = list(agents) if agents else default_agents(each)
+            cells += [Cell(each, name, kwargs) for name in names if _has_network(name, each, kwargs)]
     if missing := sorted(set(agents or ()) - {cell.agent for cell in cells}):
-        raise ValueError(f"{', '.join(missing)} was trained in none of {', '.join(map(str, worlds))} of {env_id}")
+        raise ValueError(f"{', '.join(missing)} was trained in none of {', '.join(worlds)}")
     return cells
 
 
@@ -191,6 +194,9 @@ def _evaluated(
 ) -> Iterator[None]:
     if not cells:
         return
+    if on_cluster():
+        yield from _evaluated_elsewhere(cells, folder, seeds, record)
+        return
     workers = min((os.cpu_count() or 1) + 1 + jobs if jobs < 0 else jobs, len(cells))
     if workers <= 1:
         for cell in cells:
@@ -198,6 +204,31 @@ def _evaluated(
             yield
         return
     yield from in_workers((delayed(_evaluate_cell)(cell, folder, seeds, record) for cell in cells), workers)
+
+
+def _evaluated_elsewhere(
+    cells: Sequence[Cell], folder: ResultsFolder, seeds: Sequence[int], record: dict[str, Any]
+) -> Iterator[None]:
+    """Evaluate on a cluster, whose workers may not see the folder: this process saves every task's rows."""
+    tasks = []
+    for cell in cells:
+        stored = folder.load(cell.env_id, cell.env_kwargs, cell.agent)
+        todo = [seed for seed in seeds if stored is None or seed not in set(stored.seeds)]
+        tasks += [(cell, todo[first : first + TASK_EPISODES]) for first in range(0, len(todo), TASK_EPISODES)]
+    unfinished = Counter(cells.index(cell) for cell, _ in tasks)
+    calls = (delayed(_evaluated_task)(cells.index(cell), cell, chunk, record) for cell, chunk in tasks)
+    for number, result in in_workers(calls, -1):
+        folder.save(result)
+        unfinished[number] -= 1
+        if not unfinished[number]:
+            yield
+
+
+def _evaluated_task(number: int, cell: Cell, seeds: list[int], record: dict[str, Any]) -> tuple[int, CellResults]:
+    """Run one task on a worker of a cluster."""
+    import servotrack  # noqa: F401
+
+    return number, evaluate(cell.env_id, cell.agent, seeds, cell.env_kwargs, timing=False, record=record)
 
 
 def _evaluate_cell(cell: Cell, folder: ResultsFolder, seeds: list[int], record: dict[str, Any]) -> None:

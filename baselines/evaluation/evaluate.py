@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 from servotrack.baselines.agents.protocol import Agent, AgentCard
+from servotrack.baselines.agents.random import RandomAgent
 from servotrack.baselines.agents.registry import agent_card, create_agent
 from servotrack.baselines.evaluation.episodes import EpisodeRecorder
 from servotrack.baselines.evaluation.provenance import provenance
@@ -154,6 +155,9 @@ def run_episodes(
         if isinstance(engine := getattr(env.unwrapped, "engine", None), str):
             on_engine(engine)
         agent: Agent = create_agent(card, env)
+        if isinstance(agent, RandomAgent):
+            # A row's actions must not depend on the chunk that it is in: chunks change with the number of episodes.
+            agent.rows = np.array(seeds) % (CHUNK if _takes_seed_lists(env_id) else FOREIGN_CHUNK)
         observation, _ = env.reset(seed=list(seeds))
         recorder = EpisodeRecorder(seeds, env, observation)
         state: Any = None

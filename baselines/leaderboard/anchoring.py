@@ -1,9 +1,11 @@
-"""Anchors of the score in one task: which episodes count, and why there is no score where there is none."""
+"""Scale of the score in one task: which episodes count, and why there is no score where there is none."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -11,7 +13,7 @@ from servotrack.baselines.agents.registry import AGENTS
 from servotrack.baselines.evaluation import statistics
 from servotrack.baselines.evaluation.results import CellResults
 from servotrack.baselines.evaluation.seeds import SPLITS
-from servotrack.baselines.worlds import ScoreAnchors
+from servotrack.baselines.worlds import EpisodeBound, ScoreAnchors, World, load
 from servotrack.estimators.types import Array
 
 
@@ -23,13 +25,15 @@ class Anchoring:
         ends: Names, column, and the least share of an error.
         seeds: Seeds of the anchors' episodes, those that both have.
         lower: Errors of the agent without skill, shape (n,).
-        upper: Errors of the agent that knows the system, shape (n,).
+        upper: Bounds on the error, or errors of the agent that knows the system, shape (m,).
+        bound: The bound, None where `upper` are errors of an agent.
     """
 
     ends: ScoreAnchors
     seeds: frozenset[int]
     lower: Array
     upper: Array
+    bound: EpisodeBound | None = None
 
     def scores(self, cell: CellResults, errors: Array) -> Array | None:
         """Return a score per episode; None for an agent with episodes that the anchors lack.
@@ -40,33 +44,59 @@ class Anchoring:
         """
         if not self.seeds.issuperset(cell.seeds):
             return None
-        floor = self.ends.least_share * float(self.upper.min())
-        return statistics.score(np.maximum(errors, floor), self.lower, self.upper)
+        # A resolution keeps tiny errors finite by itself.
+        floor = 0.0 if self.bound else self.ends.least_share * float(self.upper.min())
+        return self._scaled(np.maximum(errors, floor))
+
+    def _scaled(self, errors: Array) -> Array:
+        return statistics.score(*(part + self.resolution for part in (errors, self.lower, self.upper)))
+
+    @property
+    def resolution(self) -> float:
+        """Error that is added before logarithms; none where the score is scaled by an agent, as it always was."""
+        return self.ends.resolution if self.bound else 0.0
+
+    def checked(self) -> Anchoring:
+        """Return itself. Raises ValueError unless the agent without skill is worse than the other end."""
+        self._scaled(self.lower)
+        return self
+
+    @property
+    def _agents(self) -> tuple[str, ...]:
+        return (self.ends.lower,) if self.bound else (self.ends.lower, self.ends.upper)
 
     def missing(self, cells: Iterable[CellResults]) -> list[str]:
         """Return a sentence for each agent that has no score because the anchors lack some of its episodes."""
+        lack, them = ("lacks", "it") if self.bound else ("lack", "them")
         return [
-            f"No score for {cell.agent}: {self.ends.lower} and {self.ends.upper} lack {lacking} of its "
-            f"{len(cell.rows)} episodes; evaluate them on as many."
+            f"No score for {cell.agent}: {' and '.join(self._agents)} {lack} {lacking} of its {len(cell.rows)} "
+            f"episodes; evaluate {them} on as many."
             for cell in cells
             if (lacking := len(set(cell.seeds) - self.seeds))
         ]
 
 
-def find_anchors(by_agent: Mapping[str, CellResults], ends: ScoreAnchors | None) -> tuple[Anchoring | None, list[str]]:
+def find_anchors(by_agent: Mapping[str, CellResults], world: World) -> tuple[Anchoring | None, list[str]]:
     """Return the anchors of a task, or None and the reason.
 
-    Anchors count only if both are the package's own agents, with the information that these receive, and were run on
+    Agents count as anchors only if they are the package's own, with the information that these receive, and were run on
     the same unbroken block of seeds of a split. An agent that is absent is no reason worth a sentence.
 
     Args:
         by_agent: Results of the task.
-        ends: Names of the anchors; None where the world has no score.
+        world: Record of the task's kind.
     """
-    if ends is None or not {ends.lower, ends.upper} <= set(by_agent):
+    ends = world.anchors
+    if ends is None or ends.lower not in by_agent:
         return None, []
-    lower, upper = by_agent[ends.lower], by_agent[ends.upper]
-    for cell in (lower, upper):
+    lower = by_agent[ends.lower]
+    bound = world.bound_of(lower.env_id)
+    if bound is not None and (bound.column != ends.column or bounds_of(lower, bound) is None):
+        bound = None
+    if bound is None and ends.upper not in by_agent:
+        return None, []
+    cells = [lower] if bound else [lower, by_agent[ends.upper]]
+    for cell in cells:
         own = AGENTS[cell.agent].requires
         if set(cell.card.get("requires", ())) != own:
             given = ", ".join(cell.card.get("requires", ())) or "nothing"
@@ -76,18 +106,38 @@ def find_anchors(by_agent: Mapping[str, CellResults], ends: ScoreAnchors | None)
             ]
         if column_of(cell, ends.column) is None:
             return None, [f"No scores: episodes of {cell.agent} have no {ends.column}."]
-    common = sorted(set(lower.seeds) & set(upper.seeds))
+    common = sorted(set.intersection(*(set(cell.seeds) for cell in cells)))
     if not common or not _is_unbroken(common):
+        names, numbers = (" and ".join(str(part) for part in parts) for parts in (
+            (cell.agent for cell in cells), (len(cell.rows) for cell in cells)
+        ))  # fmt: skip
         return None, [
-            f"No scores: {ends.lower} and {ends.upper} need the same seeds without gaps, and have {len(common)} in "
-            f"common of {len(lower.rows)} and {len(upper.rows)}; evaluate both on as many episodes."
+            f"No scores: {names} need the same seeds without gaps, and have {len(common)} in common of {numbers}; "
+            "evaluate on as many episodes."
         ]
-    errors = [np.array([row[ends.column] for row in cell.select(common)]) for cell in (lower, upper)]
+    lower_errors, *others = (np.array([row[ends.column] for row in cell.select(common)]) for cell in cells)
+    upper_errors = others[0] if others else np.array(bounds_of(lower, bound))
     try:
-        statistics.score(errors[0], errors[0], errors[1])
+        return Anchoring(ends, frozenset(common), lower_errors, upper_errors, bound).checked(), []
     except ValueError as error:
-        return None, [f"No scores: {ends.lower} is not worse than {ends.upper} here ({error})."]
-    return Anchoring(ends, frozenset(common), errors[0], errors[1]), []
+        return None, [
+            f"No scores: {ends.lower} is not worse than {'the bound' if bound else ends.upper} here ({error})."
+        ]
+
+
+def bounds_of(cell: CellResults, bound: EpisodeBound | None) -> list[float] | None:
+    """Bounds of an agent's first episodes, at most `bound.episodes`; None if the environment has none."""
+    if bound is None or cell.env_id != bound.env_id:
+        return None
+    seeds = tuple(cell.seeds[: bound.episodes])
+    return _bounds(bound.values, json.dumps(cell.env_kwargs, sort_keys=True), seeds)
+
+
+@lru_cache(maxsize=256)
+def _bounds(values: str, env_kwargs: str, seeds: tuple[int, ...]) -> list[float] | None:
+    """Bounds of episodes, which are the same for all agents; None if the environment has none."""
+    found: list[float] | None = load(values)(json.loads(env_kwargs), seeds)
+    return found
 
 
 def column_of(cell: CellResults, name: str) -> Array | None:

@@ -111,7 +111,9 @@ def _draw_scores(
         axes.fill_between(levels, low, high, color=styles[name]["color"], alpha=0.13, lw=0)
         axes.plot(levels, mean, marker="o", ms=2.8, mec="white", mew=0.4, **styles[name])
     axes.axhline(1.0, color="#999999", lw=0.6, ls=(0, (4, 3)), zorder=0)
-    axes.set_title(f"a   Score: 0 random, 1 {_anchors(tasks).upper_knows}")
+    anchoring = tasks[0].anchoring
+    best = "the bound" if anchoring is not None and anchoring.bound else _anchors(tasks).upper_knows
+    axes.set_title(f"a   Score: 0 random, 1 {best}")
     axes.set_ylabel("mean score, 95 % interval shaded")
     axes.set_xlabel("level")
     axes.set_xticks([task.level for task in tasks if task.level is not None])

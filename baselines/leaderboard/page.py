@@ -8,7 +8,7 @@ from html import escape
 from urllib.parse import quote
 
 from servotrack.baselines.leaderboard.summary import TaskSummary
-from servotrack.baselines.leaderboard.table import SAME_NOTE, caveat, headline_grids, note_of, overview_grid, task_grid
+from servotrack.baselines.leaderboard.table import SAME_NOTE, caveat, headline_grids, note_of, overview_grids, task_grid
 from servotrack.baselines.reporting.grid import Grid
 
 STYLE = """
@@ -50,9 +50,8 @@ def html_page(tasks: Sequence[TaskSummary], command: str, figure: str | None, vi
     ]
     if figure:
         parts.append(f'<img src="{quote(figure)}" alt="Score and success against level, one line per agent">')
-    overview = overview_grid(tasks)
-    if overview.rows:
-        parts += ["<h2>Overview</h2>", f"<p>Mean score · success in percent. {_code(SAME_NOTE)}</p>", _table(overview)]
+    for title, overview in overview_grids(tasks):
+        parts += ["<h2>Overview</h2>", f"<p>{escape(title)}. {_code(SAME_NOTE)}</p>", _table(overview)]
     for title, grid in headline_grids(tasks):
         parts += [f"<h2>{escape(title)}</h2>", _table(grid)]
     if video:

@@ -6,20 +6,22 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
 from servotrack.baselines.evaluation import statistics
 from servotrack.baselines.evaluation.results import CellResults
 from servotrack.baselines.evaluation.statistics import Interval, PairedDifference
-from servotrack.baselines.leaderboard.anchoring import Anchoring, column_of, find_anchors
-from servotrack.baselines.worlds import RANDOM_AGENT, WORLDS, EpisodeBound, World, load
+from servotrack.baselines.leaderboard.anchoring import Anchoring, bounds_of, column_of, find_anchors
+from servotrack.baselines.worlds import RANDOM_AGENT, WORLDS, EpisodeBound, World
 from servotrack.estimators.types import Array
 
 EQUAL_SCORE = 0.02
 """Margin of equivalence: agents share a row of the overview if the 95 % interval of the paired difference of their
 scores lies within plus or minus this in every task. Raising it folds more agents."""
+
+_NOTHING = 1e-12
+"""Mean bounds up to this are zero, so that nothing can be divided by them."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class AgentSummary:
         success: Rate with Wilson's interval.
         steady: Mean steady error, m.
         worst_error: Mean of the worst tenth of the steady errors, m.
-        score: Mean score; 0 is random, 1 the oracle.
+        score: Mean score; 0 is random, 1 the bound, or the agent that knows the system where there is no bound.
         worst_score: Mean of the worst tenth of the scores.
         scores: Scores of all episodes, in the order of `seeds`.
         seeds: Seeds of the episodes.
@@ -78,6 +80,7 @@ class TaskSummary:
         rows: Best first.
         deterministic: True if all episodes of every agent but the random one came out the same.
         world: Record of its kind: metrics, reference agent, anchors of the score.
+        anchoring: Scale of its scores; None without scores.
         notes: Reasons for missing scores, and other reservations, one sentence each.
     """
 
@@ -88,11 +91,13 @@ class TaskSummary:
     deterministic: bool
     world: World
     notes: tuple[str, ...] = ()
+    anchoring: Anchoring | None = None
 
     @property
     def bound(self) -> AgentSummary | None:
-        """The row that "x bound" divides by."""
-        return None if self.world.anchors is None else self.row(self.world.anchors.bound)
+        """The row that "x bound" divides by, None where it divides by the bounds of episodes."""
+        name = None if self.world.anchors is None else self.world.anchors.bound
+        return None if name is None else self.row(name)
 
     def row(self, agent: str) -> AgentSummary | None:
         """The row of an agent, if it has one."""
@@ -216,7 +221,7 @@ def stamp(cells: Iterable[CellResults]) -> str:
 def _summarize_task(name: str, cells: list[CellResults], step_seconds: dict[tuple[str, str], float]) -> TaskSummary:
     by_agent = {cell.agent: cell for cell in cells}
     world = WORLDS[cells[0].kind]
-    anchoring, notes = find_anchors(by_agent, world.anchors)
+    anchoring, notes = find_anchors(by_agent, world)
     rows = [_summarize_cell(cell, world, by_agent, anchoring, step_seconds) for cell in cells]
     notes += [] if anchoring is None else anchoring.missing(cells)
     if unsealed := [cell.agent for cell in cells if not cell.has_digests]:
@@ -240,7 +245,9 @@ def _summarize_task(name: str, cells: list[CellResults], step_seconds: dict[tupl
             return -row.mean_return.value
         return -mean.value if headline.high_is_good else mean.value
 
-    return TaskSummary(name, env_id, level, tuple(sorted(rows, key=rank)), deterministic, world, tuple(notes))
+    return TaskSummary(
+        name, env_id, level, tuple(sorted(rows, key=rank)), deterministic, world, tuple(notes), anchoring
+    )
 
 
 def _summarize_cell(
@@ -269,7 +276,7 @@ def _summarize_cell(
         worst_score=None if scores is None else statistics.worst_tenth(scores, high_is_bad=False),
         scores=scores,
         seeds=tuple(cell.seeds),
-        over_bound=_over_bound(cell, world.bound),
+        over_bound=_over_bound(cell, world.bound_of(cell.env_id)),
         measures={column: mean for column, mean in measured.items() if mean is not None},
         difference=_difference(cell, by_agent.get(world.reference), world.headline.column),
         adjusted_p=None,
@@ -280,20 +287,10 @@ def _summarize_cell(
 
 def _over_bound(cell: CellResults, bound: EpisodeBound | None) -> float | None:
     """Mean of the bounded column over the mean bound of the same episodes."""
-    if bound is None or cell.env_id != bound.env_id or (values := column_of(cell, bound.column)) is None:
+    if bound is None or (values := column_of(cell, bound.column)) is None:
         return None
-    seeds = cell.seeds[: bound.episodes]
-    least = _bounds(bound.values, json.dumps(cell.env_kwargs, sort_keys=True), tuple(seeds))
-    if least is None:
-        return None
-    return float(np.mean(values[: len(seeds)]) / np.mean(least))
-
-
-@lru_cache(maxsize=256)
-def _bounds(values: str, env_kwargs: str, seeds: tuple[int, ...]) -> list[float] | None:
-    """Bounds of episodes, which are the same for all agents; None if the environment has none."""
-    found: list[float] | None = load(values)(json.loads(env_kwargs), seeds)
-    return found
+    least = bounds_of(cell, bound)
+    return float(np.mean(values[: len(least)]) / np.mean(least)) if least and np.mean(least) > _NOTHING else None
 
 
 def _mean_of(cell: CellResults, name: str) -> Interval | None:

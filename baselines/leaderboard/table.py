@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from servotrack.baselines.evaluation.statistics import Interval
+from servotrack.baselines.leaderboard.anchoring import Anchoring
 from servotrack.baselines.leaderboard.summary import (
     EQUAL_SCORE,
     AgentSummary,
@@ -33,22 +34,41 @@ _COMMON_NOTE = (
 
 def note_of(tasks: Sequence[TaskSummary]) -> str:
     """Explain the columns of the tables of these tasks."""
-    anchors = next((task.world.anchors for task in tasks if task.world.anchors is not None), None)
-    if anchors is None:
-        shown = [task for task in tasks if any(row.over_bound is not None for row in task.rows)]
-        bounds = {task.world.bound for task in shown if task.world.bound is not None}
-        return "".join(f"{_bound_note(bound)} " for bound in bounds) + _COMMON_NOTE
-    low, high = anchors.lower, anchors.upper
-    return (
-        f"Score: ln(e_{low}/e) / ln(e_{low}/e_{high}), with e the mean steady error: 0 is {low}, 1 is {high} (the "
-        f"{anchors.upper_knows}), more is possible. Worst tenth: mean score of the worst tenth of the episodes. "
-        f"{BOUND_MARK}: mean steady error over that of {anchors.bound}. {_COMMON_NOTE}"
+    bounds = dict.fromkeys(
+        bound
+        for task in tasks
+        if (bound := task.world.bound_of(task.env_id)) and any(row.over_bound is not None for row in task.rows)
     )
+    # Bounds of several ids of one world may mean the same.
+    notes = dict.fromkeys(map(_bound_note, bounds))
+    scales = {(task.anchoring.ends, task.anchoring.bound is None): task for task in tasks if task.anchoring}
+    parts = [*(_score_note(task.anchoring) for task in scales.values() if task.anchoring), *notes]
+    parts += [_divisor_note(task) for task in list(scales.values())[:1] if task.bound is not None]
+    return " ".join([*dict.fromkeys(parts), _COMMON_NOTE])
+
+
+def _score_note(anchoring: Anchoring) -> str:
+    ends = anchoring.ends
+    if anchoring.bound is None:
+        high, one, more = ends.upper, f"{ends.upper} (the {ends.upper_knows})", ", more is possible"
+        resolution = ""
+    else:
+        high, one, more = "bound", "the bound", ""
+        resolution = f" + {1e3 * anchoring.resolution:g} mm" if anchoring.resolution else ""
+    return (
+        f"Score: ln(e_{ends.lower}/e) / ln(e_{ends.lower}/e_{high}), with e the mean steady error{resolution}: 0 is "
+        f"{ends.lower}, 1 is {one}{more}. Worst tenth: mean score of the worst tenth of the episodes."
+    )
+
+
+def _divisor_note(task: TaskSummary) -> str:
+    assert task.bound is not None
+    return f"{BOUND_MARK}: mean steady error over that of {task.bound.agent}."
 
 
 def _bound_note(bound: EpisodeBound) -> str:
     return (
-        f"{BOUND_MARK}: mean {bound.column.upper()} over the least that is possible for one {bound.meaning}; up to "
+        f"{BOUND_MARK}: mean {bound.heading} over the least that is possible for {bound.meaning}; up to "
         f"{bound.episodes} episodes."
     )
 
@@ -56,7 +76,9 @@ def _bound_note(bound: EpisodeBound) -> str:
 def missing_agents(task: TaskSummary) -> list[str]:
     """Agents without which columns of a task's table stay empty: anchors of the score, bound, reference."""
     anchors = task.world.anchors
-    needed = [] if anchors is None else [anchors.lower, anchors.upper, anchors.bound]
+    needed = [] if anchors is None else [anchors.lower]
+    if anchors is not None and task.world.bound_of(task.env_id) is None:
+        needed += [anchors.upper, *([anchors.bound] if anchors.bound else [])]
     present = {row.agent for row in task.rows}
     return [name for name in dict.fromkeys([*needed, task.world.reference]) if name not in present]
 
@@ -81,6 +103,18 @@ def overview_grid(tasks: Sequence[TaskSummary]) -> Grid:
         cells = [_score_and_success(task.row(agent)) for task in scored]
         rows.append([_agent(partial[agent]), partial[agent].information, *cells, "", ""])
     return Grid(headings, rows, 2)
+
+
+def overview_grids(tasks: Sequence[TaskSummary]) -> list[tuple[str, Grid]]:
+    """A title and an overview for each id that has scores; ids are not mixed, because their levels differ."""
+    by_id: dict[str, list[TaskSummary]] = {}
+    for task in tasks:
+        if any(row.score for row in task.rows):
+            by_id.setdefault(task.env_id, []).append(task)
+    title = "mean score · success in percent"
+    if len(by_id) == 1:
+        return [(title.capitalize(), overview_grid(tasks))]
+    return [(f"{env_id}: {title}", overview_grid(of_id)) for env_id, of_id in by_id.items()]
 
 
 def headline_grid(tasks: Sequence[TaskSummary]) -> Grid:
@@ -127,13 +161,13 @@ def task_grid(task: TaskSummary) -> Grid:
         if servo
         else [m for m in world.shown if m.column != "return" and any(m.column in row.measures for row in task.rows)]
     )
-    bound = task.bound
     against = f"− {world.reference} {world.headline.unit}".strip()
     succeeds = servo or any(row.success for row in task.rows)
     headings = ["agent", "information", "n", *(["success %"] if succeeds else [])]
-    headings += ["score", "worst tenth", "steady mm", against, BOUND_MARK] if servo else ["return"]
+    headings += ["score", "worst tenth", "steady mm", against] if servo else ["return"]
     headings += [*(measure.title for measure in shown), against] if shown else []
-    bounded = any(row.over_bound is not None for row in task.rows)
+    ratios = {row.agent: _over_bound(task, row) for row in task.rows}
+    bounded = any(ratios.values())
     headings += [BOUND_MARK] if bounded else []
     headings += ["µs/step", "tuning steps"]
     rows = []
@@ -146,9 +180,6 @@ def task_grid(task: TaskSummary) -> Grid:
             cells.append("" if row.worst_score is None else f"{row.worst_score:.2f}")
             cells.append(_interval(row.steady, 1, 1e3) if row.steady else "")
             cells.append(_difference(row, world.headline))
-            cells.append(
-                f"{row.steady.value / bound.steady.value:.2f}" if row.steady and bound and bound.steady else ""
-            )
         else:
             cells.append(_interval(row.mean_return, 2))
         if shown:
@@ -157,11 +188,19 @@ def task_grid(task: TaskSummary) -> Grid:
             ]
             cells.append(_difference(row, world.headline))
         if bounded:
-            cells.append("" if row.over_bound is None else f"{row.over_bound:.2f}")
+            cells.append(ratios[row.agent])
         cells.append("" if row.step_seconds is None else f"{row.step_seconds * 1e6:.0f}")
         cells.append("?" if row.tuning_steps is None else f"{row.tuning_steps:,}")
         rows.append(cells)
     return Grid(headings, rows, 2)
+
+
+def _over_bound(task: TaskSummary, row: AgentSummary) -> str:
+    """Mean error over the bound's, "" without a bound."""
+    bound = task.bound
+    if bound is not None and bound.steady and row.steady:
+        return f"{row.steady.value / bound.steady.value:.2f}"
+    return "" if row.over_bound is None else f"{row.over_bound:.2f}"
 
 
 def markdown_overview(
@@ -176,10 +215,9 @@ def markdown_overview(
         results_stamp: Digest of the results (`summary.stamp`), which the figure of the same results carries too.
     """
     parts = [f"<!-- results {results_stamp} -->\n"] if results_stamp else []
-    overview = overview_grid(tasks)
-    if overview.rows:
+    for title, overview in overview_grids(tasks):
         parts.append(
-            f"{as_markdown(overview)}\nMean score · success in percent, up to {_most_episodes(tasks)} episodes each. "
+            f"{as_markdown(overview)}\n{markdown_text(title)}, up to {_most_episodes(tasks)} episodes each. "
             f"{SAME_NOTE} "
             f"Written by {markdown_code(command)}. {note_of(tasks)}\n"
         )
@@ -201,9 +239,8 @@ def _most_episodes(tasks: Sequence[TaskSummary]) -> int:
 def markdown_report(tasks: Sequence[TaskSummary], command: str) -> str:
     """The whole leaderboard: the overview where there are scores, then every task."""
     parts = ["# Leaderboard\n", f"Written by {markdown_code(command)}. {note_of(tasks)}\n"]
-    overview = overview_grid(tasks)
-    if overview.rows:
-        parts.append("## Overview\n\nMean score · success in percent. " + SAME_NOTE + "\n\n" + as_markdown(overview))
+    for title, overview in overview_grids(tasks):
+        parts.append(f"## Overview\n\n{markdown_text(title)}. {SAME_NOTE}\n\n{as_markdown(overview)}")
     for title, grid in headline_grids(tasks):
         parts.append(f"## {markdown_text(title)}\n\n{as_markdown(grid)}")
     for task in tasks:

@@ -5,18 +5,36 @@ from __future__ import annotations
 import json
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from joblib import delayed
 
 from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.reporting.files import ResultsError, atomic_path
+from servotrack.baselines.running.workers import in_workers
 
 Arrays = Mapping[str, Any]
 """Arrays or numbers by name."""
 _SETTING = "setting"
+
+
+class PartTask(NamedTuple):
+    """A part that is still to be computed.
+
+    Attributes:
+        path: File ending in .npz.
+        setting: Line of `setting_of`.
+        compute: Function that returns the part's `Arrays`; workers import it by its name.
+        arguments: Arguments of `compute`.
+    """
+
+    path: Path
+    setting: str
+    compute: Callable[..., Arrays]
+    arguments: tuple[Any, ...]
 
 
 def setting_of(**values: Any) -> str:
@@ -50,6 +68,33 @@ def read_part(path: Path, setting: str) -> dict[str, Any]:
     if str(stored.pop(_SETTING, None)) != setting:
         raise ResultsError(f"{path} holds runs of another setting or version; choose another --output, or delete it")
     return stored
+
+
+def compute_parts(tasks: Sequence[PartTask], jobs: int) -> Iterator[PartTask]:
+    """Compute parts in worker processes, or on a cluster, and yield each when it is written.
+
+    This process writes: workers of a cluster may not see its folders.
+
+    Args:
+        tasks: Parts.
+        jobs: Processes; -1 for all processors.
+
+    Raises:
+        StorageError: A file cannot be written.
+        WorkerLostError: A worker was killed.
+    """
+    calls = (delayed(_computed)(number, task.compute, task.arguments) for number, task in enumerate(tasks))
+    for number, arrays in in_workers(calls, jobs):
+        task = tasks[number]
+        write_part(task.path, task.setting, arrays)
+        yield task
+
+
+def _computed(number: int, compute: Callable[..., Arrays], arguments: tuple[Any, ...]) -> tuple[int, Arrays]:
+    """Compute one part in a worker, which has to register the ids first."""
+    import servotrack  # noqa: F401
+
+    return number, compute(*arguments)
 
 
 def part(path: Path, setting: str, compute: Callable[[], Arrays]) -> dict[str, Any]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
+import platform
 import signal
 import sys
 import sysconfig
@@ -12,6 +14,8 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
+from contextvars import ContextVar
+from importlib import metadata
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -34,11 +38,20 @@ _FORCED = 1.5
 _SAFE_PATH = "PYTHONSAFEPATH"
 
 
+def _version_of_package() -> str:
+    return metadata.version("servotrack")
+
+
+VERSION_OF: ContextVar[Callable[[], str]] = ContextVar("VERSION_OF", default=_version_of_package)
+"""Version of the code that workers of a cluster must share."""
+
+
 def in_workers(calls: Iterable[Call], jobs: int, *, ordered: bool = False) -> Iterator[Any]:
     """Run calls in worker processes and yield their results.
 
     Workers stop on SIGTERM, leave SIGINT and SIGHUP to this process, and end within seconds if it is killed. Their
-    import path is this process's own. Another backend of joblib, chosen by `joblib.parallel_config`, is used as it is.
+    import path is this process's own. Where a cluster computes (`running.clusters.computing_on`, or another backend
+    of joblib chosen by `joblib.parallel_config`) all its workers take part, each with this version of the package.
 
     Args:
         calls: Calls made by `joblib.delayed`.
@@ -47,10 +60,11 @@ def in_workers(calls: Iterable[Call], jobs: int, *, ordered: bool = False) -> It
 
     Raises:
         WorkerLostError: A worker was killed, for example because memory ran out.
+        ValueError: A worker of a cluster has another version of the package.
     """
     options: dict[str, Any] = {"return_as": "generator" if ordered else "generator_unordered", "batch_size": 1}
     with contextlib.ExitStack() as stack:
-        own = isinstance(get_active_backend()[0], BACKENDS["loky"]) and jobs != 1
+        own = jobs != 1 and not on_cluster()
         if own:
             stack.enter_context(_safe_path())
         # The processes start before the first result.
@@ -59,7 +73,11 @@ def in_workers(calls: Iterable[Call], jobs: int, *, ordered: bool = False) -> It
                 options |= {"initializer": _enter, "initargs": (os.getpid(), os.getcwd(), folders)}
             if own and sys.version_info < (3, 11):
                 _start_elsewhere(jobs, options)
-            results = Parallel(n_jobs=jobs, **options)(delayed(_run)(*call) for call in calls)
+            run: Callable[..., Any] = _run
+            if on_cluster():
+                version_of = VERSION_OF.get()
+                run, jobs = functools.partial(_run_elsewhere, version_of, version_of()), -1
+            results = Parallel(n_jobs=jobs, **options)(delayed(run)(*call) for call in calls)
         try:
             yield from results
         except GeneratorExit:
@@ -73,6 +91,11 @@ def in_workers(calls: Iterable[Call], jobs: int, *, ordered: bool = False) -> It
                 "a worker process was killed, perhaps for lack of memory; finished work is kept: run the same command "
                 "to go on, with fewer jobs if memory is short"
             ) from error
+
+
+def on_cluster() -> bool:
+    """Return True if calls run elsewhere than in processes of this machine, so that its processors are no limit."""
+    return not isinstance(get_active_backend()[0], BACKENDS["loky"])
 
 
 @contextlib.contextmanager
@@ -183,6 +206,22 @@ def _enter(parent: int, here: str, folders: Sequence[str]) -> None:
     signal.signal(signal.SIGTERM, _worker.on_signal)
     sys.unraisablehook = _worker.on_unraisable
     threading.Thread(target=_worker.watch_parent, daemon=True).start()
+
+
+def _run_elsewhere(
+    version_of: Callable[[], str],
+    version: str,
+    function: Callable[..., Any],
+    arguments: Sequence[Any],
+    keywords: Mapping[str, Any],
+) -> Any:
+    """Run one call on a worker of a cluster, whose code must be that of the command."""
+    if (own := version_of()) != version:
+        raise ValueError(
+            f"worker {platform.node()} has servotrack {own}, the command {version} (after the + a digest of the "
+            "sources); install the same on both"
+        )
+    return function(*arguments, **keywords)
 
 
 def _run(function: Callable[..., Any], arguments: Sequence[Any], keywords: Mapping[str, Any]) -> Any:

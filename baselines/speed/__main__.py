@@ -59,7 +59,7 @@ def speed_report(
 
 
 def accuracy_report(episodes: int, jobs: int, console: Console) -> str:
-    """Return the tables of accuracy targets and of gaps to the informed bound.
+    """Return the tables of accuracy targets and of gaps to the informed agent.
 
     Args:
         episodes: Test seeds per agent.

@@ -17,7 +17,7 @@ from servotrack.baselines.running.workers import in_workers
 from servotrack.estimators.types import Array
 
 ENV_ID = "UncalibServo-v0"
-BOUND = "informed-bound"
+INFORMED = "informed"
 UNSKILLED = {"random", "fixed-jacobian"}
 
 Cells = Mapping[tuple[str, str], CellResults]
@@ -50,7 +50,7 @@ TASKS = (
     Task("level 3", {"level": 3}, {}, {"kf": 0.93, "lifted-kf": 0.96, "oracle": 0.97}),
     Task("level 5", {"level": 5}, {}, {"lifted-kf": 0.93}),
 )
-HEAVY = Task("level 6", {"level": 6}, {}, {name: 0.0 for name in sorted({*default_agents(), BOUND} - UNSKILLED)})
+HEAVY = Task("level 6", {"level": 6}, {}, {name: 0.0 for name in sorted({*default_agents(), INFORMED} - UNSKILLED)})
 
 
 def cells() -> list[tuple[Task, str]]:
@@ -99,14 +99,14 @@ def target_table(found: Cells) -> str:
 
 
 def gap_table(found: Cells) -> str:
-    """Return steady errors at level 6 and their gaps to the informed bound, paired by seed, as a Markdown table."""
-    bound = found.get((HEAVY.name, BOUND))
-    lines = ["| agent | mean steady error, mm | gap to the informed bound, mm | success |", "|---|---|---|---|"]
+    """Return steady errors at level 6 and their gaps to the informed agent, paired by seed, as a Markdown table."""
+    informed = found.get((HEAVY.name, INFORMED))
+    lines = ["| agent | mean steady error, mm | gap to the informed agent, mm | success |", "|---|---|---|---|"]
     rows = [(agent, found[HEAVY.name, agent]) for agent in HEAVY.agents]
     for agent, cell in sorted(rows, key=lambda row: float(steady(row[1]).mean())):
-        gap = "the bound did not run"
-        if bound is not None:
-            difference = statistics.paired_difference(steady(cell), steady(bound))
+        gap = "the informed agent did not run"
+        if informed is not None:
+            difference = statistics.paired_difference(steady(cell), steady(informed))
             gap = f"{1e3 * difference.value:.2f} ({1e3 * difference.low:.2f} to {1e3 * difference.high:.2f})"
         rate = success(cell)
         error = f"{1e3 * float(steady(cell).mean()):.2f}"

@@ -16,8 +16,9 @@ from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.files import atomic_path
 from servotrack.baselines.reporting.terminal import progress_bars
+from servotrack.baselines.running.clusters import check_shared
 from servotrack.baselines.running.stopping import GO_ON, keeping
-from servotrack.baselines.running.workers import in_workers
+from servotrack.baselines.running.workers import in_workers, on_cluster
 from servotrack.baselines.training.checkpoint import load_checkpoint
 from servotrack.baselines.training.curves import draw_curves
 from servotrack.baselines.training.dispatch import train
@@ -98,9 +99,13 @@ def run_training(request: TrainingRequest, console: Console) -> Path:
 
 def _trained(request: TrainingRequest, evaluation: PeriodicEvaluation, console: Console) -> list[TrainingCurve]:
     """Train all runs and return their learning curves, in the order of the seeds."""
-    if request.jobs == 1:
+    if request.jobs == 1 and not on_cluster():
         return [_shown(request.task(seed), evaluation, console) for seed in request.seeds]
     curves = []
+    if on_cluster():
+        request.environment.mkdir(parents=True, exist_ok=True)
+        request = replace(request, folder=request.folder.resolve())
+        check_shared(request.environment)
     runs = in_workers((delayed(_alone)(request, seed) for seed in request.seeds), request.jobs, ordered=True)
     for seed, curve in zip(request.seeds, runs, strict=True):
         console.print(f"seed {seed}: {_text(curve.entries[-1])} after {curve.entries[-1]['seconds']:.0f} s")

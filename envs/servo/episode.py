@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -57,6 +58,9 @@ class Episode:
         rate_noise: Noise on the joint rates. Shape (K, 2), rad/s, or (0, 2) without noise.
         encoder_noise: Noise on the observed joint angles. Shape (K, 2), rad, or (0, 2) without noise.
         noise_levels: Standard deviations of encoder noise (rad) and rate noise (rad/s) in this episode. Shape (2,).
+        encoder_age: Age of the observed joint angles, control periods.
+        knocked_at: Sample from which on the camera is turned by `knock`; `NEVER` without one.
+        knock: Rotation of the camera about its axis, rad.
     """
 
     streams: ServoStreams
@@ -71,6 +75,13 @@ class Episode:
     rate_noise: Array
     encoder_noise: Array
     noise_levels: Array
+    encoder_age: int
+    knocked_at: int
+    knock: float
+
+
+NEVER = np.iinfo(np.int64).max
+"""Sample of what does not happen."""
 
 
 def samples(config: ServoConfig) -> int:
@@ -111,7 +122,7 @@ def draw_episode(config: ServoConfig, seed: int, motion: Motion | None = None) -
         _draw_moving_layout(config, streams, motion or _waypoints(config), constants, paths)
     draw_gains(_FIRST, np.array([seed]), config.actuation_gain, constants)
     noise = draw_noise(config, streams)
-    links, camera, goal, gain, _, _ = constants[0].item()
+    links, camera, goal, gain, *_ = constants[0].item()
     return Episode(
         streams=streams,
         links=np.array(links),
@@ -137,21 +148,66 @@ class Noise(NamedTuple):
     rate_noise: Array
     encoder_noise: Array
     noise_levels: Array
+    encoder_age: int
+    knocked_at: int
+    knock: float
 
 
 def draw_noise(config: ServoConfig, streams: ServoStreams) -> Noise:
     """Draw the noise of one episode."""
-    count, (low, high) = samples(config), config.latency
+    count = samples(config)
     encoder_noise, encoder_level = _gaussian_block(streams, Stream.ENCODER_NOISE, config.encoder_noise, count)
     rate_noise, rate_level = _gaussian_block(streams, Stream.ACTUATION_NOISE, config.actuation_noise, count)
+    knocked_at, knock = NEVER, 0.0
+    if config.knock:
+        quarter = config.horizon // 4
+        knocked_at = LEAD + config.warmup + int(streams[Stream.KNOCK].integers(quarter, 3 * quarter + 1))
+        knock = float(streams[Stream.KNOCK].uniform(-config.knock, config.knock))
     return Noise(
         feature_noise=_feature_noise(config, streams, count),
-        dropped=streams[Stream.DROPOUT].random(count) < config.dropout if config.dropout else _NEVER,
-        latency=int(low) if low == high else int(streams[Stream.LATENCY].integers(int(low), int(high) + 1)),
+        dropped=_dropped(config, streams, count),
+        latency=_whole(streams, Stream.LATENCY, config.latency),
         rate_noise=rate_noise,
         encoder_noise=encoder_noise,
         noise_levels=np.array([encoder_level, rate_level]),
+        encoder_age=_whole(streams, Stream.ENCODER_AGE, config.encoder_age),
+        knocked_at=knocked_at,
+        knock=knock,
     )
+
+
+def knocked_camera(camera: Array, knock: float) -> Array:
+    """Return a packed camera (CAMERA_SIZE,) that was turned about its axis by `knock`, rad."""
+    turned = camera.copy()
+    cosine, sine = math.cos(knock), math.sin(knock)
+    turned[5:7] = camera[5] * cosine - camera[6] * sine, camera[6] * cosine + camera[5] * sine
+    return turned
+
+
+def _whole(streams: ServoStreams, stream: Stream, bounds: Range) -> int:
+    """Draw a whole number from a range; a single value uses no stream."""
+    low, high = int(bounds[0]), int(bounds[1])
+    return low if low == high else int(streams[stream].integers(low, high + 1))
+
+
+def _dropped(config: ServoConfig, streams: ServoStreams, count: int) -> Mask:
+    """Mask of lost frames, one by one or while the target is occluded."""
+    if not loses_frames(config):
+        return _NEVER
+    dropped = np.zeros(count, dtype=np.bool_)
+    if config.dropout:
+        dropped |= streams[Stream.DROPOUT].random(count) < config.dropout
+    rng, times, time = streams[Stream.OCCLUSION], np.arange(count) * PERIOD, 0.0
+    while config.occlusion and time < times[-1]:
+        begin = time + float(rng.exponential(1.0 / config.occlusion))
+        time = begin + float(rng.uniform(*config.occlusion_length))
+        dropped |= (times >= begin) & (times < time)
+    return dropped
+
+
+def loses_frames(config: ServoConfig) -> bool:
+    """Return True if frames of a world may be lost."""
+    return config.dropout > 0.0 or config.occlusion > 0.0
 
 
 def _waypoints(config: ServoConfig) -> Motion:

@@ -207,6 +207,32 @@ def draw_wave_path(ranges, state, links, path):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def drawn_waves(seed, ranges, fixed, constants, path):  # type: ignore[no-untyped-def]
+    """Draw an episode's layout as `draw_layouts` does and return the waves of its target, as fractions of the reach.
+
+    Args:
+        seed: Seed of the episode, below 2^63.
+        ranges: Ranges, `Ranges`, of a target that moves along waves.
+        fixed: Take the first layout, see `never_rejected`.
+        constants: Output: constants of the episode, a record `CONSTANTS`.
+        path: Output: the target's path, (K, 4) m, m/s.
+
+    Returns:
+        Centers, (2,), and amplitude, angular rate (rad/s) and phase (rad) of each wave along each axis, (2, waves, 3).
+    """
+    states, centers, waves = start_streams(seed), np.zeros(2), np.zeros((2, _MOST_WAVES, 3))
+    target, count = states[Stream.TARGET.value], 0
+    for _ in range(MAX_DRAWS):
+        draw_arm(ranges, states, constants)
+        before = target.copy()
+        draw_wave_path(ranges, target, constants.links, path)
+        if fixed or accepted(ranges, constants, path):
+            count = _draw_waves(ranges.kind, before, constants.links, centers, waves)
+            break
+    return centers, waves[:, :count].copy()
+
+
+@njit(cache=True, nogil=True)
 def draw_layouts(rows, seeds, ranges, fixed, constants, paths):  # type: ignore[no-untyped-def]
     """Draw links, cameras, goals and paths of some rows' episodes.
 

@@ -41,6 +41,13 @@ class ServoConfig:
         actuation_noise: Standard deviation of the noise on joint rates, rad/s.
         actuation_gain: Largest relative error of each joint's rate, constant during an episode.
         encoder_noise: Standard deviation of the noise on observed joint angles, rad.
+        encoder_age: Age of the observed joint angles, whole control periods, (lowest, highest). They have no stamp.
+        actuator_lag: Time constant with which the joints follow a new rate, s.
+        backlash: Play of each joint's gear: angle that a motor turns after a reversal before its joint moves, rad.
+        occlusion: Expected number of occlusions of the target that begin in a second of free view, 1/s.
+        occlusion_length: Duration of an occlusion, s. The target moves on while it is hidden.
+        knock: Largest rotation of the camera about its axis, either way, at an instant in the middle half of the
+            episode, as if something had struck it, rad.
         warmup: Unscored steps before time 0, with the target at rest.
         horizon: Scored steps of an episode.
         max_joint_rate: Joint rate at action 1, rad/s.
@@ -72,6 +79,12 @@ class ServoConfig:
     actuation_noise: Range = (0.0, 0.0)
     actuation_gain: float = 0.0
     encoder_noise: Range = (0.0, 0.0)
+    encoder_age: Range = (0, 0)
+    actuator_lag: float = 0.0
+    backlash: float = 0.0
+    occlusion: float = 0.0
+    occlusion_length: Range = (0.2, 0.5)
+    knock: float = 0.0
     warmup: int = 8
     horizon: int = 252
     max_joint_rate: float = 2.0
@@ -99,8 +112,9 @@ class ServoConfig:
                 object.__setattr__(self, name, int(value))
             elif name not in _RANGES:
                 object.__setattr__(self, name, float(value))
-        if any(int(end) != end for end in self.latency):
-            raise ValueError(f"latency must be a whole number of control periods, got {self.latency!r}")
+        for name in ("latency", "encoder_age"):
+            if any(int(end) != end for end in getattr(self, name)):
+                raise ValueError(f"{name} must be a whole number of control periods, got {getattr(self, name)!r}")
         if self.outlier_rate > 0 and self.outlier_size == 0:
             raise ValueError("outlier_rate > 0 contradicts outlier_size = 0; give outlier_size in px")
         if not isinstance(self.stamped, bool):
@@ -109,7 +123,10 @@ class ServoConfig:
             raise ValueError("stamped=False with latency 0 hides nothing; give latency=(low, high) or stamped=True")
 
 
-_RANGES = ("links", "focal", "depth", "distortion", "actuation_noise", "encoder_noise", "latency")
+_RANGES = (
+    "links", "focal", "depth", "distortion", "actuation_noise", "encoder_noise", "latency", "encoder_age",
+    "occlusion_length",
+)  # fmt: skip
 _WHOLE = ("warmup", "horizon", "substeps", "solver_iterations", "camera_size")
 _BOUNDS: tuple[tuple[str, float, float], ...] = (
     ("links", 0.1, 4.0),
@@ -129,6 +146,12 @@ _BOUNDS: tuple[tuple[str, float, float], ...] = (
     ("actuation_noise", 0.0, 1.0),
     ("actuation_gain", 0.0, 0.5),
     ("encoder_noise", 0.0, 0.1),
+    ("encoder_age", 0, 4),
+    ("actuator_lag", 0.0, 0.5),
+    ("backlash", 0.0, 0.1),
+    ("occlusion", 0.0, 2.0),
+    ("occlusion_length", 0.05, 5.0),
+    ("knock", 0.0, math.pi),
     ("warmup", 0, 1000),
     ("horizon", 1, 100_000),
     ("max_joint_rate", 0.1, 20.0),
@@ -191,6 +214,14 @@ def servo_config(level: int = 3, **axes: Any) -> ServoConfig:
         TypeError: An unknown axis; the message suggests the nearest known one.
     """
     return ServoConfig(**rung(_LADDER, level, axes, AXES, ("render_mode",)))
+
+
+def refuse_knock(config: ServoConfig) -> None:
+    """Raise a ValueError for a knocked camera in a world with images, whose rays are traced once per episode."""
+    if config.knock:
+        raise ValueError(
+            f"knock must be 0 where images or people are rendered, got {config.knock}; use UncalibServo-v0"
+        )
 
 
 def rung(

@@ -23,13 +23,18 @@ CONSTANTS = np.dtype(
         ("gain", np.float64, 2),
         ("noise_levels", np.float64, 2),
         ("latency", np.int64),
+        ("encoder_age", np.int64),
+        ("knocked_at", np.int64),
+        ("knocked", np.float64, CAMERA_SIZE),
     ],
     align=True,
 )
 """Constants of an arm's episode, written at reset.
 
 `links` m; `camera` as `pack_camera` packs it; `goal` features, px; `gain`, factors on the joint rates; `noise_levels`,
-standard deviations of encoders (rad) and joint rates (rad/s); `latency`, age of a frame when it arrives, samples.
+standard deviations of encoders (rad) and joint rates (rad/s); `latency`, age of a frame when it arrives, samples;
+`encoder_age`, age of the observed joint angles, samples; `knocked_at`, index into the tables from which on the camera
+is `knocked` instead of `camera`.
 """
 
 SAMPLE = np.dtype(
@@ -38,6 +43,8 @@ SAMPLE = np.dtype(
         ("out_of_view", np.int64),
         ("captured", np.int64),
         ("rates", np.float64, 2),
+        ("drive", np.float64, 2),
+        ("play", np.float64, 2),
         ("time", np.float64),
         ("tool", np.float64, 2),
         ("target", np.float64, 4),
@@ -56,8 +63,9 @@ SAMPLE = np.dtype(
 """Newest sample of an arm, written at every step.
 
 `steps` since the reset; `out_of_view`, samples since the target was last in view; `captured`, index into the tables of
-the newest frame that arrived with an image; `rates` of the joints in the last period, rad/s; the others as attributes
-of `ServoWorld`.
+the newest frame that arrived with an image; `rates` of the joints in the last period, rad/s; `drive`, rates of the
+motors that follow with a lag, rad/s; `play`, angles of the motors ahead of the middle of their gears' play, rad; the
+others as attributes of `ServoWorld`.
 """
 
 
@@ -72,6 +80,8 @@ SETTINGS = np.dtype(
         ("shutter", np.float64),
         ("stamped", np.bool_),
         ("quantized", np.bool_),
+        ("lag", np.float64),
+        ("backlash", np.float64),
     ],
     align=True,
 )
@@ -81,7 +91,8 @@ SETTINGS = np.dtype(
 steps at the start; `horizon`, number of scored steps; `lost_after`, number of consecutive samples out of view that
 ends an episode; `camera_size`, width and height of the image, px; `shutter`, duration of the rolling shutter's readout,
 s, 0 for a global shutter; `stamped`, True if frames carry the time when they were taken, False for the time of their
-arrival; `quantized`, True if features are rounded to the centers of pixels.
+arrival; `quantized`, True if features are rounded to the centers of pixels; `lag`, share of the last rate that is left
+after a period; `backlash`, play of the gears, rad.
 """
 
 

@@ -79,6 +79,13 @@ def _command(running, action, settings, constants, rate_noise, joints, sample): 
         rate = min(max(action[j], -1.0), 1.0) * settings.max_joint_rate * constants.gain[j]
         if rate_noise.shape[0] > 0:
             rate += rate_noise[sample.steps + LEAD, j]
+        if settings.lag > 0.0:
+            rate += settings.lag * (sample.drive[j] - rate)
+            sample.drive[j] = rate
+        if settings.backlash > 0.0:
+            ahead, half = sample.play[j] + PERIOD * rate, 0.5 * settings.backlash
+            sample.play[j] = min(max(ahead, -half), half)
+            rate = (ahead - sample.play[j]) / PERIOD
         # With the stops alone a joint overshoots by more than a degree. A motor reacts one substep late, so the
         # angle that the joint coasts until then is subtracted from the angle that is left.
         coasted = joints[j] + settings.substep * rates[j]
@@ -123,7 +130,7 @@ def capture(camera, links, before, after, history, frame, size, shutter):  # typ
 def _sense(i, settings, constants, tables, joints, history, sample):  # type: ignore[no-untyped-def]
     """Compute the newest sample of row `i`: truth, score and sensor readings."""
     size, shutter, warmup = settings.camera_size, settings.shutter, settings.warmup
-    links, camera = constants.links, constants.camera
+    links = constants.links
     path, feature_noise = tables.paths[i], tables.feature_noise[i]
     encoder_noise, dropped = tables.encoder_noise[i], tables.dropped[i]
     now = sample.steps + LEAD
@@ -139,6 +146,7 @@ def _sense(i, settings, constants, tables, joints, history, sample):  # type: ig
     tool[1] = links[0] * math.sin(theta1) + links[1] * math.sin(theta1 + theta2)
     distance = math.hypot(tool[0] - target[0], tool[1] - target[1])
     sample.tracking_error = distance
+    camera = constants.camera if now < constants.knocked_at else constants.knocked
     u, v, seen = project(camera, links[0], links[1], theta1, theta2, target[0], target[1])
     sample.feature_error = math.hypot(u - constants.goal[0], v - constants.goal[1])
     in_view = seen and 0.0 <= u < size and 0.0 <= v < size
@@ -149,7 +157,7 @@ def _sense(i, settings, constants, tables, joints, history, sample):  # type: ig
     sample.reward = tracking_reward(distance) if scored else 0.0
 
     for j in range(2):
-        sample.joint_angles[j] = joints[j]
+        sample.joint_angles[j] = history[(now - constants.encoder_age) % RING, j]
         if encoder_noise.shape[0] > 0:
             sample.joint_angles[j] += encoder_noise[now, j]
 
@@ -160,6 +168,7 @@ def _sense(i, settings, constants, tables, joints, history, sample):  # type: ig
     sample.captured = frame
     # A frame of this very instant shows what was projected above.
     if frame != now or shutter > 0.0:
+        camera = constants.camera if frame < constants.knocked_at else constants.knocked
         u, v, in_view = capture(camera, links, path[frame - 1], path[frame], history, frame, size, shutter)
     if not in_view:
         return

@@ -28,3 +28,6 @@ class Stream(IntEnum):
     DISTRACTOR = 17
     IMAGE_NOISE = 18
     FLOOR = 19
+    ENCODER_AGE = 20
+    OCCLUSION = 21
+    KNOCK = 22

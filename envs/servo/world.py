@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,7 +11,17 @@ from numpy.typing import NDArray
 
 from servotrack.envs.servo.compiled_arms import CompiledArms
 from servotrack.envs.servo.engine import ENGINES
-from servotrack.envs.servo.episode import Episode, Noise, ServoStreams, draw_episode, draw_noise, samples
+from servotrack.envs.servo.episode import (
+    NEVER,
+    Episode,
+    Noise,
+    ServoStreams,
+    draw_episode,
+    draw_noise,
+    knocked_camera,
+    loses_frames,
+    samples,
+)
 from servotrack.envs.servo.layout import draw_gains, draw_layouts, never_rejected, no_layout, ranges_of
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.records import CONSTANTS, RING, SAMPLE, SETTINGS, Tables
@@ -88,6 +99,7 @@ class ServoWorld:
         # Before the first reset, any camera and arm with a Jacobian.
         for name in ("links", "camera", "gain"):
             self._constants[name] = 1.0
+        self._constants["knocked_at"] = NEVER
         self._name_fields()
         self.paths = np.zeros((count, length, 4))
         self._tables = Tables(
@@ -95,14 +107,15 @@ class ServoWorld:
             feature_noise=np.zeros((count, length if config.pixel_noise or config.outlier_rate else 0, 2)),
             rate_noise=np.zeros((count, length if any(config.actuation_noise) else 0, 2)),
             encoder_noise=np.zeros((count, length if any(config.encoder_noise) else 0, 2)),
-            dropped=np.zeros((count, length if config.dropout else 0), np.bool_),
+            dropped=np.zeros((count, length if loses_frames(config) else 0), np.bool_),
         )
         self.history = np.zeros((count, RING, 2))
         """True joint angles of the last samples, a ring buffer indexed by table index modulo RING, (N, RING, 2) rad."""
         self._all_rows = np.ones(count, np.bool_)
         self._ranges, self._fixed = ranges_of(config), never_rejected(config)
         noisy_tables = any(table.shape[1] for table in self._tables[1:])
-        self._noisy = noisy_tables or config.latency[0] != config.latency[1]
+        drawn = config.latency[0] != config.latency[1] or config.encoder_age[0] != config.encoder_age[1]
+        self._noisy = noisy_tables or drawn or config.knock > 0.0
         self._settings = np.zeros(1, SETTINGS)
         for name, value in {
             "max_joint_rate": config.max_joint_rate,
@@ -114,6 +127,8 @@ class ServoWorld:
             "shutter": config.rolling_shutter,
             "stamped": config.stamped,
             "quantized": config.noise_kind == "quantized",
+            "lag": math.exp(-PERIOD / config.actuator_lag) if config.actuator_lag else 0.0,
+            "backlash": config.backlash,
         }.items():
             self._settings[name] = value
 
@@ -220,6 +235,8 @@ class ServoWorld:
                 self._load_noise(row, draw_noise(config, ServoStreams(seed)))
         else:
             self.latency[rows] = config.latency[0]
+            self._constants["encoder_age"][rows] = config.encoder_age[0]
+            self._constants["knocked_at"][rows] = NEVER
 
     def _load(self, row: int, episode: Episode) -> None:
         """Write an episode into the tables."""
@@ -230,6 +247,8 @@ class ServoWorld:
 
     def _load_noise(self, row: int, noise: Noise | Episode) -> None:
         self.latency[row], self.noise_levels[row] = noise.latency, noise.noise_levels
+        self._constants["encoder_age"][row], self._constants["knocked_at"][row] = noise.encoder_age, noise.knocked_at
+        self._constants["knocked"][row] = knocked_camera(self.cameras[row], noise.knock)
         for name in ("feature_noise", "rate_noise", "encoder_noise", "dropped"):
             table = getattr(self._tables, name)
             if table.shape[1]:
@@ -275,7 +294,7 @@ class ServoWorld:
         return self.config.warmup + self.config.horizon
 
     def privileged(self) -> dict[str, Array]:
-        """Additional observations for oracles and the informed bound, arrays of N rows.
+        """Additional observations for agents that see the truth, arrays of N rows.
 
         Returns:
             `true_jacobian` (N, 2, 3) at the current time, px/rad and px/s; `true_camera` (N, CAMERA_SIZE), packed as in
@@ -287,15 +306,21 @@ class ServoWorld:
         # An unstamped frame has its time of arrival, half a readout after its middle row was read.
         hidden = np.where(self.config.stamped, 0.0, self.latency * PERIOD + 0.5 * self.config.rolling_shutter)
         position, velocity = self.target[:, :2], self.target[:, 2:]
+        cameras = self.present_cameras()
         return {
-            "true_jacobian": image_jacobian(self.cameras, self.links, self.joints, position, velocity),
-            "true_camera": self.cameras.copy(),
+            "true_jacobian": image_jacobian(cameras, self.links, self.joints, position, velocity),
+            "true_camera": cameras,
             "true_links": self.links.copy(),
             "true_latency": hidden[:, None] + 0.0,
             "true_readout": np.full((self.count, 1), self.config.rolling_shutter),
             "true_noise": self.noise_levels.copy(),
             "true_gain": self.gain.copy(),
         }
+
+    def present_cameras(self) -> Array:
+        """Return the packed cameras as they are now, knocked or not. Shape (N, CAMERA_SIZE)."""
+        turned = self.steps + LEAD >= self._constants["knocked_at"]
+        return np.where(turned[:, None], self._constants["knocked"], self.cameras)
 
     def debug_view(self, row: int = 0) -> str:
         """State of one row as text, for debugging."""

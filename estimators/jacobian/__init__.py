@@ -17,6 +17,7 @@ from servotrack.estimators.jacobian.contract import (
     ServoMeasurement,
 )
 from servotrack.estimators.jacobian.controller import ServoController
+from servotrack.estimators.jacobian.elbow_law import ElbowLaw
 from servotrack.estimators.jacobian.excitation import Excitation
 from servotrack.estimators.jacobian.exploration import Exploration
 from servotrack.estimators.jacobian.feature_wise import FeatureWise
@@ -53,6 +54,7 @@ __all__ = [
     "ChainJacobian",
     "CorrentropyNoise",
     "DampedLeastSquares",
+    "ElbowLaw",
     "EstimatorBank",
     "Excitation",
     "Exploration",

@@ -1,9 +1,9 @@
-"""Informed bound: a causal filter that knows camera, links and latency, and only has to estimate the target.
+"""Informed filter: a causal filter that knows camera, links and latency, and only has to estimate the target.
 
-No uncalibrated agent knows this much. The score of this filter therefore separates the error of the task from the
-error of an estimator. With known geometry every frame is rectified: the target's ground point is computed and
-projected into an ideal camera that looks straight down. The target is estimated with the interacting models of
-`LiftedKalman`.
+No uncalibrated agent knows this much. Its error therefore shows how much of the error of an agent comes from what the
+agent does not know; a bound it is not, since another filter may be better. With known geometry every frame is
+rectified: the target's ground point is computed and projected into an ideal camera that looks straight down. The target
+is estimated with the interacting models of `LiftedKalman`.
 """
 
 from __future__ import annotations

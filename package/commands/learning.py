@@ -9,9 +9,11 @@ import typer
 
 from servotrack.commands.terms import (
     DEFAULT_RESULTS,
+    Backend,
     Episodes,
     Level,
     Results,
+    Scheduler,
     Settings,
     Split,
     TableFormat,
@@ -49,10 +51,14 @@ def train(
         typer.Option(help="Folder for the best run's network (ONNX) and card. Default: the folder of the runs."),
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", "-j", help="Number of runs trained in parallel.")] = 1,
+    backend: Backend = "processes",
+    scheduler: Scheduler = None,
 ) -> None:
     """Train an agent (extra `rl`), evaluate it next to the classical agents, and write an ONNX file and its card."""
     from dataclasses import replace
 
+    from servotrack.baselines.evaluation.provenance import code_version
+    from servotrack.baselines.running.clusters import computing_on
     from servotrack.baselines.training.settings import load_settings
 
     find_user_modules(env)
@@ -64,7 +70,9 @@ def train(
     if steps is not None:
         chosen = replace(chosen, n_timesteps=steps)
     kwargs = env_kwargs(level, settings)
-    run_training(TrainingRequest(env, kwargs, chosen, tuple(levels_of(seeds)), output, jobs, name, ship), console())
+    request = TrainingRequest(env, kwargs, chosen, tuple(levels_of(seeds)), output, jobs, name, ship)
+    with computing_on(backend, scheduler, code_version):
+        run_training(request, console())
 
 
 def export(

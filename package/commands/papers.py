@@ -9,7 +9,7 @@ import typer
 
 from servotrack.baselines.papers.reproduce import PAPERS, find_paper, reproduce_paper
 from servotrack.baselines.papers.request import Recording
-from servotrack.commands.terms import TableFormat, console
+from servotrack.commands.terms import Backend, Scheduler, TableFormat, console
 
 
 def reproduce(
@@ -50,13 +50,19 @@ def reproduce(
             "<!-- PAPER:end -->."
         ),
     ] = None,
+    backend: Backend = "processes",
+    scheduler: Scheduler = None,
     table_format: TableFormat = "table",
 ) -> None:
     """Reproduce a paper: tables and figures beside the paper's own, and a verdict on each of its claims."""
+    from servotrack.baselines.evaluation.provenance import code_version
+    from servotrack.baselines.running.clusters import computing_on
+
     name = find_paper(paper).name
     sources = source or []
     truths: list[str | None] = [*truth] if truth else [None] * len(sources)
     if len(truths) != len(sources):
         raise ValueError(f"--truth goes with every --source or with none, got {len(truths)} for {len(sources)}")
     recordings = [Recording(s, t) for s, t in zip(sources, truths, strict=True)]
-    reproduce_paper(name, output, runs, console(table_format), claims, recordings, into)
+    with computing_on(backend, scheduler, code_version):
+        reproduce_paper(name, output, runs, console(table_format), claims, recordings, into)

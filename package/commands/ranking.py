@@ -10,10 +10,12 @@ import typer
 
 from servotrack.commands.terms import (
     DEFAULT_RESULTS,
+    Backend,
     Episodes,
     Jobs,
     Level,
     Results,
+    Scheduler,
     Settings,
     Split,
     TableFormat,
@@ -96,11 +98,15 @@ def bench(
         str,
         typer.Option("--levels", "-l", help="Levels, such as 0-5 or 0,3. Default: 0-5 where the world has levels."),
     ] = "",
-    env: Annotated[str, typer.Option("--env", help="Gymnasium id.")] = "UncalibServo-v0",
+    env: Annotated[
+        str, typer.Option("--env", help="Gymnasium id, or several, comma-separated.")
+    ] = "UncalibServo-v0,UncalibServoReach-v0",
     settings: Settings = None,
     episodes: Episodes = 100,
     split: Split = "test",
     jobs: Jobs = -1,
+    backend: Backend = "processes",
+    scheduler: Scheduler = None,
     video: Annotated[bool, typer.Option(help="Write a video of the best agent at level 3.")] = True,
     table_format: TableFormat = "table",
 ) -> None:
@@ -109,18 +115,24 @@ def bench(
     Finished cells are skipped.
     """
     from servotrack.baselines.evaluation.bench import run_suite, suite_of
+    from servotrack.baselines.evaluation.provenance import code_version
     from servotrack.baselines.evaluation.results import ResultsFolder
     from servotrack.baselines.leaderboard.index import write_index
     from servotrack.baselines.leaderboard.summary import summarize
     from servotrack.baselines.reporting.terminal import progress_bars
+    from servotrack.baselines.running.clusters import computing_on
 
     screen = console(table_format)
-    find_user_modules(env, *words(agents))
-    suite = suite_of(env, words(agents), levels_of(levels) if levels else None, env_kwargs(None, settings))
-    output = results or DEFAULT_RESULTS / "bench" / env.rpartition(":")[2].replace("/", "-")
+    ids = words(env)
+    if not ids:
+        raise ValueError(f"--env must name at least one Gymnasium id, got {env!r}")
+    find_user_modules(*ids, *words(agents))
+    chosen = levels_of(levels) if levels else None
+    suite = suite_of(ids, words(agents), chosen, env_kwargs(None, settings))
+    output = results or DEFAULT_RESULTS / "bench" / ids[0].rpartition(":")[2].replace("/", "-")
     folder = ResultsFolder(output)
     folder.check_writable()
-    with progress_bars() as progress:
+    with computing_on(backend, scheduler, code_version), progress_bars() as progress:
         cells = run_suite(suite, folder, episodes=episodes, split=split, jobs=jobs, progress=progress)
     tasks = summarize(cells)
     film = _film_best(tasks, output) if video else None
@@ -250,14 +262,10 @@ def _show(
     details: bool = False,
 ) -> None:
     from servotrack.baselines.leaderboard.report import write_report
-    from servotrack.baselines.leaderboard.table import headline_grids, note_of, overview_grid, task_grid
+    from servotrack.baselines.leaderboard.table import headline_grids, note_of, overview_grids, task_grid
     from servotrack.baselines.reporting.terminal import command_line, print_tables
 
-    overviews: Mapping[str, Any] = {
-        title: grid
-        for title, grid in [("Mean score · success in percent", overview_grid(tasks)), *headline_grids(tasks)]
-        if grid.rows
-    }
+    overviews: Mapping[str, Any] = dict([*overview_grids(tasks), *headline_grids(tasks)])
     own = {task.environment: task_grid(task) for task in tasks} if details or not overviews else {}
     print_tables(screen, {**overviews, **own})
     print_notes(tasks, screen)

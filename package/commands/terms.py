@@ -29,6 +29,17 @@ Settings = Annotated[
 ]
 Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Number of processes. -1 uses all processors.")]
 
+Backend = Annotated[
+    str,
+    typer.Option(
+        "--backend",
+        metavar="processes|dask|ray",
+        help="What computes: processes of this machine, or a cluster (extra `cluster`) with all its workers.",
+    ),
+]
+Scheduler = Annotated[
+    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Address of the Dask scheduler or Ray head.")
+]
 
 TableFormat = Annotated[
     str, typer.Option("--format", metavar="table|json|csv", help="Format of the printed tables: table, json or csv.")

@@ -14,7 +14,9 @@ from servotrack.baselines.agents.random import RandomAgent
 from servotrack.baselines.agents.registry import AGENTS, LAWS, agent_card, create_agent
 from servotrack.baselines.agents.servo.catalog import ESTIMATORS
 from servotrack.baselines.agents.servo.catalog import LAWS as LAW_CLASSES
+from servotrack.baselines.agents.servo.informed_settings import FILTERS
 from servotrack.baselines.evaluation.evaluate import make_single, make_vector
+from servotrack.envs.servo.levels import ServoConfig
 from servotrack.estimators.jacobian import ParticleJacobian
 
 SERVO = "UncalibServo-v0"
@@ -127,9 +129,26 @@ def test_a_bad_measurement_is_named() -> None:
         agent.predict(observation)
 
 
+def test_an_agent_s_old_name_leads_to_the_new_one() -> None:
+    with pytest.warns(DeprecationWarning, match="'informed-bound' is now called 'informed'"):
+        assert agent_card("informed-bound") == agent_card("informed")
+    with pytest.warns(DeprecationWarning):
+        assert agent_card("informed-bound+pi").name == "informed+pi"
+
+
+@pytest.mark.parametrize("target", ServoConfig.TARGETS)
+def test_the_informed_agent_has_a_filter_for_every_law_of_a_target(target: str) -> None:
+    env = make_single(SERVO, {"level": 3, "target": target}, privileged=True)
+    agent = create_agent("informed", env)
+    assert agent.controller.estimator == FILTERS[target]  # type: ignore[attr-defined]
+    observation, _ = env.reset(seed=100_000)
+    action, _ = agent.predict(observation)
+    assert action.shape == (2,)
+
+
 def test_only_those_who_ask_see_the_truth() -> None:
     seen = {name for name, card in AGENTS.items() if card.privileged}
-    oracles = {"oracle", "informed-bound", "association-oracle", "people-oracle", "box-oracle", "bearing-oracle"}
+    oracles = {"oracle", "informed", "association-oracle", "people-oracle", "box-oracle", "bearing-oracle"}
     # The others say in their names what they are told.
     oracles |= {"ibvs", "ibvs-desired", "ibvs-mean", "pbvs", "joint-oracle"}
     assert {name for name in seen if "-told-" not in name} == oracles

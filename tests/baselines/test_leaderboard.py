@@ -18,6 +18,7 @@ from servotrack.baselines.evaluation.watch import CAPTION_HEIGHT, film_episode
 from servotrack.baselines.leaderboard.figure import draw_levels, level_tasks
 from servotrack.baselines.leaderboard.index import write_index
 from servotrack.baselines.leaderboard.report import write_report
+from servotrack.baselines.leaderboard.servo_bound import episode_bounds
 from servotrack.baselines.leaderboard.summary import TaskSummary, overall, stamp, summarize
 from servotrack.baselines.leaderboard.table import (
     caveat,
@@ -35,7 +36,12 @@ from servotrack.baselines.reporting.grid import as_csv, as_json, as_markdown
 ERRORS = {"random": 0.5, "ukf": 0.005, "lifted-kf": 0.002, "oracle": 0.001}
 
 
-def make_cells(levels: tuple[int, ...] = (0, 3), episodes: int = 20, spread: float = 0.1) -> list[CellResults]:
+SCALED_BY_AGENT, SCALED_BY_BOUND = "UncalibServoPixels-v0", "UncalibServo-v0"
+
+
+def make_cells(
+    levels: tuple[int, ...] = (0, 3), episodes: int = 20, spread: float = 0.1, env_id: str = SCALED_BY_AGENT
+) -> list[CellResults]:
     cells = []
     for level in levels:
         for agent, error in ERRORS.items():
@@ -50,7 +56,7 @@ def make_cells(levels: tuple[int, ...] = (0, 3), episodes: int = 20, spread: flo
             card = {"information": "model-free", "requires": [], "tuning_steps": 1000, "summary": agent}
             if agent == "oracle":
                 card |= {"information": "privileged", "requires": ["truth"]}
-            cells.append(CellResults("UncalibServo-v0", {"level": level}, agent, card, 252, rows))
+            cells.append(CellResults(env_id, {"level": level}, agent, card, 252, rows))
     return cells
 
 
@@ -65,6 +71,29 @@ def test_agents_are_ranked_by_score_between_their_anchors() -> None:
     assert lifted.worst_score < lifted.score.low
     assert lifted.success is not None and lifted.success.value == 1.0
     assert [row.privileged for row in task.rows] == [True, False, False, False]
+
+
+def test_a_task_with_a_bound_is_scaled_by_it() -> None:
+    cells = make_cells((0, 3), env_id=SCALED_BY_BOUND)
+    kept = [cell for cell in cells if cell.agent != "oracle"]
+    fixed, drawn = summarize(kept)
+    for task, floor in ((fixed, 0.0), (drawn, np.array(episode_bounds({"level": 3}, range(20))))):
+        lifted, random = task.row("lifted-kf"), task.row("random")
+        assert lifted is not None and lifted.score is not None and random is not None and random.score is not None
+        assert random.score.value == pytest.approx(0.0, abs=1e-12)
+        # A tenth of a millimeter is added to every error before its logarithm.
+        scale = np.log(0.5001 / np.exp(np.log(floor + 1e-4).mean()))
+        assert lifted.score.value == pytest.approx(np.log(0.5001 / 0.0021) / scale, abs=0.02)
+        assert lifted.score.value < 1.0
+        assert missing_agents(task) == []
+    assert fixed.row("lifted-kf").over_bound is None  # type: ignore[union-attr]
+    assert drawn.row("lifted-kf").over_bound == pytest.approx(0.002 / np.mean(floor), rel=0.1)  # type: ignore[union-attr]
+    # Agents that know the system are rows like others.
+    assert scores_of(summarize(cells)[1])["lifted-kf"] == scores_of(drawn)["lifted-kf"]
+    shown = task_grid(drawn)
+    assert "× bound" in shown.headings
+    note = markdown_overview(summarize(cells), "servotrack leaderboard x")
+    assert "1 is the bound" in note and "more is possible" not in note and "the law of the target" in note
 
 
 def test_differences_are_paired_against_the_reference_and_corrected() -> None:
@@ -371,7 +400,7 @@ def test_the_stamp_follows_the_rows_alone() -> None:
 
 def test_a_table_names_the_agents_that_its_empty_columns_need() -> None:
     task = summarize([cell for cell in make_cells((3,)) if cell.agent == "lifted-kf"])[0]
-    assert missing_agents(task) == ["random", "oracle", "informed-bound", "ukf"]
+    assert missing_agents(task) == ["random", "oracle", "ukf"]
 
 
 def test_tables_for_programs_hold_what_the_tables_for_people_hold() -> None:

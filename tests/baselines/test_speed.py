@@ -80,13 +80,13 @@ def test_targets_are_computed_from_episodes() -> None:
     assert any("| lifted-kf |" in line and line.endswith("lower end at least 0.96 | yes |") for line in lines)
 
 
-def test_gaps_are_paired_with_the_informed_bound() -> None:
+def test_gaps_are_paired_with_the_informed_agent() -> None:
     found = {
-        (accuracy.HEAVY.name, agent): _cell(agent, np.full(20, 0.001 if agent == accuracy.BOUND else 0.004), 20)
+        (accuracy.HEAVY.name, agent): _cell(agent, np.full(20, 0.001 if agent == accuracy.INFORMED else 0.004), 20)
         for agent in accuracy.HEAVY.agents
     }
     lines = accuracy.gap_table(found).splitlines()
-    assert lines[2].startswith(f"| {accuracy.BOUND} | 1.00 | 0.00 (0.00 to 0.00)")
+    assert lines[2].startswith(f"| {accuracy.INFORMED} | 1.00 | 0.00 (0.00 to 0.00)")
     assert any(line.startswith("| kf | 4.00 | 3.00 (3.00 to 3.00)") for line in lines)
 
 

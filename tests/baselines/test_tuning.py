@@ -393,9 +393,6 @@ SHARED: list[tuple[str, str, str, set[str]]] = [
     ("parametric-ukf", "parametric-ekf", "", set()),
     ("latency-bank-lifted-kf", "lifted-kf", "estimator.", set()),
     ("lifted-kf-swinging", "lifted-kf", "", TARGET_MODELS),
-    # It is told camera and links: nothing in them drifts or errs.
-    ("informed-bound", "lifted-kf", "target.", TARGET_MODELS | {"drift", "optics_error"}),
-    ("informed-bound", "lifted-kf-swinging", "target.", set()),
 ]
 """Borrower, lender, where in the borrower the lender's estimator lies, and what the borrower has of its own."""
 

@@ -20,7 +20,14 @@ from servotrack.envs.state import State
 STATES = int(os.environ.get("SERVOTRACK_FUZZED_STATES", "15"))
 """Number of damaged states of each environment."""
 SMALL: dict[str, dict[str, Any]] = {
-    "UncalibServo-v0": {"level": 4, "horizon": 30, "latency": (0, 2)},
+    "UncalibServo-v0": {
+        "level": 4,
+        "horizon": 30,
+        "latency": (0, 2),
+        "backlash": 0.01,
+        "actuator_lag": 0.1,
+        "knock": 1.0,
+    },
     "UncalibServoReach-v0": {"level": 6, "horizon": 30},
     "UncalibServoPixels-v0": {"level": 5, "image_size": 32, "horizon": 30, "dropout": 0.5},
     "UncalibServo3D-v0": {"level": 5, "horizon": 30},

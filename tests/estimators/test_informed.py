@@ -1,4 +1,4 @@
-"""The informed bound: with the geometry given, nothing of the camera is left in what it tracks."""
+"""The informed filter and its law: with the geometry given, nothing of the camera is left in what it tracks."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from kinematic_world import KinematicWorld, closed_loop, ellipse_target
 
 from servotrack.estimators.camera import ground_points, pack_camera, project_points
 from servotrack.estimators.jacobian import (
+    ElbowLaw,
     Excitation,
     Geometry,
     InformedKalman,
     InformedMeasurement,
+    LiftedEstimate,
     LiftedKalman,
+    LinearEstimate,
     OneStepExact,
     ServoController,
     ServoMeasurement,
@@ -88,3 +91,48 @@ def test_ground_points_invert_the_projection():
 def test_geometry_that_is_known_may_not_drift():
     with pytest.raises(ValueError, match="drift=0"):
         InformedKalman(LiftedKalman())
+
+
+def arms_in_the_image(rng: np.random.Generator, count: int, reach: float) -> LiftedEstimate:
+    """Arms with their elbow on one side, and targets at `reach` times the arm's length."""
+    turn = np.exp(1j * rng.uniform(-np.pi, np.pi, (3, count)))
+    upper, lower = rng.uniform(50, 300, (2, count))
+    # Angles from the elbow's vector to the forearm's, as those of one side of the joint.
+    forearm = lower * turn[0] * np.exp(-1j * rng.uniform(0.2, 2.9, count))
+    elbow, target = upper * turn[0], reach * (upper + lower) * turn[1]
+    velocity, acceleration = 30.0 * turn[2], np.zeros(count, complex)
+    return LiftedEstimate(target, velocity, acceleration, elbow, forearm, *np.zeros((2, count)))
+
+
+def test_inverse_kinematics_hold_the_tool_over_a_target_that_is_far_away() -> None:
+    law = ElbowLaw()
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        estimate = arms_in_the_image(rng, 200, 0.75)
+        _, rate = law.rate(law.initial(None), estimate)  # type: ignore[arg-type]
+        reached = np.abs(np.abs(estimate.elbow) - np.abs(estimate.forearm)) < 0.7 * np.abs(estimate.target)
+        assert reached.sum() > 100
+        left = estimate.predict_error(law.period * rate, law.period)[reached]
+        np.testing.assert_allclose(left, 0.0, atol=1e-8)
+        assert (np.abs(law.period * rate) < 2 * np.pi).all()
+        # The elbow stays on its side.
+        bend = np.angle(estimate.forearm * np.conj(estimate.elbow)) - law.period * rate[:, 1]
+        assert (bend[reached] < 1e-9).all()
+
+
+def test_inverse_kinematics_stretch_the_arm_towards_a_target_beyond_its_reach() -> None:
+    law, estimate = ElbowLaw(), arms_in_the_image(np.random.default_rng(0), 50, 1.5)
+    _, rate = law.rate(law.initial(None), estimate)  # type: ignore[arg-type]
+    left = estimate.predict_error(law.period * rate, law.period)
+    length = np.abs(estimate.elbow) + np.abs(estimate.forearm)
+    target = np.abs(estimate.target + law.period * estimate.velocity)
+    np.testing.assert_allclose(np.linalg.norm(left, axis=-1), target - length, rtol=1e-6)
+
+
+def test_inverse_kinematics_need_the_arm_s_vectors() -> None:
+    silent = np.zeros(1)
+    plain = LinearEstimate(np.zeros((1, 2)), np.ones((1, 2, 3)), silent, silent)
+    with pytest.raises(ValueError, match="ElbowLaw needs a LiftedEstimate, got LinearEstimate"):
+        ElbowLaw().rate(None, plain)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="period must be finite"):
+        ElbowLaw(period=0.0)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, cast
 
 from servotrack.baselines.agents.hyper_parameters import with_values
 from servotrack.baselines.agents.servo.anchors import FixedJacobian, OracleJacobian
+from servotrack.baselines.agents.servo.informed_settings import FILTERS
 from servotrack.baselines.agents.servo.jacobian_servo import OBSERVATION_KEYS, JacobianServo
 from servotrack.baselines.agents.servo.pixel_servo import PIXEL_KEYS, PixelServo
 from servotrack.baselines.worlds import public_attribute
@@ -15,6 +17,7 @@ from servotrack.estimators.jacobian import (
     BroydenJacobian,
     CorrentropyNoise,
     DampedLeastSquares,
+    ElbowLaw,
     Excitation,
     KalmanJacobian,
     LevelKalmanJacobian,
@@ -63,7 +66,7 @@ ESTIMATORS: Mapping[str, Callable[[], JacobianEstimator]] = {
     "latency-bank-agile-kf": lambda: HypothesisBank(LiftedKalman(models=AGILE_MODELS), Latencies((0.01, 0.06, 0.11))),
     "oracle": OracleJacobian,
     # Its measurements carry the truth, which only privileged environments give.
-    "informed-bound": lambda: cast("JacobianEstimator", InformedKalman()),
+    "informed": lambda: cast("JacobianEstimator", InformedKalman()),
 }
 
 LAWS: Mapping[str, Callable[[], ControlLaw]] = {
@@ -83,7 +86,7 @@ DEFAULTS: Mapping[str, Mapping[str, float]] = {
 }
 """Numbers of agents that were searched together with law and exploratory moves, by path; see `controller_path`."""
 
-_NO_PROBING = frozenset({"oracle", "informed-bound"})
+_NO_PROBING = frozenset({"oracle", "informed"})
 """Agents that need no probing because they receive the true Jacobian or camera."""
 _NO_SUPERVISOR = frozenset({"fixed-jacobian"})
 """Agents that must not restart learning."""
@@ -125,7 +128,8 @@ def create_servo_agent(
 ) -> JacobianServo | PixelServo:
     """Create a servo agent; only the environment's `max_joint_rate` and observation space are read.
 
-    If images are observed instead of features, a marker detector comes first.
+    If images are observed instead of features, a marker detector comes first. The informed agent, which knows the law
+    of its target, also reads `config.target`.
 
     Args:
         env: A servo environment or vector environment.
@@ -146,5 +150,15 @@ def create_servo_agent(
             f"agent {estimator!r} needs an environment with max_joint_rate and the observations "
             f"{', '.join(OBSERVATION_KEYS)} (or image); {name} lacks them: choose UncalibServo-v0, or another agent"
         )
-    servo = JacobianServo(servo_controller(estimator, law, float(max_joint_rate), values))
+    controller = servo_controller(estimator, law, float(max_joint_rate), values)
+    if estimator == "informed" and values is None:
+        controller = _matched(controller, getattr(public_attribute(env, "config"), "target", ""))
+    servo = JacobianServo(controller)
     return PixelServo(servo) if sees_pixels else servo
+
+
+def _matched(controller: ServoController, target: str) -> ServoController:
+    """Give an informed controller its target's filter, and inverse kinematics instead of the one-step law."""
+    estimator = cast("JacobianEstimator", FILTERS.get(target, controller.estimator))
+    law = ElbowLaw() if isinstance(controller.law, OneStepExact) else controller.law
+    return replace(controller, estimator=estimator, law=law)

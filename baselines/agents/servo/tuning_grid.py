@@ -109,9 +109,9 @@ BORROWED: Mapping[str, str] = {
     "lifted-kf-swinging": "lifted-kf",
     "latency-bank-kf": "kf",
     "latency-bank-lifted-kf": "lifted-kf",
-    "informed-bound": "lifted-kf-swinging",
 }
 """Agents that also use the values of another agent; the steps of that search count for both."""
 
-UNTUNED = frozenset({"random", "oracle", "ukf-as-printed"})
-"""Agents without tunable values; `ukf-as-printed` has the noise that the reproduction of Zhang 2011 assumes."""
+UNTUNED = frozenset({"random", "oracle", "informed", "ukf-as-printed"})
+"""Agents without tunable values. `informed` has settings for each law of a target, found by hand. `ukf-as-printed` has
+the noise that the reproduction of Zhang 2011 assumes."""

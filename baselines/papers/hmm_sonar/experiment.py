@@ -6,17 +6,15 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from joblib import delayed
 from rich.progress import Progress
 
 from servotrack.baselines.agents.sonar.catalog import BearingTracker, sonar_tracker
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.papers.hmm_sonar.scores import RecordScores, score_tracks
-from servotrack.baselines.papers.parts import read_part, setting_of, write_part
-from servotrack.baselines.running.workers import in_workers
+from servotrack.baselines.papers.parts import Arrays, PartTask, compute_parts, read_part, setting_of
 from servotrack.envs.track.sonar.array_model import SonarModel, scene_model_of
 from servotrack.envs.track.sonar.config import SonarConfig, sonar_config
 from servotrack.envs.track.sonar.records import draw_record
@@ -173,7 +171,7 @@ def run_all(
     bar = progress.add_task("records", total=len(conditions), completed=len(conditions) - len(todo))
     # The longest first, so that no long one runs alone at the end.
     todo.sort(key=lambda entry: -entry[0].runs * entry[0].config.horizon)
-    for _ in in_workers((delayed(_run)(c, path) for c, path in todo), jobs):
+    for _ in compute_parts([PartTask(path, _setting(c), _run, (c,)) for c, path in todo], jobs):
         progress.advance(bar)
     return {c.name: _read(path, c) for c, path in zip(conditions, paths, strict=True)}
 
@@ -208,13 +206,12 @@ def _measures(runs: Sequence[tuple[RecordScores, float]]) -> Measures:
     return Measures(**columns, seconds=np.array([seconds for _, seconds in runs]))
 
 
-def _run(condition: Condition, path: Path) -> None:
-    arrays: dict[str, Any] = {
+def _run(condition: Condition) -> Arrays:
+    return {
         f"{name}/{field}": values
         for name, measures in measure(condition).items()
         for field, values in measures._asdict().items()
     }
-    write_part(path, _setting(condition), arrays)
 
 
 def _read(path: Path, condition: Condition) -> dict[str, Measures]:

@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from joblib import delayed
 from rich.progress import Progress
 
 from servotrack.baselines.agents.color.catalog import color_tracker
 from servotrack.baselines.evaluation import seeds
-from servotrack.baselines.papers.parts import read_part, setting_of, write_part
-from servotrack.baselines.running.workers import in_workers
+from servotrack.baselines.papers.parts import Arrays, PartTask, compute_parts, read_part, setting_of
 from servotrack.baselines.tuning.color_films import film, track
 from servotrack.envs.track.color.config import PAPER_SCENARIOS
 from servotrack.estimators.types import Array
@@ -123,8 +121,8 @@ def run_all(
     paths = [folder / PAPER_SCENARIOS[level] / f"{seed}.npz" for level, seed, _ in films]
     todo = [(entry, path) for entry, path in zip(films, paths, strict=True) if not path.exists()]
     bar = progress.add_task("films", total=len(films), completed=len(films) - len(todo))
-    tasks = (delayed(_run)(*entry, world, path) for entry, path in todo)
-    for _ in in_workers(tasks, jobs):
+    tasks = [PartTask(path, _setting(*entry, world), _run, (*entry, world)) for entry, path in todo]
+    for _ in compute_parts(tasks, jobs):
         progress.advance(bar)
     found: dict[str, dict[str, list[Measures]]] = {}
     for entry, path in zip(films, paths, strict=True):
@@ -166,10 +164,8 @@ def median_steps(names: Sequence[str], seed: int, repetitions: int = 8) -> dict[
     return found
 
 
-def _run(level: int, seed: int, methods: Sequence[str], world: Mapping[str, Any], path: Path) -> None:
+def _run(level: int, seed: int, methods: Sequence[str], world: Mapping[str, Any]) -> Arrays:
     import cv2
-
-    import servotrack  # noqa: F401 - a worker process has to register the ids
 
     # One process runs per processor, so each uses one thread.
     cv2.setNumThreads(1)
@@ -180,7 +176,7 @@ def _run(level: int, seed: int, methods: Sequence[str], world: Mapping[str, Any]
         done = track(color_tracker(tracker, **parameters), seen)
         size = np.sqrt(done.boxes[:, 2] * done.boxes[:, 3] / (seen.boxes[:, 2] * seen.boxes[:, 3]))
         arrays[name] = np.stack([done.iou, done.center_error, size])
-    write_part(path, _setting(level, seed, methods, world), arrays)
+    return arrays
 
 
 def _read(path: Path, level: int, seed: int, methods: Sequence[str], world: Mapping[str, Any]) -> dict[str, Measures]:

@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import delayed
 from rich.progress import Progress
 
 from servotrack.baselines.papers.pairwise_markov.experiment import METHODS, Condition, Measures, run_condition
-from servotrack.baselines.papers.parts import read_part, setting_of, write_part
-from servotrack.baselines.running.workers import in_workers
+from servotrack.baselines.papers.parts import Arrays, PartTask, compute_parts, read_part, setting_of
 
 CHUNK = 25
 """Number of runs that are filtered as one batch and stored in one file."""
@@ -52,10 +50,9 @@ def run_all(
         if path.exists():
             progress.advance(bar, len(seeds))
         else:
-            missing.append((condition, seeds, path))
-    tasks = (delayed(_run_chunk)(condition, seeds, path) for condition, seeds, path in missing)
-    for count in in_workers(tasks, jobs):
-        progress.advance(bar, count)
+            missing.append(PartTask(path, _setting(condition, seeds), _run_chunk, (condition, seeds)))
+    for done in compute_parts(missing, jobs):
+        progress.advance(bar, len(done.arguments[1]))
     found: dict[str, dict[str, list[Measures]]] = {}
     for (condition, seeds), path in zip(chunks, paths, strict=True):
         for method, measures in _read(path, condition, seeds).items():
@@ -70,11 +67,9 @@ def _path(folder: Path, condition: Condition, seeds: Sequence[int]) -> Path:
     return folder / condition.name / f"{seeds[0]}-{len(seeds)}.npz"
 
 
-def _run_chunk(condition: Condition, seeds: list[int], path: Path) -> int:
+def _run_chunk(condition: Condition, seeds: list[int]) -> Arrays:
     measures = run_condition(condition, seeds)
-    arrays = {f"{method}/{key}": values for method, m in measures.items() for key, values in m._asdict().items()}
-    write_part(path, _setting(condition, seeds), arrays)
-    return len(seeds)
+    return {f"{method}/{key}": values for method, m in measures.items() for key, values in m._asdict().items()}
 
 
 def _read(path: Path, condition: Condition, seeds: list[int]) -> dict[str, Measures]:
