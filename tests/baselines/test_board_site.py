@@ -128,7 +128,8 @@ def test_rows_have_scores_intervals_and_proof(site: Path) -> None:
         row["agent"]: row for row in delivered(site / "data" / "board.js")["suites"][0]["worlds"][0]["tasks"][0]["rows"]
     }
     assert set(rows) == set(AGENTS)
-    assert rows["oracle"]["score"][0] == pytest.approx(1.0)
+    assert rows["random"]["score"][0] == pytest.approx(0.0, abs=1e-9)
+    assert rows["oracle"]["score"][0] > 0.8
     assert rows["oracle"]["privileged"] and rows["lifted-kf"]["information"] == "structure"
     assert {row["proof"] for row in rows.values()} == {"self-reported"}
     low, high = rows["lifted-kf"]["score"][1:]

@@ -17,7 +17,6 @@ import numpy as np
 
 from servotrack.baselines.evaluation.results import CellResults
 from servotrack.baselines.evaluation.servo_scores import LOST_ERROR
-from servotrack.baselines.leaderboard.anchoring import column_of, find_anchors
 from servotrack.baselines.leaderboard.site import replays
 from servotrack.baselines.leaderboard.site.entries import Entry, Proof, summaries_of
 from servotrack.baselines.leaderboard.site.tables import agent_facts, episode_values, overall_table, task_table
@@ -165,13 +164,12 @@ def _worlds(tasks: Sequence[_Task]) -> list[dict[str, Any]]:
     for name, members in groups.items():
         members.sort(key=lambda task: task.summary.level or 0)
         kind = members[0].summary.world
-        anchors = kind.anchors
         worlds.append(
             {
                 "name": name,
                 "summary": kind.summary,
                 "replays": replays.can_replay(members[0].cell),
-                "anchors": None if anchors is None else [anchors.lower, anchors.upper, anchors.upper_knows],
+                "scale": _scale(members[0]),
                 "overall": overall_table([task.summary for task in members]) if len(members) > 1 else [],
                 "tasks": [{**_table(task), "chunk": task.chunk} for task in members],
             }
@@ -213,7 +211,7 @@ def _race(tasks: Sequence[_Task]) -> dict[str, Any] | None:
                 "task": task.summary.environment,
                 "level": task.summary.level,
                 "settings": {name: getattr(config, name) for name in names},
-                "anchors": _log_anchors(task),
+                "anchors": _score_ends(task),
                 "seeds": seeds,
                 **replays.pack_race({seed: task.scenes[seed] for seed in seeds}, motions, noise),
             }
@@ -221,13 +219,30 @@ def _race(tasks: Sequence[_Task]) -> dict[str, Any] | None:
     return {"racers": list(RACERS), "lost": LOST_ERROR, "courses": courses} if courses else None
 
 
-def _log_anchors(task: _Task) -> list[float] | None:
-    """Geometric means of the steady errors between which the score is scaled, m: of the lower and the upper anchor."""
-    cells = {agent: entry.cell for agent, entry in task.entries.items()}
-    anchoring, _ = find_anchors(cells, task.summary.world.anchors)
-    if anchoring is None or column_of(next(iter(cells.values())), anchoring.ends.column) is None:
+def _score_ends(task: _Task) -> list[float] | None:
+    """Errors at which the score is 0 and 1, and the error that is added to each before its logarithm is taken, m."""
+    anchors = next(iter(task.entries.values())).anchors
+    if anchors is not None:
+        return [*anchors, 0.0]
+    anchoring = task.summary.anchoring
+    if anchoring is None:
         return None
-    return [float(f"{np.exp(np.log(errors).mean()):.6g}") for errors in (anchoring.lower, anchoring.upper)]
+    added = anchoring.resolution
+    means = [float(np.exp(np.log(errors + added).mean())) for errors in (anchoring.lower, anchoring.upper)]
+    return [*(float(f"{mean - added:.6g}") for mean in means), added]
+
+
+def _scale(task: _Task) -> list[str] | None:
+    """The ends of the score in words: at 0 and at 1."""
+    ends = task.summary.world.anchors
+    if ends is None:
+        return None
+    if next(iter(task.entries.values())).anchors is not None:
+        return [ends.lower, f"{ends.upper} ({ends.upper_knows}), both frozen with the suite"]
+    anchoring = task.summary.anchoring
+    if anchoring is None:
+        return None
+    return [ends.lower, "the bound" if anchoring.bound else f"{ends.upper} ({ends.upper_knows})"]
 
 
 def _chunks_within(tasks: Sequence[_Task], room: int) -> dict[str, str]:

@@ -48,6 +48,7 @@
     if (task.scored) columns.push({ key: "worst", title: "worst tenth", hint: "mean score of the worst tenth of the episodes", sort: (row) => row.worst, cell: (row) => ns.fixed(row.worst, 2), high: true });
     if (task.rows.some((row) => row.sealed)) columns.push({ key: "sealed", title: "sealed, fresh", hint: "mean scores on seeds that follow from the agent's files, and on seeds that the verifier drew", sort: (row) => row.sealed?.[0], high: true,
       cell: (row) => row.sealed && [interval(row.sealed, 2), row.fresh !== null && h("span", { class: "soft" }, `, ${ns.fixed(row.fresh, 2)}`)] });
+    else if (task.rows.some((row) => row.overBound !== null)) columns.push({ key: "bound", title: "× bound", hint: "mean error over the least that is possible", sort: (row) => row.overBound, cell: (row) => ns.fixed(row.overBound, 2) });
     if (reference) columns.push({ key: "difference", title: `− ${task.reference} ${headline.unit}`, hint: "mean difference by seed; * below p = 0.05 after Holm's correction", sort: (row) => row.difference?.[0], high: headline.highIsGood,
       cell: (row) => row.difference && `${row.difference[0] > 0 ? "+" : ""}${ns.fixed(row.difference[0] * headline.factor, headline.digits)}${row.p !== null && row.p < 0.05 ? " *" : ""}` });
     columns.push(...costColumns());
@@ -171,7 +172,7 @@
     const { world, task } = where;
     const scored = task ? task.scored : world.overall.length > 0;
     return h("p", { class: "note" },
-      scored && world.anchors && [`Score: 0 is ${world.anchors[0]}, 1 is ${world.anchors[1]} (${world.anchors[2]}); more is possible, and the scale is logarithmic in the mean error after 3 s. `],
+      scored && world.scale && `Score: 0 is ${world.scale[0]}, 1 is ${world.scale[1]}; the scale is logarithmic in the mean error after 3 s. `,
       task && task.rows.some((row) => row.sealed) && "Ranked on public seeds; sealed ones follow from the agent's files, fresh ones were drawn by the verifier. ",
       "Intervals: 95 %. † sees the truth. ",
       task && task.rows.some((row) => row.difference) && `Differences are paired by seed against ${task.reference}; * below p = 0.05 after Holm's correction. `,

@@ -221,7 +221,7 @@
       const mine = counted(errors, scene, steps, race.lost);
       const others = rivals.map((replay) => counted(replay.errors, scene, steps, race.lost));
       const anchors = entry.anchors;
-      const score = (error) => (anchors ? Math.log(anchors[0] / error) / Math.log(anchors[0] / anchors[1]) : null);
+      const score = (error) => (anchors ? Math.log((anchors[0] + anchors[2]) / (error + anchors[2])) / Math.log((anchors[0] + anchors[2]) / (anchors[1] + anchors[2])) : null);
       const list = [["you", mine.steady, mine.success, TINTS[0]], ...race.racers.map((name, n) => [name, others[n].steady, others[n].success, TINTS[n + 1]])].sort((p, q) => p[1] - q[1]);
       const place = list.findIndex(([name]) => name === "you");
       const ahead = list[0][0] === "you" ? list[1] : list[0];
