@@ -154,9 +154,17 @@ def leaderboard(
     figure: Annotated[
         Path | None, typer.Option(help="Also write the figure of scores against level to this file (.png, .svg).")
     ] = None,
+    site: Annotated[
+        Path | None,
+        typer.Option(help="Write a static site with replays into this folder instead. Submissions are replayed."),
+    ] = None,
+    verdicts: Annotated[
+        Path | None,
+        typer.Option(help="With --site: file of `servotrack verify --output`. Default: verdicts.json in the folder."),
+    ] = None,
     table_format: TableFormat = "table",
 ) -> None:
-    """Write tables, figure and page from a folder of results."""
+    """Write tables, figure and page from a folder of results, or a site from results or submissions (SUITE/AGENT)."""
     from servotrack.baselines.evaluation.results import ResultsFolder
     from servotrack.baselines.leaderboard.figure import draw_levels, level_tasks
     from servotrack.baselines.leaderboard.summary import stamp, summarize
@@ -165,6 +173,15 @@ def leaderboard(
     from servotrack.baselines.reporting.figure import save_figure
     from servotrack.baselines.reporting.terminal import command_line
 
+    if site is not None:
+        if any(option is not None for option in (output, into, figure)) or details:
+            raise ValueError(
+                "--site writes the site alone; run the command again without --site for tables and figures"
+            )
+        _write_site(results, verdicts, site, console(table_format))
+        return
+    if verdicts is not None:
+        raise ValueError("--verdicts needs --site: only the site shows badges")
     cells = ResultsFolder(results).load_all()
     tasks = summarize(cells)
     film = results / "best.webm"
@@ -275,6 +292,19 @@ def _tune_structure(env_id: str, level: int, budget: int, run: int, output: Path
     write_search(found, output, {"env_id": env_id, "level": level, "budget": budget, "run": run})
     screen.print(f"{found.steps:,} environment steps; cost {min(found.races[-1].costs):.3f}: {found.chosen}")
     screen.print(str(output), soft_wrap=True)
+
+
+def _write_site(source: Path, verdicts: Path | None, folder: Path, screen: Screen) -> None:
+    from servotrack.baselines.leaderboard.site.entries import entries_of
+    from servotrack.baselines.leaderboard.site.write import write_site
+    from servotrack.baselines.reporting.terminal import command_line, progress_bars
+
+    entries = entries_of(source, verdicts)
+    with progress_bars() as progress:
+        bar = progress.add_task("episodes", total=len(entries))
+        paths = write_site(entries, folder, command_line(), lambda name: progress.advance(bar))
+    size = sum(path.stat().st_size for path in paths)
+    screen.print(f"{paths[0]} ({len(paths)} files, {size / 1e6:.2f} MB)", soft_wrap=True)
 
 
 def _show(

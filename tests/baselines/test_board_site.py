@@ -1,0 +1,238 @@
+"""The board's page: data that scripts deliver, replays, the arm in JavaScript. `scripts/check-board` looks at it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import zlib
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hostile_board import NAMES, hostile_entries
+from recorded_arms import STEPS, recorded_arms
+from typer.testing import CliRunner
+
+from servotrack.__main__ import app
+from servotrack.baselines.board.submission import read_submission
+from servotrack.baselines.board.verification import CellVerdict, Verdict
+from servotrack.baselines.board.verify import write_verdicts
+from servotrack.baselines.evaluation.evaluate import evaluate
+from servotrack.baselines.evaluation.results import ResultsFolder
+from servotrack.baselines.leaderboard.site import replays
+from servotrack.baselines.leaderboard.site.entries import Entry, entries_of, rerun_actions
+from servotrack.baselines.leaderboard.site.packing import ANGLE_STEP, Packer
+from servotrack.baselines.leaderboard.site.write import LARGEST_SITE, SCRIPTS, write_site
+from servotrack.baselines.reporting.files import ResultsError
+
+ASSETS = Path(str(resources.files("servotrack.baselines.leaderboard.site").joinpath("assets")))
+SUBMISSION = Path(__file__).parents[2] / "leaderboard" / "2027a" / "kf"
+SEEDS = [200_000, 200_001, 200_002]
+AGENTS = ("random", "oracle", "lifted-kf", "ppo")
+_NODE = shutil.which("node")
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("board") / "results"
+    for agent in AGENTS:
+        evaluate("UncalibServo-v0", agent, SEEDS, {"level": 3}, folder=ResultsFolder(folder), timing=False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def site(results: Path) -> Path:
+    folder = results.parent / "site"
+    paths = write_site(entries_of(results), folder, "servotrack leaderboard results --site site")
+    assert paths[0] == folder / "index.html"
+    return folder
+
+
+def delivered(path: Path) -> dict[str, Any]:
+    """The document that a script hands to the page."""
+    text = path.read_text(encoding="ascii")
+    found = re.fullmatch(r"servotrack\.deliver\('([a-z0-9-]+)','([A-Za-z0-9+/=]*)'\);\n", text)
+    assert found is not None and found[1] == path.stem
+    return json.loads(zlib.decompress(base64.b64decode(found[2])))
+
+
+def unpacked(document: dict[str, Any]) -> list[np.ndarray]:
+    """Curves of a document, decoded as the page does it."""
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(document["samples"])), np.uint8).astype(np.int64)
+    words = planes[: len(planes) // 2] | (planes[len(planes) // 2 :] << 8)
+    bends = (words >> 1) ^ -(words & 1)
+    curves, at = [], 0
+    for first, length, step, order in document["curves"]:
+        values = bends[at : at + length]
+        for _ in range(order):
+            values = np.cumsum(values)
+        curves.append((first + values) * step)
+        at += length
+    return curves
+
+
+@pytest.mark.skipif(_NODE is None, reason="needs node")
+def test_the_arm_in_javascript_moves_as_the_reference_engine(tmp_path: Path) -> None:
+    (tmp_path / "arms.json").write_text(json.dumps(recorded_arms()), encoding="ascii")
+    code = (
+        "const fs = require('fs');"
+        "require('vm').runInThisContext(fs.readFileSync(process.argv[1], 'utf8'));"
+        "const cases = JSON.parse(fs.readFileSync(process.argv[2], 'utf8'));"
+        "console.log(JSON.stringify(servotrack.arm.compare(cases)));"
+    )
+    command = [str(_NODE), "-e", code, str(ASSETS / "arm.js"), str(tmp_path / "arms.json")]
+    found = json.loads(subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout)
+    assert len(found) >= 7
+    for case in found:
+        assert case["steps"] == STEPS
+        assert max(case["joints"], case["tool"], case["error"]) < 1e-9, case
+
+
+def test_curves_come_back_rounded() -> None:
+    rng = np.random.default_rng(0)
+    curves = [np.cumsum(rng.normal(0.0, 0.02, 50)), np.array([-1.5]), np.full(7, 2.0)]
+    packer = Packer()
+    for number, curve in enumerate(curves):
+        assert packer.add(curve, ANGLE_STEP) == number
+    for curve, again in zip(curves, unpacked({"curves": packer.curves, "samples": packer.text()}), strict=True):
+        np.testing.assert_allclose(again, curve, atol=0.5 * ANGLE_STEP + 1e-12)
+
+
+@pytest.mark.parametrize("values", [[0.0, np.nan], [0.0, 50.0, 0.0], [1e300]])
+def test_curves_that_do_not_fit_are_refused(values: list[float]) -> None:
+    with pytest.raises(ValueError, match="values must"):
+        Packer().add(values, ANGLE_STEP)
+
+
+def test_the_site_is_whole_and_small(site: Path) -> None:
+    page = (site / "index.html").read_text(encoding="utf-8")
+    named = re.findall(r'(?:src|href)="([^"#:]+)"', page)
+    assert set(SCRIPTS) | {"board.css", "data/board.js"} == set(named)
+    board = delivered(site / "data" / "board.js")
+    tasks = [task for suite in board["suites"] for world in suite["worlds"] for task in world["tasks"]]
+    assert [task["name"] for task in tasks] == ["UncalibServo-v0,level=3"]
+    for name in (*named, "data/race.js", *(f"data/{task['chunk']}.js" for task in tasks)):
+        assert (site / name).is_file(), name
+    assert sum(path.stat().st_size for path in site.rglob("*") if path.is_file()) < LARGEST_SITE
+    assert not re.search(r"https?://(?!www\.w3\.org)", "".join((site / name).read_text("utf-8") for name in SCRIPTS))
+
+
+def test_rows_have_scores_intervals_and_proof(site: Path) -> None:
+    rows = {
+        row["agent"]: row for row in delivered(site / "data" / "board.js")["suites"][0]["worlds"][0]["tasks"][0]["rows"]
+    }
+    assert set(rows) == set(AGENTS)
+    assert rows["random"]["score"][0] == pytest.approx(0.0, abs=1e-9)
+    assert rows["oracle"]["score"][0] > 0.8
+    assert rows["oracle"]["privileged"] and rows["lifted-kf"]["information"] == "structure"
+    assert {row["proof"] for row in rows.values()} == {"self-reported"}
+    low, high = rows["lifted-kf"]["score"][1:]
+    assert low <= rows["lifted-kf"]["score"][0] <= high
+
+
+def test_replays_show_the_episodes_of_the_rows(site: Path, results: Path) -> None:
+    document = delivered(site / "data" / "task-0.js")
+    curves = unpacked(document)
+    rows = {entry.cell.agent: {row["seed"]: row for row in entry.cell.rows} for entry in entries_of(results)}
+    seen: dict[str, set[str]] = {name: set() for name in AGENTS}
+    for replay in document["replays"]:
+        row, scene = rows[replay["agent"]][replay["seed"]], document["scenes"][str(replay["seed"])]
+        seen[replay["agent"]] |= set(replay["labels"])
+        (l1, l2), (first, second) = scene["links"], (curves[number] for number in replay["joints"])
+        x, y = (curves[number][: len(first)] for number in scene["path"])
+        tool = l1 * np.exp(1j * first) + l2 * np.exp(1j * (first + second))
+        error = np.abs(tool - (x + 1j * y))
+        assert len(error) == row["length"] + 1
+        if row["length"] == len(curves[scene["path"][0]]) - 1:
+            assert error[61:].mean() == pytest.approx(row["steady"], abs=1e-4)
+    # The random agent's actions depend on the episodes beside it.
+    seen.pop("random")
+    assert all(labels == {"best", "median", "worst"} for labels in seen.values())
+
+
+def test_a_race_has_both_opponents_on_every_seed(site: Path) -> None:
+    race = delivered(site / "data" / "race.js")
+    (course,) = race["courses"]
+    assert set(course["seeds"]) <= set(SEEDS) and course["seeds"]
+    pairs = {(replay["agent"], replay["seed"]) for replay in course["replays"]}
+    assert pairs == {(agent, seed) for agent in race["racers"] for seed in course["seeds"]}
+    assert course["anchors"][0] > course["anchors"][1] > 0.0
+
+
+@pytest.mark.skipif(not SUBMISSION.is_dir(), reason="needs leaderboard/ of the repository")
+def test_submissions_have_the_badge_that_the_verifier_gave(tmp_path: Path) -> None:
+    folder = tmp_path / "2027a" / "kf"
+    shutil.copytree(SUBMISSION, folder)
+    before = entries_of(tmp_path)
+    assert {entry.proof for entry in before} == {"self-reported"} and all(entry.traced for entry in before)
+    cells = {
+        entry.cell.environment: CellVerdict("equal", {"public": 0.9, "sealed": 0.9}, fresh=(0.8, 0.01))
+        for entry in before[1:]
+    }
+    cells[before[0].cell.environment] = CellVerdict("skipped")
+    seal = read_submission(folder).seal
+    write_verdicts([Verdict("kf", "kf", "registered", "2027a", seal, "re-run", cells=cells)], tmp_path / "v.json")
+    first, *others = entries_of(tmp_path, tmp_path / "v.json")
+    assert first.proof == "self-reported" and {entry.proof for entry in others} == {"re-run"}
+    assert others[0].fresh == (0.8, 0.01)
+    whole = replace(first.cell, rows=[*first.cell.rows, *first.sealed])
+    assert first.sealed and replays.replay(whole, first.actions(whole, whole.seeds)).faithful
+
+
+def test_changed_rows_are_not_replayed(results: Path) -> None:
+    (entry,) = (entry for entry in entries_of(results) if entry.cell.agent == "lifted-kf")
+    actions = rerun_actions(entry.cell, SEEDS)
+    assert replays.replay(entry.cell, actions).faithful
+    rows = [{**row, "steady": row["steady"] * 0.9} if row["seed"] == SEEDS[1] else row for row in entry.cell.rows]
+    changed = replays.replay(replace(entry.cell, rows=rows), actions)
+    assert not changed.faithful and set(changed.motions) == {SEEDS[0], SEEDS[2]}
+    cut = replays.replay(entry.cell, {**actions, SEEDS[0]: actions[SEEDS[0]][:100]})
+    assert not cut.faithful and SEEDS[0] not in cut.motions
+
+
+def test_traces_prove_rows(results: Path, tmp_path: Path) -> None:
+    entries = [replace(entry, traced=True) for entry in entries_of(results)]
+    false = replace(entries[0].cell, rows=[{**row, "return": row["return"] + 1.0} for row in entries[0].cell.rows])
+    entries[0] = replace(entries[0], cell=false)
+    write_site(entries, tmp_path, "test")
+    rows = delivered(tmp_path / "data" / "board.js")["suites"][0]["worlds"][0]["tasks"][0]["rows"]
+    proofs = {row["agent"]: row["proof"] for row in rows}
+    assert proofs.pop(entries[0].cell.agent) == "self-reported"
+    assert set(proofs.values()) == {"replayed"}
+
+
+def test_hostile_names_stay_text(tmp_path: Path) -> None:
+    write_site(hostile_entries(), tmp_path, NAMES[0])
+    for path in (tmp_path / "data").iterdir():
+        delivered(path)
+    board = delivered(tmp_path / "data" / "board.js")
+    assert set(NAMES) == {row["agent"] for row in board["suites"][0]["worlds"][0]["tasks"][0]["rows"]}
+    assert NAMES[0] not in (tmp_path / "index.html").read_text(encoding="utf-8")
+    scripts = "".join((ASSETS / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    assert not re.search(r"innerHTML|insertAdjacentHTML|outerHTML|document\.write|\beval\b|new Function", scripts)
+
+
+def test_a_foreign_agent_is_not_run(results: Path) -> None:
+    entry = entries_of(results)[0]
+    assert rerun_actions(replace(entry.cell, agent="os:system"), SEEDS) == {}
+
+
+def test_the_command_writes_the_site_alone(results: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["leaderboard", str(results), "--site", str(tmp_path / "site")])
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "site" / "index.html").is_file() and not (results / "leaderboard.html").exists()
+    both = CliRunner().invoke(app, ["leaderboard", str(results), "--site", str(tmp_path / "x"), "--details"])
+    assert isinstance(both.exception, ValueError) and "--site" in str(both.exception)
+
+
+def test_sources_without_rows_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ResultsError, match="no submissions and no results"):
+        entries_of(tmp_path)
+    with pytest.raises(ValueError, match="at least one row"):
+        write_site(list[Entry](), tmp_path, "test")
