@@ -7,10 +7,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+import servotrack
 from servotrack.baselines.agents.learned.card import load_card
 from servotrack.baselines.agents.learned.onnx_file.check import check_network
 from servotrack.baselines.agents.registry import agent_card
@@ -23,6 +24,7 @@ from servotrack.baselines.board.submit import AGENT_FILE, ARITHMETIC, registered
 from servotrack.baselines.board.suites import Suite, SuiteCell
 from servotrack.baselines.evaluation.results import Row
 from servotrack.baselines.reporting.files import ResultsError
+from servotrack.baselines.reporting.strict import parse_json
 
 CellState = Literal["equal", "close", "different", "stale", "skipped"]
 Badge = Literal["self-reported", "replayed", "re-run"]
@@ -31,7 +33,7 @@ TOLERANCE = 1e-6
 SUSPICIOUS = 4.0
 """Standard errors by which scores on known seeds may exceed those on fresh ones before the verdict says so."""
 EARLIER_VERSIONS = ("0.1.0",)
-"""Versions of this package that made submissions of its own agents, besides the present one."""
+"""Versions of this package that made submissions of its own agents. Add each that is released."""
 _LONGEST_TEXT = 400
 
 
@@ -147,27 +149,29 @@ def check_agent(submission: Submission) -> None:
 def _check_registered(submission: Submission) -> None:
     name = _only(submission.card["agent"]["entry"])
     content = submission.agent_files.get(AGENT_FILE, b"")
-    own = registered_candidate(submission.name, "")
-    version = json.loads(content.decode("ascii"))["servotrack"] if _is_plain_json(content) else None
-    expected = json.loads(own.files[AGENT_FILE].decode("ascii"))
+    if name != submission.name or len(submission.agent_files) != 1:
+        raise ValueError(f"files of {submission.name} must be {AGENT_FILE} alone")
+    document = parse_json(content)
+    version = document.get("servotrack") if isinstance(document, dict) else None
+    if version != servotrack.__version__ and version in EARLIER_VERSIONS:
+        # Settings of an earlier version are not known any more. The form leaves no room for anything else.
+        fields = {"name": name, "parameters": document.get("parameters"), "servotrack": version}
+        if "networks" in document:
+            fields["networks"] = document["networks"]
+        _compare_agent_file(content, fields, name)
+        return
     # The seeds follow from these bytes: nothing in them may be free to choose.
-    text = json.dumps({**expected, "servotrack": version}, sort_keys=True, indent=1) + "\n"
-    is_version = version in (*EARLIER_VERSIONS, expected["servotrack"])
-    if name != submission.name or len(submission.agent_files) != 1 or not is_version or content != text.encode("ascii"):
-        raise ValueError(f"{AGENT_FILE} must hold name, settings and version of {submission.name} and nothing else")
-    if {**own.claims, "authors": ""} != {
-        **{claim: value for claim, value in submission.card["claims"].items() if claim != "step_seconds"},
-        "authors": "",
-    }:
-        raise ValueError(f"claims must be those of this package's {submission.name}")
+    own = registered_candidate(name, "")
+    _compare_agent_file(content, json.loads(own.files[AGENT_FILE]), name)
+    claims = submission.card["claims"]
+    for claim in ("information", "requires", "tuning_steps"):
+        if claims[claim] != own.claims[claim]:
+            raise ValueError(f"claims.{claim} must be that of this package's {name}, {own.claims[claim]!r}")
 
 
-def _is_plain_json(content: bytes) -> bool:
-    try:
-        document = json.loads(content.decode("ascii"))
-    except (ValueError, RecursionError):
-        return False
-    return isinstance(document, dict) and "servotrack" in document
+def _compare_agent_file(content: bytes, fields: Mapping[str, Any], name: str) -> None:
+    if content != (json.dumps(fields, sort_keys=True, indent=1) + "\n").encode("ascii"):
+        raise ValueError(f"{AGENT_FILE} must hold name, settings and version of {name} and nothing else")
 
 
 def _only(entry: Sequence[str]) -> str:

@@ -120,9 +120,9 @@ class Tampering:
 
     def claim(self) -> Contents:
         card = json.loads(self.original["card.json"])
-        name = self.pick(["summary", "information", "requires", "tuning_steps"])
+        name = self.pick(["information", "requires", "tuning_steps"])
         values = {
-            "summary": "better", "information": self.pick(["structure", "prior", "calibrated", "undeclared"]),
+            "information": self.pick(["structure", "prior", "calibrated", "undeclared"]),
             "requires": ["truth"], "tuning_steps": int(self.draws.integers(10**6)),
         }  # fmt: skip
         return resealed(self.original, claims={**card["claims"], name: values[name]})

@@ -197,6 +197,19 @@ def test_the_tests_write_rows_as_submit_does(original: Contents) -> None:
     assert rows_content(json.loads(original[ROWS])) == original[ROWS]
 
 
+def test_agents_of_an_earlier_version_are_still_replayed(
+    folder: Callable[[Contents], Path], original: Contents, suite: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import servotrack
+    from servotrack.baselines.board import verification
+
+    monkeypatch.setattr(verification, "EARLIER_VERSIONS", (servotrack.__version__,))
+    monkeypatch.setattr(servotrack, "__version__", "99.0.0")
+    assert judged(folder(original), suite).badge == "replayed"
+    changed = _file(AGENT, lambda content: content.replace(b"{", b'{ "comment": 7,'))(original)
+    assert not judged(folder(changed), suite).is_confirmed
+
+
 def test_what_is_not_a_file_is_refused(folder: Callable[[Contents], Path], original: Contents, suite: Path) -> None:
     def check(expected: str) -> None:
         verdict = judged(path, suite)
