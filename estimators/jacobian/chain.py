@@ -117,6 +117,8 @@ class ChainJacobian:
         eager: Number of frames that are fitted as they come. Larger values learn sooner what the first moves show.
         refit: Number of frames between two fits after that, most of which search for a better explanation; the frames
             between them correct the last fit. Larger values take less time, and find it later.
+        resting: Part of a frame, in (0, 1], that one at a posture with several frames already counts in `refit`: it
+            shows little that is new. Larger values take more time while the arm rests.
         moving: True for a rigid target that moves by itself, in the hand's or the world's frame. Its motion is filtered
             from what the chain leaves unexplained, and gives J_t, without a variance: a law feeds it forward in full.
         target_speed: Prior standard deviation of a moving target's rates, rad/s and mean depths of the points/s.
@@ -153,6 +155,7 @@ class ChainJacobian:
     drift: float = 5.0
     eager: float = 100.0
     refit: int = 4
+    resting: float = 0.25
     moving: bool = False
     target_speed: float = 0.02
     target_change: float = 0.015
@@ -173,6 +176,8 @@ class ChainJacobian:
             raise ValueError(f"iterations must be at least 1, got {self.iterations}")
         if self.refit < 1:
             raise ValueError(f"refit must be at least 1 frame, got {self.refit}")
+        if not self.resting <= 1.0:
+            raise ValueError(f"resting must be in (0, 1], got {self.resting}")
         if self.memory < 1.0:
             raise ValueError(f"memory must be at least 1 frame, got {self.memory}")
 
@@ -257,6 +262,7 @@ class ChainJacobian:
                 damping=np.zeros_like(chain.damping),
                 cost=np.zeros_like(chain.cost),
                 challenge=np.zeros_like(chain.challenge),
+                since=np.zeros_like(chain.since),
                 frames=np.zeros_like(chain.frames),
             ),
         )
@@ -301,7 +307,8 @@ class ChainJacobian:
             known=np.zeros((*batch, points), np.bool_),
             parameters=parameters,
             factor=np.zeros((*batch, parameters.shape[-1], parameters.shape[-1])),
-            turn=np.zeros(batch),
+            clock=np.zeros((*batch, 2)),
+            since=np.zeros(batch),
             damping=np.zeros((*batch, 2)),
             cost=np.zeros((*batch, 2)),
             reverse=np.broadcast_to(np.array([False, True]), (*batch, 2)).copy(),
@@ -361,6 +368,7 @@ _POSITIVE = (
     "patience",
     "drift",
     "eager",
+    "resting",
     "target_speed",
     "target_change",
     "target_turn",

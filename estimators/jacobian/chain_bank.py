@@ -18,7 +18,7 @@ from servotrack.estimators.jacobian.bank import EstimatorBankState, check_memory
 from servotrack.estimators.jacobian.chain import ChainJacobian, ChainState, checked_points
 from servotrack.estimators.jacobian.chain_bank_kernel import BankReadings, step_bank
 from servotrack.estimators.jacobian.chain_estimate import ChainEstimate
-from servotrack.estimators.jacobian.chain_records import ChainMemory, ChainSettings
+from servotrack.estimators.jacobian.chain_records import ChainSettings
 from servotrack.estimators.jacobian.contract import ServoMeasurement
 from servotrack.estimators.types import Array, Mask
 
@@ -87,11 +87,11 @@ class ChainBank:
         alone = self.chain.initial(measurement)
         axis, count = np.ndim(measurement.time), self.count
         members = _mapped(alone, lambda each: np.repeat(np.expand_dims(each, axis), count, axis))
-        moves = members.chain.moves.copy()
+        moves, clock = members.chain.moves.copy(), members.chain.clock.copy()
         moves[..., len(self.plays) :] = True
         # One fit at a time: chains take turns.
-        turns = np.broadcast_to(np.arange(count, dtype=np.float64), moves.shape).copy()
-        members = members._replace(chain=members.chain._replace(moves=moves, turn=turns))
+        clock[..., 0] = np.arange(count)
+        members = members._replace(chain=members.chain._replace(moves=moves, clock=clock))
         return EstimatorBankState(members, np.zeros((*np.shape(measurement.time), count)))
 
     def step(
@@ -108,11 +108,13 @@ class ChainBank:
 
         def flat(values: Any) -> Any:
             """Merge the axes of the batch and of the chains."""
-            return np.ascontiguousarray(values.reshape(rows * count, *values.shape[axes + 1 :]) if axes else values)
+            return np.ascontiguousarray(values.reshape(rows * count, *values.shape[axes + 1 :]))
 
         def shaped(values: Any) -> Any:
-            return values.reshape(*batch, count, *values.shape[1:]) if axes else values
+            return values.reshape(*batch, count, *values.shape[1:])
 
+        # Without a batch, arrays have the kernel's shapes already; a hundred views would take a tenth of a step.
+        merged: ChainState = _mapped(before, flat) if axes else before
         read_at = whole.time if whole.joint_time is None else whole.joint_time
         readings = BankReadings(
             whole.joint_angles.reshape(rows, n),
@@ -125,18 +127,18 @@ class ChainBank:
         )
         linear: Any = self.chain.linear
         aligned, row_aligned, filtered, seen, memory, log_weight, found = step_bank(
-            AlignmentState(*map(flat, before.alignment)),
-            AlignmentState(*map(flat, before.linear.alignment)),
-            AdaptiveFilter(*map(flat, before.linear.filter)),
+            merged.alignment,
+            merged.linear.alignment,
+            merged.linear.filter,
             (
-                flat(before.seen_joints),
-                flat(before.seen_features),
-                flat(before.seen_time),
-                flat(before.seen),
-                flat(before.jacobian),
-                flat(before.center),
+                merged.seen_joints,
+                merged.seen_features,
+                merged.seen_time,
+                merged.seen,
+                merged.jacobian,
+                merged.center,
             ),
-            ChainMemory(*map(flat, before.chain)),  # type: ignore[arg-type]
+            merged.chain,
             readings,
             np.ascontiguousarray(state.log_weight).reshape(rows, count),
             (prepared.turning, prepared.half_play, self.chain.alignment.latency),
@@ -145,20 +147,20 @@ class ChainBank:
             prepared.settings,
             (self.forgetting, self.floor),
         )
-        newest = list(map(shaped, filtered))
-        seen_joints, seen_features, seen_time, ever_seen = map(shaped, seen)
         members = ChainState(
-            linear=AdaptiveState(AlignmentState(*map(shaped, row_aligned)), AdaptiveFilter(*newest)),
-            alignment=AlignmentState(*map(shaped, aligned)),
-            center=before.center,
-            seen_joints=seen_joints,
-            seen_features=seen_features,
-            seen_time=seen_time,
-            seen=ever_seen,
-            jacobian=newest[0].copy(),
-            chain=ChainMemory(*map(shaped, memory)),
+            linear=AdaptiveState(AlignmentState(*row_aligned), AdaptiveFilter(*filtered)),
+            alignment=AlignmentState(*aligned),
+            center=merged.center,
+            seen_joints=seen[0],
+            seen_features=seen[1],
+            seen_time=seen[2],
+            seen=seen[3],
+            jacobian=filtered[0].copy(),
+            chain=memory,
         )
-        estimate = [values.reshape((*batch, *values.shape[1:])) for values in found]
+        if axes:
+            members = _mapped(members, shaped)
+        estimate = [values.reshape((*batch, *values.shape[1:])) for values in found] if axes else _first(found)
         return (
             EstimatorBankState(members, log_weight.reshape(*batch, count)),
             ChainEstimate(
@@ -208,6 +210,11 @@ class ChainBank:
         )
         self._prepared[joints, features] = prepared
         return prepared
+
+
+def _first(found: Any) -> list[Array]:
+    """First rows of arrays, as views."""
+    return [values[0, ...] for values in found]
 
 
 def _mapped(tree: Any, function: Any) -> Any:

@@ -130,8 +130,9 @@ def update_row(memory, frame, settings, output, row):  # type: ignore[no-untyped
     if fresh:
         placed = _take_frame(memory, frame, settings, newest, old, row)
     eager = placed or memory.frames[row] < settings.eager
-    turn = int(memory.frames[row] + memory.turn[row]) % (settings.refit * settings.own_share) if fresh else -1
-    due, challenged = eager or turn == 0, turn > 0 and turn % settings.refit == 0
+    due, challenged = _take_turn(memory, settings, row) if fresh else (False, False)
+    if eager:
+        due, challenged = True, False
     if fresh and (eager or challenged):
         _challenge(memory, settings, 1.0 if eager else float(settings.iterations), row)
     before = better_chain(memory, row)
@@ -149,7 +150,7 @@ def update_row(memory, frame, settings, output, row):  # type: ignore[no-untyped
             _keep_factor(memory, settings, normals[0], row)
         columns = score_frame(memory, frame, settings, output, newest, old, row)
         if not due:
-            _correct(memory, newest, columns, float(turn), settings, row, before)
+            _correct(memory, newest, columns, memory.since[row] + 1.0, settings, row, before)
     prior = (excited, memory.noise[row])
     gap = memory.cost[row, 1 - before] - memory.cost[row, before]
     if due:
@@ -173,9 +174,22 @@ def update_row(memory, frame, settings, output, row):  # type: ignore[no-untyped
     elif fitted:
         _keep_factor(memory, settings, normals[best], row)
     if fresh:
+        memory.since[row] = 0.0 if fitted else memory.since[row] + 1.0
         _store_newest(memory, frame, settings, newest, predicted[best], fitted, row)
     output.best[row] = best
     output.chained[row] = memory.errors[row, 1] < settings.margin * memory.errors[row, 0]
+
+
+@njit(cache=True, nogil=True)
+def _take_turn(memory, settings, row):  # type: ignore[no-untyped-def]
+    """Return True for the better chain of a row if it is its turn to be fitted, and True for its challenger."""
+    clock = memory.clock[row]
+    turn = np.floor(clock[0] / settings.refit)
+    if turn == clock[1]:
+        return False, False
+    clock[1] = turn
+    own = turn % settings.own_share == 0.0
+    return own, not own
 
 
 @njit(cache=True, nogil=True)
@@ -317,12 +331,13 @@ def _store_newest(memory, frame, settings, newest, predicted, fitted, row):  # t
             if any_weight(store[2][k]):
                 known_at[k] = store[0][k]
     follow_offsets(memory, frame, settings, newest, row)
-    memory.scatter[row] += store_frame(
-        parameters, reverse, store, (newest[0][0], newest[1][0], newest[2][0]), noise, settings
-    )
+    newest_frame = (newest[0][0], newest[1][0], newest[2][0])
+    lost, full = store_frame(parameters, reverse, store, newest_frame, noise, settings)
+    memory.scatter[row] += lost
+    memory.clock[row, 0] += settings.resting if full else 1.0
     if fitted:
-        known = (predicted, known_at)
-        memory.noise[row] = noise_of(parameters, reverse, store, memory.scatter[row], noise, settings, known)
+        computed = (predicted, known_at)
+        memory.noise[row] = noise_of(parameters, reverse, store, memory.scatter[row], noise, settings, computed)
     memory.frames[row] += 1.0
     linear, chained = memory.errors[row]
     serves = chained < settings.margin * linear
@@ -457,6 +472,7 @@ def copy_chain(memory, to, origin):  # type: ignore[no-untyped-def]
     memory.known[to] = memory.known[origin]
     memory.parameters[to] = memory.parameters[origin]
     memory.factor[to] = memory.factor[origin]
+    memory.since[to] = memory.since[origin]
     memory.damping[to] = memory.damping[origin]
     memory.cost[to] = memory.cost[origin]
     memory.reverse[to] = memory.reverse[origin]

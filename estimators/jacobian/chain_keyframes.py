@@ -106,7 +106,7 @@ def _free_slot(parameters, reverse, store, noise, settings):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def store_frame(parameters, reverse, store, frame, noise, settings):  # type: ignore[no-untyped-def]
-    """Put a frame into the store, and return the squares that merging loses.
+    """Put a frame into the store; return the squares that merging loses, and True if it shows little that is new.
 
     Args:
         parameters: Parameters of the chain. Shape (N,).
@@ -132,7 +132,7 @@ def store_frame(parameters, reverse, store, frame, noise, settings):  # type: ig
             trusted = 1.0 if square <= settings.outlier * noise else settings.outlier * noise / square
             weights[slot, i] = trusted * seen[i]
     if not any_weight(weights[slot]):
-        return squares
+        return squares, True
     into, nearest = -1, settings.spacing
     for k in range(angles.shape[0]):
         if k != slot and any_weight(weights[k]):
@@ -141,7 +141,10 @@ def store_frame(parameters, reverse, store, frame, noise, settings):  # type: ig
                 into, nearest = k, distance
     if into >= 0:
         squares += _merge(parameters, reverse, store, into, slot, noise, settings)
-    return squares
+    full = into >= 0
+    for i in range(seen.shape[0]):
+        full = full and (seen[i] <= 0.0 or weights[into, i] >= settings.enough)
+    return squares, full
 
 
 @njit(cache=True, nogil=True)

@@ -37,6 +37,7 @@ class ChainSettings(NamedTuple):
         target_turn: The same as a share of the rates themselves.
         eager: Number of frames that are fitted as they come.
         refit: Number of frames between two fits after that, of either order.
+        resting: Part of a frame that one at a posture with `enough` frames counts in this number.
         first_damping: Damping of the first fit, relative to the diagonal of the normal equations.
         least_damping: Least damping.
         largest_damping: Largest damping.
@@ -51,6 +52,7 @@ class ChainSettings(NamedTuple):
             of the chain's to their own least value.
         no_error: Least error before there is one, px^2.
         outlier: Square of a residual, relative to the variance, that counts at most in the estimate of the noise.
+        enough: Number of frames of all features at one posture after which another one shows little that is new.
         forgetting: Memory of the evidence per frame, see `ChainMemory`.
     """
 
@@ -80,6 +82,7 @@ class ChainSettings(NamedTuple):
     target_turn: float
     eager: float
     refit: int
+    resting: float
     first_damping: float = 1e-3
     least_damping: float = 1e-6
     largest_damping: float = 1e6
@@ -93,6 +96,7 @@ class ChainSettings(NamedTuple):
     failed: float = 4.0
     no_error: float = 1e12
     outlier: float = 9.0
+    enough: float = 5.0
     forgetting: float = 0.98
 
 
@@ -101,8 +105,9 @@ class ChainMemory(NamedTuple):
 
     `moves` is true for chains whose target moves, `motion` and `motion_covariance` are its turn and shift, and their
     rates, see `chain_target`. `evidence` is the mean log density of a feature, without its offset, summed over past
-    frames with decreasing weights. `factor` is that of the normal equations of the better chain at its last fit, and
-    `turn` the number of frames by which its fits come earlier than those of a chain with `turn` 0.
+    frames with decreasing weights. `factor` is that of the normal equations of the better chain at its last fit,
+    `since` the number of frames since then. `clock` is the number of all frames, of which those that add nothing count
+    less, and that of the turns taken; chains whose clocks differ are fitted in different frames.
     """
 
     started: Mask
@@ -114,7 +119,8 @@ class ChainMemory(NamedTuple):
     known: Mask
     parameters: Array
     factor: Array
-    turn: Array
+    clock: Array
+    since: Array
     damping: Array
     cost: Array
     reverse: Mask

@@ -63,7 +63,8 @@ class ServoController:
 
     Args:
         estimator: Estimator of the total image Jacobian. The default takes half a millisecond a step for four image
-            points; `AdaptiveKalmanJacobian()` is less accurate and faster.
+            points while the arm moves, and half of that at rest; `AdaptiveKalmanJacobian()` is less accurate and
+            faster.
         law: Control law, a `BoundedLaw` to heed limits and moving goals; None chooses by the estimator.
         excitation: Exploratory moves, or None to choose by the estimator; `Excitation(steps=0)` makes none.
         supervisor: Detector of a wrong estimate; "auto" chooses by the estimator, None disables it.

@@ -297,6 +297,25 @@ def test_rows_of_a_batch_equal_single_runs_bit_by_bit():
                 assert np.array_equal(getattr(state.chain, name)[i, j], values), name
 
 
+def test_frames_at_rest_count_less_for_the_next_fit():
+    """A known posture counts a quarter of a frame, and the frames between two fits are still averaged."""
+    rng = np.random.default_rng(2)
+    world = ChainWorld(rng, 5, "hand")
+    moving = walk(rng, 5, 60, size=0.2)
+    estimator, state, counts, errors = ChainJacobian(eager=60.0), None, [], []
+    for t, each in enumerate(np.concatenate([moving, np.tile(moving[-1], (80, 1))])):
+        measurement = measure(each, world.features(each) + rng.normal(0.0, 1.0, 8), t)
+        state = estimator.initial(measurement) if state is None else state
+        state, estimate = estimator.step(state, measurement)
+        counts.append(state.chain.clock.copy())
+        errors.append(np.abs(estimate.error - (world.features(each) - 240.0)).mean())
+    frames, turns = np.array(counts).T
+    np.testing.assert_array_equal(np.diff(frames[20:60]), 1.0)
+    np.testing.assert_array_equal(np.diff(frames[70:]), 0.25)
+    assert turns[-1] - turns[70] in (4.0, 5.0)
+    assert errors[-1] < 0.4 and np.mean(errors[-10:]) < np.mean(errors[62:72])
+
+
 def test_forget_keeps_the_mean():
     rng = np.random.default_rng(1)
     world = ChainWorld(rng, 5, "hand")
@@ -367,6 +386,8 @@ def test_a_center_of_none_is_the_middle_of_the_goal():
         ("memory", 0.5),
         ("center", (1.0, np.nan)),
         ("rigidity", -1.0),
+        ("resting", 0.0),
+        ("resting", 1.5),
         ("noise", np.inf),
     ],
 )

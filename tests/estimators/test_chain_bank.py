@@ -35,7 +35,7 @@ def in_turn(state):
     """State of a bank of members that are fitted one after the other, as those of a `ChainBank`."""
     members = []
     for k, one in enumerate(state.members):
-        chain = one.chain._replace(turn=np.full_like(one.chain.turn, k))
+        chain = one.chain._replace(clock=one.chain.clock + np.array([k, 0.0]))
         members.append(one._replace(chain=chain))
     return state._replace(members=tuple(members))
 
