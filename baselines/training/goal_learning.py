@@ -9,7 +9,7 @@ import argparse
 import json
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,6 +31,8 @@ from servotrack.envs import GoalObservation
 
 NUM_ENVS = 4
 """Environments side by side; each step of all of them is followed by as many gradient steps."""
+CHANCE_EPISODES = 1000
+"""Episodes of random actions that show how rare the reward is."""
 
 
 @dataclass(frozen=True)
@@ -41,16 +43,21 @@ class GoalTask:
         env_id: Gymnasium id.
         level: Level of the environment.
         steps: Environment steps of a training run.
+        threshold: Image error below which the goal is reached, px. Smaller values make rewards rarer.
+        settings: Further arguments of the environment.
     """
 
     env_id: str
     level: int
     steps: int
+    threshold: float = 5.0
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
-        """Id and level in one line."""
-        return f"{self.env_id},level={self.level}"
+        """Id, arguments and threshold in one line."""
+        arguments = {"level": self.level, **self.settings, "threshold": f"{self.threshold:g}"}
+        return ",".join([self.env_id, *(f"{key}={value}" for key, value in arguments.items())])
 
     @property
     def episode_steps(self) -> int:
@@ -61,10 +68,17 @@ class GoalTask:
 
     def make(self) -> gym.Env[Any, Any]:
         """Create the environment in goal form, with the sparse reward."""
-        return GoalObservation(gym.make(self.env_id, level=self.level))
+        return GoalObservation(gym.make(self.env_id, level=self.level, **self.settings), threshold=self.threshold)
 
 
-TASKS = (GoalTask("UncalibServoReach-v0", 2, 50_000), GoalTask("UncalibServo3D-v0", 1, 100_000))
+TASKS = (
+    GoalTask("UncalibServoReach-v0", 2, 50_000),
+    # Without noise, a goal that random actions do not find.
+    GoalTask("UncalibServoReach-v0", 0, 50_000, threshold=2.0),
+    # A camera in the hand soon loses its board, and the goals achieved from then on are all the same.
+    GoalTask("UncalibServo3D-v0", 1, 50_000, 2.0, {"camera": "world", "points": 1, "horizon": 100}),
+    GoalTask("UncalibServo3D-v0", 1, 100_000),
+)
 
 
 class RunResult(NamedTuple):
@@ -144,27 +158,53 @@ def measure_goals(model: SAC, task: GoalTask, episodes: int, seconds: float) -> 
     return RunResult(float(np.mean(successes)), float(np.mean(reached)), float(np.mean(returns)), seconds)
 
 
-def goal_report(found: Mapping[tuple[str, bool], list[RunResult]], episodes: int, command: str) -> str:
+def reached_by_chance(task: GoalTask, episodes: int) -> float:
+    """Return the share of episodes in which uniformly random actions ever reach the goal, on the first train seeds.
+
+    Args:
+        task: The task.
+        episodes: Number of episodes.
+    """
+    env, rng, hits = task.make(), np.random.default_rng(0), 0
+    for seed in seed_ranges.take("train", episodes):
+        env.reset(seed=seed)
+        over, reached = False, False
+        while not over:
+            action = rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32)  # type: ignore[arg-type]
+            _, reward, terminated, truncated, _ = env.step(action)
+            over, reached = terminated or truncated, reached or reward == 0.0
+        hits += reached
+    env.close()
+    return hits / episodes
+
+
+def goal_report(
+    found: Mapping[tuple[str, bool], list[RunResult]], chances: Mapping[str, float], episodes: int, command: str
+) -> str:
     """Return a page with one row per kind of training.
 
     Args:
         found: Results by task name and by whether hindsight was used.
+        chances: Results of `reached_by_chance` by task name.
         episodes: Number of test episodes of each run.
         command: Command that wrote the results.
     """
-    headings = ["task", "replay", "success %", "goal reached %", "return", "minutes"]
+    headings = ["task", "by chance %", "replay", "success %", "goal reached %", "return", "minutes"]
     rows = []
     for (name, hindsight), runs in found.items():
         columns = [
             [f"{100.0 * run.success:.0f}" for run in runs], [f"{100.0 * run.reached:.0f}" for run in runs],
             [f"{run.returned:.1f}" for run in runs], [f"{run.seconds / 60.0:.1f}" for run in runs],
         ]  # fmt: skip
-        rows.append([name, "hindsight" if hindsight else "plain", *(", ".join(column) for column in columns)])
+        kind, chance = "hindsight" if hindsight else "plain", f"{100.0 * chances[name]:.1f}"
+        rows.append([name, chance, kind, *(", ".join(column) for column in columns)])
     return (
         "# Hindsight experience replay\n\n"
         "SAC on the sparse goal form, `servotrack.envs.GoalObservation`, with and without relabeled goals. Success is "
-        "the world's, at the end of an episode; the goal is reached if the mean image error is below 5 px then.\n\n"
-        f"{as_markdown(Grid(headings, rows, 2)).strip()}\n\n"
+        "the world's, at the end of an episode; the goal is reached if the mean image error is below the task's "
+        f"threshold, px, then. By chance: share of {CHANCE_EPISODES} episodes in which random actions ever reach it. "
+        "Hindsight is for rewards that chance does not find: where it finds some, plain replay learns as well.\n\n"
+        f"{as_markdown(Grid(headings, rows, 3)).strip()}\n\n"
         f"One value per training run, {episodes} test episodes each. Written by `{command}`.\n"
     )
 
@@ -192,7 +232,8 @@ def _compare(given: argparse.Namespace) -> None:
     found: dict[tuple[str, bool], list[RunResult]] = {}
     # Runs of other code are not mixed with these.
     folder, console = given.output / code_version(), Console(stderr=True)
-    for task in TASKS if given.steps is None else [replace(task, steps=given.steps) for task in TASKS]:
+    tasks = TASKS if given.steps is None else [replace(task, steps=given.steps) for task in TASKS]
+    for task in tasks:
         for hindsight in (True, False):
             kind = "hindsight" if hindsight else "plain"
             for seed in range(given.runs):
@@ -207,7 +248,10 @@ def _compare(given: argparse.Namespace) -> None:
                 stored = RunResult(**json.loads(path.read_text(encoding="utf-8")))
                 found.setdefault((task.name, hindsight), []).append(stored)
     steps = "" if given.steps is None else f" --steps {given.steps}"
-    page = goal_report(found, given.episodes, f"scripts/goals --runs {given.runs} --episodes {given.episodes}{steps}")
+    chances = {task.name: reached_by_chance(task, CHANCE_EPISODES) for task in tasks}
+    page = goal_report(
+        found, chances, given.episodes, f"scripts/goals --runs {given.runs} --episodes {given.episodes}{steps}"
+    )
     print(page)
     if given.write:
         with atomic_path(given.write) as temporary:

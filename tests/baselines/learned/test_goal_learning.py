@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ from servotrack.baselines.training.goal_learning import (
     goal_report,
     main,
     measure_goals,
+    reached_by_chance,
     train_goals,
 )
 
@@ -39,8 +41,16 @@ def test_too_few_steps_for_an_episode_are_refused() -> None:
 
 def test_every_run_is_in_the_report() -> None:
     runs = [RunResult(0.5, 0.25, -40.0, 90.0), RunResult(0.75, 0.5, -30.5, 60.0)]
-    page = goal_report({(TASK.name, True): runs}, 10, "scripts/goals")
-    assert "| UncalibServoReach-v0,level=2 | hindsight | 50, 75 | 25, 50 | -40.0, -30.5 | 1.5, 1.0 |" in page
+    page = goal_report({(TASK.name, True): runs}, {TASK.name: 0.06}, 10, "scripts/goals")
+    name = "UncalibServoReach-v0,level=2,threshold=5"
+    assert f"| {name} | 6.0 | hindsight | 50, 75 | 25, 50 | -40.0, -30.5 | 1.5, 1.0 |" in page
+
+
+def test_random_actions_hardly_reach_a_small_goal() -> None:
+    small = GoalTask("UncalibServo3D-v0", 1, 1000, 2.0, {"points": 1, "horizon": 20})
+    assert small.name == "UncalibServo3D-v0,level=1,points=1,horizon=20,threshold=2"
+    assert reached_by_chance(small, 3) == 0.0
+    assert reached_by_chance(replace(small, threshold=1e4), 2) == 1.0
 
 
 def test_bad_arguments_are_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
