@@ -212,7 +212,7 @@ class ChainBank:
         return prepared
 
 
-def _first(found: Any) -> list[Array]:
+def _first(found: Any) -> list[Any]:
     """First rows of arrays, as views."""
     return [values[0, ...] for values in found]
 
