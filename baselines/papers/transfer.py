@@ -104,7 +104,9 @@ def holds_only_detections(recording: Recording) -> bool:
 
 
 def _name_of(recording: Recording) -> str:
-    return recording.source.partition("=")[0] if holds_only_detections(recording) else Path(recording.source).name
+    """Name for tables: of files their NAME, else the last part of the path."""
+    name, equals, _ = recording.source.partition("=")
+    return name if equals and not Path(recording.source).exists() else Path(recording.source).name
 
 
 def _document(tables: Mapping[str, Grid], runs: int, heading: str) -> str:
