@@ -74,6 +74,15 @@ class Rule:
         sign, limit = ("<", self.below) if self.below is not None else (">", self.above)
         return f"{sign} {limit:g}" + (f", none within ±{self.margin:g}" if self.margin else "")
 
+    def slack(self, effect: Effect) -> float:
+        """Return by how much the less favorable end of an interval keeps the condition; negative if it does not."""
+        if self.within is not None:
+            return self.within - max(abs(effect.low), abs(effect.high))
+        if self.below is not None:
+            return self.below - effect.high
+        assert self.above is not None
+        return effect.low - self.above
+
     def judge(self, effect: Effect, least_runs: int = LEAST_RUNS) -> Verdict:
         """Return the verdict of one effect: its whole 95 % interval must lie on one side, else it is open."""
         if effect.runs < least_runs:

@@ -37,6 +37,10 @@ Whose = Literal["paper", "project"]
 SHIPPED = Path(__file__).with_name("claims.yaml")
 SIGNS: Mapping[Verdict, str] = {"holds": "+", "does not hold": "−", "no difference": "=", "open": "?"}
 """Signs of the verdicts in the table of a box."""
+ROUNDING_DIGITS = 10
+"""Decimal places beyond which an effect is a rounding error."""
+SHOWN_EFFECTS = 2
+"""Effects of one claim that a table shows: those nearest to failing."""
 SIGNS_NOTE = "Signs in the box: + holds, − does not hold, = no difference, ? open."
 
 
@@ -142,8 +146,11 @@ class Finding:
 
 
 def effect_of(interval: Sequence[float] | Array, unit: str, measured: str, runs: int, scale: float = 1.0) -> Effect:
-    """Return an effect from an interval that begins with value, low and high, in three significant digits."""
-    value, low, high = (float(f"{scale * end:.3g}") + 0.0 for end in interval[:3])
+    """Return an effect from an interval that begins with value, low and high, in three significant digits.
+
+    What is below the rounding errors of sums is 0.
+    """
+    value, low, high = (round(float(f"{scale * end:.3g}"), ROUNDING_DIGITS) + 0.0 for end in interval[:3])
     return Effect(value, min(low, value), max(high, value), unit, measured, runs)
 
 
@@ -287,14 +294,23 @@ def claims_grid(claims: Sequence[Claim]) -> Grid:
         verdict = claim.verdict if claim.verdict != "depends" else f"depends on {', '.join(claim.depends_on)}"
         rows.append([
             claim.claim, f"{claim.whose}: {claim.source}", verdict, claim.agreement,
-            "; ".join(_shown(effect) for effect in claim.effects), claim.holds_if.words if claim.holds_if else "",
+            _shown(claim), claim.holds_if.words if claim.holds_if else "",
             claim.finding or "",
         ])  # fmt: skip
     return Grid(headings, rows, 7)
 
 
-def _shown(effect: Effect) -> str:
-    return f"{effect.value:g} [{effect.low:g}, {effect.high:g}] {effect.unit} ({effect.runs} runs): {effect.measured}"
+def _shown(claim: Claim) -> str:
+    """The effects nearest to failing, and the number of the others."""
+    if claim.holds_if is None:
+        return ""
+    ordered = sorted(claim.effects, key=claim.holds_if.slack)
+    parts = [
+        f"{effect.value:g} [{effect.low:g}, {effect.high:g}] {effect.unit} ({effect.runs} runs): {effect.measured}"
+        for effect in ordered[:SHOWN_EFFECTS]
+    ]
+    rest = len(ordered) - len(parts)
+    return "; ".join([*parts, *([f"and {rest} more"] if rest else [])])
 
 
 def assumptions_grid(paper: str) -> Grid:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from servotrack.baselines.papers import reproduce
+from servotrack.baselines.papers import audit, reproduce
 from servotrack.baselines.papers.boxes import Effect, Point, Rule, judge_box, read_assumptions, summarize_box
 from servotrack.baselines.papers.claims import Claim, Finding, box_grids, claims_grid, fill, read_claims, write_claims
 from servotrack.baselines.papers.unscented_jacobian import box, experiment, report
@@ -190,6 +190,18 @@ def test_tables_show_whose_claim_it_is_the_share_of_the_box_and_every_point() ->
     assert grid.rows == [["first period", "+ -1.5 [-2, -1]"], ["after 3 s", "− 1 [0.5, 1.5]"]]
 
 
+def test_the_audit_counts_all_claims_and_names_what_they_depend_on(tmp_path: Path) -> None:
+    output = io.StringIO()
+    reproduce.reproduce_paper("audit", tmp_path, None, Console(file=output, width=250))
+    claims = read_claims()
+    last = audit.verdicts_grid(claims).rows[-1]
+    assert sum(map(int, last[2:])) == len(claims)
+    dependents = [claim for claim in claims if claim.verdict == "depends"]
+    assert len(audit.dependents_grid(claims).rows) == len(dependents)
+    assert all(claim.depends_on[0] in (tmp_path / "audit.md").read_text() for claim in dependents)
+    assert len(audit.untested_grid(claims).rows) == sum(claim.verdict == "not tested" for claim in claims)
+
+
 def test_reproduction_fills_every_claim_of_its_paper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "AUDITED_EPISODES", 3)
     monkeypatch.setattr(report, "KAPPAS", (0.0,))
@@ -240,7 +252,8 @@ def test_every_paper_has_a_folder_a_reproduction_and_claims() -> None:
     for paper in reproduce.PAPERS.values():
         module, _, function = paper.run.partition(":")
         assert callable(getattr(importlib.import_module(module), function))
-        assert paper.name == "transfer" or (paper.name in module.split(".") and paper.name in claimed)
+        named = paper.name in module.split(".") and paper.name in claimed
+        assert named or paper.name in ("transfer", "audit", "hmm_sonar_readings")
     assert {claim.command for claim in read_claims() if claim.command} <= {p.command for p in reproduce.PAPERS.values()}
 
 

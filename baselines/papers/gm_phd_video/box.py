@@ -37,7 +37,7 @@ from servotrack.estimators.types import Array
 PAPER_NAME = "gm_phd_video"
 COUNT_AXES = ("detector", "threshold", "birth_weight")
 UPDATE_AXES = ("threshold", "learning_rate")
-SEQUENCES = 12
+SEQUENCES = 10
 """Rendered sequences of the box; each gives all its points."""
 DETECTORS = {"printed": "masked-paper", "ours": "masked"}
 UNFILTERED, PARTICLES, MIXTURE = "no filter", "particles", "mixture"

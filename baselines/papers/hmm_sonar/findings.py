@@ -10,8 +10,7 @@ import numpy as np
 from servotrack.baselines.evaluation.statistics import (
     wilson_interval,
 )
-from servotrack.baselines.papers.boxes import Effect
-from servotrack.baselines.papers.claims import Finding, effect_of, mean_effect, paired_effect, ratio_effect
+from servotrack.baselines.papers.claims import Finding, effect_of, paired_effect
 from servotrack.baselines.papers.hmm_sonar.experiment import (
     CELL,
     HUNGARIAN,
@@ -27,7 +26,6 @@ from servotrack.baselines.papers.hmm_sonar.experiment import (
     Measures,
     simulation,
 )
-from servotrack.baselines.papers.hmm_sonar.readings import ReadingsBox, clean, kept, timely, tracked
 from servotrack.baselines.reporting.grid import Grid
 from servotrack.estimators.types import Array
 
@@ -150,13 +148,11 @@ def trial_grid(found: Found) -> Grid:
     return Grid(headings, rows, 1)
 
 
-def findings(found: Found, seconds: Mapping[int, Array], box: ReadingsBox) -> list[Finding]:
-    """Return the findings about the claims.
+def findings(found: Found) -> list[Finding]:
+    """Return the findings about the claims that the readings of the paper do not decide, see `readings`.
 
     Args:
         found: Measurements by condition and method.
-        seconds: Durations of tracking a record of 60 s by number of targets, one per record, s.
-        box: Scores of all readings of the paper.
     """
     clear = [found[simulation(variant, 0)] for variant in SIMULATIONS]
     faint = [found[simulation(variant, FAINT_OFFSET)] for variant in SIMULATIONS]
@@ -164,96 +160,32 @@ def findings(found: Found, seconds: Mapping[int, Array], box: ReadingsBox) -> li
     def of_both(conditions: Sequence[Mapping[str, Measures]], method: str, value: Any) -> Array:
         return np.concatenate([value(condition[method]) for condition in conditions])
 
-    def through(method: str) -> Effect:
-        both, crossings = (of_both(clear, method, lambda m, a=a: getattr(m, a)).sum() for a in ("kept", "crossings"))
-        interval = wilson_interval(int(both), max(int(crossings), 1))
-        return effect_of(interval, "of crossings", f"both tracks kept, {method}, offset 0 dB", int(crossings))
-
-    def without_false(method: str) -> Effect:
-        false = of_both(clear, method, lambda m: m.false_tracks)
-        interval = wilson_interval(int((false == 0).sum()), len(false))
-        return effect_of(interval, "of records", f"without a false track, {method}, offset 0 dB", len(false))
-
-    timely_starts = of_both(clear, CELL, in_time)
-    trial = {name: found[TRIAL][name] for name in (CELL, ROW)}
-    trial_kept = {name: wilson_interval(int(m.kept.sum()), max(int(m.crossings.sum()), 1)) for name, m in trial.items()}
-    weak = {name: of_both(faint, name, lambda m: coverage(m, TONE)) for name in METHODS}
-    before = of_both(faint, ROW, coverage), of_both(faint, HUNGARIAN, coverage)
-    better = (
+    kept, crossings = (of_both(clear, VITERBI, lambda m, a=a: getattr(m, a)).sum() for a in ("kept", "crossings"))
+    through = wilson_interval(int(kept), max(int(crossings), 1))
+    at_faint = f"offset {FAINT_OFFSET} dB"
+    weak = of_both(faint, VITERBI, lambda m: coverage(m, TONE)).mean()
+    number_right = (
         np.concatenate([condition[ROW].count_right[::SLOW_STRIDE] for condition in clear]),
         of_both(clear, CELL, lambda m: m.count_right),
     )
-    numbers = sorted(seconds)
-    at_faint = f"offset {FAINT_OFFSET} dB"
-    crossing = box.points(box.clear, kept)
-    excluded = box.exclusion_points()
-    turns = box.turning_points(tracked(None, "turning target tracked"))
+    false = {name: of_both(clear, name, lambda m: m.false_tracks).mean() for name in (ROW, CELL)}
     return [
         Finding(
-            "sonar-crossing", (through(CELL),),
-            f"With the row's likelihood {_percent(through(ROW).value)} %. As the text can be read, b = z and L known, "
-            "both tracks are kept; the ratio that the main tables use is this project's. The equations are lost.",
-            crossing,
-        ),
-        Finding(
-            "sonar-start-end",
-            (mean_effect(timely_starts, "of starts and ends", f"within {TIME_TOLERANCE:g} s, {CELL}, offset 0 dB"),),
-            f"With the row's likelihood {_percent(of_both(clear, ROW, in_time).mean())} %.",
-            box.points(box.clear, timely(TIME_TOLERANCE)),
-        ),
-        Finding(
-            "sonar-automatic", (without_false(CELL),),
-            f"With the row's likelihood {_percent(without_false(ROW).value)} %; in an hour of noise "
-            f"{NOISE_RUNS * found[NOISE][CELL].false_tracks.mean():.0f} false tracks, with the row's "
-            f"{NOISE_RUNS * found[NOISE][ROW].false_tracks.mean():.0f}. With L tested, 12 chains are the cap, so that "
-            "10 false tracks are what can be reported; with L known there is no place for a false track.",
-            box.points(box.clear, clean),
-        ),
-        Finding(
-            "sonar-many-targets",
-            (effect_of(trial_kept[CELL], "of crossings", f"both tracks kept, {CELL}, sea trial's stand-in",
-                   len(trial[CELL].kept)),),
-            f"With the row's likelihood {_percent(trial_kept[ROW].value)} %, and the number of targets is right in "
-            f"{_percent(trial[ROW].count_right.mean())} % of the records instead of "
-            f"{_percent(trial[CELL].count_right.mean())} %.",
-            box.trial_points(kept),
-        ),
-        Finding(
-            "sonar-low-snr",
-            (mean_effect(weak[CELL], "of rows", f"tone tracked, {CELL}, {at_faint}"),),
-            f"With {of_both(faint, CELL, lambda m: m.false_tracks).mean():.1f} false tracks a run. Others: "
-            + ", ".join(f"{name} {weak[name].mean():.2f}" for name in METHODS if name != CELL) + ".",
-            box.points(box.faint, tracked(TONE, f"tone tracked, {at_faint}")),
-        ),
-        Finding(
-            "sonar-turning", turns[0].effects,
-            "Structure: the chain's rate may change by 0.3 deg/s from row to row.", turns,
-        ),
-        Finding(
-            "sonar-exclusion", excluded[0].effects,
-            "Structure: without exclusion all chains follow the loudest ridge.", excluded,
-        ),
-        Finding(
-            "sonar-integration", (through(VITERBI),),
-            f"At {at_faint} it tracks the tone in {_percent(weak[VITERBI].mean())} % of the records: integration finds "
-            "what is there. Structure: the path of most power past a crossing is as good with the other target.",
+            "sonar-integration",
+            (effect_of(through, "of crossings", f"both tracks kept, {VITERBI}, offset 0 dB", int(crossings)),),
+            f"At {at_faint} it tracks the tone in {_percent(weak)} % of the records: integration finds what is there. "
+            "Structure: the path of most power past a crossing is as good with the other target.",
         ),
         Finding(
             "sonar-track-before-detect",
-            (paired_effect(*before, "of rows", f"targets tracked, {ROW} - {HUNGARIAN}, {at_faint}"),),
+            (paired_effect(of_both(faint, ROW, coverage), of_both(faint, HUNGARIAN, coverage), "of rows",
+                           f"targets tracked, {ROW} - {HUNGARIAN}, {at_faint}"),),
             "Information: a ridge that no single record shows is plain over ten of them.",
         ),
         Finding(
-            "sonar-cost",
-            (ratio_effect(seconds[numbers[-1]], seconds[numbers[0]],
-                          f"time of a record, {numbers[-1]} / {numbers[0]} targets"),),
-            "60 s of record: " + ", ".join(f"{n} targets {1e3 * np.median(seconds[n]):.0f} ms" for n in numbers) + ".",
-        ),
-        Finding(
             "sonar-row-beats-cell",
-            (paired_effect(*better, "of rows", f"number of targets right, {ROW} - {CELL}, offset 0 dB"),),
-            f"False tracks a run {of_both(clear, ROW, lambda m: m.false_tracks).mean():.2f} against "
-            f"{of_both(clear, CELL, lambda m: m.false_tracks).mean():.2f}.",
+            (paired_effect(*number_right, "of rows", f"number of targets right, {ROW} - {CELL}, offset 0 dB"),),
+            f"False tracks a run {false[ROW]:.2f} against {false[CELL]:.2f}.",
         ),
     ]  # fmt: skip
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.papers.claims import (
     SHIPPED,
-    SIGNS_NOTE,
     assumptions_grid,
-    box_grids,
     claims_grid,
     fill,
     read_claims,
 )
-from servotrack.baselines.papers.hmm_sonar.experiment import ROW, SIMULATIONS, growth_of_cost, plan, run_all
+from servotrack.baselines.papers.hmm_sonar.experiment import SIMULATIONS, plan, run_all
 from servotrack.baselines.papers.hmm_sonar.figures import draw_offsets, draw_paper, draw_trial
 from servotrack.baselines.papers.hmm_sonar.findings import (
     COMMAND,
@@ -21,13 +19,6 @@ from servotrack.baselines.papers.hmm_sonar.findings import (
     findings,
     simulation_grid,
     trial_grid,
-)
-from servotrack.baselines.papers.hmm_sonar.readings import (
-    RECORDS,
-    TESTED_RECORDS,
-    TRIAL_RECORDS,
-    TURN_RECORDS,
-    ReadingsBox,
 )
 from servotrack.baselines.papers.publish import publish
 from servotrack.baselines.papers.request import Request
@@ -38,13 +29,8 @@ NOTE = (
     "are given whole, but for the one that is 5 s late; that one and the paper's on a fifth of them. A target is "
     "tracked in a row if a track is within 3 deg. Swaps: runs in which a track went over to the other target at the "
     "crossing. False tracks: at no target for more than half of their rows. Times: median processor time for a "
-    f"record of 60 s on this machine, one thread. Box: {RECORDS} records of each of the two variants "
-    f"where L is known, {TESTED_RECORDS} where it is tested; with L known, {TRIAL_RECORDS} of the sea trial's "
-    f"stand-in and {TURN_RECORDS} of one turning target. {SIGNS_NOTE}"
+    "record of 60 s on this machine, one thread."
 )
-
-COST_RECORDS = 12
-"""Number of timed records per number of targets."""
 
 
 def reproduce(request: Request) -> None:
@@ -55,16 +41,13 @@ def reproduce(request: Request) -> None:
     """
     with progress_bars() as progress:
         found = run_all(plan(request.runs), request.output / "records", progress)
-        box = ReadingsBox(request.output / "readings", progress)
-        bar = progress.add_task("timing and pictures", total=3)
-        seconds = growth_of_cost(ROW, seeds.take("tune", COST_RECORDS))
-        progress.advance(bar)
+        bar = progress.add_task("timing and pictures", total=2)
         seed = seeds.take("test", 1)[0]
         figures = {"figures2to4": draw_paper(seed), "offsets": draw_offsets(found)}
         progress.advance(bar)
         figures["trial"] = draw_trial(seed)
         progress.advance(bar)
-    found_out = findings(found, seconds, box)
+    found_out = findings(found)
     claims = fill(read_claims(request.claims or SHIPPED), found_out, COMMAND)
     tables = {
         "Contradictions of the paper": CONTRADICTIONS,
@@ -72,6 +55,5 @@ def reproduce(request: Request) -> None:
         "The sea trial's stand-in, and noise": trial_grid(found),
         "What the paper leaves open": assumptions_grid(PAPER_NAME),
         "Claims": claims_grid([claim for claim in claims if claim.paper == PAPER_NAME]),
-        **box_grids(claims, found_out),
     }
     publish(request, tables, claims, f", {request.runs} records of each condition", NOTE, figures)

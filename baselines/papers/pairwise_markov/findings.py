@@ -152,7 +152,7 @@ def findings(found: Found, seconds: Seconds, true: Array) -> list[Finding]:
         ),
         boxed(
             "pmm-quick-recovery",
-            f"PHD-PMM: {phd_spells:.1f} scans. A lost target waits for the next birth place or its own detections.",
+            f"PHD-PMM: {phd_spells:.1f} scans. Most errors of the number last one scan.",
         ),
         Finding(
             "pmm-cbmember-cheaper", (_step_difference(seconds, "CBMeMBer-PMM", "PHD-PMM"),),
