@@ -118,7 +118,7 @@ class Assumption:
     Attributes:
         paper: Name of the paper.
         name: Name, unique in the paper.
-        says: What the paper says, and what it does not.
+        says: Words of the paper about it, and what they leave open.
         values: Values that are run. A single one is not varied.
         shipped: Value of the reproduction's main tables.
         unit: Unit of the values; empty for names.

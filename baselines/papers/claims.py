@@ -130,7 +130,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Finding:
-    """What a reproduction found about one claim.
+    """Results of a reproduction about one claim.
 
     Attributes:
         id: Name of the claim.

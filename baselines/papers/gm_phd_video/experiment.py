@@ -61,7 +61,7 @@ class Progressing:
 
     Attributes:
         tracker: Tracker.
-        state: Its state; None before the first frame.
+        state: State of the tracker; None before the first frame.
         counts: Reported number in each frame.
         steps, boxes: Frames and boxes by identity.
         seconds: Duration of each step, s.

@@ -168,8 +168,18 @@ def findings(found: Found) -> list[Finding]:
         np.concatenate([condition[ROW].count_right[::SLOW_STRIDE] for condition in clear]),
         of_both(clear, CELL, lambda m: m.count_right),
     )
+    trial = {name: found[TRIAL][name] for name in (CELL, ROW)}
+    trial_kept = {name: wilson_interval(int(m.kept.sum()), max(int(m.crossings.sum()), 1)) for name, m in trial.items()}
     false = {name: of_both(clear, name, lambda m: m.false_tracks).mean() for name in (ROW, CELL)}
     return [
+        Finding(
+            "sonar-many-targets",
+            (effect_of(trial_kept[CELL], "of crossings", f"both tracks kept, {CELL}, sea trial's stand-in",
+                       len(trial[CELL].kept)),),
+            f"With the row's likelihood {_percent(trial_kept[ROW].value)} %, and the number of targets is right in "
+            f"{_percent(trial[ROW].count_right.mean())} % of the records instead of "
+            f"{_percent(trial[CELL].count_right.mean())} %.",
+        ),
         Finding(
             "sonar-integration",
             (effect_of(through, "of crossings", f"both tracks kept, {VITERBI}, offset 0 dB", int(crossings)),),

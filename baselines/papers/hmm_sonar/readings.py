@@ -39,13 +39,13 @@ Exclusion = Literal["uninformative", "weighted", "none"]
 
 PAPER_NAME = "hmm_sonar"
 AXES = ("emission", "exclusion", "number")
-TRIAL_AXES = ("emission",)
 TURN_AXES = ("emission", "turn")
 RECORDS = 18
-"""Records of each of the two variants where L is known; together they suffice for 100 % to be above 90 %."""
+"""Records of each of the two variants with the power itself and L known, which suffice for 100 % to be above 90 %."""
 FEW_RECORDS = 5
-"""Records of each variant where L is tested, which takes longer, without exclusion, and of faint targets."""
-TRIAL_RECORDS, TURN_RECORDS = 10, 10
+"""Records of each variant at all other points: enough where a reading fails."""
+TURN_RECORDS = 10
+"""Records of one turning target."""
 LEAST_LIKELIHOOD = 1e-12
 """Smallest likelihood of a cell that is weighted by 0."""
 
@@ -130,9 +130,8 @@ class ReadingsBox:
     def __init__(self, folder: Path, progress: Progress) -> None:
         self._folder = folder
         points, turning = box_points(PAPER_NAME, AXES), box_points(PAPER_NAME, TURN_AXES)
-        trials = box_points(PAPER_NAME, TRIAL_AXES)
         unexcluded = [{"emission": p["emission"], "exclusion": "none", "number": "known"} for p in points[::4]]
-        steps = 2 * len(points) + len(trials) + len(turning) + len(unexcluded)
+        steps = 2 * len(points) + len(turning) + len(unexcluded)
         self._bar = progress.add_task("readings", total=steps)
         self._progress = progress
         clear, faint = ([("rates", offset), ("cross30", offset)] for offset in (0.0, -20.0))
@@ -145,20 +144,13 @@ class ReadingsBox:
             for at in turning
         }  # fmt: skip
         self.faint = {self._key(at): self._simulated(at, faint) for at in points}
-        trial = sonar_config(variant="trial", fidelity="snapshots")
-        self.trial = {
-            self._key(at): self._scores(
-                {**at, "exclusion": "uninformative", "number": "known"}, trial, TRIAL_RECORDS, "trial"
-            )
-            for at in trials
-        }
 
     @staticmethod
     def _key(at: Mapping[str, Value]) -> tuple[Value, ...]:
         return tuple(at.values())
 
     def _simulated(self, at: Mapping[str, Value], variants: Sequence[tuple[str, float]]) -> list[RecordScores]:
-        many = at["number"] == "known" and at["exclusion"] != "none" and variants[0][1] == 0.0
+        many = (at["emission"], at["number"]) == ("power", "known") and at["exclusion"] != "none" and not variants[0][1]
         runs = RECORDS if many else FEW_RECORDS
         found = []
         for variant, offset in variants:
@@ -185,10 +177,6 @@ class ReadingsBox:
     def points(self, found: Mapping[tuple[Value, ...], Sequence[RecordScores]], effect: Any) -> tuple[Point, ...]:
         """Points of the readings with an effect computed from the scores of each."""
         return tuple(Point(at, (effect(found[self._key(at)]),)) for at in box_points(PAPER_NAME, AXES))
-
-    def trial_points(self, effect: Any) -> tuple[Point, ...]:
-        """Points of the sea trial's stand-in."""
-        return tuple(Point(at, (effect(self.trial[self._key(at)]),)) for at in box_points(PAPER_NAME, TRIAL_AXES))
 
     def turning_points(self, effect: Any) -> tuple[Point, ...]:
         """Points of the records with a turning target."""
