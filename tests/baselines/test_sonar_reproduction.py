@@ -9,7 +9,7 @@ import pytest
 
 from servotrack.baselines.agents.sonar.catalog import sonar_tracker
 from servotrack.baselines.papers.claims import fill, read_claims
-from servotrack.baselines.papers.hmm_sonar import experiment, readings
+from servotrack.baselines.papers.hmm_sonar import experiment, readings, readings_report
 from servotrack.baselines.papers.hmm_sonar.figures import draw_offsets
 from servotrack.baselines.papers.hmm_sonar.findings import (
     COMMAND,
@@ -143,15 +143,20 @@ def box(tmp_path_factory):
 
 def test_every_claim_of_the_paper_gets_a_verdict_and_every_table_its_rows(found, box):
     shipped = {claim.id for claim in read_claims() if claim.paper == "hmm_sonar" and claim.verdict != "not tested"}
-    seconds = {number: np.full(12, 0.1 * number) for number in (1, 2, 6)}
-    results = findings(found, seconds, box)
-    assert {finding.id for finding in results} == shipped
-    claims = {claim.id: claim for claim in fill(read_claims(), results, COMMAND)}
-    # Two records decide nothing about the shipped values, the box does about the readings.
+    seconds = {number: np.full(12, 0.1 * number) for number in (1, 3, 6)}
+    by_reading = readings_report.findings(box, seconds)
+    assert {finding.id for finding in [*by_reading, *findings(found)]} == shipped
+    claims = {claim.id: claim for claim in fill(read_claims(), by_reading, readings_report.COMMAND)}
     assert claims["sonar-automatic"].verdict == "depends"
     assert claims["sonar-automatic"].depends_on == ("number",)
-    assert claims["sonar-exclusion"].verdict == claims["sonar-turning"].verdict == "holds"
-    assert claims["sonar-cost"].verdict == "holds"
+    assert claims["sonar-exclusion"].verdict == claims["sonar-cost"].verdict == "holds"
+    # Ten records with a turning target suffice for the mean, ten crossings of ten do not for 90 %.
+    assert claims["sonar-turning"].verdict == "holds"
+    assert claims["sonar-crossing"].verdict == "open"
+    # One record decides nothing.
+    assert {claim.verdict for claim in fill(read_claims(), findings(found), COMMAND) if claim.command == COMMAND} == {
+        "open"
+    }
     grid = simulation_grid(found, "rates")
     assert len(grid.rows) == len(experiment.OFFSETS) * len(experiment.METHODS)
     assert len(trial_grid(found).rows) == len(experiment.METHODS)
