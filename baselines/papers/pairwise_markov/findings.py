@@ -15,6 +15,7 @@ from servotrack.baselines.papers.pairwise_markov.plan import (
     CLUTTER_RATES,
     DETECTION_PROBABILITIES,
     PAPER_RATE,
+    TEN_TARGET_SCANS,
     box_conditions,
     clutter_name,
     detection_name,
@@ -37,6 +38,7 @@ class Compared(NamedTuple):
     Attributes:
         models: OSPA under the PMM minus that under the HMM, of both filters, m.
         phd_number, cbmember_number: Extracted number minus ten, under both models, targets.
+        count_errors: Absolute error of the extracted number, CBMeMBer minus PHD, under both models, targets.
         filters: OSPA of CBMeMBer minus that of PHD, under both models, m.
         model_number: Extracted number under the PMM minus that under the HMM, of both filters, targets.
         pmb: OSPA of PMB-PMM minus that of each of the paper's filters, m.
@@ -46,6 +48,7 @@ class Compared(NamedTuple):
     models: tuple[Effect, ...]
     phd_number: tuple[Effect, ...]
     cbmember_number: tuple[Effect, ...]
+    count_errors: tuple[Effect, ...]
     filters: tuple[Effect, ...]
     model_number: tuple[Effect, ...]
     pmb: tuple[Effect, ...]
@@ -56,6 +59,7 @@ BOXED: Mapping[str, str] = {
     "pmm-beats-hmm": "models",
     "pmm-phd-underestimates": "phd_number",
     "pmm-cbmember-unbiased": "cbmember_number",
+    "pmm-cbmember-counts-better": "count_errors",
     "pmm-cbmember-beats-phd": "filters",
     "pmm-number-alike": "model_number",
     "pmm-pmb-beats-all-four": "pmb",
@@ -82,6 +86,14 @@ def compared(measures: Mapping[str, Measures], true: Array, where: str) -> Compa
         measured = f"extracted number - 10, {name}, last 20 scans, {where}"
         return mean_effect(excess(measures[name]), "targets", measured)
 
+    def count_error(model: str) -> Effect:
+        pair = [
+            np.abs(measures[f"{family}-{model}"].number[:, TEN_TARGET_SCANS] - 10.0).mean(axis=1)
+            for family in ("CBMeMBer", "PHD")
+        ]
+        measured = f"absolute error of the number, CBMeMBer-{model} - PHD-{model}, last 20 scans, {where}"
+        return paired_effect(pair[0], pair[1], "targets", measured)
+
     def alike(family: str) -> Effect:
         pair = excess(measures[f"{family}-PMM"]), excess(measures[f"{family}-HMM"])
         measured = f"extracted number, {family}-PMM - {family}-HMM, last 20 scans, {where}"
@@ -96,6 +108,7 @@ def compared(measures: Mapping[str, Measures], true: Array, where: str) -> Compa
         tuple(ospa(f"{family}-PMM", f"{family}-HMM") for family in ("PHD", "CBMeMBer")),
         tuple(number(f"PHD-{model}") for model in models),
         tuple(number(f"CBMeMBer-{model}") for model in models),
+        tuple(count_error(model) for model in models),
         tuple(ospa(f"CBMeMBer-{model}", f"PHD-{model}") for model in models),
         tuple(alike(family) for family in ("PHD", "CBMeMBer")),
         tuple(ospa("PMB-PMM", name) for name in PAPER_METHODS),
@@ -142,6 +155,10 @@ def findings(found: Found, seconds: Seconds, true: Array) -> list[Finding]:
             "pmm-cbmember-unbiased",
             "Structure: two misses in a row lose a target, for r_U = (1 - r) / (1 - r p_D) is small where r is large; "
             "the bias vanishes with the misses.",
+        ),
+        boxed(
+            "pmm-cbmember-counts-better",
+            "Both miss about the targets that a scan misses; which of them counts better follows from p_D.",
         ),
         boxed("pmm-cbmember-beats-phd", f"Structure S1, sigma_w 1.5, 100 runs each, PMM: {swept}."),
         boxed("pmm-number-alike", "Detections decide the number, not the noise model."),
