@@ -106,7 +106,12 @@ def findings(box: ReadingsBox, seconds: Mapping[int, Array]) -> list[Finding]:
             "with L known there is hardly a place for a false track.",
             automatic,
         ),
-        Finding("sonar-low-snr", faint[0].effects, "The tone 20 dB below the paper's signal-to-noise ratio.", faint),
+        Finding(
+            "sonar-low-snr", faint[0].effects,
+            "The tone 20 dB below the paper's ratio; with b = z it does not raise the evidence as far as the test of "
+            "existence asks for.",
+            faint,
+        ),
         Finding(
             "sonar-turning", turns[0].effects, "Structure: the chain's rate may change by 0.3 deg/s from row to row.",
             turns,
