@@ -47,6 +47,8 @@ SAMPLES = (50, 200, 800)
 ALWAYS, NEVER = 0.0, 1.0
 """Thresholds of the update that always and that never let it happen."""
 BOX_AXES = ("sigma_0", "alpha")
+BOX_SCENARIOS = ("occlusion", "light")
+"""Scenarios about which claims on the update are made; only there alpha is varied."""
 DEFORMED: Mapping[str, Any] = {"turning": 1.0, "tilt": 0.4}
 """Axes of films in which the head turns until the face is hidden and rolls: the paper's deformation."""
 
@@ -124,17 +126,21 @@ def plan(runs: int) -> list[tuple[int, int, tuple[str, ...]]]:
         runs: Films per scenario.
     """
     few = max(1, runs // 10)
-    fast = (*TRACKERS, *VARIANTS, *BOXED)
+    fast = (*TRACKERS, *VARIANTS)
     return [
-        (level, seed, (*fast, *SLOW_TRACKERS) if number < few else fast)
-        for level in range(len(PAPER_SCENARIOS))
+        (
+            level,
+            seed,
+            (*fast, *(BOXED if name in BOX_SCENARIOS else ()), *(SLOW_TRACKERS if number < few else ())),
+        )
+        for level, name in enumerate(PAPER_SCENARIOS)
         for number, seed in enumerate(scored_seeds(runs))
     ]
 
 
 def deformed_plan(runs: int) -> list[tuple[int, int, tuple[str, ...]]]:
     """Return the films with a deformed head, as `plan` does; they belong to `DEFORMED`."""
-    return [(0, seed, (PAPER, PLUS, MEAN_SHIFT, *BOXED)) for seed in scored_seeds(runs)]
+    return [(0, seed, (PAPER, PLUS, MEAN_SHIFT, *map(deviation_name, DEVIATIONS))) for seed in scored_seeds(runs)]
 
 
 def run_all(

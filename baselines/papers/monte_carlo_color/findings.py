@@ -127,6 +127,12 @@ def findings(found: Found, deformed: Mapping[str, Measures], steps: Mapping[str,
             for at in box_points(PAPER_NAME, BOX_AXES)
         )
 
+    def by_sigma(effect: Callable[..., Effect]) -> tuple[Point, ...]:
+        """Points over sigma_0 alone, whose effect is a function of the tracker."""
+        return tuple(
+            Point(at, (effect(deviation_name(float(at["sigma_0"]))),)) for at in box_points(PAPER_NAME, BOX_AXES[:1])
+        )
+
     def updates(scenario: str) -> str:
         shares = [aucs(found[scenario][name]).mean() for name in (PAPER, always, never)]
         return "AUC {:.3f} updating above the threshold, {:.3f} always, {:.3f} never".format(*shares)
@@ -136,8 +142,9 @@ def findings(found: Found, deformed: Mapping[str, Measures], steps: Mapping[str,
             measured = f"frames with an overlap above {TRACKED_OVERLAP:g}, {scenario}"
             return mean_effect(tracked(scenes[scenario][method]), "of frames", measured)
 
+        box = points if scenario == "light" else by_sigma
         rivals = ", ".join(f"{name} {tracked(scenes[scenario][name]).mean():.2f}" for name in (MEAN_SHIFT, PLUS))
-        return Finding(claim, (effect(PAPER),), f"{why} Others: {rivals}.", points(effect))
+        return Finding(claim, (effect(PAPER),), f"{why} Others: {rivals}.", box(effect))
 
     def in_scenario(claim: str, scenario: str, rival: str, finding: str) -> Finding:
         """Finding that the paper's tracker is better in a scenario than a rival, or than itself without the update."""
@@ -149,7 +156,8 @@ def findings(found: Found, deformed: Mapping[str, Measures], steps: Mapping[str,
             pair = aucs(found[scenario][method]), aucs(found[scenario][other])
             return better(*pair, f"{PAPER} - {shown.get(rival, rival)}, {scenario}")
 
-        return Finding(claim, (effect(PAPER, always, never),), finding, points(effect))
+        box = points if rival in rivals else by_sigma
+        return Finding(claim, (effect(PAPER, always, never),), finding, box(effect))
 
     def overall(method: str, *_: str) -> Effect:
         return better(over_scenarios(found, method), over_scenarios(found, MEAN_SHIFT), f"{PAPER} - {MEAN_SHIFT}, all")
@@ -183,7 +191,7 @@ def findings(found: Found, deformed: Mapping[str, Measures], steps: Mapping[str,
         Finding(
             "color-beats-mean-shift", (overall(PAPER),),
             "Structure: the mean shift's kernel trusts the box's middle, the plain histogram takes in its rim.",
-            points(overall),
+            by_sigma(overall),
         ),
         Finding(
             "color-no-resampling", (against(PAPER, PARTICLES),),
