@@ -21,9 +21,10 @@ from servotrack.baselines.agents.people.catalog import (
     phd_as_printed,
 )
 from servotrack.baselines.evaluation import seeds
+from servotrack.baselines.evaluation.statistics import wilson_interval
 from servotrack.baselines.papers import sequences
 from servotrack.baselines.papers.boxes import Effect, Point, Value, box_points
-from servotrack.baselines.papers.claims import mean_effect, paired_effect
+from servotrack.baselines.papers.claims import effect_of, mean_effect, paired_effect
 from servotrack.baselines.papers.gm_phd_video.events import KINDS, WINDOW, find_events, handled
 from servotrack.baselines.papers.gm_phd_video.experiment import Progressing, count_right
 from servotrack.baselines.papers.parts import Arrays, part, setting_of
@@ -257,7 +258,7 @@ def _rendered(seed: int) -> Arrays:
 
 
 def event_effects(good: Array, happened: Array) -> tuple[Effect, ...]:
-    """Share of the events of each kind that were handled, with an interval over sequences.
+    """Share of the events of each kind that were handled, with Wilson's interval over events.
 
     Args:
         good: Handled events by sequence and kind. Shape (sequences, 4).
@@ -265,9 +266,8 @@ def event_effects(good: Array, happened: Array) -> tuple[Effect, ...]:
     """
     effects = []
     for number, kind in enumerate(KINDS):
-        there = happened[:, number] > 0
-        shares = good[there, number] / happened[there, number]
-        effects.append(mean_effect(shares, "of events", kind))
+        interval = wilson_interval(int(good[:, number].sum()), max(int(happened[:, number].sum()), 1))
+        effects.append(effect_of(interval, "of events", kind, int((happened[:, number] > 0).sum()) or 1))
     return tuple(effects)
 
 

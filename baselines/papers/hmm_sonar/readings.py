@@ -233,12 +233,12 @@ def timely(tolerance: float) -> Callable[[Sequence[RecordScores]], Effect]:
     """Share of starts and ends found within a tolerance, rows."""
 
     def effect(scores: Sequence[RecordScores]) -> Effect:
-        shares = []
-        for one in scores:
-            there = one.present > 0
-            found = (np.abs(one.start) <= tolerance).astype(float) + (np.abs(one.end) <= tolerance)
-            shares.append(float(found[there].mean() / 2.0))
-        return mean_effect(shares, "of starts and ends", f"within {tolerance:g} s")
+        found = [
+            np.abs(ends[one.present > 0]) <= tolerance for one in scores for ends in (one.start, one.end)
+        ]  # fmt: skip
+        within = np.concatenate(found)
+        interval = wilson_interval(int(within.sum()), len(within))
+        return effect_of(interval, "of starts and ends", f"within {tolerance:g} s", len(scores))
 
     return effect
 
