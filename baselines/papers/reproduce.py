@@ -51,12 +51,26 @@ PAPERS: dict[str, Paper] = {
             50,
         ),
         Paper(
+            "hmm_sonar_readings",
+            "Jiang and Zhou 2016: readings of what the text leaves open",
+            "claims of hmm_sonar under every reading of its text",
+            f"{_ROOM}.hmm_sonar.readings_report:reproduce",
+            12,
+        ),
+        Paper(
             "pairwise_markov",
             "Zhang, Han, Lian and Zeng 2017: Cardinality balanced multi-target multi-Bernoulli filter for pairwise "
             "Markov model",
             "PHD and CBMeMBer filters under pairwise Markov models",
             f"{_ROOM}.pairwise_markov.report:reproduce",
             500,
+        ),
+        Paper(
+            "audit",
+            "Audit: what the papers claim, and what of it depends on what they leave open",
+            "summary of the claims file, without runs",
+            f"{_ROOM}.audit:reproduce",
+            1,
         ),
         Paper(
             "transfer",

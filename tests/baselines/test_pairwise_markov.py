@@ -11,13 +11,22 @@ import servotrack  # noqa: F401
 from servotrack.baselines.papers.claims import read_claims
 from servotrack.baselines.papers.pairwise_markov.experiment import (
     METHODS,
+    PAPER_METHODS,
     Condition,
+    Measures,
     draw_runs,
     run_condition,
     time_steps,
 )
-from servotrack.baselines.papers.pairwise_markov.findings import COMMAND
-from servotrack.baselines.papers.pairwise_markov.plan import all_conditions, excess, run_means, shares
+from servotrack.baselines.papers.pairwise_markov.findings import BOXED, PAPER_NAME, compared
+from servotrack.baselines.papers.pairwise_markov.plan import (
+    all_conditions,
+    box_conditions,
+    excess,
+    recovery,
+    run_means,
+    shares,
+)
 from servotrack.baselines.papers.pairwise_markov.runs import run_all
 from servotrack.baselines.reporting.files import ResultsError
 from servotrack.estimators.metrics import ospa
@@ -77,7 +86,9 @@ def test_conditions_have_names_of_their_own_and_known_methods() -> None:
     conditions = [condition for _, condition in all_conditions()]
     assert len({condition.name for condition in conditions}) == len(conditions)
     assert {name for condition in conditions for name in condition.methods} <= METHODS.keys()
-    assert shares(500) == {"all": 500, "part": 100, "few": 50}
+    assert shares(500) == {"all": 500, "part": 100, "few": 50, "box": 25}
+    # Structures without a covariance at the largest noise lack, all others are there at every p_D.
+    assert len(box_conditions()) == 4 * (3 * 2 + 3 * 3)
     assert min(shares(1).values()) >= 1
 
 
@@ -88,4 +99,26 @@ def test_steps_are_timed_without_the_run_that_compiles() -> None:
 
 
 def test_the_claims_are_on_the_list() -> None:
-    assert sum(claim.command == COMMAND for claim in read_claims()) == 9
+    tested = [claim for claim in read_claims() if claim.paper == PAPER_NAME and claim.verdict != "not tested"]
+    assert len(tested) == 11 and set(BOXED) < {claim.id for claim in tested}
+
+
+def test_recovery_is_the_mean_length_of_wrong_spells() -> None:
+    nothing = np.zeros((3, 6))
+    number = np.array([[2, 1, 1, 2, 3, 2], [2, 2, 2, 2, 2, 2], [1, 2, 2, 2, 2, 1]], float)
+    measures = Measures(*[nothing] * 4, number, nothing, np.zeros(3), np.zeros(3))
+    # Spells of two scans and of one; none; one at either end.
+    assert recovery(measures, np.full(6, 2.0)).tolist() == [1.5, 1.0]
+
+
+def test_effects_of_one_condition_are_those_of_the_claims() -> None:
+    condition = Condition("x", (*PAPER_METHODS, "PMB-PMM"), {})
+    seeds = list(range(100_000, 100_010))
+    found = run_condition(condition, seeds)
+    true = draw_runs(condition.config, seeds[:1])[0].exists[:-1].sum(axis=1)
+    effects = compared(found, true, "clutter 20")
+    assert set(BOXED.values()) == set(effects._fields)
+    assert all(effect.runs <= 10 for group in effects for effect in group)
+    expected = run_means(found["PHD-PMM"]) - run_means(found["PHD-HMM"])
+    assert effects.models[0].value == pytest.approx(expected.mean(), rel=1e-2)
+    assert all(effect.high < 0.0 for effect in effects.pmb)

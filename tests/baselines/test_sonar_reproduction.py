@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from servotrack.baselines.agents.sonar.catalog import sonar_tracker
-from servotrack.baselines.papers.claims import read_claims
-from servotrack.baselines.papers.hmm_sonar import experiment
+from servotrack.baselines.papers.claims import fill, read_claims
+from servotrack.baselines.papers.hmm_sonar import experiment, readings, readings_report
 from servotrack.baselines.papers.hmm_sonar.figures import draw_offsets
 from servotrack.baselines.papers.hmm_sonar.findings import (
     COMMAND,
@@ -20,9 +20,12 @@ from servotrack.baselines.papers.hmm_sonar.findings import (
     simulation_grid,
     trial_grid,
 )
-from servotrack.baselines.papers.hmm_sonar.scores import score_tracks
+from servotrack.baselines.papers.hmm_sonar.scores import RecordScores, score_tracks
 from servotrack.baselines.reporting.files import ResultsError
 from servotrack.baselines.reporting.terminal import progress_bars
+from servotrack.envs.track.sonar.array_model import scene_model_of
+from servotrack.envs.track.sonar.config import sonar_config
+from servotrack.envs.track.sonar.scene import draw_scene
 from servotrack.estimators.metrics import Track
 
 
@@ -120,15 +123,54 @@ def test_every_condition_is_measured_with_every_method(found):
     assert found[experiment.NOISE][experiment.ROW].present.sum() == 0
 
 
-def test_every_claim_of_the_paper_gets_a_verdict_and_every_table_its_rows(found):
-    shipped = {claim.id for claim in read_claims() if claim.paper == "hmm_sonar"}
-    claims = findings(found, {1: 0.1, 2: 0.15, 4: 0.3})
-    assert {claim.id for claim in claims} == shipped
-    assert all(claim.finding and claim.command == COMMAND for claim in claims)
+@pytest.fixture(scope="module")
+def box(tmp_path_factory):
+    """All readings, with invented scores: L known is perfect, L tested has two false tracks."""
+    perfect = RecordScores(
+        squared_error=np.zeros(2), tracked=np.array([39, 36]), present=np.array([39, 36]), start=np.zeros(2),
+        end=np.zeros(2), crossings=1, kept=1, swapped=0, false_tracks=0, count_right=1.0,
+    )  # fmt: skip
+
+    def scored(config, at, seed):
+        if at["exclusion"] == "none":
+            return perfect._replace(tracked=np.array([39, 0]))
+        return perfect if at["number"] == "known" else perfect._replace(false_tracks=2)
+
+    with pytest.MonkeyPatch.context() as patch, progress_bars() as progress:
+        patch.setattr(readings, "_scored", scored)
+        return readings.ReadingsBox(tmp_path_factory.mktemp("readings"), progress)
+
+
+def test_every_claim_of_the_paper_gets_a_verdict_and_every_table_its_rows(found, box):
+    shipped = {claim.id for claim in read_claims() if claim.paper == "hmm_sonar" and claim.verdict != "not tested"}
+    seconds = {number: np.full(12, 0.1 * number) for number in (1, 3, 6)}
+    by_reading = readings_report.findings(box, seconds)
+    assert {finding.id for finding in [*by_reading, *findings(found)]} == shipped
+    claims = {claim.id: claim for claim in fill(read_claims(), by_reading, readings_report.COMMAND)}
+    assert claims["sonar-automatic"].verdict == "depends"
+    assert claims["sonar-automatic"].depends_on == ("number",)
+    assert claims["sonar-exclusion"].verdict == claims["sonar-cost"].verdict == "holds"
+    # Ten records with a turning target suffice for the mean, ten crossings of ten do not for 90 %.
+    assert claims["sonar-turning"].verdict == "holds"
+    assert claims["sonar-crossing"].verdict == "open"
+    # One record decides nothing.
+    assert {claim.verdict for claim in fill(read_claims(), findings(found), COMMAND) if claim.command == COMMAND} == {
+        "open"
+    }
     grid = simulation_grid(found, "rates")
     assert len(grid.rows) == len(experiment.OFFSETS) * len(experiment.METHODS)
     assert len(trial_grid(found).rows) == len(experiment.METHODS)
     assert all(len(row) == len(CONTRADICTIONS.headings) for row in CONTRADICTIONS.rows)
+
+
+def test_the_power_itself_and_a_known_number_of_chains_keep_both_tracks_through_a_crossing():
+    config = sonar_config(variant="cross30")
+    scene = draw_scene(config, 100_000)
+    rows = experiment.draw_rows(config, scene, 100_000)[: config.horizon]
+    model = sonar_tracker("hmm-cell", scene_model_of(config))
+    tracks = readings.track(model, rows, readings.Reading("power", "uninformative", 2))
+    scores = score_tracks(scene.bearings[: config.horizon], scene.exists[: config.horizon], tracks)
+    assert (len(tracks), scores.kept, scores.false_tracks) == (2, 1, 0)
 
 
 def test_a_file_of_another_setting_is_refused(small, monkeypatch, tmp_path):

@@ -56,8 +56,16 @@ class Outcome:
 
 
 @dataclass
-class _Progress:
-    """Estimates of one method so far."""
+class Progressing:
+    """Estimates of one tracker so far.
+
+    Attributes:
+        tracker: Tracker.
+        state: State of the tracker; None before the first frame.
+        counts: Reported number in each frame.
+        steps, boxes: Frames and boxes by identity.
+        seconds: Duration of each step, s.
+    """
 
     tracker: BoxTracker
     state: Any = None
@@ -67,6 +75,7 @@ class _Progress:
     seconds: list[float] = field(default_factory=list)
 
     def take(self, frame: int, detections: Detections) -> None:
+        """Update with the detections of a frame."""
         begin = time.perf_counter()
         if self.state is None:
             self.state = self.tracker.initial(detections)
@@ -78,6 +87,7 @@ class _Progress:
             self.boxes.setdefault(label, []).append(box)
 
     def outcome(self, detection_seconds: float) -> Outcome:
+        """Return the result, with the detector's time per frame, s."""
         tracks = [Track(np.array(self.steps[label]), np.array(self.boxes[label])) for label in self.steps]
         # The median ignores the first calls, which compile, and short interruptions by other programs.
         return Outcome(np.array(self.counts), tracks, detection_seconds, float(np.median(self.seconds)))
@@ -108,7 +118,7 @@ def run_methods(
     detectors = {name: create_detector(name) for name in {method.detector for method in methods.values()}}
     states: dict[str, Any] = {}
     seconds: dict[str, list[float]] = {name: [] for name in detectors}
-    progress = {name: _Progress(create_tracker(method.tracker, size, frame_rate)) for name, method in methods.items()}
+    progress = {name: Progressing(create_tracker(method.tracker, size, frame_rate)) for name, method in methods.items()}
     number = -1
     for number, frame in enumerate(frames):
         found = {}

@@ -226,10 +226,10 @@ def _setting(condition: Condition) -> str:
 
 def growth_of_cost(
     method: str, seeds: Sequence[int], numbers: Sequence[int] = (1, 2, 3, 4, 5, 6), repetitions: int = 2
-) -> dict[int, float]:
-    """Return the processor time of tracking a record of 60 s by number of targets, s.
+) -> dict[int, Array]:
+    """Return the processor times of tracking a record of 60 s by number of targets, s.
 
-    It is the median over records of the smallest time over repetitions.
+    Each is the smallest over the repetitions, one per record. Shape (records,).
 
     Args:
         method: Name in `METHODS`.
@@ -254,5 +254,5 @@ def growth_of_cost(
                 follow(tracker, scene_model, rows)
                 times.append(time.thread_time() - begin)
             least.append(min(times))
-        found[number] = float(np.median(least))
+        found[number] = np.array(least)
     return found

@@ -1,4 +1,4 @@
-"""Tables of hmm_sonar, and verdicts on the paper's claims."""
+"""Tables of hmm_sonar, and findings about the paper's claims."""
 
 from __future__ import annotations
 
@@ -8,13 +8,9 @@ from typing import Any
 import numpy as np
 
 from servotrack.baselines.evaluation.statistics import (
-    Interval,
-    PairedDifference,
-    bootstrap_mean,
-    paired_difference,
     wilson_interval,
 )
-from servotrack.baselines.papers.claims import Claim, Verdict
+from servotrack.baselines.papers.claims import Finding, effect_of, paired_effect
 from servotrack.baselines.papers.hmm_sonar.experiment import (
     CELL,
     HUNGARIAN,
@@ -41,8 +37,6 @@ TONE, BROADBAND = 0, 1
 """Column numbers of the paper's targets."""
 TIME_TOLERANCE = 1.0
 """Largest error of a start or an end that counts as found, records of 1 s."""
-REQUIRED_SHARE = 0.9
-"""Smallest share of correct records or crossings for a claim to hold."""
 FAINT_OFFSET = -20
 """Offset of the signal-to-noise ratio at which faint targets are judged, dB."""
 
@@ -154,12 +148,11 @@ def trial_grid(found: Found) -> Grid:
     return Grid(headings, rows, 1)
 
 
-def findings(found: Found, seconds: Mapping[int, float]) -> list[Claim]:
-    """Return verdicts on the claims.
+def findings(found: Found) -> list[Finding]:
+    """Return the findings about the claims that the readings of the paper do not decide, see `readings`.
 
     Args:
         found: Measurements by condition and method.
-        seconds: Duration of tracking a record of 60 s by number of targets, s.
     """
     clear = [found[simulation(variant, 0)] for variant in SIMULATIONS]
     faint = [found[simulation(variant, FAINT_OFFSET)] for variant in SIMULATIONS]
@@ -167,88 +160,44 @@ def findings(found: Found, seconds: Mapping[int, float]) -> list[Claim]:
     def of_both(conditions: Sequence[Mapping[str, Measures]], method: str, value: Any) -> Array:
         return np.concatenate([value(condition[method]) for condition in conditions])
 
-    def through(method: str) -> Interval:
-        kept, crossings = (of_both(clear, method, lambda m, a=a: getattr(m, a)).sum() for a in ("kept", "crossings"))
-        return wilson_interval(int(kept), max(int(crossings), 1))
-
-    def clean(method: str, conditions: Sequence[Mapping[str, Measures]]) -> Interval:
-        false = of_both(conditions, method, lambda m: m.false_tracks)
-        return wilson_interval(int((false == 0).sum()), len(false))
-
-    crossing, timely = through(CELL), bootstrap_mean(of_both(clear, CELL, in_time))
-    automatic = clean(CELL, clear)
-    trial = {name: found[TRIAL][name] for name in (CELL, ROW)}
-    trial_kept = {name: wilson_interval(int(m.kept.sum()), max(int(m.crossings.sum()), 1)) for name, m in trial.items()}
-    weak = {name: bootstrap_mean(of_both(faint, name, lambda m: coverage(m, TONE))) for name in METHODS}
-    viterbi = through(VITERBI)
-    before = paired_difference(of_both(faint, ROW, coverage), of_both(faint, HUNGARIAN, coverage))
-    better = paired_difference(
+    kept, crossings = (of_both(clear, VITERBI, lambda m, a=a: getattr(m, a)).sum() for a in ("kept", "crossings"))
+    through = wilson_interval(int(kept), max(int(crossings), 1))
+    at_faint = f"offset {FAINT_OFFSET} dB"
+    weak = of_both(faint, VITERBI, lambda m: coverage(m, TONE)).mean()
+    number_right = (
         np.concatenate([condition[ROW].count_right[::SLOW_STRIDE] for condition in clear]),
         of_both(clear, CELL, lambda m: m.count_right),
     )
-    numbers = sorted(seconds)
-    growth = (seconds[numbers[-1]] - seconds[numbers[0]]) / (numbers[-1] - numbers[0]) / seconds[numbers[0]]
-    at_faint = f"offset {FAINT_OFFSET} dB"
+    trial = {name: found[TRIAL][name] for name in (CELL, ROW)}
+    trial_kept = {name: wilson_interval(int(m.kept.sum()), max(int(m.crossings.sum()), 1)) for name, m in trial.items()}
+    false = {name: of_both(clear, name, lambda m: m.false_tracks).mean() for name in (ROW, CELL)}
     return [
-        _claim(
-            "sonar-crossing", _verdict(crossing), crossing, "of runs", f"both tracks kept, {CELL}, offset 0 dB",
-            f"With the row's likelihood {_percent(through(ROW).value)} %. Structure: a cell cannot tell a target from "
-            "another one's skirt.",
-        ),
-        _claim(
-            "sonar-start-end", _verdict(timely), timely, "of starts and ends",
-            f"within {TIME_TOLERANCE:g} s, {CELL}, offset 0 dB",
-            f"With the row's likelihood {_percent(of_both(clear, ROW, in_time).mean())} %.",
-        ),
-        _claim(
-            "sonar-automatic", _verdict(automatic), automatic, "of runs", f"without a false track, {CELL}, offset 0 dB",
-            f"With the row's likelihood {_percent(clean(ROW, clear).value)} %; in an hour of noise "
-            f"{NOISE_RUNS * found[NOISE][CELL].false_tracks.mean():.0f} false tracks, with the row's "
-            f"{NOISE_RUNS * found[NOISE][ROW].false_tracks.mean():.0f}.",
-        ),
-        _claim(
-            "sonar-many-targets", _verdict(trial_kept[CELL]), trial_kept[CELL], "of crossings",
-            f"both tracks kept, {CELL}, sea trial's stand-in",
+        Finding(
+            "sonar-many-targets",
+            (effect_of(trial_kept[CELL], "of crossings", f"both tracks kept, {CELL}, sea trial's stand-in",
+                       len(trial[CELL].kept)),),
             f"With the row's likelihood {_percent(trial_kept[ROW].value)} %, and the number of targets is right in "
             f"{_percent(trial[ROW].count_right.mean())} % of the records instead of "
             f"{_percent(trial[CELL].count_right.mean())} %.",
         ),
-        _claim(
-            "sonar-low-snr", _verdict(weak[CELL]), weak[CELL], "of rows",
-            f"tone tracked, {CELL}, {at_faint}",
-            f"With {of_both(faint, CELL, lambda m: m.false_tracks).mean():.1f} false tracks a run. Others: "
-            + ", ".join(f"{name} {weak[name].value:.2f}" for name in METHODS if name != CELL) + ".",
+        Finding(
+            "sonar-integration",
+            (effect_of(through, "of crossings", f"both tracks kept, {VITERBI}, offset 0 dB", int(crossings)),),
+            f"At {at_faint} it tracks the tone in {_percent(weak)} % of the records: integration finds what is there. "
+            "Structure: the path of most power past a crossing is as good with the other target.",
         ),
-        _claim(
-            "sonar-integration", _verdict(viterbi), viterbi, "of runs", f"both tracks kept, {VITERBI}, offset 0 dB",
-            f"At {at_faint} it tracks the tone in {_percent(weak[VITERBI].value)} % of the records: integration finds "
-            "what is there. Structure: the path of most power past a crossing is as good with the other target.",
-        ),
-        _claim(
-            "sonar-track-before-detect", _better(before), before, "of rows",
-            f"targets tracked, {ROW} - {HUNGARIAN}, {at_faint}",
+        Finding(
+            "sonar-track-before-detect",
+            (paired_effect(of_both(faint, ROW, coverage), of_both(faint, HUNGARIAN, coverage), "of rows",
+                           f"targets tracked, {ROW} - {HUNGARIAN}, {at_faint}"),),
             "Information: a ridge that no single record shows is plain over ten of them.",
         ),
-        _claim(
-            "sonar-cost", "holds" if growth > 0.1 else "does not hold", None, "", "",
-            "60 s of record: " + ", ".join(f"{n} targets {1e3 * seconds[n]:.0f} ms" for n in numbers) + ".",
-        ),
-        _claim(
-            "sonar-row-beats-cell", _better(better), better, "of rows",
-            f"number of targets right, {ROW} - {CELL}, offset 0 dB",
-            f"False tracks a run {of_both(clear, ROW, lambda m: m.false_tracks).mean():.2f} against "
-            f"{of_both(clear, CELL, lambda m: m.false_tracks).mean():.2f}.",
+        Finding(
+            "sonar-row-beats-cell",
+            (paired_effect(*number_right, "of rows", f"number of targets right, {ROW} - {CELL}, offset 0 dB"),),
+            f"False tracks a run {false[ROW]:.2f} against {false[CELL]:.2f}.",
         ),
     ]  # fmt: skip
-
-
-def _verdict(share: Interval) -> Verdict:
-    """Verdict on a share of at least `REQUIRED_SHARE`; open if its interval contains that value."""
-    return "holds" if share.low >= REQUIRED_SHARE else "does not hold" if share.high < REQUIRED_SHARE else "open"
-
-
-def _better(difference: PairedDifference) -> Verdict:
-    return "holds" if difference.low > 0.0 else "does not hold" if difference.high < 0.0 else "no difference"
 
 
 def _share(part: Array, whole: Array) -> float:
@@ -261,13 +210,3 @@ def _percent(share: float) -> str:
 
 def _number(value: float) -> str:
     return "" if np.isnan(value) else f"{value:.2f}"
-
-
-def _claim(
-    claim: str, verdict: Verdict, effect: Interval | PairedDifference | None, unit: str, measured: str, finding: str
-) -> Claim:
-    shown: dict[str, Any] | None = None
-    if effect is not None:
-        value, low, high = (float(f"{end:.3g}") + 0.0 for end in effect[:3])
-        shown = {"value": value, "low": low, "high": high, "unit": unit, "measured": measured}
-    return Claim(claim, PAPER_NAME, "", "", verdict, shown, finding, COMMAND)

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from servotrack.baselines.evaluation import seeds
-from servotrack.baselines.papers.claims import SHIPPED, claims_grid, fill, read_claims
-from servotrack.baselines.papers.hmm_sonar.experiment import ROW, SIMULATIONS, growth_of_cost, plan, run_all
+from servotrack.baselines.papers.claims import (
+    SHIPPED,
+    assumptions_grid,
+    claims_grid,
+    fill,
+    read_claims,
+)
+from servotrack.baselines.papers.hmm_sonar.experiment import SIMULATIONS, plan, run_all
 from servotrack.baselines.papers.hmm_sonar.figures import draw_offsets, draw_paper, draw_trial
 from servotrack.baselines.papers.hmm_sonar.findings import (
     COMMAND,
     CONTRADICTIONS,
+    PAPER_NAME,
     findings,
     simulation_grid,
     trial_grid,
@@ -25,9 +32,6 @@ NOTE = (
     "record of 60 s on this machine, one thread."
 )
 
-COST_RECORDS = 9
-"""Number of timed records per number of targets."""
-
 
 def reproduce(request: Request) -> None:
     """Reproduce Jiang and Zhou 2016; errors as in `servotrack.baselines.papers.reproduce.reproduce_paper`.
@@ -37,19 +41,19 @@ def reproduce(request: Request) -> None:
     """
     with progress_bars() as progress:
         found = run_all(plan(request.runs), request.output / "records", progress)
-        bar = progress.add_task("timing and pictures", total=3)
-        seconds = growth_of_cost(ROW, seeds.take("tune", COST_RECORDS))
-        progress.advance(bar)
+        bar = progress.add_task("timing and pictures", total=2)
         seed = seeds.take("test", 1)[0]
         figures = {"figures2to4": draw_paper(seed), "offsets": draw_offsets(found)}
         progress.advance(bar)
         figures["trial"] = draw_trial(seed)
         progress.advance(bar)
-    claims = fill(read_claims(request.claims or SHIPPED), findings(found, seconds))
+    found_out = findings(found)
+    claims = fill(read_claims(request.claims or SHIPPED), found_out, COMMAND)
     tables = {
-        "What the paper leaves open": CONTRADICTIONS,
+        "Contradictions of the paper": CONTRADICTIONS,
         **{f"Simulation, variant {variant}": simulation_grid(found, variant) for variant in SIMULATIONS},
         "The sea trial's stand-in, and noise": trial_grid(found),
-        "Claims": claims_grid([claim for claim in claims if claim.command == COMMAND]),
+        "What the paper leaves open": assumptions_grid(PAPER_NAME),
+        "Claims": claims_grid([claim for claim in claims if claim.paper == PAPER_NAME]),
     }
     publish(request, tables, claims, f", {request.runs} records of each condition", NOTE, figures)

@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from rich.progress import Progress
 
-from servotrack.baselines.agents.color.catalog import color_tracker
+from servotrack.baselines.agents.color.catalog import ColorTracker, color_tracker
 from servotrack.baselines.evaluation import seeds
+from servotrack.baselines.papers.boxes import box_points
 from servotrack.baselines.papers.parts import Arrays, PartTask, compute_parts, read_part, setting_of
 from servotrack.baselines.tuning.color_films import film, track
 from servotrack.envs.track.color.config import PAPER_SCENARIOS
+from servotrack.estimators.color import BoxEstimate, KernelMeanShift
+from servotrack.estimators.color.contract import checked_frame
+from servotrack.estimators.color.mean_shift import MeanShiftState
 from servotrack.estimators.types import Array
 
 Method = tuple[str, Mapping[str, Any]]
 
 PAPER, PLUS, PARTICLES, MEAN_SHIFT = "Monte Carlo", "Monte Carlo plus", "particle filter", "kernel mean shift"
 HUES = "OpenCV meanShift"
+ONE_SCALE = "one scale"
 TRACKERS: dict[str, Method] = {
     PAPER: ("monte-carlo-color", {}),
     PLUS: ("monte-carlo-color-plus", {}),
@@ -35,6 +42,13 @@ SLOW_TRACKERS: dict[str, Method] = {MIL: ("mil", {})}
 DEVIATIONS = (0.02, 0.05, 0.1, 0.2, 0.4)
 THRESHOLDS = (0.0, 0.8, 0.9, 0.95, 0.98, 1.0)
 SAMPLES = (50, 200, 800)
+ALWAYS, NEVER = 0.0, 1.0
+"""Thresholds of the update that always and that never let it happen."""
+BOX_AXES = ("sigma_0", "alpha")
+BOX_SCENARIOS = ("occlusion", "light")
+"""Scenarios about which claims on the update are made; only there alpha is varied."""
+DEFORMED: Mapping[str, Any] = {"turning": 1.0, "tilt": 0.4}
+"""Axes of films in which the head turns until the face is hidden and rolls: the paper's deformation."""
 
 
 def deviation_name(value: float) -> str:
@@ -52,13 +66,36 @@ def samples_name(value: int) -> str:
     return f"n = {value}"
 
 
+def box_name(at: Mapping[str, Any], threshold: float = 0.9) -> str:
+    """Return the name of the paper's tracker at a point of the box of open assumptions.
+
+    Args:
+        at: Values of `BOX_AXES`.
+        threshold: Threshold of the update. A tracker that never updates has no alpha.
+    """
+    return (
+        f"sigma_0 {at['sigma_0']:g}, alpha {'any' if threshold == NEVER else format(at['alpha'], 'g')}, {threshold:g}"
+    )
+
+
+def _boxed() -> dict[str, Method]:
+    """Return the paper's tracker at all points of the box, and what always and what never updates there."""
+    found: dict[str, Method] = {}
+    for at in box_points("monte_carlo_color", BOX_AXES):
+        for threshold in (0.9, ALWAYS, NEVER):
+            setting = {"distance_deviation": at["sigma_0"], "update_rate": at["alpha"], "update_threshold": threshold}
+            found[box_name(at, threshold)] = ("monte-carlo-color", setting)
+    return found
+
+
 VARIANTS: dict[str, Method] = {
     **{deviation_name(v): ("monte-carlo-color", {"distance_deviation": v}) for v in DEVIATIONS},
     **{threshold_name(v): ("monte-carlo-color", {"update_threshold": v}) for v in THRESHOLDS},
     **{samples_name(v): ("monte-carlo-color", {"samples": v}) for v in SAMPLES},
 }
 """Variants of the paper's tracker with one value changed."""
-METHODS: dict[str, Method] = {**TRACKERS, **SLOW_TRACKERS, **VARIANTS}
+BOXED: dict[str, Method] = _boxed()
+METHODS: dict[str, Method] = {**TRACKERS, **SLOW_TRACKERS, **VARIANTS, **BOXED}
 
 
 class Measures(NamedTuple):
@@ -89,10 +126,19 @@ def plan(runs: int) -> list[tuple[int, int, tuple[str, ...]]]:
     few = max(1, runs // 10)
     fast = (*TRACKERS, *VARIANTS)
     return [
-        (level, seed, (*fast, *SLOW_TRACKERS) if number < few else fast)
-        for level in range(len(PAPER_SCENARIOS))
+        (
+            level,
+            seed,
+            (*fast, *(BOXED if name in BOX_SCENARIOS else ()), *(SLOW_TRACKERS if number < few else ())),
+        )
+        for level, name in enumerate(PAPER_SCENARIOS)
         for number, seed in enumerate(scored_seeds(runs))
     ]
+
+
+def deformed_plan(runs: int) -> list[tuple[int, int, tuple[str, ...]]]:
+    """Return the films with a deformed head, as `plan` does; they belong to `DEFORMED`."""
+    return [(0, seed, (PAPER, PLUS, MEAN_SHIFT, *map(deviation_name, DEVIATIONS))) for seed in scored_seeds(runs)]
 
 
 def run_all(
@@ -162,6 +208,48 @@ def median_steps(names: Sequence[str], seed: int, repetitions: int = 8) -> dict[
     finally:
         cv2.setNumThreads(threads)
     return found
+
+
+@dataclass(frozen=True)
+class OneScale(KernelMeanShift):
+    """Kernel mean shift that keeps the scale: one search per frame instead of three."""
+
+    def step(self, state: MeanShiftState, frame: ArrayLike) -> tuple[MeanShiftState, BoxEstimate]:
+        """Search from the last position at the last scale; arguments as in `KernelMeanShift.step`."""
+        last = state.pose
+        center, similarity = self._climb(checked_frame(frame, last.shape), state, last.scale)
+        pose = last._replace(center=last.within(center))
+        return state._replace(pose=pose), BoxEstimate(pose.box, similarity)
+
+
+def film_steps(seeds_of_films: Sequence[int], repetitions: int = 3) -> dict[str, Array]:
+    """Return the median duration of a step on each film, least over several passes, on one thread, s.
+
+    Args:
+        seeds_of_films: Seeds of the films.
+        repetitions: Passes over each film.
+
+    Returns:
+        Durations of the paper's tracker, the particle filter, and the kernel mean shift with and without ("one scale")
+        search for the scale. Shape (films,) each.
+    """
+    import cv2
+
+    trackers: dict[str, ColorTracker] = {
+        name: color_tracker(METHODS[name][0], **METHODS[name][1]) for name in (PAPER, PARTICLES, MEAN_SHIFT)
+    }
+    trackers[ONE_SCALE] = OneScale()
+    found: dict[str, list[float]] = {name: [] for name in trackers}
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        for seed in seeds_of_films:
+            seen = film(seed, horizon=60)
+            for name, tracker in trackers.items():
+                found[name].append(min(float(np.median(track(tracker, seen).seconds)) for _ in range(repetitions)))
+    finally:
+        cv2.setNumThreads(threads)
+    return {name: np.array(values) for name, values in found.items()}
 
 
 def _run(level: int, seed: int, methods: Sequence[str], world: Mapping[str, Any]) -> Arrays:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from servotrack.baselines.evaluation.statistics import Interval, PairedDifference, bootstrap_mean, paired_difference
-from servotrack.baselines.papers.claims import Claim, Verdict, judge_smaller
+from servotrack.baselines.evaluation.statistics import bootstrap_mean
+from servotrack.baselines.papers.boxes import Effect, Point, box_points
+from servotrack.baselines.papers.claims import Finding, mean_effect, paired_effect, ratio_effect
 from servotrack.baselines.papers.monte_carlo_color.experiment import (
+    ALWAYS,
+    BOX_AXES,
     DEVIATIONS,
     HUES,
     MEAN_SHIFT,
+    NEVER,
+    ONE_SCALE,
     PAPER,
     PARTICLES,
     PLUS,
@@ -21,6 +25,7 @@ from servotrack.baselines.papers.monte_carlo_color.experiment import (
     THRESHOLDS,
     TRACKERS,
     Measures,
+    box_name,
     deviation_name,
     samples_name,
     threshold_name,
@@ -34,12 +39,8 @@ Found = Mapping[str, Mapping[str, Measures]]
 
 PAPER_NAME = "monte_carlo_color"
 COMMAND = f"servotrack reproduce {PAPER_NAME}"
-FRAME_RATE = 25.0
-"""Frame rate of the paper's video, which it calls real time, 1/s."""
 TRACKED_OVERLAP = 0.5
 """Smallest overlap of a tracked frame."""
-TRACKED_SHARE = 0.5
-"""Smallest share of tracked frames for "the tracker masters a scenario"."""
 
 
 def aucs(measures: Measures) -> Array:
@@ -105,122 +106,131 @@ def end_sizes(found: Found, method: str) -> Array:
     return np.concatenate([size[:, -max(1, size.shape[1] // 5) :].mean(axis=1) for size in sizes])
 
 
-def findings(found: Found, seconds: Mapping[str, float]) -> list[Claim]:
-    """Return verdicts on the claims.
+def findings(found: Found, deformed: Mapping[str, Measures], steps: Mapping[str, Array]) -> list[Finding]:
+    """Return the findings about the claims.
 
     Args:
         found: Measurements by scenario and method.
-        seconds: Median duration of a step by tracker, s.
+        deformed: Measurements by method on films with a deformed head.
+        steps: Durations of a step by method and film, see `film_steps`.
     """
-    always, never = threshold_name(0.0), threshold_name(1.0)
+    always, never = threshold_name(ALWAYS), threshold_name(NEVER)
+    scenes = {**found, "deformation": deformed}
 
-    def better(first: Array, second: Array) -> tuple[Verdict, PairedDifference]:
-        difference = paired_difference(first, second)
-        return judge_smaller(paired_difference(-first, -second)), difference
+    def better(first: Array, second: Array, measured: str) -> Effect:
+        return paired_effect(first, second, "AUC", f"AUC, {measured}")
 
-    def in_scenario(scenario: str, first: str, second: str) -> tuple[Verdict, PairedDifference]:
-        return better(aucs(found[scenario][first]), aucs(found[scenario][second]))
+    def points(effect: Callable[[str, str, str], Effect]) -> tuple[Point, ...]:
+        """Points whose effect is a function of the tracker, and of those that always and that never update."""
+        return tuple(
+            Point(at, (effect(box_name(at), box_name(at, ALWAYS), box_name(at, NEVER)),))
+            for at in box_points(PAPER_NAME, BOX_AXES)
+        )
+
+    def by_sigma(effect: Callable[..., Effect]) -> tuple[Point, ...]:
+        """Points over sigma_0 alone, whose effect is a function of the tracker."""
+        return tuple(
+            Point(at, (effect(deviation_name(float(at["sigma_0"]))),)) for at in box_points(PAPER_NAME, BOX_AXES[:1])
+        )
 
     def updates(scenario: str) -> str:
         shares = [aucs(found[scenario][name]).mean() for name in (PAPER, always, never)]
         return "AUC {:.3f} updating above the threshold, {:.3f} always, {:.3f} never".format(*shares)
 
-    def masters(claim: str, scenario: str, why: str) -> Claim:
-        share = bootstrap_mean(tracked(found[scenario][PAPER]))
-        verdict: Verdict = (
-            "holds" if share.low > TRACKED_SHARE else "does not hold" if share.high < TRACKED_SHARE else "open"
-        )
-        rivals = ", ".join(
-            f"{name} {bootstrap_mean(tracked(found[scenario][name])).value:.2f}" for name in (MEAN_SHIFT, PLUS)
-        )
-        measured = f"share of frames with an overlap above {TRACKED_OVERLAP:g}, {PAPER}, {scenario}"
-        return _claim(claim, verdict, share, "of frames", measured, f"{why} Others: {rivals}.")
+    def masters(claim: str, scenario: str, why: str) -> Finding:
+        def effect(method: str, *_: str) -> Effect:
+            measured = f"frames with an overlap above {TRACKED_OVERLAP:g}, {scenario}"
+            return mean_effect(tracked(scenes[scenario][method]), "of frames", measured)
 
-    scale, scale_gain = in_scenario("scale", PAPER, MEAN_SHIFT)
-    alone, alone_gain = better(over_scenarios(found, PAPER), over_scenarios(found, PARTICLES))
-    general, general_gain = better(over_scenarios(found, PAPER), over_scenarios(found, MEAN_SHIFT))
-    light, light_gain = in_scenario("light", PAPER, never)
-    gate, gate_gain = in_scenario("occlusion", PAPER, always)
-    plus = {
-        rival: better(over_scenarios(found, PLUS), over_scenarios(found, rival))
-        for rival in (MEAN_SHIFT, PARTICLES, HUES)
-    }
-    rate = 1.0 / seconds[PAPER]
-    wide, narrow = end_sizes(found, deviation_name(DEVIATIONS[-1])), end_sizes(found, PAPER)
-    collapse = paired_difference(wide, narrow)
-    many = paired_difference(over_scenarios(found, samples_name(800)), over_scenarios(found, samples_name(200)))
-    auc = "AUC, {} - {}, {}"
+        box = points if scenario == "light" else by_sigma
+        rivals = ", ".join(f"{name} {tracked(scenes[scenario][name]).mean():.2f}" for name in (MEAN_SHIFT, PLUS))
+        return Finding(claim, (effect(PAPER),), f"{why} Others: {rivals}.", box(effect))
+
+    def in_scenario(claim: str, scenario: str, rival: str, finding: str) -> Finding:
+        """Finding that the paper's tracker is better in a scenario than a rival, or than itself without the update."""
+        rivals = {always: 0, never: 1}
+        shown = {always: "always updating", never: "never updating"}
+
+        def effect(method: str, *others: str) -> Effect:
+            other = others[rivals[rival]] if rival in rivals else rival
+            pair = aucs(found[scenario][method]), aucs(found[scenario][other])
+            return better(*pair, f"{PAPER} - {shown.get(rival, rival)}, {scenario}")
+
+        box = points if rival in rivals else by_sigma
+        return Finding(claim, (effect(PAPER, always, never),), finding, box(effect))
+
+    def overall(method: str, *_: str) -> Effect:
+        return better(over_scenarios(found, method), over_scenarios(found, MEAN_SHIFT), f"{PAPER} - {MEAN_SHIFT}, all")
+
+    def against(first: str, second: str) -> Effect:
+        return better(over_scenarios(found, first), over_scenarios(found, second), f"{first} - {second}, all scenarios")
+
+    def times(first: str, second: str) -> Effect:
+        return ratio_effect(steps[first], steps[second], f"median step, {first} / {second}")
+
+    rates = 1.0 / steps[PAPER]
+    sizes = end_sizes(found, deviation_name(DEVIATIONS[-1])), end_sizes(found, PAPER)
+    light = [aucs(found["light"][name]).mean() for name in (deviation_name(v) for v in DEVIATIONS)]
     return [
         masters("color-irregular", "irregular", "Candidates about the last place need no motion model."),
         masters("color-occlusion", "occlusion", "A box's mean candidate is drawn to whatever passes."),
         masters("color-distractor", "distractor", "Most candidates lie near the target."),
         masters("color-scale", "scale", "Scales are drawn as places are."),
-        masters("color-light", "light", "Bins are absolute colors: light moves pixels from bin to bin."),
+        masters(
+            "color-light", "light",
+            "Bins are absolute colors: light moves pixels from bin to bin; a wide sigma_0 forgives that "
+            f"(AUC {light[0]:.2f} to {max(light):.2f} over sigma_0).",
+        ),
+        masters("color-deformation", "deformation", "A histogram does not know where in the box a color is."),
         masters("color-pan-zoom", "pan_zoom", "Candidates lie in the frame: a panning camera is motion of the target."),
-        _claim(
-            "color-scale-beats-mean-shift", scale, scale_gain, "AUC", auc.format(PAPER, MEAN_SHIFT, "scale"),
+        in_scenario(
+            "color-scale-beats-mean-shift", "scale", MEAN_SHIFT,
             f"Sizes are followed alike, off by {size_error(found['scale'][PAPER]):.0%} where the target is held, the "
-            f"mean shift's by {size_error(found['scale'][MEAN_SHIFT]):.0%}; without changes of scale (irregular) the "
-            f"difference is {in_scenario('irregular', PAPER, MEAN_SHIFT)[1].value:+.3f}.",
+            f"mean shift's by {size_error(found['scale'][MEAN_SHIFT]):.0%}.",
         ),
-        _claim(
-            "color-beats-mean-shift", general, general_gain, "AUC", auc.format(PAPER, MEAN_SHIFT, "all scenarios"),
+        Finding(
+            "color-beats-mean-shift", (overall(PAPER),),
             "Structure: the mean shift's kernel trusts the box's middle, the plain histogram takes in its rim.",
+            by_sigma(overall),
         ),
-        _claim(
-            "color-no-resampling", "holds" if alone_gain.low > -NEGLIGIBLE_AUC else alone, alone_gain, "AUC",
-            auc.format(PAPER, PARTICLES, "all scenarios"),
+        Finding(
+            "color-no-resampling", (against(PAPER, PARTICLES),),
             "A new draw about the mean does as resampling does; steps take "
-            f"{1e3 * seconds[PAPER]:.2f} ms against {1e3 * seconds[PARTICLES]:.2f} ms.",
+            f"{1e3 * np.median(steps[PAPER]):.2f} ms against {1e3 * np.median(steps[PARTICLES]):.2f} ms.",
         ),
-        _claim(
-            "color-update-light", light, light_gain, "AUC", auc.format(PAPER, "never updating", "light"),
+        in_scenario(
+            "color-update-light", "light", never,
             f"{updates('light')}: what changes fast falls below the threshold and is not learned.",
         ),
-        _claim(
-            "color-update-gate", gate, gate_gain, "AUC", auc.format(PAPER, "always updating", "occlusion"),
+        in_scenario(
+            "color-update-gate", "occlusion", always,
             f"{updates('occlusion')}: the reference stays right, but the box is already elsewhere.",
         ),
-        _claim(
-            "color-real-time", "holds" if rate > FRAME_RATE else "does not hold", None, "", "",
-            f"{rate:.0f} frames/s with 200 samples at 300 x 245, the median step on one core.",
+        Finding(
+            "color-mean-shift-scale-cost", (times(MEAN_SHIFT, ONE_SCALE),),
+            "Structure: it searches at three scales instead of one.",
         ),
-        _claim(
-            "color-plus-beats-both",
-            "holds" if all(verdict == "holds" for verdict, _ in plus.values()) else plus[MEAN_SHIFT][0],
-            plus[MEAN_SHIFT][1], "AUC", auc.format(PLUS, MEAN_SHIFT, "all scenarios"),
-            "Information: gradients and places of colors, and what the background looks like. Against the particle "
-            f"filter {plus[PARTICLES][1].value:+.3f}, against OpenCV's meanShift {plus[HUES][1].value:+.3f}.",
+        Finding(
+            "color-real-time",
+            (mean_effect(rates, "frames/s", "200 samples at 300 x 245, one core"),),
+            "The paper's processor is one of 2006.",
         ),
-        _claim(
-            "color-wide-sigma-collapses", judge_smaller(collapse), collapse, "of the true size",
-            f"size of the box at the end, sigma_0 = {DEVIATIONS[-1]:g} - the chosen one, all scenarios",
-            f"Size {wide.mean():.2f} with the wide one, {narrow.mean():.2f} with the narrow one: where all candidates "
-            "weigh alike, the estimate hardly moves in place or scale.",
+        Finding(
+            "color-plus-beats-both", tuple(against(PLUS, rival) for rival in (MEAN_SHIFT, PARTICLES, HUES)),
+            "Information: gradients and places of colors, and what the background looks like.",
         ),
-        _claim(
-            "color-samples-saturate", "holds" if abs(many.value) < EQUAL_AUC_TOLERANCE else "does not hold", many,
-            "AUC",
-            "AUC, 800 - 200 samples, all scenarios",
-            f"Alike means within {EQUAL_AUC_TOLERANCE:g}: more samples do not repair what the histogram cannot tell.",
+        Finding(
+            "color-wide-sigma-collapses",
+            (paired_effect(*sizes, "of the true size",
+                           f"size of the box at the end, sigma_0 = {DEVIATIONS[-1]:g} - the chosen one"),),
+            f"Size {sizes[0].mean():.2f} with the wide one, {sizes[1].mean():.2f} with the narrow one: where all "
+            "candidates weigh alike, the estimate hardly moves in place or scale.",
+        ),
+        Finding(
+            "color-samples-saturate", (against(samples_name(800), samples_name(200)),),
+            "More samples do not repair what the histogram cannot tell.",
         ),
     ]  # fmt: skip
-
-
-NEGLIGIBLE_AUC = 0.01
-"""Loss of AUC that counts as none."""
-EQUAL_AUC_TOLERANCE = 0.03
-"""Largest difference of AUCs that count as equal."""
-
-
-def _claim(
-    claim: str, verdict: Verdict, effect: Interval | PairedDifference | None, unit: str, measured: str, finding: str
-) -> Claim:
-    shown: dict[str, Any] | None = None
-    if effect is not None:
-        value, low, high = (float(f"{end:.3g}") + 0.0 for end in effect[:3])
-        shown = {"value": value, "low": low, "high": high, "unit": unit, "measured": measured}
-    return Claim(claim, PAPER_NAME, "", "", verdict, shown, finding, COMMAND)
 
 
 def _interval(interval: Sequence[float]) -> str:

@@ -1,144 +1,222 @@
-"""Verdicts on the claims of pairwise_markov, and on one of gm_phd_video, from the runs."""
+"""Findings about the claims of pairwise_markov, and about one of gm_phd_video, from the runs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from servotrack.baselines.evaluation.statistics import PairedDifference, paired_difference
-from servotrack.baselines.papers.claims import Claim, Verdict, judge_smaller
+from servotrack.baselines.papers.boxes import Effect, Point
+from servotrack.baselines.papers.claims import Finding, mean_effect, paired_effect, ratio_effect
 from servotrack.baselines.papers.pairwise_markov.experiment import PAPER_METHODS, Measures
 from servotrack.baselines.papers.pairwise_markov.plan import (
     CLUTTER_RATES,
     DETECTION_PROBABILITIES,
     PAPER_RATE,
+    TEN_TARGET_SCANS,
+    box_conditions,
     clutter_name,
     detection_name,
     excess,
+    recovery,
     run_means,
 )
 from servotrack.estimators.types import Array
 
 PAPER_NAME = "pairwise_markov"
 COMMAND = f"servotrack reproduce {PAPER_NAME}"
-EQUAL_NUMBER_TOLERANCE = 0.05
-"""Largest difference of mean numbers of targets that count as equal."""
+
+Found = Mapping[str, Mapping[str, Measures]]
+Seconds = Mapping[tuple[str, float], Array]
 
 
-def findings(found: Mapping[str, Mapping[str, Measures]], seconds: Mapping[tuple[str, float], Array]) -> list[Claim]:
-    """Return verdicts on the claims.
+class Compared(NamedTuple):
+    """Effects of one condition about which the paper claims something.
+
+    Attributes:
+        models: OSPA under the PMM minus that under the HMM, of both filters, m.
+        phd_number, cbmember_number: Extracted number minus ten, under both models, targets.
+        count_errors: Absolute error of the extracted number, CBMeMBer minus PHD, under both models, targets.
+        filters: OSPA of CBMeMBer minus that of PHD, under both models, m.
+        model_number: Extracted number under the PMM minus that under the HMM, of both filters, targets.
+        pmb: OSPA of PMB-PMM minus that of each of the paper's filters, m.
+        recovery: Scans in a row with a wrong number, CBMeMBer under both models.
+    """
+
+    models: tuple[Effect, ...]
+    phd_number: tuple[Effect, ...]
+    cbmember_number: tuple[Effect, ...]
+    count_errors: tuple[Effect, ...]
+    filters: tuple[Effect, ...]
+    model_number: tuple[Effect, ...]
+    pmb: tuple[Effect, ...]
+    recovery: tuple[Effect, ...]
+
+
+BOXED: Mapping[str, str] = {
+    "pmm-beats-hmm": "models",
+    "pmm-phd-underestimates": "phd_number",
+    "pmm-cbmember-unbiased": "cbmember_number",
+    "pmm-cbmember-counts-better": "count_errors",
+    "pmm-cbmember-beats-phd": "filters",
+    "pmm-number-alike": "model_number",
+    "pmm-pmb-beats-all-four": "pmb",
+    "pmm-quick-recovery": "recovery",
+}
+"""Claims that are judged at every point of the box, with the effects that decide."""
+
+
+def compared(measures: Mapping[str, Measures], true: Array, where: str) -> Compared:
+    """Return the effects of one condition.
+
+    Args:
+        measures: Measurements by method.
+        true: True number of targets in each scan, shape (T,).
+        where: Condition in words.
+    """
+    models = ("PMM", "HMM")
+
+    def ospa(first: str, second: str) -> Effect:
+        values = run_means(measures[first]), run_means(measures[second])
+        return paired_effect(*values, "m", f"OSPA, {first} - {second}, {where}")
+
+    def number(name: str) -> Effect:
+        measured = f"extracted number - 10, {name}, last 20 scans, {where}"
+        return mean_effect(excess(measures[name]), "targets", measured)
+
+    def count_error(model: str) -> Effect:
+        pair = [
+            np.abs(measures[f"{family}-{model}"].number[:, TEN_TARGET_SCANS] - 10.0).mean(axis=1)
+            for family in ("CBMeMBer", "PHD")
+        ]
+        measured = f"absolute error of the number, CBMeMBer-{model} - PHD-{model}, last 20 scans, {where}"
+        return paired_effect(pair[0], pair[1], "targets", measured)
+
+    def alike(family: str) -> Effect:
+        pair = excess(measures[f"{family}-PMM"]), excess(measures[f"{family}-HMM"])
+        measured = f"extracted number, {family}-PMM - {family}-HMM, last 20 scans, {where}"
+        return paired_effect(*pair, "targets", measured)
+
+    def wrong(name: str) -> Effect:
+        spells = recovery(measures[name], true)
+        measured = f"scans in a row with a wrong number, {name}, {where}"
+        return mean_effect(spells if len(spells) else np.zeros(1), "scans", measured)
+
+    return Compared(
+        tuple(ospa(f"{family}-PMM", f"{family}-HMM") for family in ("PHD", "CBMeMBer")),
+        tuple(number(f"PHD-{model}") for model in models),
+        tuple(number(f"CBMeMBer-{model}") for model in models),
+        tuple(count_error(model) for model in models),
+        tuple(ospa(f"CBMeMBer-{model}", f"PHD-{model}") for model in models),
+        tuple(alike(family) for family in ("PHD", "CBMeMBer")),
+        tuple(ospa("PMB-PMM", name) for name in PAPER_METHODS),
+        tuple(wrong(f"CBMeMBer-{model}") for model in models),
+    )
+
+
+def findings(found: Found, seconds: Seconds, true: Array) -> list[Finding]:
+    """Return the findings about the claims.
 
     Args:
         found: Measurements by condition and method.
         seconds: Median durations of a step in each timed run, by method and clutter rate, s.
+        true: True number of targets in each scan, shape (T,).
     """
     paper = found[clutter_name(PAPER_RATE)]
-    sweep = {p: found[detection_name(p)] for p in DETECTION_PROBABILITIES}
-
-    def difference(measures: Mapping[str, Measures], first: str, second: str) -> PairedDifference:
-        return paired_difference(run_means(measures[first]), run_means(measures[second]))
-
-    def gains(family: str) -> list[PairedDifference]:
-        pair = f"{family}-PMM", f"{family}-HMM"
-        return [difference(found[clutter_name(rate)], *pair) for rate in CLUTTER_RATES]
-
-    every = [gain for family in ("PHD", "CBMeMBer") for gain in gains(family)]
-    phd, own = paper["PHD-PMM"], excess(paper["PHD-PMM"], "expected")
+    main = compared(paper, true, "clutter 20")
+    rates = [compared(found[clutter_name(rate)], true, f"clutter {rate:g}").models for rate in CLUTTER_RATES]
+    box = [(at, compared(found[condition.name], true, "")) for at, condition in box_conditions()]
+    own = excess(paper["PHD-PMM"], "expected")
     summed = excess(found["extraction"]["PHD-PMM sum"])
-    under = _against_zero(excess(phd))
-    number = _against_zero(excess(paper["CBMeMBer-PMM"]))
-    over_phd = {p: difference(m, "CBMeMBer-PMM", "PHD-PMM") for p, m in sweep.items()}
-    rival = difference(paper, "CBMeMBer-PMM", "PHD-PMM")
-    alike = paired_difference(excess(paper["CBMeMBer-PMM"]), excess(paper["CBMeMBer-HMM"]))
-    pmb = {name: difference(paper, "PMB-PMM", name) for name in PAPER_METHODS}
-    phd_cost, cb_cost = (
-        _step_difference(seconds, "PHD-PMM", "PHD-HMM"),
-        _step_difference(seconds, "CBMeMBer-PMM", "CBMeMBer-HMM"),
-    )
-    rival_cost = _step_difference(seconds, "CBMeMBer-PMM", "PHD-PMM")
+    over_phd = {p: _ospa(found[detection_name(p)], "CBMeMBer-PMM", "PHD-PMM") for p in DETECTION_PROBABILITIES}
     step = {name: float(1e3 * np.median(seconds[name, PAPER_RATE])) for name in (*PAPER_METHODS, "SMC-PHD")}
-    particles = found["particles"]
-    smc = difference(particles, "SMC-PHD", "PHD-HMM")
     swept = ", ".join(f"{d.value:+.2f} [{d.low:+.2f}, {d.high:+.2f}] at p_D = {p:.2f}" for p, d in over_phd.items())
+    phd_spells = recovery(paper["PHD-PMM"], true).mean()
+
+    def boxed(claim: str, finding: str, effects: tuple[Effect, ...] = ()) -> Finding:
+        points = tuple(Point(at, getattr(effects_there, BOXED[claim])) for at, effects_there in box)
+        return Finding(claim, effects or getattr(main, BOXED[claim]), finding, points)
+
     return [
-        _finding(
-            "pmm-beats-hmm", _verdict(all(judge_smaller(gain) == "holds" for gain in every)),
-            _effect(difference(paper, "PHD-PMM", "PHD-HMM"), "m", "OSPA, PHD-PMM - PHD-HMM, clutter 20"),
-            "Information: the PMM knows how measurement errors depend on each other. CBMeMBer: "
-            f"{difference(paper, 'CBMeMBer-PMM', 'CBMeMBer-HMM').value:+.2f} m.",
+        boxed(
+            "pmm-beats-hmm",
+            "Information: the PMM knows how measurement errors depend on each other; where they hardly do, or where "
+            "misses and clutter dominate, there is little to know.",
+            tuple(effect for pair in rates for effect in pair),
         ),
-        _finding(
-            "pmm-phd-underestimates", _verdict(under.high < 0.0),
-            _effect(under, "targets", "extracted number - 10, PHD-PMM, last 20 scans, clutter 20"),
+        boxed(
+            "pmm-phd-underestimates",
             f"Information: a missed target loses its weight at once. The filter's own mean is {own.mean():+.2f} off; "
             f"its rounded sum, the other rule of extraction, {summed.mean():+.2f}.",
         ),
-        _finding(
-            "pmm-cbmember-unbiased", _verdict(number.low <= 0.0 <= number.high),
-            _effect(number, "targets", "extracted number - 10, CBMeMBer-PMM, last 20 scans, clutter 20"),
-            "Structure: two misses in a row lose a target, for r_U = (1 - r) / (1 - r p_D) is small where r is large.",
+        boxed(
+            "pmm-cbmember-unbiased",
+            "Structure: two misses in a row lose a target, for r_U = (1 - r) / (1 - r p_D) is small where r is large; "
+            "the bias vanishes with the misses.",
         ),
-        _finding(
-            "pmm-cbmember-beats-phd", judge_smaller(rival),
-            _effect(rival, "m", "OSPA, CBMeMBer-PMM - PHD-PMM, clutter 20, p_D = 0.98"),
-            f"Structure, and it depends on p_D: {swept}.",
+        boxed(
+            "pmm-cbmember-counts-better",
+            "Both miss about the targets that a scan misses; which of them counts better follows from p_D.",
         ),
-        _finding(
-            "pmm-cbmember-cheaper", judge_smaller(rival_cost),
-            _effect(rival_cost, "us", "median step, CBMeMBer-PMM - PHD-PMM, all clutter rates"),
-            f"In compiled array code a step at clutter 20 takes {step['CBMeMBer-PMM']:.3f} ms against "
-            f"{step['PHD-PMM']:.3f} ms.",
-        ),
-        _finding(
-            "pmm-costs-more", _verdict(phd_cost.low > 0.0 and cb_cost.low > 0.0),
-            _effect(phd_cost, "us", "median step, PHD-PMM - PHD-HMM, all clutter rates"),
-            f"CBMeMBer: {cb_cost.value:+.1f} [{cb_cost.low:+.1f}, {cb_cost.high:+.1f}] us. At clutter 20: " + ", ".join(
-                f"{name} {step[name]:.3f} ms" for name in PAPER_METHODS
-            ) + ".",
-        ),
-        _finding(
-            "pmm-number-alike", _verdict(max(abs(alike.low), abs(alike.high)) < EQUAL_NUMBER_TOLERANCE),
-            _effect(alike, "targets", "extracted number, CBMeMBer-PMM - CBMeMBer-HMM, last 20 scans, clutter 20"),
-            "Detections decide the number, not the noise model; alike means within "
-            f"{EQUAL_NUMBER_TOLERANCE:g} targets.",
-        ),
-        _finding(
-            "pmm-pmb-beats-all-four", _verdict(all(judge_smaller(d) == "holds" for d in pmb.values())),
-            _effect(pmb["PHD-PMM"], "m", "OSPA, PMB-PMM - PHD-PMM, clutter 20, p_D = 0.98"),
+        boxed("pmm-cbmember-beats-phd", f"Structure S1, sigma_w 1.5, 100 runs each, PMM: {swept}."),
+        boxed("pmm-number-alike", "Detections decide the number, not the noise model."),
+        boxed(
+            "pmm-pmb-beats-all-four",
             "Structure: a filter that keeps tracks and sums over associations makes the debate between PHD and "
             "CBMeMBer second-order.",
         ),
-        _finding(
-            "phd-particles-worse", _verdict(smc.low > 0.0 and step["SMC-PHD"] > step["PHD-HMM"]),
-            _effect(smc, "m", "OSPA, SMC-PHD - PHD-HMM, clutter 20, p_D = 0.98"),
-            f"Median step: SMC-PHD {step['SMC-PHD']:.2f} ms, PHD-HMM {step['PHD-HMM']:.3f} ms.",
+        boxed(
+            "pmm-quick-recovery",
+            f"PHD-PMM: {phd_spells:.1f} scans. Most errors of the number last one scan.",
+        ),
+        Finding(
+            "pmm-cbmember-cheaper", (_step_difference(seconds, "CBMeMBer-PMM", "PHD-PMM"),),
+            f"In compiled array code a step at clutter 20 takes {step['CBMeMBer-PMM']:.3f} ms against "
+            f"{step['PHD-PMM']:.3f} ms.",
+        ),
+        Finding(
+            "pmm-costs-more",
+            tuple(_step_difference(seconds, f"{family}-PMM", f"{family}-HMM") for family in ("PHD", "CBMeMBer")),
+            "At clutter 20: " + ", ".join(f"{name} {step[name]:.3f} ms" for name in PAPER_METHODS) + ".",
+        ),
+        Finding(
+            "pmm-same-order", (_step_ratio(seconds, "CBMeMBer-PMM", "CBMeMBer-HMM"),),
+            "Structure: both have the same number of Gaussian components, those of the PMM in two dimensions more.",
+        ),
+        Finding(
+            "phd-particles-worse",
+            (
+                paired_effect(
+                    run_means(found["particles"]["SMC-PHD"]), run_means(found["particles"]["PHD-HMM"]), "m",
+                    "OSPA, SMC-PHD - PHD-HMM, clutter 20, p_D 0.98",
+                ),
+                paired_effect(
+                    seconds["SMC-PHD", PAPER_RATE], seconds["PHD-HMM", PAPER_RATE], "ms",
+                    "median step, SMC-PHD - PHD-HMM, clutter 20", 1e3,
+                ),
+            ),
+            f"On points in clutter. Median step: SMC-PHD {step['SMC-PHD']:.2f} ms, PHD-HMM {step['PHD-HMM']:.3f} ms.",
         ),
     ]  # fmt: skip
 
 
-def _step_difference(seconds: Mapping[tuple[str, float], Array], first: str, second: str) -> PairedDifference:
-    """Difference of median step durations, paired by run, over all clutter rates, us."""
-
-    def durations(name: str) -> Array:
-        return 1e6 * np.concatenate([seconds[name, rate] for rate in CLUTTER_RATES])
-
-    return paired_difference(durations(first), durations(second))
+def _ospa(measures: Mapping[str, Measures], first: str, second: str) -> PairedDifference:
+    return paired_difference(run_means(measures[first]), run_means(measures[second]))
 
 
-def _verdict(holds: bool) -> Verdict:
-    return "holds" if holds else "does not hold"
+def _durations(seconds: Seconds, name: str) -> Array:
+    """Median step durations of all timed runs at all clutter rates, s."""
+    return np.concatenate([seconds[name, rate] for rate in CLUTTER_RATES])
 
 
-def _against_zero(values: Array) -> PairedDifference:
-    return paired_difference(values, np.zeros_like(values))
+def _step_difference(seconds: Seconds, first: str, second: str) -> Effect:
+    pair = _durations(seconds, first), _durations(seconds, second)
+    measured = f"median step, {first} - {second}, all clutter rates"
+    return paired_effect(*pair, "us", measured, 1e6)
 
 
-def _finding(claim: str, verdict: Any, effect: dict[str, Any] | None, finding: str) -> Claim:
-    return Claim(claim, PAPER_NAME, "", "", verdict, effect, finding, COMMAND)
-
-
-def _effect(difference: PairedDifference, unit: str, measured: str) -> dict[str, Any]:
-    value, low, high = (float(f"{end:.3g}") + 0.0 for end in difference[:3])
-    return {"value": value, "low": low, "high": high, "unit": unit, "measured": measured}
+def _step_ratio(seconds: Seconds, first: str, second: str) -> Effect:
+    measured = f"median step, {first} / {second}, all clutter rates"
+    return ratio_effect(_durations(seconds, first), _durations(seconds, second), measured)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
+from servotrack.baselines.papers.boxes import Value, box_points
 from servotrack.baselines.papers.pairwise_markov.experiment import (
     EXTRACTION_METHODS,
     OUR_METHODS,
@@ -29,6 +32,10 @@ TEN_TARGET_SCANS = slice(80, 100)
 METHODS = (*PAPER_METHODS, *OUR_METHODS)
 
 
+BOX_AXES = ("structure", "detection", "position_noise")
+BOX_METHODS = (*PAPER_METHODS, "PMB-PMM")
+
+
 def clutter_name(rate: float) -> str:
     """Return the name of the condition at a clutter rate."""
     return f"clutter-{rate:g}"
@@ -39,9 +46,24 @@ def detection_name(probability: float) -> str:
     return f"detection-{probability:g}"
 
 
+def box_conditions() -> list[tuple[dict[str, Value], Condition]]:
+    """Return the points of the box of open assumptions, each with its condition; points without a covariance lack."""
+    found = []
+    for at in box_points("pairwise_markov", BOX_AXES):
+        world = {**STRUCTURES[str(at["structure"])], "position_noise": at["position_noise"]}
+        name = f"box-{at['structure']}-{at['detection']:g}-{at['position_noise']:g}"
+        condition = Condition(name, BOX_METHODS, {**world, "detection_probability": at["detection"]})
+        try:
+            condition.config  # noqa: B018  the configuration checks that the structure has a covariance
+        except ValueError:
+            continue
+        found.append((at, condition))
+    return found
+
+
 def shares(runs: int) -> dict[str, int]:
     """Return the number of runs of each part: `runs` for the paper's table, fewer where differences are larger."""
-    return {"all": runs, "part": max(2, runs // 5), "few": max(2, runs // 10)}
+    return {"all": runs, "part": max(2, runs // 5), "few": max(2, runs // 10), "box": max(2, runs // 20)}
 
 
 def all_conditions() -> list[tuple[str, Condition]]:
@@ -65,6 +87,7 @@ def all_conditions() -> list[tuple[str, Condition]]:
         *structures,
         ("part", Condition("identity", (*METHODS, "GNN-PMM"), {}, trajectories=True)),
         ("few", Condition("particles", ("PHD-HMM", "SMC-PHD"))),
+        *(("box", condition) for _, condition in box_conditions()),
     ]
 
 
@@ -81,3 +104,16 @@ def excess(measures: Measures, which: str = "number") -> Array:
         which: "number" for extracted targets, "expected" for the filter's expected number.
     """
     return getattr(measures, which)[:, TEN_TARGET_SCANS].mean(axis=1) - 10.0
+
+
+def recovery(measures: Measures, true: Array) -> Array:
+    """Return the mean number of scans in a row with a wrong extracted number, for each run that has any, shape (k,).
+
+    Args:
+        measures: Measurements of one method.
+        true: True number of targets in each scan, shape (T,).
+    """
+    wrong = measures.number != true
+    starts = wrong & ~np.pad(wrong, ((0, 0), (1, 0)))[:, :-1]
+    times = starts.sum(axis=1)
+    return wrong.sum(axis=1)[times > 0] / times[times > 0]

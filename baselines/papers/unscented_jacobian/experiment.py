@@ -11,14 +11,15 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 
-from servotrack.baselines.agents.servo.anchors import FixedJacobian
+from servotrack.baselines.agents.servo.anchors import FixedJacobian, OracleJacobian
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo, servo_measurement
 from servotrack.baselines.evaluation.servo_scores import servo_errors
+from servotrack.envs.wrappers import PrivilegedObservation
 from servotrack.estimators.jacobian import (
     Excitation,
     JacobianEstimator,
@@ -35,10 +36,29 @@ from servotrack.estimators.types import Array
 
 TRACKING, POSITIONING = "UncalibServo-v0", "UncalibServoReach-v0"
 PROCESS_VARIANCE, MEASUREMENT_VARIANCE, INITIAL_VARIANCE = 31.6, 100.0, 100.0
+
+
+class Variances(NamedTuple):
+    """Noise variances of the filters.
+
+    Attributes:
+        process: Variance of the change of an entry of the Jacobian per step. Larger values follow new frames faster.
+        measurement: Variance of a change of a feature, px^2. Larger values average more frames.
+    """
+
+    process: float = PROCESS_VARIANCE
+    measurement: float = MEASUREMENT_VARIANCE
+
+
+ASSUMED_VARIANCES = Variances()
+STUDENT_FREEDOM = 3.0
+"""Degrees of freedom of the particle filter's likelihood for heavy tails."""
 GAIN = 0.7
 WORLD: Mapping[str, Any] = {"level": 0, "max_joint_rate": 5.0}
 PROBE = 0.05
 """Size of the exploratory moves before the episode, rad."""
+PERIOD = 0.05
+"""Control period, s."""
 ARRIVAL_DISTANCE = 0.010
 """Tracking error below which positioning counts as done, m."""
 
@@ -75,35 +95,49 @@ class Run:
         above = np.flatnonzero(self.error >= ARRIVAL_DISTANCE)
         if above.size and above[-1] == self.error.size - 1:
             return math.inf
-        return 0.05 * (1 + (int(above[-1]) + 1 if above.size else 0))
+        return PERIOD * (1 + (int(above[-1]) + 1 if above.size else 0))
 
 
-def estimator(algorithm: str, process_scale: float = 1.0, seed: int = 0) -> JacobianEstimator:
-    """Return an algorithm of the paper with the assumed parameters.
+def estimator(
+    algorithm: str, process_scale: float = 1.0, seed: int = 0, variances: Variances = ASSUMED_VARIANCES
+) -> JacobianEstimator:
+    """Return an algorithm of the paper.
 
     Args:
-        algorithm: "KF", "PF", "UKF", "UKF as printed", or "fixed" for J_theta(0) that is never updated.
+        algorithm: "KF", "PF", "UKF", "UKF as printed", "PF, Student-t" (likelihood with heavy tails), "KF without J_t"
+            (J_theta alone is estimated), or "fixed" for J_theta(0) that is never updated.
         process_scale: Factor on the process variance. Larger values follow new measurements faster.
         seed: Seed of the particles.
+        variances: Variances of the noises, which the paper does not give.
 
     Raises:
         ValueError: Unknown algorithm.
     """
-    deviation = math.sqrt(PROCESS_VARIANCE * process_scale)
+    deviation = math.sqrt(variances.process * process_scale)
+    spread = math.sqrt(INITIAL_VARIANCE)
     common: dict[str, Any] = {
         "walk": RandomWalk(deviation, deviation),
-        "measurement_noise": math.sqrt(MEASUREMENT_VARIANCE),
-        "prior": JacobianPrior(math.sqrt(INITIAL_VARIANCE), math.sqrt(INITIAL_VARIANCE)),
+        "measurement_noise": math.sqrt(variances.measurement),
+        "prior": JacobianPrior(spread, spread),
     }
     if algorithm == "KF":
         return KalmanJacobian(**common)
+    if algorithm == "KF without J_t":
+        # A spread of nearly 0 keeps J_t at its prior mean, 0.
+        return KalmanJacobian(
+            **{**common, "walk": RandomWalk(deviation, 0.0), "prior": JacobianPrior(spread, 1e-6 * spread)}
+        )
     if algorithm == "PF":
         return ParticleJacobian(**common, seed=seed)
+    if algorithm == "PF, Student-t":
+        return ParticleJacobian(**common, seed=seed, degrees_of_freedom=STUDENT_FREEDOM)
     if algorithm in ("UKF", "UKF as printed"):
         return UnscentedJacobian(**common, as_printed=algorithm != "UKF")
     if algorithm == "fixed":
         return FixedJacobian(KalmanJacobian(**common), learning_steps=0)
-    raise ValueError(f"algorithm must be fixed, KF, PF, UKF or 'UKF as printed', got {algorithm!r}")
+    raise ValueError(
+        f"algorithm must be fixed, KF, KF without J_t, PF, 'PF, Student-t', UKF or 'UKF as printed', got {algorithm!r}"
+    )
 
 
 def initial_jacobian(env_id: str, world: Mapping[str, Any], seed: int) -> tuple[tuple[float, ...], ...]:
@@ -114,7 +148,9 @@ def initial_jacobian(env_id: str, world: Mapping[str, Any], seed: int) -> tuple[
         limit = env.unwrapped.max_joint_rate  # type: ignore[attr-defined]
         joints = observation["joint_angles"].size
         turns, changes = [], []
-        for move in PROBE / 0.05 / limit * np.repeat(np.eye(joints), 2, axis=0) * np.tile([[1.0], [-1.0]], (joints, 1)):
+        for move in (
+            PROBE / PERIOD / limit * np.repeat(np.eye(joints), 2, axis=0) * np.tile([[1.0], [-1.0]], (joints, 1))
+        ):
             moved, *_ = env.step(move.astype(np.float32))
             turns.append(moved["joint_angles"] - observation["joint_angles"])
             changes.append(moved["features"] - observation["features"])
@@ -142,7 +178,13 @@ def _starting_from(algorithm: Any, jacobian: tuple[tuple[float, ...], ...]) -> A
     return replace(algorithm, prior=replace(algorithm.prior, mean=jacobian))
 
 
-def run(env_id: str, algorithm: JacobianEstimator, seed: int, world: Mapping[str, Any] = WORLD) -> Run:
+def run(
+    env_id: str,
+    algorithm: JacobianEstimator,
+    seed: int,
+    world: Mapping[str, Any] = WORLD,
+    jacobian: tuple[tuple[float, ...], ...] | None = None,
+) -> Run:
     """Run one episode of an algorithm, unbatched.
 
     Args:
@@ -150,8 +192,10 @@ def run(env_id: str, algorithm: JacobianEstimator, seed: int, world: Mapping[str
         algorithm: Estimator from `estimator`.
         seed: Seed of the environment.
         world: Arguments of the environment.
+        jacobian: Initial Jacobian; None: learned before the episode in front of its own target, see
+            `initial_jacobian`.
     """
-    agent = servo(algorithm, initial_jacobian(env_id, world, seed))
+    agent = servo(algorithm, initial_jacobian(env_id, world, seed) if jacobian is None else jacobian)
     env = gym.make(env_id, **{**world, "warmup": 0})
     try:
         observation, info = env.reset(seed=seed)
@@ -209,15 +253,52 @@ def closed_loop_difference(seed: int, steps: int = 1000) -> float:
     return float(np.abs(paths[0] - paths[1]).max())
 
 
-def _record(agent: JacobianServo, seed: int, world: Mapping[str, Any]) -> list[ServoMeasurement]:
+def jacobian_errors(
+    names: Sequence[str], variances: Variances, seed: int, world: Mapping[str, Any]
+) -> dict[str, Array]:
+    """Return the errors of the Jacobians of several algorithms on one recorded stream of measurements.
+
+    The servo that moves the arm has the analytic Jacobian, so that no estimator shapes the data.
+
+    Args:
+        names: Algorithms.
+        variances: Variances of the noises.
+        seed: Seed of the environment.
+        world: Arguments of the environment.
+
+    Returns:
+        For each algorithm the root mean square error over the stream relative to the analytic Jacobian's norm, of
+        J_theta and of J_t. Shape (2,).
+    """
+    jacobian = initial_jacobian(TRACKING, world, seed)
+    limit = float(world["max_joint_rate"])
+    driver = JacobianServo(ServoController(OracleJacobian(), Proportional(GAIN), Excitation(steps=0), None, limit))
+    truths: list[Array] = []
+    stream = _record(driver, seed, world, truths)
+    truth = np.array(truths)
+    errors = {}
+    for name in names:
+        off = _jacobians(_starting_from(estimator(name, variances=variances), jacobian), stream) - truth
+        parts = ((off[..., some], truth[..., some]) for some in (slice(0, -1), slice(-1, None)))
+        errors[name] = np.array([math.sqrt((wrong**2).sum() / (true**2).sum()) for wrong, true in parts])
+    return errors
+
+
+def _record(
+    agent: JacobianServo, seed: int, world: Mapping[str, Any], truths: list[Array] | None = None
+) -> list[ServoMeasurement]:
+    """Measurements of an episode of `agent`; `truths` is for servos with the analytic Jacobian and collects it."""
     env = gym.make(TRACKING, **{**world, "warmup": 0})
+    env = env if truths is None else PrivilegedObservation(env)
     try:
         observation, _ = env.reset(seed=seed)
         stream: list[ServoMeasurement] = []
         state: Any = None
         over = False
         while not over:
-            measurement = servo_measurement(observation)
+            if truths is not None:
+                truths.append(observation["true_jacobian"])
+            measurement = servo_measurement({k: v for k, v in observation.items() if not k.startswith("true_")})
             assert isinstance(measurement, ServoMeasurement)
             stream.append(measurement)
             action, state = agent.predict(observation, state)
