@@ -53,45 +53,51 @@ def cell_grid(entries: Sequence[Entry]) -> Grid:
 
 
 def winners_grid(entries: Sequence[Entry]) -> Grid:
-    """Return who wins in each cell with each budget: the best learned method against the classical one.
-
-    The best learned method is the one with the largest mean score on the test seeds, which favors learning.
-    """
+    """Return who wins in each cell with each budget: every learned method against the classical one."""
     headings = [
-        "cell", "budget", "sees in training", "best learned", "runs", "score, learned - classical",
+        "cell", "budget", "learned method", "sees in training", "runs", "score, learned - classical",
         "success, learned - classical", "held-out score", "CPU, learned / classical", "winner",
     ]  # fmt: skip
     rows = []
-    for cell, budget in sorted({(e.cell.title, e.budget) for e in entries if e.budget}):
-        here = [entry for entry in entries if (entry.cell.title, entry.budget) == (cell, budget)]
-        classical = next((entry for entry in here if entry.method == CLASSICAL), None)
-        if classical is None:
+    for learned in sorted(entries, key=lambda e: (e.cell.title, e.budget, -float(e.scores.mean()))):
+        classical = _classical(entries, learned)
+        if classical is None or learned.method == CLASSICAL:
             continue
-        for information in ("observations", "simulator"):
-            learned = [e for e in here if e.method != CLASSICAL and e.information == information]
-            if not learned:
-                continue
-            best = max(learned, key=lambda entry: float(entry.scores.mean()))
-            difference = crossed_methods_difference(best.scores, classical.scores)
-            rows.append(
-                [
-                    cell,
-                    _steps(budget),
-                    information,
-                    best.method,
-                    f"{best.runs}, {classical.runs}",
-                    shown(difference, 3, signed=True),
-                    shown(crossed_methods_difference(best.successes, classical.successes), 3, signed=True),
-                    shown(crossed_methods_difference(best.held_out_scores, classical.held_out_scores), 3, signed=True),
-                    f"{best.seconds / max(classical.seconds, 0.1):.1f}",
-                    _winner(difference, best, classical),
-                ]
+        differences = [
+            crossed_methods_difference(mine, other)
+            for mine, other in (
+                (learned.scores, classical.scores),
+                (learned.successes, classical.successes),
+                (learned.held_out_scores, classical.held_out_scores),
             )
+        ]
+        rows.append(
+            [
+                learned.cell.title,
+                _steps(learned.budget),
+                learned.method,
+                learned.information,
+                f"{learned.runs}, {classical.runs}",
+                *(shown(difference, 3, signed=True) for difference in differences),
+                f"{learned.seconds / max(classical.seconds, 0.1):.1f}",
+                _winner(differences[0], learned, classical),
+            ]
+        )
     return Grid(headings, rows, 4)
 
 
+def _classical(entries: Sequence[Entry], other: Entry) -> Entry | None:
+    """Return the classical entry with the cell and the budget of another one, None if there is none."""
+    wanted = (other.cell, other.budget, CLASSICAL)
+    return next((entry for entry in entries if (entry.cell, entry.budget, entry.method) == wanted), None)
+
+
+def _is_open(*entries: Entry) -> bool:
+    return min(entry.runs for entry in entries) < MIN_RUNS
+
+
 def _winner(difference: Interval, learned: Entry, classical: Entry) -> str:
-    if min(learned.runs, classical.runs) < MIN_RUNS:
+    if _is_open(learned, classical):
         return f"open: fewer than {MIN_RUNS} runs"
     if difference.low > 0.0:
         return learned.method
@@ -104,58 +110,58 @@ def crossover_grid(entries: Sequence[Entry]) -> Grid:
     Between two budgets the difference of the mean scores is interpolated over the logarithm of the budget.
     """
     rows = []
-    for cell in sorted({entry.cell.title for entry in entries}):
-        here = [entry for entry in entries if entry.cell.title == cell and entry.budget]
-        classical = {entry.budget: float(entry.scores.mean()) for entry in here if entry.method == CLASSICAL}
-        for method in dict.fromkeys(entry.method for entry in here if entry.method != CLASSICAL):
-            points = sorted(
-                (entry.budget, float(entry.scores.mean()) - classical[entry.budget])
-                for entry in here
-                if entry.method == method and entry.budget in classical
-            )
-            if points:
-                rows.append([cell, method, *_crossing(points)])
+    for cell, method in sorted({(e.cell.title, e.method) for e in entries if e.budget and e.method != CLASSICAL}):
+        mine = sorted((e for e in entries if (e.cell.title, e.method) == (cell, method)), key=lambda e: e.budget)
+        pairs = [(entry, other) for entry in mine if (other := _classical(entries, entry)) is not None]
+        if pairs:
+            points = [(entry.budget, float(entry.scores.mean() - other.scores.mean())) for entry, other in pairs]
+            seen = ", ".join(f"{_steps(budget)}: {difference:+.3f}" for budget, difference in points)
+            is_open = any(_is_open(*pair) for pair in pairs)
+            rows.append([cell, method, _crossing(points) + (" (open)" if is_open else ""), seen])
     return Grid(["cell", "method", "ahead of classical from", "difference at each budget"], rows, 2)
 
 
-def _crossing(points: Sequence[tuple[int, float]]) -> list[str]:
-    seen = ", ".join(f"{_steps(budget)}: {difference:+.3f}" for budget, difference in points)
+def _crossing(points: Sequence[tuple[int, float]]) -> str:
     if points[0][1] > 0.0:
-        return [f"{_steps(points[0][0])} or less", seen]
+        return f"{_steps(points[0][0])} or less"
     for (low, before), (high, after) in pairwise(points):
         if after > 0.0:
             share = before / (before - after)
-            return [f"{np.exp(np.log(low) + share * np.log(high / low)):,.0f}", seen]
-    return [f"not up to {_steps(points[-1][0])}", seen]
+            return f"{np.exp(np.log(low) + share * np.log(high / low)):,.0f}"
+    return f"not up to {_steps(points[-1][0])}"
 
 
 def aggregate_grid(entries: Sequence[Entry]) -> Grid:
-    """Return aggregates over the cells in which a method and the classical one both have a budget.
+    """Return aggregates over the cells in which a learned method and the classical one both have a budget.
 
-    Columns: interquartile mean of the runs' scores, stratified by cell, and the probability that a run of the method
-    has a larger mean score than a run of the classical method (`probability_of_improvement`).
+    Columns: interquartile mean of the runs' scores, stratified by cell, for both in the same cells, and the probability
+    that a run of the method has a larger mean score than a run of the classical one (`probability_of_improvement`).
+    Intervals resample runs, so they are left out where a method has fewer than `MIN_RUNS` in a cell.
     """
     rows = []
-    for budget in sorted({entry.budget for entry in entries if entry.budget}):
-        classical = {e.cell.title: e for e in entries if e.budget == budget and e.method == CLASSICAL}
-        for method in dict.fromkeys(e.method for e in entries if e.budget == budget):
-            mine = [e for e in entries if e.budget == budget and e.method == method and e.cell.title in classical]
-            if not mine:
-                continue
-            against = [classical[entry.cell.title].of_runs for entry in mine]
-            of_runs = [entry.of_runs for entry in mine]
-            better = probability_of_improvement(of_runs, against)
-            rows.append(
-                [
-                    method,
-                    _steps(budget),
-                    str(len(mine)),
-                    ", ".join(str(entry.runs) for entry in mine),
-                    shown(stratified_interquartile_mean(of_runs), 3),
-                    "" if method == CLASSICAL else shown(better, 2),
-                ]
-            )
-    return Grid(["method", "budget", "cells", "runs", "IQM of scores", "P(better than classical)"], rows, 1)
+    for budget, method in sorted({(e.budget, e.method) for e in entries if e.budget and e.method != CLASSICAL}):
+        mine = [entry for entry in entries if (entry.budget, entry.method) == (budget, method)]
+        pairs = [(entry, other) for entry in mine if (other := _classical(entries, entry)) is not None]
+        if not pairs:
+            continue
+        learned, classical = [mine.of_runs for mine, _ in pairs], [other.of_runs for _, other in pairs]
+        is_open = any(_is_open(*pair) for pair in pairs)
+        found = [
+            (stratified_interquartile_mean(learned), 3),
+            (stratified_interquartile_mean(classical), 3),
+            (probability_of_improvement(learned, classical), 2),
+        ]
+        rows.append(
+            [
+                method,
+                _steps(budget),
+                ", ".join(entry.cell.title for entry, _ in pairs),
+                ", ".join(f"{entry.runs}/{other.runs}" for entry, other in pairs),
+                *(f"{value.value:.{digits}f} (open)" if is_open else shown(value, digits) for value, digits in found),
+            ]
+        )
+    headings = ["method", "budget", "cells", "runs", "IQM of scores", "IQM of classical", "P(better than classical)"]
+    return Grid(headings, rows, 3)
 
 
 def markdown(entries: Sequence[Entry], command: str, version: str) -> str:
@@ -168,13 +174,14 @@ def markdown(entries: Sequence[Entry], command: str, version: str) -> str:
     """
     anchored = [entry for entry in entries if entry.cell.world.anchors]
     note = (
-        "Brackets: 95 % bootstrap intervals, runs and episodes resampled, crossed; references have one run. Budget: "
-        f"environment steps of search and training together. Written by `{command}`, servotrack {version}."
+        "Brackets: 95 % bootstrap intervals, runs and episodes resampled, crossed; with one run, episodes alone. Open: "
+        f"fewer than {MIN_RUNS} runs. Budget: environment steps of search and training together. Written by "
+        f"`{command}`, servotrack {version}."
     )
     sections = [
         ("Who wins", as_markdown(winners_grid(entries))),
         ("Where the curves cross", as_markdown(crossover_grid(entries))),
-        ("Over all servo cells", as_markdown(aggregate_grid(anchored))),
+        ("Over cells", as_markdown(aggregate_grid(anchored))),
     ]
     for cell in dict.fromkeys(entry.cell.title for entry in ordered(entries)):
         sections.append((cell, as_markdown(cell_grid([entry for entry in entries if entry.cell.title == cell]))))

@@ -125,7 +125,7 @@ def rows(tmp_path: Path) -> Path:
 
 def test_winners_need_ten_runs_and_an_interval_beside_zero(rows: Path) -> None:
     grid = winners_grid(entries_of(load_rows(rows)))
-    winners = {(row[1], row[3]): row[-1] for row in grid.rows}
+    winners = {(row[1], row[2]): row[-1] for row in grid.rows}
     assert winners == {
         ("100,000", "ppo"): CLASSICAL,
         ("100,000", "student"): "open: fewer than 10 runs",
@@ -137,13 +137,14 @@ def test_curves_cross_between_the_budgets(rows: Path) -> None:
     grid = crossover_grid(entries_of(load_rows(rows)))
     crossing = {row[1]: row[2] for row in grid.rows}
     assert 600_000 < float(crossing["ppo"].replace(",", "")) < 1_000_000
-    assert crossing["student"] == "100,000 or less"
+    assert crossing["student"] == "100,000 or less (open)"
 
 
 def test_aggregates_and_tables_hold_every_method(rows: Path) -> None:
     entries = entries_of(load_rows(rows))
     shares = {(row[0], row[1]): row[-1] for row in aggregate_grid(entries).rows}
-    assert shares["ppo", "100,000"].startswith("0.00")
+    assert shares["ppo", "100,000"] == "0.00 [0.00, 0.00]"
+    assert shares["student", "100,000"] == "1.00 (open)"
     assert float(shares["ppo", "1,000,000"].split()[0]) > 0.9
     assert len(cell_grid(entries).rows) == len(entries)
     assert "### Who wins" in markdown(entries, "command", "0")
