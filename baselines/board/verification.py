@@ -18,10 +18,11 @@ from servotrack.baselines.board.arithmetic import arithmetic_digest
 from servotrack.baselines.board.recording import AgentPlayer, Player
 from servotrack.baselines.board.replay import Episode, ReplayError, replayed
 from servotrack.baselines.board.sealed_seeds import sealed_seeds
-from servotrack.baselines.board.submission import AGENT, PARTS, Part, Submission, SubmissionError, read_submission
+from servotrack.baselines.board.submission import AGENT, PARTS, Part, Submission, read_submission
 from servotrack.baselines.board.submit import AGENT_FILE, ARITHMETIC, registered_candidate
 from servotrack.baselines.board.suites import Suite, SuiteCell
 from servotrack.baselines.evaluation.results import Row
+from servotrack.baselines.reporting.files import ResultsError
 
 CellState = Literal["equal", "close", "different", "stale", "skipped"]
 Badge = Literal["self-reported", "replayed", "re-run"]
@@ -112,7 +113,7 @@ def open_submission(folder: Path, suite: Suite | None) -> tuple[Submission | Non
     try:
         submission = read_submission(folder, suite)
         check_agent(submission)
-    except (SubmissionError, ValueError) as error:
+    except (ResultsError, ValueError) as error:
         verdict.refused = _bounded(str(error).replace(f"{folder}/", ""))
         return None, verdict
     verdict.name, verdict.kind = submission.name, submission.kind
@@ -131,7 +132,9 @@ def check_agent(submission: Submission) -> None:
     if submission.kind == "registered":
         _check_registered(submission)
     elif submission.kind == "network":
-        learned = load_card(submission.folder / AGENT / _only(entry))
+        if _only(entry) not in files:
+            raise ValueError(f"entry must be the card of the network, got {entry[0]}")
+        learned = load_card(submission.folder / AGENT / entry[0])
         if set(files) != {entry[0], learned.network}:
             raise ValueError(f"files of a network must be its card and {learned.network}, got {', '.join(files)}")
         check_network(files[learned.network])

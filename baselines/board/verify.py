@@ -12,6 +12,7 @@ import tempfile
 import threading
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import lru_cache
 from pathlib import Path
 from typing import IO, Any, get_args
 
@@ -19,7 +20,7 @@ from servotrack.baselines.agents.learned.field_rules import Choice, Many, Number
 from servotrack.baselines.board.card import Optional, Table
 from servotrack.baselines.board.sandbox import bubblewrap, confined, inner_environment
 from servotrack.baselines.board.submission import CARD
-from servotrack.baselines.board.suites import load_suite
+from servotrack.baselines.board.suites import load_suite, suite_names
 from servotrack.baselines.board.verification import Badge, CellState, CellVerdict, Verdict
 from servotrack.baselines.board.verify_child import Order
 from servotrack.baselines.evaluation.provenance import provenance
@@ -129,6 +130,7 @@ def _answered(folders: Sequence[Path], order: Order, seconds: float) -> list[Ver
     # A foreign program gets a namespace of its own. Its parent stays outside, for namespaces do not nest everywhere.
     inside = bubblewrap() is not None and not order.program
     if inside:
+        _compile_kernels()
         places = {f"/submissions/{k}/{folder.name}": folder.absolute() for k, folder in enumerate(folders)}
         if order.suite is not None:
             places["/suite.yaml"] = Path(order.suite).absolute()
@@ -147,6 +149,12 @@ def _answered(folders: Sequence[Path], order: Order, seconds: float) -> list[Ver
         reason = words[-1] if words else "without a word"
         raise ResultsError(f"the process that verifies ended with code {code}: {printable(reason[:300])}")
     return _checked(answer, folders)
+
+
+@lru_cache(maxsize=1)
+def _compile_kernels() -> None:
+    """Compile the kernels of the servo worlds, if need be: a confined process can read but not keep them."""
+    load_suite(suite_names()[0]).cells[0].is_stale()
 
 
 def _run(command: Sequence[str], order: bytes, seconds: float, folder: str, said: IO[bytes]) -> tuple[int, bytes]:

@@ -25,10 +25,11 @@ def test_a_random_cell_of_every_submission_is_confirmed(suite: str) -> None:
 
 @pytest.mark.parametrize("suite", suite_names())
 def test_verdicts_are_about_the_present_submissions(suite: str) -> None:
-    seals = {
-        json.loads((folder / "card.json").read_bytes())["seal"]: folder.name
-        for folder in submission_folders([BOARD / suite])
+    cards = {
+        folder.name: json.loads((folder / "card.json").read_bytes()) for folder in submission_folders([BOARD / suite])
     }
+    assert {name: card["name"] for name, card in cards.items()} == {name: name for name in cards}
+    seals = {card["seal"]: name for name, card in cards.items()}
     # A submission without a verdict is self-reported until a maintainer has verified it.
     for seal, verdict in read_verdicts(BOARD / suite / "verdicts.json").items():
         assert seals.get(seal) == verdict.folder, f"{verdict.folder} was changed: verify it again"
