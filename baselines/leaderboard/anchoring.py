@@ -44,12 +44,14 @@ class Anchoring:
         """
         if not self.seeds.issuperset(cell.seeds):
             return None
+        return self.scale(errors)
+
+    def scale(self, errors: Array) -> Array:
+        """Return the score of each error, shape (k,). Raises ValueError as `statistics.score` does."""
         # A resolution keeps tiny errors finite by itself.
         floor = 0.0 if self.bound else self.ends.least_share * float(self.upper.min())
-        return self._scaled(np.maximum(errors, floor))
-
-    def _scaled(self, errors: Array) -> Array:
-        return statistics.score(*(part + self.resolution for part in (errors, self.lower, self.upper)))
+        kept = np.maximum(errors, floor)
+        return statistics.score(*(part + self.resolution for part in (kept, self.lower, self.upper)))
 
     @property
     def resolution(self) -> float:
@@ -58,7 +60,7 @@ class Anchoring:
 
     def checked(self) -> Anchoring:
         """Return itself. Raises ValueError unless the agent without skill is worse than the other end."""
-        self._scaled(self.lower)
+        self.scale(self.lower)
         return self
 
     @property

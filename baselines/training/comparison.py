@@ -15,7 +15,8 @@ from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.results import CellResults, ResultsFolder
-from servotrack.baselines.evaluation.statistics import Interval, crossed_difference, score
+from servotrack.baselines.evaluation.statistics import Interval, crossed_difference
+from servotrack.baselines.leaderboard.anchoring import find_anchors
 from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.worlds import RankingMetric, describe_environment, world_of_id
 
@@ -123,8 +124,9 @@ def compare(
             return done
 
         runs, other = [cell(str(path)) for path in cards], cell(against)
-        ends = world_of_id(card.env_id).anchors
-        anchors = [] if ends is None else [cell(ends.lower), cell(ends.upper)]
+        world = world_of_id(card.env_id)
+        names = [] if world.anchors is None else [world.anchors.lower, world.anchors.upper]
+        anchors = [cell(name) for name in (names[:1] if world.bound_of(card.env_id) else names)]
         return _compared(describe_environment(card.env_id, env_kwargs), recipe, against, seeds, runs, other, anchors)
 
     return [at({**card.env_kwargs, "level": level}) for level in card.levels] or [at(card.env_kwargs)]
@@ -139,7 +141,8 @@ def _compared(
     other: CellResults,
     anchors: list[CellResults],
 ) -> Comparison:
-    headline = world_of_id(other.env_id).headline
+    world = world_of_id(other.env_id)
+    headline = world.headline
 
     def column(of: CellResults, name: str) -> list[float]:
         return [float(row[name]) for row in of.select(seeds)]
@@ -148,9 +151,9 @@ def _compared(
         return crossed_difference([column(run, name) for run in runs], column(other, name))
 
     scored = None
-    if anchors:
-        ends = [column(anchor, headline.column) for anchor in anchors]
-        scores = [score(column(one, headline.column), *ends) for one in (*runs, other)]
+    anchoring, _ = find_anchors({anchor.agent: anchor for anchor in anchors}, world)
+    if anchoring is not None:
+        scores = [anchoring.scale(np.array(column(one, headline.column))) for one in (*runs, other)]
         scored = crossed_difference(scores[:-1], scores[-1])
     return Comparison(
         environment,
