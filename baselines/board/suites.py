@@ -26,6 +26,9 @@ FOLDER = Path(__file__).parent / "suites"
 MOST_EPISODES = 1000
 """Largest number of episodes of one part of a cell."""
 
+LEAST_SHARE = 1e-3
+"""Share of the error at score 1 that an episode counts at least. Part of every frozen suite: it must not change."""
+
 _NAME = Text(40, r"[a-z0-9][a-z0-9.-]*", "a name of lower-case letters, digits, dots and hyphens")
 _HEX = Text(64, "[0-9a-f]{64}", "64 hexadecimal digits")
 _CELL = Record(
@@ -109,7 +112,7 @@ class SuiteCell:
         assert ends is not None
         lower, upper = self.anchors
         errors = np.array([row[ends.column] for row in rows], dtype=np.float64)
-        return np.log(lower / np.maximum(errors, ends.least_share * upper)) / np.log(lower / upper)
+        return np.log(lower / np.maximum(errors, LEAST_SHARE * upper)) / np.log(lower / upper)
 
 
 @dataclass(frozen=True)
