@@ -15,7 +15,8 @@ from servotrack.baselines.board.recording import AgentPlayer
 from servotrack.baselines.board.replay import ReplayError, replayed
 from servotrack.baselines.board.suites import FORMAT, FORMAT_VERSION, Suite, SuiteCell, behavior_of
 from servotrack.baselines.evaluation import seeds as seed_ranges
-from servotrack.baselines.worlds import world_of_id
+from servotrack.baselines.worlds import load
+from servotrack.estimators.types import Array
 
 ANCHOR_EPISODES = 400
 GRID = 32_767
@@ -32,7 +33,8 @@ def main(names: Sequence[str]) -> None:
             behavior = behavior_of(env_id, kwargs)
             cell = SuiteCell(env_id, kwargs, public, sealed, (1.0, 0.5), behavior)
             fields: dict[str, Any] = {"env_id": env_id, "env_kwargs": kwargs, "public": public, "sealed": sealed}
-            fields |= {"anchors": [anchor(cell, agent) for agent in _ends(cell)], "behavior": behavior}
+            resolution, anchors = anchors_of(cell)
+            fields |= {"anchors": anchors, "resolution": resolution, "behavior": behavior}
             cells.append(fields)
     head = {"format": FORMAT, "format_version": FORMAT_VERSION, "name": names[0]}
     summary = "an uncalibrated arm follows a target and reaches for one at rest, levels 0 to 6"
@@ -41,21 +43,31 @@ def main(names: Sequence[str]) -> None:
     )
 
 
-def anchor(cell: SuiteCell, agent: str) -> float:
-    """Return the geometric mean of an agent's errors over the first test seeds, to six digits."""
+def anchors_of(cell: SuiteCell) -> tuple[float, list[float]]:
+    """Return the resolution, and the errors at which the score is 0 and 1, to six digits.
+
+    They are geometric means over the first test seeds: of the agent without skill, and of the bound, or where there is
+    none of the agent that knows the system.
+    """
+    ends, bound = cell.world.anchors, cell.world.bound_of(cell.env_id)
+    assert ends is not None
+    upper = None
+    if bound is not None and bound.column == ends.column:
+        upper = load(bound.values)(dict(cell.env_kwargs), tuple(seed_ranges.take("test", bound.episodes)))
+    resolution = 0.0 if upper is None else ends.resolution
+    found = [_errors(cell, ends.lower), _errors(cell, ends.upper) if upper is None else np.array(upper)]
+    means = [float(np.exp(np.log(errors + resolution).mean()) - resolution) for errors in found]
+    # The logarithm's rounding must not make a bound of 0 negative.
+    return resolution, [float(f"{max(mean, 0.0):.6g}") if mean > 1e-12 else 0.0 for mean in means]
+
+
+def _errors(cell: SuiteCell, agent: str) -> Array:
     ends = cell.world.anchors
     assert ends is not None
     suite = Suite("anchors", "", GRID, (cell,))
     seeds = seed_ranges.take("test", ANCHOR_EPISODES)
     rows = replayed(suite, cell, AgentPlayer(agent_card(agent)).play(suite, cell, seeds))
-    errors = [row[ends.column] for row in rows if not isinstance(row, ReplayError)]
-    return float(f"{np.exp(np.log(errors).mean()):.6g}")
-
-
-def _ends(cell: SuiteCell) -> tuple[str, str]:
-    ends = world_of_id(cell.env_id).anchors
-    assert ends is not None
-    return ends.lower, ends.upper
+    return np.array([row[ends.column] for row in rows if not isinstance(row, ReplayError)])
 
 
 if __name__ == "__main__":

@@ -37,8 +37,9 @@ _CELL = Record(
         "env_kwargs": Plain(20, Text(100, r"[A-Za-z_]\w*", "an identifier")),
         "public": Whole(1, MOST_EPISODES),
         "sealed": Whole(1, MOST_EPISODES),
-        "anchors": Many(Number(0.0, 1e6, open=True), 2, 2),
+        "anchors": Many(Number(0.0, 1e6), 2, 2),
         "behavior": _HEX,
+        "resolution": Number(0.0, 1e6),
     },
     required=("env_id", "env_kwargs", "public", "sealed", "anchors", "behavior"),
 )
@@ -69,6 +70,8 @@ class SuiteCell:
         sealed: Number of episodes on seeds that follow from the agent's file.
         anchors: Errors at which the score is 0 and 1, in the unit of the rows.
         behavior: Digest of the world's behavior when the suite was frozen; see `behavior_of`.
+        resolution: Error that is added to all errors before their logarithm is taken. It keeps a bound of 0 finite; a
+            larger one makes small errors count less.
     """
 
     env_id: str
@@ -77,6 +80,7 @@ class SuiteCell:
     sealed: int
     anchors: tuple[float, float]
     behavior: str
+    resolution: float = 0.0
 
     @property
     def name(self) -> str:
@@ -98,7 +102,7 @@ class SuiteCell:
         return _behavior(self.env_id, json.dumps(self.env_kwargs)) != self.behavior
 
     def scores(self, rows: Sequence[Mapping[str, Any]]) -> Array:
-        """Scores of episodes: 0 at the error of an agent without skill, 1 at that of the one with the true Jacobian.
+        """Scores of episodes: 0 at the error of an agent without skill, 1 at the bound of all agents.
 
         The anchors are frozen with the suite, so that no submission moves another one's score.
 
@@ -106,12 +110,12 @@ class SuiteCell:
             rows: Rows of the cell.
 
         Returns:
-            ln(e_0 / e) / ln(e_0 / e_1) of each row, unclipped. Shape (len(rows),).
+            ln((e_0 + r) / (e + r)) / ln((e_0 + r) / (e_1 + r)) of each row, unclipped. Shape (len(rows),).
         """
         ends = self.world.anchors
         assert ends is not None
-        lower, upper = self.anchors
-        errors = np.array([row[ends.column] for row in rows], dtype=np.float64)
+        lower, upper = (end + self.resolution for end in self.anchors)
+        errors = np.array([row[ends.column] for row in rows], dtype=np.float64) + self.resolution
         return np.log(lower / np.maximum(errors, LEAST_SHARE * upper)) / np.log(lower / upper)
 
 
@@ -191,6 +195,8 @@ def _check_cells(cells: Sequence[SuiteCell]) -> None:
             raise ValueError(f"{cell.name} has no score")
         if not cell.anchors[1] < cell.anchors[0]:
             raise ValueError(f"anchors of {cell.name} must fall, got {cell.anchors}")
+        if not cell.anchors[1] + cell.resolution > 0.0:
+            raise ValueError(f"resolution of {cell.name} must be > 0 beside an anchor of 0, got {cell.resolution}")
 
 
 @lru_cache(maxsize=64)

@@ -42,7 +42,7 @@ class Entry:
         actions: Source of the episodes' actions.
         traced: True if `actions` reads a trace of every episode, False if it runs the agent.
         scores: Scores of the episodes by the suite's frozen anchors, shape (rows,); None: by the agents of the table.
-        anchors: Errors at which the suite's score is 0 and 1, in the unit of the rows.
+        anchors: Errors at which the suite's score is 0 and 1, and the resolution, in the unit of the rows.
         sealed: Rows of the episodes on seeds that follow from the agent's files.
         sealed_scores: Scores of these episodes, shape (len(sealed),).
         fresh: Mean score on seeds that the verifier drew, and its standard error; None if the agent was not run.
@@ -55,7 +55,7 @@ class Entry:
     actions: ActionsOf
     traced: bool = False
     scores: Array | None = None
-    anchors: tuple[float, float] | None = None
+    anchors: tuple[float, float, float] | None = None
     sealed: Sequence[Row] = ()
     sealed_scores: Array | None = None
     fresh: tuple[float, float] | None = None
@@ -105,7 +105,7 @@ def _submitted_entries(submission: Submission, verdicts: Mapping[str, Verdict]) 
                 _traced_actions(submission, submitted),
                 traced=True,
                 scores=submitted.cell.scores(public.rows),
-                anchors=submitted.cell.anchors,
+                anchors=(*submitted.cell.anchors, submitted.cell.resolution),
                 sealed=sealed.rows,
                 sealed_scores=submitted.cell.scores(sealed.rows),
                 fresh=None if confirmed is None else confirmed.fresh,

@@ -223,7 +223,7 @@ def _score_ends(task: _Task) -> list[float] | None:
     """Errors at which the score is 0 and 1, and the error that is added to each before its logarithm is taken, m."""
     anchors = next(iter(task.entries.values())).anchors
     if anchors is not None:
-        return [*anchors, 0.0]
+        return list(anchors)
     anchoring = task.summary.anchoring
     if anchoring is None:
         return None
@@ -237,8 +237,11 @@ def _scale(task: _Task) -> list[str] | None:
     ends = task.summary.world.anchors
     if ends is None:
         return None
-    if next(iter(task.entries.values())).anchors is not None:
-        return [ends.lower, f"{ends.upper} ({ends.upper_knows}), both frozen with the suite"]
+    anchors = next(iter(task.entries.values())).anchors
+    if anchors is not None:
+        # Only a bound can be 0, and so only with one there is a resolution.
+        upper = "the bound" if anchors[2] else f"{ends.upper} ({ends.upper_knows})"
+        return [ends.lower, f"{upper}, both frozen with the suite"]
     anchoring = task.summary.anchoring
     if anchoring is None:
         return None
