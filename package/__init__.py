@@ -14,7 +14,7 @@ leave_working_directory()
 from servotrack._moved import install  # noqa: E402
 from servotrack.envs.registration import register_all  # noqa: E402
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = ["Tracker", "Tracks", "__version__", "track", "write_tracks"]
 
 if TYPE_CHECKING:

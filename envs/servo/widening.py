@@ -8,11 +8,13 @@ from typing import Any
 
 from servotrack.envs.servo.levels import ServoConfig
 
-_CENTERED = ("mounting", "principal_offset", "tilt", "aspect", "actuation_gain")
+_CENTERED = ("mounting", "principal_offset", "tilt", "aspect", "actuation_gain", "knock")
 """Largest deviations from a center, either way."""
-_RATES = ("pixel_noise", "outlier_rate", "outlier_size", "dropout")
+_RATES = ("pixel_noise", "outlier_rate", "outlier_size", "dropout", "occlusion")
 """Sizes and rates of what is random at every frame."""
-_WHOLE = ("latency",)
+_WHOLE = ("latency", "encoder_age")
+_IDLE_WITHOUT = {"outlier_size": "outlier_rate", "occlusion_length": "occlusion"}
+"""Quantities that have no effect where another one is 0."""
 _CROWD_RATES = ("look_alikes", "clutter", "misses", "color_noise")
 _LARGEST = {"mounting": math.pi, "tilt": 0.6, "aspect": 0.5, "actuation_gain": 0.5, "dropout": 0.95, "distortion": 0.33,
             "pace": 2.0, "look_alikes": 1.0, "misses": 0.95, "outlier_rate": 1.0, "latency": 4.0}  # fmt: skip
@@ -37,6 +39,8 @@ def widened_axes(config: ServoConfig, share: float = 0.25) -> dict[str, Any]:
         raise ValueError(f"share must lie in [0, 1], got {share}; 0.25 widens every range by a quarter")
     axes: dict[str, Any] = {}
     for name in (field.name for field in fields(config)):
+        if name in _IDLE_WITHOUT and getattr(config, _IDLE_WITHOUT[name]) == 0.0:
+            continue
         value, largest = getattr(config, name), _LARGEST.get(name, math.inf)
         if isinstance(value, tuple):
             low, high = value
@@ -48,8 +52,6 @@ def widened_axes(config: ServoConfig, share: float = 0.25) -> dict[str, Any]:
             # A distortion may be negative, all other ranges are of positive quantities.
             least = -largest if low < 0.0 else 0.0
             axes[name] = (max(low - extra, least), min(high + extra, largest))
-        elif name == "outlier_size" and config.outlier_rate == 0.0:
-            continue
         elif name in (*_CENTERED, *_RATES, *_CROWD_RATES) and value > 0.0:
             axes[name] = min((1.0 + share) * value, largest)
     return {name: wide for name, wide in axes.items() if wide != getattr(config, name)}

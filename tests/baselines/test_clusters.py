@@ -34,6 +34,8 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
 ]
 CLUSTERS: dict[str, Callable[..., Any]] = {"dask": dask_cluster, "ray": ray_cluster}
+ONE_IS_ENOUGH = pytest.mark.parametrize("cluster", ["dask"], indirect=True, scope="module")
+"""For what is the same code with both: a new Ray worker takes seconds to start."""
 TIMES = ("provenance", "step_seconds", "sha256")
 """Fields of a cell that may differ between two runs, and the digests over them."""
 
@@ -46,7 +48,8 @@ def cluster(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 def bench(folder: Path, *options: str) -> subprocess.Popen[bytes]:
     command = [
-        sys.executable, "-m", "servotrack", "bench", "--agents", "kf,random", "--levels", "0,3", "--episodes", "60",
+        sys.executable, "-m", "servotrack", "bench", "--env", "UncalibServo-v0", "--agents", "kf,random",
+        "--levels", "0,3", "--episodes", "60",
         "--no-video", "--results", str(folder), *options,
     ]  # fmt: skip
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, cwd=folder.parent)
@@ -115,11 +118,13 @@ def test_a_task_that_kills_every_worker_ends_by_a_message(cluster: tuple[str, st
         list(in_workers([delayed(end_at_once)()], -1))
 
 
+@ONE_IS_ENOUGH
 def test_an_error_of_a_task_is_raised_as_it_is(cluster: tuple[str, str]) -> None:
     with pytest.raises(ValueError, match=r"^argument must be something else, got 7$"), computing_on(*cluster):
         list(in_workers([delayed(fail_with)("7")], -1))
 
 
+@ONE_IS_ENOUGH
 def test_parts_are_written_by_the_process_that_asks(cluster: tuple[str, str], tmp_path: Path) -> None:
     tasks = [PartTask(tmp_path / f"{k}.npz", setting_of(number=k), halves, (k,)) for k in range(5)]
     with computing_on(*cluster):
@@ -128,6 +133,7 @@ def test_parts_are_written_by_the_process_that_asks(cluster: tuple[str, str], tm
     assert [float(read_part(task.path, task.setting)["half"]) for task in tasks] == [0.0, 0.5, 1.0, 1.5, 2.0]
 
 
+@ONE_IS_ENOUGH
 def test_workers_of_another_version_are_refused(cluster: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     # The workers have this process's environment from the time when they started.
     monkeypatch.setenv("VERSION_IN_TESTS", "0.0.1+elsewhere")
@@ -138,6 +144,7 @@ def test_workers_of_another_version_are_refused(cluster: tuple[str, str], monkey
         list(in_workers([delayed(fail_with)("7")], -1))
 
 
+@ONE_IS_ENOUGH
 def test_a_shared_folder_is_seen(cluster: tuple[str, str], tmp_path: Path) -> None:
     with computing_on(*cluster):
         check_shared(tmp_path)
@@ -184,6 +191,7 @@ def test_bad_arguments_are_refused(
         pass
 
 
+@ONE_IS_ENOUGH
 def test_a_search_on_a_cluster_chooses_the_same(cluster: tuple[str, str]) -> None:
     protocol = TuningProtocol(levels=(0, 1), seeds=(100_500, 100_501))
     settings = [default_values("broyden"), {**default_values("broyden"), "rate": 0.7}]
@@ -195,6 +203,7 @@ def test_a_search_on_a_cluster_chooses_the_same(cluster: tuple[str, str]) -> Non
         np.testing.assert_array_equal(ours.costs, theirs.costs)
 
 
+@ONE_IS_ENOUGH
 def test_a_submission_from_a_cluster_has_the_same_actions(cluster: tuple[str, str], tmp_path: Path) -> None:
     suite = load_suite("2027a")
     cells = [suite.cell("UncalibServo-v0,level=3")]

@@ -153,7 +153,24 @@ def points(folder: Path) -> Any:
 COMMANDS = {
     "evaluate": Command(("evaluate", "UncalibServo-v0", "kf", "-n", "300", *SHORT, "-o", "out"), rows),
     "bench": Command(
-        ("bench", "-a", "kf,ukf,random", "-l", "0-2", "-n", "30", *SHORT, "-j", "2", "-o", "out", "--no-video"), rows
+        (
+            "bench",
+            "--env",
+            "UncalibServo-v0",
+            "-a",
+            "kf,ukf,random",
+            "-l",
+            "0-2",
+            "-n",
+            "30",
+            *SHORT,
+            "-j",
+            "2",
+            "-o",
+            "out",
+            "--no-video",
+        ),
+        rows,
     ),
     "leaderboard": Command(
         ("leaderboard", "out", "--output", "page"),

@@ -52,7 +52,7 @@ def fault(command: str) -> str | None:
         return None if importlib.util.find_spec(module) else f"no module {module}"
     if name in ("python", "python3"):
         return None if not arguments or (ROOT / arguments[0]).is_file() else f"{arguments[0]} does not exist"
-    if name in ("pip", "cd", "git"):
+    if name in ("pip", "cd", "git", "dask", "ray"):
         return None
     return f"unknown program {name}"
 
