@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import inspect
 import os
+import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,6 +29,8 @@ DEFAULT_LEVELS = (0, 1, 2, 3, 4, 5)
 DEFAULT_EPISODES = 100
 TASK_EPISODES = 25
 """Episodes of one task on a cluster: what the loss of a worker costs."""
+SAVE_INTERVAL = 2.0
+"""Longest wait of finished tasks of a cluster to be saved together, s. Larger values lose more by a SIGKILL."""
 
 
 @dataclass(frozen=True)
@@ -209,7 +212,10 @@ def _evaluated(
 def _evaluated_elsewhere(
     cells: Sequence[Cell], folder: ResultsFolder, seeds: Sequence[int], record: dict[str, Any]
 ) -> Iterator[None]:
-    """Evaluate on a cluster, whose workers may not see the folder: this process saves every task's rows."""
+    """Evaluate on a cluster, whose workers may not see the folder: this process saves their rows.
+
+    A file is written anew each time, so rows wait for each other for `SAVE_INTERVAL`, or until their cell is complete.
+    """
     tasks = []
     for cell in cells:
         stored = folder.load(cell.env_id, cell.env_kwargs, cell.agent)
@@ -217,11 +223,26 @@ def _evaluated_elsewhere(
         tasks += [(cell, todo[first : first + TASK_EPISODES]) for first in range(0, len(todo), TASK_EPISODES)]
     unfinished = Counter(cells.index(cell) for cell, _ in tasks)
     calls = (delayed(_evaluated_task)(cells.index(cell), cell, chunk, record) for cell, chunk in tasks)
-    for number, result in in_workers(calls, -1):
-        folder.save(result)
-        unfinished[number] -= 1
-        if not unfinished[number]:
-            yield
+    waiting: dict[int, CellResults] = {}
+    saved = time.monotonic()
+    try:
+        for number, result in in_workers(calls, -1):
+            if number in waiting:
+                waiting[number].rows.extend(result.rows)
+            else:
+                waiting[number] = result
+            unfinished[number] -= 1
+            if time.monotonic() - saved > SAVE_INTERVAL:
+                while waiting:
+                    folder.save(waiting.popitem()[1])
+                saved = time.monotonic()
+            if not unfinished[number]:
+                if number in waiting:
+                    folder.save(waiting.pop(number))
+                yield
+    finally:
+        while waiting:
+            folder.save(waiting.popitem()[1])
 
 
 def _evaluated_task(number: int, cell: Cell, seeds: list[int], record: dict[str, Any]) -> tuple[int, CellResults]:
