@@ -64,22 +64,21 @@
   }
 
   // Color scheme: the reader's, unless chosen here. Storage may be forbidden, as from file:// in some browsers.
+  const dark = matchMedia("(prefers-color-scheme: dark)"), root = document.documentElement;
+  const kept = () => { try { return localStorage.getItem("servotrack-scheme"); } catch { return null; } };
+  let chosen = ["dark", "light"].find((name) => name === kept()) ?? null;
+  const apply = () => { root.dataset.scheme = chosen ?? (dark.matches ? "dark" : "light"); };
   const scheme = {
-    get() {
-      const set = document.documentElement.dataset.scheme;
-      return set || (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
-    },
+    get() { return root.dataset.scheme; },
     set(name) {
-      document.documentElement.dataset.scheme = name;
+      chosen = name;
       try { localStorage.setItem("servotrack-scheme", name); } catch { /* not kept */ }
+      apply();
       window.dispatchEvent(new Event("schemechange"));
     },
   };
-  try {
-    const kept = localStorage.getItem("servotrack-scheme");
-    if (kept === "dark" || kept === "light") document.documentElement.dataset.scheme = kept;
-  } catch { /* not kept */ }
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => window.dispatchEvent(new Event("schemechange")));
+  apply();
+  dark.addEventListener("change", () => { apply(); window.dispatchEvent(new Event("schemechange")); });
 
   // A color of the style sheet.
   const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
