@@ -10,8 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 import servotrack  # noqa: F401
-from servotrack.baselines.agents.learned.encoding import FlatEncoding, ResidualMemory, Stacked, create_encoding
+from servotrack.baselines.agents.learned.encoding import create_encoding
+from servotrack.baselines.agents.learned.flat_encoding import FlatEncoding, Stacked
 from servotrack.baselines.agents.learned.servo_encoding import ServoEncoding
+from servotrack.baselines.agents.learned.servo_parts import ResidualMemory
 from servotrack.baselines.agents.registry import create_agent
 from servotrack.baselines.agents.servo.jacobian_servo import JacobianServo, servo_measurement
 
